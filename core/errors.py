@@ -1,0 +1,173 @@
+"""What can go wrong, in words for people; how HTTP answers is the API's business.
+
+GaitwayError
+├── NotFound       what was named does not exist
+├── Conflict       it exists, but not in a state that allows this
+├── Rejected       the request itself is wrong; it will never work as sent
+├── Unavailable    nothing wrong with the request; try again after `retry_after_s`
+└── JobFailed      a job's own end, raised inside the training process
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One offending place in a document: a JSON pointer (RFC 6901) and a sentence."""
+
+    pointer: str
+    detail: str
+
+
+class GaitwayError(Exception):
+    """Every refusal: a stable `code`, a constant `title`, a sentence, and facts as members."""
+
+    code: ClassVar[str] = "error"
+    title: ClassVar[str] = "Something went wrong"
+
+    def __init__(self, detail: str, **facts: object) -> None:
+        super().__init__(detail)
+        self.detail = detail
+        self.facts = facts
+
+
+class NotFound(GaitwayError):
+    code = "not-found"
+    title = "Not found"
+
+
+class Conflict(GaitwayError):
+    code = "conflict"
+    title = "Not possible in the present state"
+
+
+class Rejected(GaitwayError):
+    """Wrong input; `problems` say where."""
+
+    code = "invalid-request"
+    title = "The request is not valid"
+
+    def __init__(self, detail: str, problems: Sequence[Problem] = (), **facts: object) -> None:
+        super().__init__(detail, **facts)
+        self.problems = tuple(problems)
+
+
+class Unavailable(GaitwayError):
+    code = "unavailable"
+    title = "Not available now"
+
+    def __init__(self, detail: str, *, retry_after_s: int = 5, **facts: object) -> None:
+        super().__init__(detail, **facts)
+        self.retry_after_s = retry_after_s
+
+
+class JobNotFound(NotFound):
+    code = "job-not-found"
+    title = "No such job"
+
+    def __init__(self, job_id: str) -> None:
+        super().__init__(f"There is no job {job_id!r}.", job=job_id)
+
+
+class EnvironmentNotFound(NotFound):
+    code = "environment-not-found"
+    title = "No such environment"
+
+
+class ArtifactNotFound(NotFound):
+    code = "artifact-not-found"
+    title = "No such artifact"
+
+
+class ArtifactNotReady(NotFound):
+    """It may come: the job that makes it has not ended."""
+
+    code = "artifact-not-ready"
+    title = "Not there yet"
+
+    def __init__(self, detail: str, *, retry_after_s: int = 5, **facts: object) -> None:
+        super().__init__(detail, **facts)
+        self.retry_after_s = retry_after_s
+
+
+class StaleJob(Conflict):
+    code = "stale-job"
+    title = "The job has changed meanwhile"
+
+    def __init__(self, job_id: str) -> None:
+        super().__init__(f"Job {job_id} has changed meanwhile; read it again.", job=job_id)
+
+
+class LeaseLost(Conflict):
+    """The attempt that writes no longer holds the job; nothing was written."""
+
+    code = "lease-lost"
+    title = "The attempt no longer holds the job"
+
+    def __init__(self, job_id: str) -> None:
+        super().__init__(f"Another attempt holds job {job_id}, or it has ended.", job=job_id)
+
+
+class IllegalTransition(Conflict):
+    code = "illegal-transition"
+    title = "The job cannot take this step"
+
+    def __init__(self, job_id: str, status: str, wanted: str) -> None:
+        super().__init__(f"Job {job_id} is {status} and cannot become {wanted}.", job=job_id, status=status)
+
+
+class JobExists(Conflict):
+    code = "job-exists"
+    title = "The job exists already"
+
+    def __init__(self, job_id: str) -> None:
+        super().__init__(f"Job {job_id} exists already.", job=job_id)
+
+
+class JobNotFinished(Conflict):
+    code = "job-not-finished"
+    title = "The job has not ended"
+
+
+class IdempotencyKeyReused(Conflict):
+    code = "idempotency-key-reused"
+    title = "The Idempotency-Key was used with another body"
+
+    def __init__(self, key: str) -> None:
+        super().__init__(f"The Idempotency-Key {key!r} was used before with another body; use a new key.")
+
+
+class JobFinished(Conflict):
+    code = "job-finished"
+    title = "The job has ended"
+
+
+class ObjectNotFound(NotFound):
+    code = "object-not-found"
+    title = "No such object"
+
+    def __init__(self, key: str) -> None:
+        super().__init__(f"The object store has no {key!r}.", key=key)
+
+
+class StorageUnavailable(Unavailable):
+    code = "storage-unavailable"
+    title = "The object store cannot be reached"
+
+
+class RecordsUnavailable(Unavailable):
+    code = "records-unavailable"
+    title = "The job records cannot be reached"
+
+
+class JobFailed(GaitwayError):
+    """A job's end, with the reason that its record shall carry."""
+
+    code = "job-failed"
+    title = "The job failed"
+
+    def __init__(self, reason: str, detail: str, **facts: object) -> None:
+        super().__init__(detail, **facts)
+        self.reason = reason
