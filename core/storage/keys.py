@@ -1,0 +1,27 @@
+"""The bucket's layout, in one place.
+
+jobs/<id>/spec.json                            the submission, before it is answered
+jobs/<id>/record.json                          the job as it was after its newest transition that mattered
+jobs/<id>/attempts/<n>/manifest.json           what readers may see of an attempt, written after its files
+jobs/<id>/attempts/<n>/<name>                  its files
+"""
+
+
+def job(job_id: str) -> str:
+    return f"jobs/{job_id}/"
+
+
+def spec(job_id: str) -> str:
+    return f"jobs/{job_id}/spec.json"
+
+
+def record(job_id: str) -> str:
+    return f"jobs/{job_id}/record.json"
+
+
+def manifest(job_id: str, attempt: int) -> str:
+    return f"jobs/{job_id}/attempts/{attempt}/manifest.json"
+
+
+def artifact(job_id: str, attempt: int, name: str) -> str:
+    return f"jobs/{job_id}/attempts/{attempt}/{name}"

@@ -1,0 +1,52 @@
+"""The seam to the object store."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class ObjectInfo:
+    """What the store knows of an object without reading it. size: bytes."""
+
+    key: str
+    size: int
+    media_type: str = "application/octet-stream"
+    metadata: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+class ObjectStore(Protocol):
+    """Named byte strings; a put replaces the whole object or nothing.
+
+    Every method raises StorageUnavailable when the store cannot be reached or refuses its key.
+    """
+
+    def put(self, key: str, body: bytes, *, media_type: str = "application/octet-stream") -> None: ...
+
+    def put_file(self, key: str, path: Path, *, media_type: str = "application/octet-stream") -> None:
+        """Store a file without holding it in memory."""
+        ...
+
+    def get(self, key: str) -> bytes:
+        """The whole object; for small ones. Raises ObjectNotFound."""
+        ...
+
+    def open(
+        self, key: str, start: int = 0, length: int | None = None
+    ) -> AbstractContextManager[Iterator[bytes]]:
+        """Bytes [start, start + length) in pieces of at most 1 MiB. Raises ObjectNotFound at once."""
+        ...
+
+    def info(self, key: str) -> ObjectInfo:
+        """Raises ObjectNotFound."""
+        ...
+
+    def list(self, prefix: str) -> Iterator[ObjectInfo]:
+        """Every object whose key begins with `prefix`, in key order."""
+        ...
+
+    def delete_prefix(self, prefix: str) -> None:
+        """Remove every object under `prefix`; nothing there is no error."""
+        ...
