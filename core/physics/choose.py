@@ -1,0 +1,42 @@
+"""From an engine's name to the engine; each one's libraries are loaded only when it is built."""
+
+from typing import assert_never
+
+import mujoco
+
+from core.physics.availability import EngineChoice, EngineName, check_physics, choose
+from core.physics.engine import DERIVED_FIELDS, Engine, EngineBuilder, SolverSettings
+
+__all__ = ["EngineChoice", "choose", "engine_builder"]
+
+
+def engine_builder(name: EngineName) -> EngineBuilder:
+    """What an environment calls to get its engine. Raises Rejected where there is no such engine."""
+    check_physics(name)
+
+    def build(
+        model: mujoco.MjModel,
+        num_substeps: int,
+        derived: tuple[str, ...],
+        *,
+        accelerated: SolverSettings | None = None,
+    ) -> Engine:
+        unknown = sorted(set(derived) - set(DERIVED_FIELDS))
+        if unknown:
+            raise ValueError(f"No engine computes {unknown}; there are {DERIVED_FIELDS}.")
+        match name:
+            case "native":
+                from core.physics.native import NativeEngine
+
+                return NativeEngine(model, num_substeps, derived)
+            case "mjx":
+                from core.physics.mjx import MjxEngine
+                from core.physics.model import with_solver
+
+                return MjxEngine(with_solver(model, accelerated), num_substeps, derived)
+            case "warp":
+                raise AssertionError("check_physics refuses warp")
+            case _:
+                assert_never(name)
+
+    return build

@@ -1,0 +1,82 @@
+"""MJX-JAX: MuJoCo rewritten in JAX; it stays on the accelerator and is differentiable."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import mjx
+
+from core.physics.engine import PhysicsState
+
+# What only a whole substep computes: forces, and with them the sensors of forces and accelerations.
+_OF_THE_LAST_SUBSTEP = ("qfrc_actuator", "sensordata")
+# Fields that MJX does not promise to keep on every implementation.
+_INTERNAL = ("cinert",)
+_CARRIED = ("time", "qpos", "qvel", "act", "qacc_warmstart")
+
+
+class MjxEngine:
+    """`mjx.step`, over a Data that is built anew around a constant one at each substep.
+
+    So a state holds nothing but its own few arrays, and `jax.tree.map(where, ...)` over states is right.
+    """
+
+    name = "mjx"
+
+    def __init__(self, model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> None:
+        self._model = mjx.put_model(model)
+        self._blank: Any = mjx.make_data(model)
+        self._num_substeps = num_substeps
+        self._derived = derived
+        self._lasting = tuple(name for name in derived if name in _OF_THE_LAST_SUBSTEP)
+        blank = mujoco.MjData(model)
+        self._shapes = {name: np.shape(getattr(blank, name)) for name in derived}
+
+    def reset(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
+        data = self._blank.replace(qpos=qpos, qvel=qvel)
+        if self._derived:
+            data = mjx.forward(self._model, data)
+        return PhysicsState(
+            qpos=qpos,
+            qvel=qvel,
+            act=self._blank.act,
+            qacc_warmstart=jnp.zeros_like(qvel),
+            time=jnp.zeros((), jnp.float32),
+            derived=self._read(data, self._derived),
+        )
+
+    def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+        def substep(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
+            return self._state(
+                mjx.step(self._model, self._data(state).replace(ctrl=ctrl)), self._lasting
+            ), None
+
+        lasting = {name: state.derived[name] for name in self._lasting}
+        carry = replace(state, derived=lasting)
+        after, _ = jax.lax.scan(substep, carry, length=self._num_substeps)
+        return self._state(self._fresh(self._data(after)), self._derived) if self._derived else after
+
+    def _fresh(self, data: Any) -> Any:
+        """The same data, its fields that follow from position and velocity computed."""
+        if "sensordata" in self._derived:
+            # Sensors may read anything; what they do not read, the compiler drops.
+            data = mjx.sensor_pos(self._model, mjx.fwd_position(self._model, data))
+            return mjx.sensor_vel(self._model, mjx.fwd_velocity(self._model, data))
+        data = mjx.com_pos(self._model, mjx.kinematics(self._model, data))
+        return mjx.com_vel(self._model, mjx.tendon(self._model, data))
+
+    def _data(self, state: PhysicsState) -> Any:
+        fields = {name: getattr(state, name) for name in _CARRIED}
+        return self._blank.replace(**fields, **{name: state.derived[name] for name in self._lasting})
+
+    def _state(self, data: Any, derived: tuple[str, ...]) -> PhysicsState:
+        fields = {name: getattr(data, name) for name in _CARRIED}
+        return PhysicsState(**fields, derived=self._read(data, derived))
+
+    def _read(self, data: Any, derived: tuple[str, ...]) -> dict[str, jax.Array]:
+        """The fields in MuJoCo's shapes: MJX gives matrices as [3, 3] and keeps some fields elsewhere."""
+        values = {name: getattr(data._impl if name in _INTERNAL else data, name) for name in derived}
+        return {name: value.reshape(self._shapes[name]) for name, value in values.items()}

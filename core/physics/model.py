@@ -1,0 +1,62 @@
+"""Where models come from, and what is changed in them before they are stepped."""
+
+import copy
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from core.physics.engine import SolverSettings
+
+
+def brax_model(name: str) -> mujoco.MjModel:
+    """The model `<name>.xml` of the brax wheel; bodies without joints are fused as Brax does."""
+    spec = mujoco.MjSpec.from_file(str(_brax_assets() / f"{name}.xml"))
+    spec.compiler.fusestatic = True
+    return _compiled(spec)
+
+
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The spec's model. The compiler's `settotalmass` is deprecated, so the geoms are scaled instead."""
+    total_mass = spec.compiler.settotalmass
+    if total_mass <= 0:
+        return spec.compile()
+    spec.compiler.settotalmass = -1
+    factor = total_mass / np.sum(spec.compile().body_mass)
+    for geom in spec.geoms:
+        geom.mass *= factor  # NaN, and stays NaN, where the mass follows from the density
+        geom.density *= factor
+    return spec.compile()
+
+
+def _brax_assets() -> Path:
+    # `import brax` would load every environment of Brax's, which takes seconds.
+    brax = find_spec("brax")
+    if brax is None or brax.origin is None:
+        raise ModuleNotFoundError("The brax package is not installed; it brings the models.")
+    return Path(brax.origin).parent / "envs" / "assets"
+
+
+def initial_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
+    """Where an episode begins, [nq]: the model's custom numeric `init_qpos`, or `qpos0` if it has none."""
+    for index in range(model.nnumeric):
+        numeric = model.numeric(index)
+        if numeric.name == "init_qpos":
+            return np.array(numeric.data)
+    return model.qpos0.copy()
+
+
+def with_solver(model: mujoco.MjModel, settings: SolverSettings | None) -> mujoco.MjModel:
+    """A copy of the model under these solver settings; without any, an unchanged copy."""
+    changed = copy.copy(model)
+    if settings is None:
+        return changed
+    changed.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    changed.opt.iterations = settings.iterations
+    changed.opt.ls_iterations = settings.ls_iterations
+    flag = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    flags = changed.opt.disableflags & ~flag
+    changed.opt.disableflags = flags if settings.implicit_damping else flags | flag
+    return changed

@@ -1,0 +1,278 @@
+"""One set of tests for all engines: what an environment may rely on, whichever engine moves it."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from core.physics.availability import EngineName
+from core.physics.choose import engine_builder
+from core.physics.engine import DERIVED_FIELDS, Engine, PhysicsState
+from core.physics.model import brax_model, initial_qpos
+
+NUM_SUBSTEPS = 3
+# A ball with an arm that falls on a floor: contacts, a tendon, sites, sensors, and an actuator with a state.
+BODY = """
+<mujoco>
+  <option timestep="0.005" iterations="30" ls_iterations="30"/>
+  <worldbody>
+    <geom type="plane" size="5 5 1"/>
+    <body name="ball" pos="0 0 0.105">
+      <freejoint/>
+      <geom type="sphere" size="0.1"/>
+      <body name="arm" pos="0.1 0 0">
+        <joint name="hinge" axis="0 1 0" damping="0.1"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.03" contype="0" conaffinity="0"/>
+        <site name="tip" pos="0.2 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <tendon><fixed name="cord"><joint joint="hinge" coef="2"/></fixed></tendon>
+  <actuator><general joint="hinge" dyntype="filter" dynprm="0.05" gainprm="2"/></actuator>
+  <sensor>
+    <jointpos joint="hinge"/><jointvel joint="hinge"/><framelinvel objtype="site" objname="tip"/>
+  </sensor>
+</mujoco>
+"""
+INTEGRATED = ("time", "qpos", "qvel", "act", "qacc_warmstart")
+FRESH = tuple(name for name in DERIVED_FIELDS if name != "qfrc_actuator")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """An engine for the body above; its functions compiled once, for one world and for three."""
+
+    model: mujoco.MjModel
+    engine: Engine
+    reset: Callable[..., PhysicsState]
+    step: Callable[..., PhysicsState]
+    reset_many: Callable[..., PhysicsState]
+    step_many: Callable[..., PhysicsState]
+    tolerance: float
+
+
+@pytest.fixture(scope="module", params=["native", "mjx"])
+def bench(request: pytest.FixtureRequest) -> Bench:
+    name: EngineName = request.param
+    model = mujoco.MjModel.from_xml_string(BODY)
+    engine = engine_builder(name)(model, NUM_SUBSTEPS, DERIVED_FIELDS)
+    return Bench(
+        model,
+        engine,
+        jax.jit(engine.reset),
+        jax.jit(engine.step),
+        jax.jit(jax.vmap(engine.reset)),
+        jax.jit(jax.vmap(engine.step)),
+        # Native computes in float64 and rounds; MJX computes in float32.
+        tolerance=1e-5 if name == "native" else 2e-3,
+    )
+
+
+def start(model: mujoco.MjModel, num_worlds: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Different positions, velocities and controls for each world."""
+    key = jax.random.key(7)
+    spread = jnp.linspace(0.0, 1.0, num_worlds)[:, None]
+    qpos = jnp.asarray(model.qpos0, jnp.float32) + spread * 0.3 * jnp.eye(model.nq)[-1]
+    qvel = 0.2 * jax.random.normal(key, (num_worlds, model.nv))
+    return qpos, qvel, 0.5 + spread
+
+
+def reference(model: mujoco.MjModel, qpos: Any, qvel: Any, ctrl: Any, num_steps: int) -> mujoco.MjData:
+    """The same by plain MuJoCo, as after the last substep: derived fields are one substep old."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = qpos, qvel, ctrl
+    for _ in range(num_steps * NUM_SUBSTEPS):
+        mujoco.mj_step(model, data)
+    return data
+
+
+def world(state: PhysicsState, index: int) -> PhysicsState:
+    return jax.tree.map(lambda leaf: leaf[index], state)
+
+
+def test_a_state_has_mujocos_shapes_in_float32(bench: Bench) -> None:
+    qpos, qvel, ctrl = start(bench.model, 3)
+    data = mujoco.MjData(bench.model)
+    for state in (bench.reset(qpos[0], qvel[0]), bench.step(bench.reset(qpos[0], qvel[0]), ctrl[0])):
+        for name in INTEGRATED:
+            assert getattr(state, name).shape == np.shape(getattr(data, name)), name
+        for name in DERIVED_FIELDS:
+            assert state.derived[name].shape == np.shape(getattr(data, name)), name
+        assert {leaf.dtype for leaf in jax.tree.leaves(state)} == {np.dtype(np.float32)}
+
+
+def test_a_reset_begins_at_rest_where_it_was_told(bench: Bench) -> None:
+    qpos, qvel, _ = start(bench.model, 3)
+    state = bench.reset_many(qpos, qvel)
+    np.testing.assert_array_equal(state.qpos, qpos)
+    np.testing.assert_array_equal(state.qvel, qvel)
+    assert not np.any(state.time)
+    assert not np.any(state.act)
+    assert not np.any(state.qacc_warmstart)
+
+
+def test_steps_follow_plain_mujoco(bench: Bench) -> None:
+    # 20 steps: the ball falls on the floor and the arm swings, so contacts and joints both act.
+    qpos, qvel, ctrl = start(bench.model, 3)
+    state = bench.reset(qpos[1], qvel[1])
+    for _ in range(20):
+        state = bench.step(state, ctrl[1])
+    data = reference(bench.model, qpos[1], qvel[1], ctrl[1], 20)
+    assert data.ncon == 1
+    for name in ("time", "qpos", "qvel", "act"):
+        np.testing.assert_allclose(
+            getattr(state, name), getattr(data, name), atol=bench.tolerance, err_msg=name
+        )
+
+
+def test_the_solvers_guess_is_carried_from_step_to_step(bench: Bench) -> None:
+    qpos, qvel, ctrl = start(bench.model, 3)
+    state = bench.step(bench.step(bench.reset(qpos[0], qvel[0]), ctrl[0]), ctrl[0])
+    data = reference(bench.model, qpos[0], qvel[0], ctrl[0], 2)
+    assert np.abs(data.qacc_warmstart).max() > 1
+    np.testing.assert_allclose(state.qacc_warmstart, data.qacc_warmstart, rtol=bench.tolerance, atol=0.05)
+
+
+def test_derived_fields_describe_the_state_that_is_returned(bench: Bench) -> None:
+    qpos, qvel, ctrl = start(bench.model, 3)
+    resting = bench.reset(qpos[2], qvel[2])
+    for state in (resting, bench.step(resting, ctrl[2])):
+        data = mujoco.MjData(bench.model)
+        data.qpos[:], data.qvel[:] = state.qpos, state.qvel
+        mujoco.mj_forward(bench.model, data)
+        for name in FRESH:
+            np.testing.assert_allclose(state.derived[name], getattr(data, name), atol=2e-6, err_msg=name)
+
+
+def test_the_actuators_force_is_the_last_substeps(bench: Bench) -> None:
+    qpos, qvel, ctrl = start(bench.model, 3)
+    state = bench.step(bench.reset(qpos[2], qvel[2]), ctrl[2])
+    data = reference(bench.model, qpos[2], qvel[2], ctrl[2], 1)
+    # A filter of 0.05 s seen 2 of 3 substeps in: act = 1.5 (1 - 0.9²) = 0.285, times the gain of 2.
+    assert data.qfrc_actuator[-1] == pytest.approx(0.57, abs=1e-3)
+    np.testing.assert_allclose(state.derived["qfrc_actuator"], data.qfrc_actuator, atol=1e-5)
+
+
+def test_many_worlds_move_as_each_would_alone(bench: Bench) -> None:
+    qpos, qvel, ctrl = start(bench.model, 3)
+    together = bench.step_many(bench.reset_many(qpos, qvel), ctrl)
+    for index in range(3):
+        alone = bench.step(bench.reset(qpos[index], qvel[index]), ctrl[index])
+        for one, other in zip(jax.tree.leaves(world(together, index)), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-4, atol=bench.tolerance * 0.1)
+
+
+def test_worlds_may_lie_on_two_axes() -> None:
+    # JAX itself sees to it for MJX; the native engine's callback is given both axes.
+    model = mujoco.MjModel.from_xml_string(BODY)
+    engine = engine_builder("native")(model, NUM_SUBSTEPS, ("xpos",))
+    qpos, qvel, ctrl = start(model, 3)
+    flat = jax.vmap(engine.step)(jax.vmap(engine.reset)(qpos, qvel), ctrl)
+    qpos, qvel, ctrl = (jnp.stack([array, array]) for array in (qpos, qvel, ctrl))
+    nested = jax.vmap(jax.vmap(engine.step))(jax.vmap(jax.vmap(engine.reset))(qpos, qvel), ctrl)
+    for index in (0, 1):
+        np.testing.assert_array_equal(nested.qpos[index], flat.qpos)
+        np.testing.assert_array_equal(nested.derived["xpos"][index], flat.derived["xpos"])
+
+
+def test_equal_arguments_give_equal_results_whatever_came_between(bench: Bench) -> None:
+    qpos, qvel, ctrl = start(bench.model, 3)
+    state = bench.reset_many(qpos, qvel)
+    first = bench.step_many(state, ctrl)
+    bench.step_many(first, -ctrl)
+    bench.reset_many(qpos[::-1], -qvel)
+    for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(bench.step_many(state, ctrl)), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("broken", ["a control that is not a number", "a speed past all reason"])
+def test_a_world_that_breaks_is_not_a_number_and_its_neighbours_do_not_mind(
+    bench: Bench, broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
+    qpos, qvel, ctrl = start(bench.model, 3)
+    state = bench.reset_many(qpos, qvel)
+    if broken.startswith("a control"):
+        bad_state, bad_ctrl = state, ctrl.at[1].set(jnp.nan)
+    else:
+        bad_state, bad_ctrl = replace(state, qvel=state.qvel.at[1, 0].set(1e30)), ctrl
+    fine = bench.step_many(state, ctrl)
+    after = bench.step_many(bad_state, bad_ctrl)
+    for again in (after, bench.step_many(after, ctrl)):
+        # It stays broken: nothing puts it back to the beginning behind the caller's back.
+        assert not np.isfinite(again.qvel[1]).all()
+    for index in (0, 2):
+        np.testing.assert_array_equal(after.qpos[index], fine.qpos[index])
+
+
+def test_several_threads_may_use_one_engine() -> None:
+    model = mujoco.MjModel.from_xml_string(BODY)
+    engine = engine_builder("native")(model, NUM_SUBSTEPS, ("xpos",))
+    step = jax.jit(jax.vmap(engine.step))
+    qpos, qvel, ctrl = start(model, 3)
+    states = [jax.vmap(engine.reset)(qpos, factor * qvel) for factor in (1.0, -1.0)]
+    alone = [_after_steps(step, state, ctrl) for state in states]
+    together: dict[int, PhysicsState] = {}
+
+    def run(index: int) -> None:
+        together[index] = _after_steps(step, states[index], ctrl)
+
+    threads = [threading.Thread(target=run, args=(index,)) for index in (0, 1)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=60)
+    for index in (0, 1):
+        np.testing.assert_array_equal(together[index].qpos, alone[index].qpos)
+
+
+def _after_steps(step: Callable[..., PhysicsState], state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+    for _ in range(50):
+        state = step(state, ctrl)
+    return jax.block_until_ready(state)
+
+
+@pytest.fixture(scope="module")
+def ant() -> mujoco.MjModel:
+    model = brax_model("ant")
+    model.opt.iterations, model.opt.ls_iterations = 8, 16
+    return model
+
+
+def test_native_and_mjx_walk_the_ant_alike(ant: mujoco.MjModel) -> None:
+    # Under equal solver settings, converged. 0.25 s: landing and four feet on the floor.
+    ctrl = jnp.linspace(-0.5, 0.5, 8)
+    ends: dict[str, PhysicsState] = {}
+    for name in ("native", "mjx"):
+        engine = engine_builder(name)(ant, 5, ())
+        state = jax.jit(engine.reset)(jnp.asarray(initial_qpos(ant), jnp.float32), jnp.zeros(ant.nv))
+        ends[name], _ = jax.jit(
+            lambda state, engine=engine: jax.lax.scan(
+                lambda state, _: (engine.step(state, ctrl), None), state, length=5
+            )
+        )(state)
+    moved = np.abs(ends["native"].qpos - initial_qpos(ant)).max()
+    assert moved > 0.1
+    np.testing.assert_allclose(ends["mjx"].qpos, ends["native"].qpos, atol=2e-4)
+    np.testing.assert_allclose(ends["mjx"].qvel, ends["native"].qvel, atol=5e-3)
+
+
+def test_the_ant_settles_when_nothing_moves_it(ant: mujoco.MjModel) -> None:
+    engine = engine_builder("native")(ant, 5, ())
+    state = engine.reset(jnp.asarray(initial_qpos(ant), jnp.float32), jnp.zeros(ant.nv))
+    state, _ = jax.jit(
+        lambda state: jax.lax.scan(
+            lambda state, _: (engine.step(state, jnp.zeros(8)), None), state, length=400
+        )
+    )(state)
+    # Its stiff joints give way slowly. After 20 s it is still, its torso (a ball of 0.25 m) off the floor.
+    assert float(jnp.abs(state.qvel).max()) < 1e-3
+    assert 0.25 < float(state.qpos[2]) < 1.0
+    assert float(state.time) == pytest.approx(20.0, abs=1e-3)
