@@ -1,0 +1,68 @@
+"""The environments there are. To add one: a package with `info` and `environment`, and its line here."""
+
+import difflib
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, cast
+
+from pydantic import ValidationError
+
+from core.environments.ant.info import INFO as ANT
+from core.environments.half_cheetah.info import INFO as HALF_CHEETAH
+from core.environments.hopper.info import INFO as HOPPER
+from core.environments.humanoid.info import INFO as HUMANOID
+from core.environments.info import EnvironmentInfo
+from core.environments.inverted_pendulum.info import INFO as INVERTED_PENDULUM
+from core.environments.reacher.info import INFO as REACHER
+from core.environments.walker2d.info import INFO as WALKER2D
+from core.errors import EnvironmentNotFound, Problem, Rejected
+from core.model import Strict
+
+if TYPE_CHECKING:
+    from core.environments.environment import Environment
+    from core.physics.engine import EngineBuilder
+
+ENVIRONMENTS: dict[str, EnvironmentInfo] = {
+    info.id: info for info in (ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, INVERTED_PENDULUM, REACHER)
+}
+
+
+def find(environment_id: str) -> EnvironmentInfo:
+    """The environment's row. Raises EnvironmentNotFound, with the nearest name and all there are."""
+    if environment_id in ENVIRONMENTS:
+        return ENVIRONMENTS[environment_id]
+    near = difflib.get_close_matches(environment_id, ENVIRONMENTS, n=1)
+    suggestion = f" Did you mean {near[0]!r}?" if near else ""
+    known = ", ".join(ENVIRONMENTS)
+    raise EnvironmentNotFound(
+        f"There is no environment {environment_id!r}.{suggestion} There are {known}.",
+        environment=environment_id,
+        environments=list(ENVIRONMENTS),
+    )
+
+
+def parse_options(info: EnvironmentInfo, options: Mapping[str, object]) -> Strict:
+    """The environment's own options, defaults filled in. Raises Rejected with each field that is wrong."""
+    try:
+        return info.options.model_validate(dict(options))
+    except ValidationError as error:
+        problems = [_problem(info, details["loc"], details["msg"]) for details in error.errors()]
+        sentences = " ".join(problem.detail for problem in problems)
+        raise Rejected(f"The options of {info.id!r} are not valid. {sentences}", problems) from None
+
+
+def make(info: EnvironmentInfo, options: Strict, build_engine: "EngineBuilder") -> "Environment":
+    """The environment itself; only now is its code loaded, and with it the numerical stack."""
+    module, _, function = info.factory.partition(":")
+    factory = getattr(import_module(module), function)
+    return cast("Environment", factory(options, build_engine))
+
+
+def _problem(info: EnvironmentInfo, location: tuple[int | str, ...], message: str) -> Problem:
+    field = ".".join(str(part) for part in location)
+    escaped = (str(part).replace("~", "~0").replace("/", "~1") for part in location)
+    pointer = "/".join(("/environment/options", *escaped))
+    if location and location[0] not in info.options.model_fields:
+        known = ", ".join(info.options.model_fields) or "none"
+        return Problem(pointer, f"{field}: there is no such option; there are {known}.")
+    return Problem(pointer, f"{field}: {message.removeprefix('Value error, ')}.")

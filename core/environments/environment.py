@@ -1,0 +1,65 @@
+"""What an algorithm asks of a body in its world."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import jax
+import mujoco
+from flax import struct
+
+from core.physics.engine import PhysicsState
+
+
+@struct.dataclass
+class State:
+    """One environment after a step; a leading batch axis appears under `jax.vmap`.
+
+    obs: [observation_size]; reward, done: [] float32. `done` is 1 where the episode *terminated*;
+    truncation by length is the wrapper's business. metrics: named scalars, the same names at every
+    step. info: arrays that a wrapper or the environment carries from step to step.
+    """
+
+    physics: PhysicsState
+    obs: jax.Array
+    reward: jax.Array
+    done: jax.Array
+    metrics: Mapping[str, jax.Array]
+    info: Mapping[str, jax.Array]
+
+
+class Environment(Protocol):
+    """Pure functions over one world. Built for one engine, and knows nothing of which."""
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model that is stepped; also what a renderer draws."""
+        ...
+
+    @property
+    def observation_size(self) -> int: ...
+
+    @property
+    def action_size(self) -> int: ...
+
+    @property
+    def dt(self) -> float:
+        """Seconds between two actions."""
+        ...
+
+    @property
+    def episode_length(self) -> int:
+        """Actions after which an episode is cut off."""
+        ...
+
+    @property
+    def tracked_body(self) -> int:
+        """Id of the body whose walk is measured and which the default camera follows."""
+        ...
+
+    def reset(self, key: jax.Array) -> State:
+        """A fresh initial state."""
+        ...
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """The state after one action [action_size], each component in [-1, 1]."""
+        ...

@@ -1,0 +1,110 @@
+"""A humanoid that learns to walk. Source: Tassa et al., 2012; rewards as in brax.envs.humanoid."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from core.environments.body import Body, height_is_healthy, noisy_start, scaled_to_control
+from core.environments.environment import State
+from core.environments.humanoid.info import HumanoidOptions
+from core.physics.engine import EngineBuilder, PhysicsState, SolverSettings
+from core.physics.model import brax_model
+
+_NUM_SUBSTEPS = 5
+_DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
+_METRICS = (
+    "forward_reward",
+    "reward_linvel",
+    "reward_quadctrl",
+    "reward_alive",
+    "x_position",
+    "y_position",
+    "distance_from_origin",
+    "x_velocity",
+    "y_velocity",
+)
+
+
+def make(options: HumanoidOptions, build_engine: EngineBuilder) -> "Humanoid":
+    """The humanoid under these options, moved by the engine that `build_engine` makes."""
+    return Humanoid(options, build_engine)
+
+
+class Humanoid(Body):
+    """Reward: forward speed + being alive - the control's cost. Ends when the torso falls."""
+
+    def __init__(self, options: HumanoidOptions, build_engine: EngineBuilder) -> None:
+        model = brax_model("humanoid")
+        accelerated = SolverSettings(iterations=1, ls_iterations=4, implicit_damping=False)
+        hidden = 2 if options.exclude_current_positions_from_observation else 0
+        num_bodies = model.nbody - 1
+        super().__init__(
+            model,
+            build_engine(model, _NUM_SUBSTEPS, _DERIVED, accelerated=accelerated),
+            num_substeps=_NUM_SUBSTEPS,
+            # Each body: its inertia [3, 3] and mass; its linear and angular velocity.
+            observation_size=model.nq - hidden + model.nv + 10 * num_bodies + 6 * num_bodies + model.nv,
+            tracked_body="torso",
+        )
+        self._options = options
+        self._num_hidden = hidden
+        self._masses = np.asarray(model.body_mass[1:], np.float32)
+
+    def reset(self, key: jax.Array) -> State:
+        physics = noisy_start(self, key, self._options.reset_noise_scale, normal_velocity=False)
+        zero = jnp.zeros(())
+        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        options = self._options
+        control = scaled_to_control(self.model, action)
+        physics = self.engine.step(state.physics, control)
+        position = self._centre_of_mass(physics)
+        velocity = (position - self._centre_of_mass(state.physics)) / self.dt
+        forward = options.forward_reward_weight * velocity[0]
+        healthy = height_is_healthy(physics.qpos[2], options.healthy_z_range)
+        # Where being unhealthy ends the episode, the step that ends it still earns its reward (as in Brax).
+        alive = options.healthy_reward * (jnp.ones(()) if options.terminate_when_unhealthy else healthy)
+        effort = options.ctrl_cost_weight * jnp.sum(jnp.square(control))
+        metrics = {
+            "forward_reward": forward,
+            "reward_linvel": forward,
+            "reward_quadctrl": -effort,
+            "reward_alive": alive,
+            "x_position": position[0],
+            "y_position": position[1],
+            "distance_from_origin": jnp.linalg.norm(position),
+            "x_velocity": velocity[0],
+            "y_velocity": velocity[1],
+        }
+        done = 1.0 - healthy if options.terminate_when_unhealthy else jnp.zeros(())
+        return State(physics, self._observe(physics), forward + alive - effort, done, metrics, state.info)
+
+    def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:
+        """[3]; the torso is the root of all the other bodies."""
+        return physics.derived["subtree_com"][self.tracked_body]
+
+    def _observe(self, physics: PhysicsState) -> jax.Array:
+        """Positions, velocities, each body's inertia and mass, each body's velocities, joint torques.
+
+        Inertia is about the whole body's centre of mass. A linear velocity is the one of the body's own
+        centre of mass, weighted by its share of the whole mass.
+        """
+        # cinert: 6 of the inertia, 3 of mass times offset from the whole's centre of mass, 1 mass.
+        inertia, moment = physics.derived["cinert"][1:, :6], physics.derived["cinert"][1:, 6:9]
+        masses = self._masses[:, None]
+        symmetric = inertia[:, np.array([0, 3, 4, 3, 1, 5, 4, 5, 2])]
+        # cvel: angular velocity, then linear velocity at the whole's centre of mass.
+        angular, linear = physics.derived["cvel"][1:, :3], physics.derived["cvel"][1:, 3:]
+        own_linear = linear + jnp.cross(angular, moment / masses)
+        bodies = jnp.concatenate([symmetric, masses], axis=1)
+        velocities = jnp.concatenate([own_linear * (masses / self._masses.sum()), angular], axis=1)
+        return jnp.concatenate(
+            [
+                physics.qpos[self._num_hidden :],
+                physics.qvel,
+                bodies.ravel(),
+                velocities.ravel(),
+                physics.derived["qfrc_actuator"],
+            ]
+        )

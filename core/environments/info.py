@@ -1,0 +1,36 @@
+"""What is known of an environment without loading it: the API reads this and imports no numerical code."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from core.model import Strict
+
+Device = Literal["cpu", "gpu"]
+
+
+class NoOptions(Strict):
+    """An environment that cannot be adjusted."""
+
+
+@dataclass(frozen=True)
+class EnvironmentInfo:
+    """One row of the catalog.
+
+    factory: `module:function`, called as `factory(options, engine_factory)`; see `catalog.make`.
+    observation_size, action_size: with default options. dt: seconds between actions.
+    cameras: the names the model gives its cameras, in their order; `track` is always there besides.
+    tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
+    """
+
+    id: str
+    description: str
+    factory: str
+    observation_size: int
+    action_size: int
+    dt: float
+    episode_length: int
+    tracked_body: str
+    cameras: tuple[str, ...] = ()
+    options: type[Strict] = NoOptions
+    tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])

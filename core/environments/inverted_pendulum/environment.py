@@ -1,0 +1,47 @@
+"""A pole balanced on a cart. Source: Barto et al., 1983; rewards as in brax.envs.inverted_pendulum."""
+
+import jax
+import jax.numpy as jnp
+
+from core.environments.body import Body, noisy_start, scaled_to_control
+from core.environments.environment import State
+from core.environments.info import NoOptions
+from core.physics.engine import EngineBuilder, PhysicsState
+from core.physics.model import brax_model
+
+_NUM_SUBSTEPS = 2
+_NOISE = 0.01
+_LARGEST_TILT = 0.2  # radians
+
+
+def make(options: NoOptions, build_engine: EngineBuilder) -> "InvertedPendulum":
+    """The inverted pendulum, moved by the engine that `build_engine` makes."""
+    return InvertedPendulum(build_engine)
+
+
+class InvertedPendulum(Body):
+    """Reward: 1 for each step. Ends when the pole tilts too far."""
+
+    def __init__(self, build_engine: EngineBuilder) -> None:
+        model = brax_model("inverted_pendulum")
+        super().__init__(
+            model,
+            build_engine(model, _NUM_SUBSTEPS, ()),
+            num_substeps=_NUM_SUBSTEPS,
+            observation_size=model.nq + model.nv,
+            tracked_body="cart",
+        )
+
+    def reset(self, key: jax.Array) -> State:
+        physics = noisy_start(self, key, _NOISE, normal_velocity=False)
+        zero = jnp.zeros(())
+        return State(physics, _observe(physics), zero, zero, {}, {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
+        done = jnp.where(jnp.abs(physics.qpos[1]) > _LARGEST_TILT, 1.0, 0.0)
+        return State(physics, _observe(physics), jnp.ones(()), done, {}, state.info)
+
+
+def _observe(physics: PhysicsState) -> jax.Array:
+    return jnp.concatenate([physics.qpos, physics.qvel])

@@ -1,0 +1,106 @@
+"""Environments so small that their right answer is known: each isolates one thing a learner must do.
+
+Source: Andy Jones, "Debugging reinforcement learning systems" (2021), probe environments.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from core.environments.environment import State
+from core.physics.engine import PhysicsState
+
+# (observation, time, action) -> (reward, done)
+Rule = Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A world without physics: one number is seen, one is acted, `rule` says what it brings.
+
+    random_sign: the first observation is -1 or +1, else 0. shows_time: every later one is the number of
+    actions taken.
+    """
+
+    rule: Rule
+    random_sign: bool = False
+    shows_time: bool = False
+    observation_size: int = 1
+    action_size: int = 1
+    dt: float = 1.0
+    episode_length: int = 8
+    tracked_body: int = 0
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string("<mujoco/>")
+
+    def reset(self, key: jax.Array) -> State:
+        sign = jnp.where(jax.random.bernoulli(key), 1.0, -1.0)
+        obs = jnp.where(self.random_sign, sign, 0.0)[None]
+        zero = jnp.zeros(())
+        nothing = jnp.zeros(0)
+        physics = PhysicsState(
+            qpos=nothing, qvel=nothing, act=nothing, qacc_warmstart=nothing, time=zero, derived={}
+        )
+        return State(physics=physics, obs=obs, reward=zero, done=zero, metrics={"x_velocity": zero}, info={})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        reward, done = self.rule(state.obs[0], state.physics.time, action[0])
+        time = state.physics.time + self.dt
+        return replace(
+            state,
+            physics=replace(state.physics, time=time),
+            obs=time[None] if self.shows_time else state.obs,
+            reward=reward,
+            done=done,
+            metrics={"x_velocity": action[0]},
+        )
+
+
+def constant_reward() -> Probe:
+    """One step, always 1: the value of the only observation is 1."""
+    return Probe(lambda obs, time, action: (jnp.ones(()), jnp.ones(())))
+
+
+def observed_reward() -> Probe:
+    """One step, the reward is the observation (-1 or 1): the value must look at it."""
+    return Probe(lambda obs, time, action: (obs, jnp.ones(())), random_sign=True)
+
+
+def delayed_reward() -> Probe:
+    """Two steps, 1 at the second: the first value is the discount."""
+    return Probe(lambda obs, time, action: (time, time), shows_time=True)
+
+
+def action_reward() -> Probe:
+    """One step, the reward falls with the distance of the action from 0.5."""
+    return Probe(lambda obs, time, action: (-((action - 0.5) ** 2), jnp.ones(())))
+
+
+def observed_action_reward() -> Probe:
+    """One step, the best action is half the observation: the policy must look at it."""
+    return Probe(lambda obs, time, action: (-((action - 0.5 * obs) ** 2), jnp.ones(())), random_sign=True)
+
+
+def unending_reward(reward: float = 1.0) -> Probe:
+    """The same reward at every step, and no step ends it: the value is reward / (1 - discount)."""
+    return Probe(lambda obs, time, action: (jnp.float32(reward), jnp.zeros(())))
+
+
+def endless() -> Probe:
+    """No step ends it: episodes are only ever cut off. The reward is the action."""
+    return Probe(lambda obs, time, action: (action, jnp.zeros(())), shows_time=True)
+
+
+def exploding(after: int) -> Probe:
+    """The reward is not a number from the step on that follows `after` actions of an episode."""
+    return Probe(
+        lambda obs, time, action: (jnp.where(time >= after, jnp.nan, 1.0), jnp.zeros(())),
+        shows_time=True,
+        episode_length=10**6,
+    )

@@ -1,0 +1,207 @@
+"""Letting a policy act, and writing down what happens."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from core.environments.environment import Environment, State
+from core.environments.trajectory import Episode, Trajectory, describe
+
+# (observation [observation_size], key) -> action [action_size]
+Policy = Callable[[jax.Array, jax.Array], jax.Array]
+# (parameters, observation, key) -> action: parameters may change without another compilation.
+ParametricPolicy = Callable[[Any, jax.Array, jax.Array], jax.Array]
+
+_STEPS_PER_CALL = 200
+_MOST_WORLDS = 64
+
+
+def random_policy(action_size: int) -> Policy:
+    """Each component uniform in [-1, 1]."""
+    return lambda observation, key: jax.random.uniform(key, (action_size,), minval=-1.0, maxval=1.0)
+
+
+def constant_policy(action: Sequence[float]) -> Policy:
+    """Always the same action."""
+    fixed = np.asarray(action, np.float32)
+    return lambda observation, key: jnp.asarray(fixed)
+
+
+def zero_policy(action_size: int) -> Policy:
+    """No action at all."""
+    return constant_policy([0.0] * action_size)
+
+
+@dataclass(frozen=True)
+class _Row:
+    """What is kept of a step; arrays [steps, worlds, ...]."""
+
+    qpos: NDArray[np.float32]
+    qvel: NDArray[np.float32]
+    observation: NDArray[np.float32]
+    action: NDArray[np.float32]
+    reward: NDArray[np.float32]
+    done: NDArray[np.float32]
+    metrics: Mapping[str, NDArray[np.float32]]
+
+
+class Roller:
+    """Compiles a policy's episodes in an environment once, for any parameters, seed, length and number.
+
+    num_worlds: episodes that run side by side; results do not depend on it.
+    """
+
+    def __init__(self, environment: Environment, policy: ParametricPolicy, *, num_worlds: int = 1) -> None:
+        self._environment = environment
+        self._num_worlds = num_worlds
+        self._reset = jax.jit(jax.vmap(environment.reset))
+        self._advance = jax.jit(lambda *state: _advance(environment, policy, *state))
+
+    def episodes(
+        self, parameters: Any, key: jax.Array, *, num_steps: int, num_episodes: int | None
+    ) -> Iterator[Episode]:
+        """Episodes of at most `num_steps` actions, one after the other; endlessly where the number is None.
+
+        Episode i depends on the key and on i alone.
+        """
+        first = 0
+        while num_episodes is None or first < num_episodes:
+            numbers = jnp.arange(first, first + self._num_worlds)
+            keys = jax.vmap(jax.random.fold_in, (None, 0))(key, numbers)
+            wanted = self._num_worlds if num_episodes is None else min(self._num_worlds, num_episodes - first)
+            yield from self._batch(parameters, keys, num_steps, wanted)
+            first += self._num_worlds
+
+    def _batch(self, parameters: Any, keys: jax.Array, num_steps: int, wanted: int) -> Iterator[Episode]:
+        state: State = self._reset(keys)
+        start = _observed(state)
+        rows: list[_Row] = []
+        running = np.ones(wanted, bool)
+        taken = 0
+        while taken < num_steps and running.any():
+            state, observed = self._advance(parameters, state, keys, jnp.int32(taken))
+            row = _Row(**{name: jax.tree.map(np.asarray, values) for name, values in observed.items()})
+            rows.append(row)
+            running &= ~(row.done[:, :wanted] > 0).any(axis=0)
+            taken += _STEPS_PER_CALL
+        names = ("qpos", "qvel", "observation", "action", "reward", "done")
+        steps = {name: np.concatenate([getattr(row, name) for row in rows]) for name in names}
+        metrics = {name: np.concatenate([row.metrics[name] for row in rows]) for name in rows[0].metrics}
+        for world in range(wanted):
+            own = {name: values[:, world] for name, values in steps.items()}
+            begin = {name: np.asarray(values)[world] for name, values in start.items()}
+            measured = {name: values[:, world] for name, values in metrics.items()}
+            yield _episode(self._environment, begin, own, measured, num_steps)
+
+
+def rollout(
+    environment: Environment, policy: Policy, *, key: jax.Array, num_steps: int, num_episodes: int
+) -> Trajectory:
+    """Episodes of the policy, each until the environment ends it, or `num_steps` actions."""
+    roller = Roller(
+        environment,
+        lambda parameters, observation, key: policy(observation, key),
+        num_worlds=min(num_episodes, _MOST_WORLDS),
+    )
+    episodes = list(roller.episodes(None, key, num_steps=num_steps, num_episodes=num_episodes))
+    return trajectory_of(environment, episodes)
+
+
+def footage(roller: Roller, parameters: Any, key: jax.Array, *, dt: float, seconds: float) -> list[Episode]:
+    """What a video of `seconds` shows: an episode, and the next ones where it ends early."""
+    left = max(1, round(seconds / dt))
+    shown: list[Episode] = []
+    for episode in roller.episodes(parameters, key, num_steps=left, num_episodes=None):
+        shown.append(cut(episode, left))
+        left -= shown[-1].num_steps
+        if left <= 0:
+            break
+    return shown
+
+
+def cut(episode: Episode, num_steps: int) -> Episode:
+    """The first `num_steps` steps; one that is shorter stays as it is."""
+    if episode.num_steps <= num_steps:
+        return episode
+    states = ("time", "qpos", "qvel", "position", "observation")
+    return replace(
+        episode,
+        **{name: getattr(episode, name)[: num_steps + 1] for name in states},
+        action=episode.action[:num_steps],
+        reward=episode.reward[:num_steps],
+        metrics={name: values[:num_steps] for name, values in episode.metrics.items()},
+        terminated=False,
+    )
+
+
+def trajectory_of(environment: Environment, episodes: Sequence[Episode], /, **facts: Any) -> Trajectory:
+    """Episodes with what their numbers are about; facts: the environment's id, the seed, the policy."""
+    body = str(environment.model.body(environment.tracked_body).name)
+    about = describe(environment.model, dt_s=environment.dt, tracked_body=body, **facts)
+    return Trajectory(list(episodes), about)
+
+
+def _advance(
+    environment: Environment,
+    policy: ParametricPolicy,
+    parameters: Any,
+    state: State,
+    keys: jax.Array,
+    taken: jax.Array,
+) -> tuple[State, dict[str, Any]]:
+    """`_STEPS_PER_CALL` steps of every world; what is kept of them, [steps, worlds, ...].
+
+    The key of step t of an episode depends on the episode's key and on t alone.
+    """
+
+    def step(state: State, number: jax.Array) -> tuple[State, dict[str, Any]]:
+        step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, number + 1)
+        action = jax.vmap(policy, (None, 0, 0))(parameters, state.obs, step_keys)
+        state = jax.vmap(environment.step)(state, action)
+        kept = {"action": action, "reward": state.reward, "done": state.done, "metrics": dict(state.metrics)}
+        return state, kept | _observed(state)
+
+    return jax.lax.scan(step, state, taken + jnp.arange(_STEPS_PER_CALL))
+
+
+def _observed(state: State) -> dict[str, jax.Array]:
+    return {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": state.obs}
+
+
+def _episode(
+    environment: Environment,
+    begin: Mapping[str, NDArray[np.float32]],
+    steps: Mapping[str, NDArray[np.float32]],
+    metrics: Mapping[str, NDArray[np.float32]],
+    num_steps: int,
+) -> Episode:
+    """One world's rows, cut where its episode ends; what it did after that never happened."""
+    ends = np.flatnonzero(steps["done"][:num_steps] > 0)
+    length = int(ends[0]) + 1 if len(ends) else num_steps
+    states = {name: np.concatenate([first[None], steps[name][:length]]) for name, first in begin.items()}
+    return Episode(
+        **states,
+        time=np.arange(length + 1, dtype=np.float64) * environment.dt,
+        position=_positions(environment, states["qpos"]),
+        action=steps["action"][:length],
+        reward=steps["reward"][:length],
+        terminated=bool(len(ends)),
+        metrics={name: values[:length] for name, values in metrics.items()},
+    )
+
+
+def _positions(environment: Environment, qpos: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Where the tracked body is [T+1, 3] in each of the positions [T+1, nq]."""
+    data = mujoco.MjData(environment.model)
+    positions = np.empty((len(qpos), 3), np.float32)
+    for row, values in enumerate(qpos):
+        data.qpos[:] = values
+        mujoco.mj_kinematics(environment.model, data)
+        positions[row] = data.xpos[environment.tracked_body]
+    return positions

@@ -1,0 +1,157 @@
+"""Episodes as numbers, and the file that holds them. Imports no JAX: the render process reads it."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+FORMAT = "gaitway-trajectory"
+VERSION = 1
+
+# name, shape, unit, meaning
+_ARRAYS = (
+    ("time", "[T+1]", "s", "since the episode's start"),
+    ("qpos", "[T+1, nq]", "m, rad; rotations of free and ball joints as quaternions w x y z", "positions"),
+    ("qvel", "[T+1, nv]", "m/s, rad/s", "velocities"),
+    ("position", "[T+1, 3]", "m", "where the tracked body is in the world"),
+    ("observation", "[T+1, observation_size]", "mixed", "what the policy saw"),
+    ("action", "[T, action_size]", "1, each in [-1, 1]", "what it did; row t leads from state t to t+1"),
+    ("reward", "[T]", "1", "what it got for that"),
+)
+_FIELDS = tuple(name for name, *_ in _ARRAYS)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode of T steps; arrays as `_ARRAYS` lists them, float32 but for `time`.
+
+    terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name.
+    """
+
+    time: NDArray[np.float64]
+    qpos: NDArray[np.float32]
+    qvel: NDArray[np.float32]
+    position: NDArray[np.float32]
+    observation: NDArray[np.float32]
+    action: NDArray[np.float32]
+    reward: NDArray[np.float32]
+    terminated: bool
+    metrics: Mapping[str, NDArray[np.float32]] = field(default_factory=dict[str, Any])
+
+    @property
+    def num_steps(self) -> int:
+        return len(self.reward)
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.time[-1] - self.time[0])
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Episodes, and what their numbers are about; see `describe`."""
+
+    episodes: Sequence[Episode]
+    about: Mapping[str, Any]
+
+
+def describe(model: mujoco.MjModel, /, **facts: Any) -> dict[str, Any]:
+    """The file's own explanation: arrays with shapes and units, joints and actuators by name, and `facts`."""
+    arrays = {
+        f"episode_<i>/{name}": {"shape": shape, "unit": unit, "meaning": meaning}
+        for name, shape, unit, meaning in _ARRAYS
+    }
+    arrays["episode_<i>/terminated"] = {"shape": "[]", "unit": "", "meaning": "ended by the environment"}
+    arrays["episode_<i>/metrics/<name>"] = {"shape": "[T]", "unit": "", "meaning": "the environment's own"}
+    joints = [
+        {
+            "name": str(joint.name),
+            "type": mujoco.mjtJoint(int(joint.type[0])).name.removeprefix("mjJNT_").lower(),
+            "qpos_start": int(joint.qposadr[0]),
+            "qvel_start": int(joint.dofadr[0]),
+        }
+        for joint in (model.joint(number) for number in range(model.njnt))
+    ]
+    actuators = [str(model.actuator(number).name) for number in range(model.nu)]
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        **facts,
+        "arrays": arrays,
+        "joints": joints,
+        "actuators": actuators,
+    }
+
+
+def save(path: Path, trajectory: Trajectory) -> None:
+    """Write one .npz, whole or not at all; equal trajectories give equal bytes. `about` is JSON text."""
+    about = {**trajectory.about, "num_episodes": len(trajectory.episodes)}
+    contents: dict[str, Any] = {"about": np.array(json.dumps(about, sort_keys=True))}
+    for number, episode in enumerate(trajectory.episodes):
+        prefix = f"episode_{number}/"
+        contents |= {prefix + name: getattr(episode, name) for name in _FIELDS}
+        contents[prefix + "terminated"] = np.array(episode.terminated)
+        contents |= {f"{prefix}metrics/{name}": values for name, values in sorted(episode.metrics.items())}
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez_compressed(file, **contents)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load(path: Path) -> Trajectory:
+    """What `save` wrote. Raises ValueError where the file is something else."""
+    with np.load(path, allow_pickle=False) as file:
+        if "about" not in file.files:
+            raise ValueError(f"{path.name} is no trajectory: it has no `about`.")
+        about: dict[str, Any] = json.loads(str(file["about"]))
+        if (about.get("format"), about.get("version")) != (FORMAT, VERSION):
+            raise ValueError(f"{path.name} is not a {FORMAT} of version {VERSION}.")
+        episodes = [_episode(file, f"episode_{number}/") for number in range(int(about["num_episodes"]))]
+    return Trajectory(episodes, about)
+
+
+def _episode(file: Any, prefix: str) -> Episode:
+    metrics = prefix + "metrics/"
+    return Episode(
+        **{name: file[prefix + name] for name in _FIELDS},
+        terminated=bool(file[prefix + "terminated"]),
+        metrics={name.removeprefix(metrics): file[name] for name in file.files if name.startswith(metrics)},
+    )
+
+
+def summary(trajectory: Trajectory) -> dict[str, Any]:
+    """Returns, lengths and speeds as JSON. Speed: m/s along x from an episode's start to its end.
+
+    `forward_speed_m_s` is that of all episodes together, `mean` and `std` weigh each the same.
+    """
+    rows = [_summary(episode) for episode in trajectory.episodes]
+    columns = ("return", "num_steps", "duration_s", "distance_m", "forward_speed_m_s")
+    return {
+        "num_episodes": len(rows),
+        "forward_speed_m_s": sum(row["distance_m"] for row in rows) / sum(row["duration_s"] for row in rows),
+        "num_terminated": sum(row["terminated"] for row in rows),
+        "mean": {name: float(np.mean([row[name] for row in rows])) for name in columns},
+        "std": {name: float(np.std([row[name] for row in rows])) for name in columns},
+        "episodes": rows,
+    }
+
+
+def _summary(episode: Episode) -> dict[str, Any]:
+    forward = float(episode.position[-1, 0]) - float(episode.position[0, 0])
+    return {
+        "return": float(episode.reward.sum(dtype=np.float64)),
+        "num_steps": episode.num_steps,
+        "duration_s": episode.duration_s,
+        "distance_m": forward,
+        "forward_speed_m_s": forward / episode.duration_s,
+        "terminated": episode.terminated,
+    }

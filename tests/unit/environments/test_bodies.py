@@ -1,0 +1,117 @@
+"""Every body of the catalog: what its row says is what it is, and what it does."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from core.environments import catalog
+from core.environments.environment import Environment, State
+from core.environments.info import EnvironmentInfo
+from core.physics.choose import engine_builder
+
+NUM_WORLDS = 8
+WALKERS = {"ant", "half_cheetah", "hopper", "walker2d", "humanoid"}
+
+
+@dataclass(frozen=True)
+class Case:
+    info: EnvironmentInfo
+    environment: Environment
+    reset: Callable[[jax.Array], State]
+    step: Callable[[State, jax.Array], State]
+
+
+def build(environment_id: str, **options: object) -> Case:
+    info = catalog.find(environment_id)
+    environment = catalog.make(info, catalog.parse_options(info, options), engine_builder("native"))
+    return Case(info, environment, jax.jit(jax.vmap(environment.reset)), jax.jit(jax.vmap(environment.step)))
+
+
+@pytest.fixture(scope="module", params=list(catalog.ENVIRONMENTS))
+def case(request: pytest.FixtureRequest) -> Case:
+    return build(request.param)
+
+
+def fresh(case: Case, seed: int = 0) -> State:
+    return case.reset(jax.random.split(jax.random.key(seed), NUM_WORLDS))
+
+
+def some_actions(case: Case, seed: int = 1) -> jax.Array:
+    shape = (NUM_WORLDS, case.environment.action_size)
+    return jax.random.uniform(jax.random.key(seed), shape, minval=-1.0, maxval=1.0)
+
+
+def test_the_catalogs_row_is_true(case: Case) -> None:
+    info, environment = case.info, case.environment
+    model = environment.model
+    assert info.observation_size == environment.observation_size == fresh(case).obs.shape[-1]
+    assert info.action_size == environment.action_size == model.nu
+    assert info.dt == pytest.approx(environment.dt)
+    assert info.episode_length == environment.episode_length == 1000
+    assert info.tracked_body == model.body(environment.tracked_body).name
+    names = [model.camera(index).name for index in range(model.ncam)]
+    assert info.cameras == tuple(name for name in names if name)
+
+
+def test_a_step_keeps_the_states_form(case: Case) -> None:
+    before = fresh(case)
+    after = case.step(before, some_actions(case))
+    assert jax.tree.structure(before) == jax.tree.structure(after)
+    for one, other in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
+        assert (one.shape, one.dtype) == (other.shape, other.dtype) == (one.shape, np.float32)
+        assert np.isfinite(other).all()
+
+
+def test_a_body_on_its_way_says_how_fast_it_goes(case: Case) -> None:
+    state = case.step(fresh(case), some_actions(case))
+    assert ("x_velocity" in state.metrics) == (case.info.id in WALKERS)
+
+
+def test_initial_states_differ_by_key_and_by_nothing_else(case: Case) -> None:
+    once, again, other = fresh(case), fresh(case), fresh(case, seed=5)
+    np.testing.assert_array_equal(once.obs, again.obs)
+    assert not np.array_equal(once.obs, other.obs)
+    assert len(np.unique(np.asarray(once.obs), axis=0)) == NUM_WORLDS
+
+
+def test_a_world_that_breaks_does_not_look_well(case: Case) -> None:
+    state = case.step(fresh(case), some_actions(case).at[0].set(jnp.nan))
+    assert not np.isfinite(state.obs[0]).all()
+    assert np.isfinite(state.obs[1:]).all()
+    # A constant reward aside, the reward says so too, so that ending the episode cannot hide it.
+    assert np.isnan(state.reward[0]) or case.info.id == "inverted_pendulum"
+
+
+@pytest.mark.parametrize("environment_id", ["ant", "hopper", "walker2d", "humanoid"])
+def test_unhealthy_ends_the_episode_unless_told_otherwise(environment_id: str) -> None:
+    nowhere = [10.0, 11.0]  # no torso is at that height, in metres
+    ends = build(environment_id, healthy_z_range=nowhere)
+    ended = ends.step(fresh(ends), jnp.zeros((NUM_WORLDS, ends.environment.action_size)))
+    np.testing.assert_array_equal(ended.done, 1.0)
+    goes_on = build(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=False)
+    going = goes_on.step(fresh(goes_on), jnp.zeros((NUM_WORLDS, goes_on.environment.action_size)))
+    np.testing.assert_array_equal(going.done, 0.0)
+    # Without the end there is no reward for being healthy either: 1 a step, the humanoid 5.
+    healthy_reward = 5.0 if environment_id == "humanoid" else 1.0
+    np.testing.assert_allclose(ended.reward - going.reward, healthy_reward, rtol=1e-5)
+
+
+@pytest.mark.parametrize("environment_id", sorted(WALKERS))
+def test_hidden_positions_can_be_shown(environment_id: str) -> None:
+    shown = build(environment_id, exclude_current_positions_from_observation=False)
+    state = fresh(shown)
+    hidden = 2 if environment_id in {"ant", "humanoid"} else 1
+    assert state.obs.shape[-1] == shown.environment.observation_size == shown.info.observation_size + hidden
+    np.testing.assert_array_equal(state.obs[:, :1], state.physics.qpos[:, :1])
+
+
+def test_the_reset_noise_can_be_switched_off() -> None:
+    quiet = build("ant", reset_noise_scale=0.0)
+    state = fresh(quiet)
+    # The file's init_qpos: 0.55 m up, standing.
+    np.testing.assert_allclose(state.physics.qpos[:, 2], 0.55)
+    np.testing.assert_array_equal(state.physics.qvel, 0.0)

@@ -1,0 +1,96 @@
+"""The catalog as the API sees it."""
+
+import subprocess
+import sys
+
+import pytest
+
+from core.algorithms.ppo.spec import PPOSpec, resolve
+from core.environments import catalog
+from core.environments.ant.info import AntOptions
+from core.environments.info import Device, EnvironmentInfo
+from core.errors import EnvironmentNotFound, Rejected
+
+INFOS = list(catalog.ENVIRONMENTS.values())
+
+
+def pointers(refusal: pytest.ExceptionInfo[Rejected]) -> list[str]:
+    return [problem.pointer for problem in refusal.value.problems]
+
+
+def test_a_mistyped_environment_is_answered_with_the_nearest_name_and_all_of_them() -> None:
+    with pytest.raises(EnvironmentNotFound, match="Did you mean 'half_cheetah'") as refusal:
+        catalog.find("halfcheetah")
+    assert refusal.value.facts["environments"] == list(catalog.ENVIRONMENTS)
+
+
+def test_a_name_like_no_other_gets_no_guess() -> None:
+    with pytest.raises(EnvironmentNotFound, match=r"'zzz'\. There are ant"):
+        catalog.find("zzz")
+
+
+def test_options_that_are_not_given_take_their_defaults() -> None:
+    options = catalog.parse_options(catalog.find("ant"), {"healthy_z_range": [0.3, 0.9]})
+    assert options == AntOptions(healthy_z_range=(0.3, 0.9))
+
+
+@pytest.mark.parametrize(
+    ("environment", "options", "pointer", "sentence"),
+    [
+        ("ant", {"leg_count": 6}, "/environment/options/leg_count", "there is no such option"),
+        ("ant", {"ctrl_cost_weight": "1"}, "/environment/options/ctrl_cost_weight", "valid number"),
+        ("ant", {"ctrl_cost_weight": float("nan")}, "/environment/options/ctrl_cost_weight", "finite"),
+        ("ant", {"reset_noise_scale": -1.0}, "/environment/options/reset_noise_scale", "greater"),
+        ("ant", {"use_contact_forces": True}, "/environment/options/use_contact_forces", "False"),
+        ("ant", {"healthy_z_range": [1.0, 0.2]}, "/environment/options/healthy_z_range", "low < high"),
+        ("ant", {"healthy_z_range": [0.2]}, "/environment/options/healthy_z_range/1", "required"),
+        ("hopper", {"healthy_z_range": [2, 1]}, "/environment/options/healthy_z_range", "low < high"),
+        ("reacher", {"a/b": 1}, "/environment/options/a~1b", "there are none"),
+    ],
+)
+def test_a_wrong_option_is_refused_with_its_place(
+    environment: str, options: dict[str, object], pointer: str, sentence: str
+) -> None:
+    with pytest.raises(Rejected, match=sentence) as refusal:
+        catalog.parse_options(catalog.find(environment), options)
+    assert pointers(refusal) == [pointer]
+
+
+def test_every_wrong_option_is_named() -> None:
+    with pytest.raises(Rejected) as refusal:
+        catalog.parse_options(catalog.find("ant"), {"healthy_reward": "x", "colour": "red"})
+    assert set(pointers(refusal)) == {
+        "/environment/options/healthy_reward",
+        "/environment/options/colour",
+    }
+
+
+def test_a_bound_may_be_left_open_above() -> None:
+    options = catalog.parse_options(catalog.find("hopper"), {"healthy_z_range": [0.5, None]})
+    assert options.model_dump()["healthy_z_range"] == (0.5, None)
+
+
+@pytest.mark.parametrize("info", INFOS, ids=lambda info: info.id)
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+def test_tuned_values_are_complete_and_go_together(info: EnvironmentInfo, device: Device) -> None:
+    tuned = info.tuned["ppo"][device]
+    resolved = resolve(PPOSpec(), info, device)
+    assert {name: getattr(resolved, name) for name in tuned} == dict(tuned)
+    assert resolved.batch_size * resolved.num_minibatches % resolved.num_envs == 0
+
+
+@pytest.mark.parametrize("info", INFOS, ids=lambda info: info.id)
+def test_an_environment_can_be_described_in_json(info: EnvironmentInfo) -> None:
+    schema = info.options.model_json_schema()
+    described = info.options().model_dump_json()
+    assert info.options.model_validate_json(described) == info.options()
+    assert set(schema.get("properties", {})) == set(info.options.model_fields)
+
+
+def test_reading_the_catalog_loads_no_numerical_code() -> None:
+    program = (
+        "import sys, core.environments.catalog, core.physics.availability;"
+        "print(sorted({'jax', 'mujoco', 'numpy', 'brax'} & set(sys.modules)))"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"

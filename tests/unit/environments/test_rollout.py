@@ -1,0 +1,132 @@
+"""Rollouts of small known worlds, and of the ant with the native engine."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from core.environments import catalog, probes
+from core.environments.environment import Environment
+from core.environments.rollout import (
+    Roller,
+    constant_policy,
+    cut,
+    footage,
+    random_policy,
+    rollout,
+    trajectory_of,
+    zero_policy,
+)
+from core.physics.choose import engine_builder
+
+KEY = jax.random.key(0)
+
+
+@pytest.fixture(scope="module")
+def ant() -> Environment:
+    info = catalog.find("ant")
+    return catalog.make(info, catalog.parse_options(info, {}), engine_builder("native"))
+
+
+def test_an_episode_ends_where_the_environment_ends_it() -> None:
+    # Two steps, the second brings 1.
+    [episode] = rollout(
+        probes.delayed_reward(), zero_policy(1), key=KEY, num_steps=10, num_episodes=1
+    ).episodes
+    assert episode.terminated
+    np.testing.assert_array_equal(episode.reward, [0.0, 1.0])
+    np.testing.assert_array_equal(episode.observation[:, 0], [0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(episode.time, [0.0, 1.0, 2.0])
+
+
+def test_an_episode_that_nothing_ends_is_cut_off() -> None:
+    # Longer than one compiled call, and no multiple of it.
+    [episode] = rollout(
+        probes.endless(), constant_policy([0.5]), key=KEY, num_steps=450, num_episodes=1
+    ).episodes
+    assert not episode.terminated
+    np.testing.assert_array_equal(episode.reward, np.full(450, 0.5))
+    np.testing.assert_array_equal(episode.observation[:, 0], np.arange(451))
+    np.testing.assert_array_equal(episode.metrics["x_velocity"], np.full(450, 0.5))
+
+
+def test_random_actions_fill_the_range_and_depend_on_the_key_alone() -> None:
+    roller = Roller(probes.endless(), lambda _, observation, key: random_policy(1)(observation, key))
+    first, again = (next(roller.episodes(None, KEY, num_steps=200, num_episodes=1)) for _ in range(2))
+    other = next(roller.episodes(None, jax.random.key(1), num_steps=200, num_episodes=1))
+    np.testing.assert_array_equal(first.action, again.action)
+    assert not np.array_equal(first.action, other.action)
+    assert -1.0 <= first.action.min() < -0.9
+    assert 0.9 < first.action.max() <= 1.0
+    assert abs(first.action.mean()) < 0.15
+
+
+def test_episodes_do_not_depend_on_how_many_run_side_by_side() -> None:
+    def act(_: object, observation: jax.Array, key: jax.Array) -> jax.Array:
+        return random_policy(1)(observation, key)
+
+    one, many = (
+        list(
+            Roller(probes.endless(), act, num_worlds=worlds).episodes(None, KEY, num_steps=20, num_episodes=5)
+        )
+        for worlds in (1, 3)
+    )
+    assert len(one) == len(many) == 5
+    for alone, together in zip(one, many, strict=True):
+        np.testing.assert_array_equal(alone.action, together.action)
+
+
+def test_new_parameters_need_no_new_compilation() -> None:
+    compiled: list[int] = []
+
+    def act(parameters: jax.Array, observation: jax.Array, key: jax.Array) -> jax.Array:
+        compiled.append(1)  # runs while tracing only
+        return parameters
+
+    roller = Roller(probes.endless(), act)
+    actions = [
+        next(roller.episodes(jnp.array([value]), KEY, num_steps=3, num_episodes=1)).action[0, 0]
+        for value in (0.25, 0.5)
+    ]
+    assert actions == [0.25, 0.5]
+    assert len(compiled) == 1
+
+
+def test_footage_goes_on_with_another_episode_and_stops_on_time() -> None:
+    # Episodes of two steps of 1 s each; 5 s are two and a half of them.
+    roller = Roller(probes.delayed_reward(), lambda _, observation, key: jnp.zeros(1))
+    shown = footage(roller, None, KEY, dt=1.0, seconds=5.0)
+    assert [episode.num_steps for episode in shown] == [2, 2, 1]
+    assert [episode.terminated for episode in shown] == [True, True, False]
+
+
+def test_a_cut_episode_keeps_one_state_more_than_actions() -> None:
+    [episode] = rollout(probes.endless(), zero_policy(1), key=KEY, num_steps=9, num_episodes=1).episodes
+    shorter = cut(episode, 4)
+    assert (shorter.num_steps, len(shorter.time), len(shorter.metrics["x_velocity"])) == (4, 5, 4)
+    assert cut(episode, 9) is episode
+
+
+def test_the_ants_trajectory_is_what_its_model_does(ant: Environment) -> None:
+    recorded = rollout(ant, random_policy(8), key=KEY, num_steps=30, num_episodes=2)
+    for episode in recorded.episodes:
+        assert episode.qpos.shape == (episode.num_steps + 1, ant.model.nq)
+        assert episode.action.shape == (episode.num_steps, ant.action_size)
+        # The torso is the free joint's body: its position is the first three of qpos.
+        np.testing.assert_allclose(episode.position, episode.qpos[:, :3], atol=1e-6)
+        assert episode.time[-1] == pytest.approx(ant.dt * episode.num_steps)
+    first = recorded.episodes[0]
+    data = mujoco.MjData(ant.model)
+    data.qpos[:], data.qvel[:] = first.qpos[0], first.qvel[0]
+    data.ctrl[:] = first.action[0]
+    for _ in range(round(ant.dt / ant.model.opt.timestep)):
+        mujoco.mj_step(ant.model, data)
+    np.testing.assert_allclose(first.qpos[1], data.qpos, atol=1e-4)
+
+
+def test_a_trajectory_says_whose_it_is(ant: Environment) -> None:
+    about = trajectory_of(ant, [], environment="ant", seed=7).about
+    assert (about["environment"], about["seed"], about["tracked_body"]) == ("ant", 7, "torso")
+    assert about["dt_s"] == pytest.approx(0.05)
+    assert len(about["actuators"]) == 8
