@@ -1,0 +1,72 @@
+"""Trying a policy: whole episodes side by side, no learning."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from core.environments.environment import Environment, State
+from core.environments.wrappers import select
+
+
+@struct.dataclass
+class EpisodeTotals:
+    """Sums over one episode for each of N environments, [N]. metrics: by name, `reward` among them."""
+
+    metrics: dict[str, jax.Array]
+    length: jax.Array
+
+
+@struct.dataclass
+class _Trial:
+    state: State
+    totals: EpisodeTotals
+    alive: jax.Array
+    time: jax.Array
+
+
+def run_episodes(
+    environment: Environment, policy: Any, key: jax.Array, *, num_envs: int, episode_length: int
+) -> EpisodeTotals:
+    """One episode in each environment, until it ends or is `episode_length` actions long.
+
+    policy: (observations [N, obs], key) -> (actions [N, act], extras). Stops when the last one has ended.
+    """
+    reset_key, act_key = jax.random.split(key)
+    state = jax.vmap(environment.reset)(jax.random.split(reset_key, num_envs))
+    zeros = jnp.zeros(num_envs)
+    totals = EpisodeTotals({name: zeros for name in ("reward", *state.metrics)}, zeros)
+    trial = _Trial(state, totals, jnp.ones(num_envs, bool), jnp.int32(0))
+
+    def going(trial: _Trial) -> jax.Array:
+        return (trial.time < episode_length) & jnp.any(trial.alive)
+
+    def act(trial: _Trial) -> _Trial:
+        action, _ = policy(trial.state.obs, jax.random.fold_in(act_key, trial.time))
+        state = jax.vmap(environment.step)(trial.state, action)
+        seen = {"reward": state.reward, **state.metrics}
+        # An ended episode adds nothing, and its world stands still.
+        totals = EpisodeTotals(
+            {
+                name: total + jnp.where(trial.alive, seen[name], 0.0)
+                for name, total in trial.totals.metrics.items()
+            },
+            trial.totals.length + trial.alive,
+        )
+        return _Trial(
+            select(trial.alive, state, trial.state), totals, trial.alive & (state.done == 0), trial.time + 1
+        )
+
+    return jax.lax.while_loop(going, act, trial).totals
+
+
+def evaluation_metrics(totals: EpisodeTotals) -> dict[str, float]:
+    """Means over the episodes, by Brax's names; totals: arrays on the host."""
+    metrics = {f"eval/episode_{name}": float(np.mean(value)) for name, value in totals.metrics.items()}
+    metrics["eval/episode_reward_std"] = float(np.std(totals.metrics["reward"]))
+    metrics["eval/avg_episode_length"] = float(np.mean(totals.length))
+    if "x_velocity" in totals.metrics:
+        metrics["eval/forward_speed"] = float(np.sum(totals.metrics["x_velocity"]) / np.sum(totals.length))
+    return metrics

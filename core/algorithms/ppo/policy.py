@@ -1,0 +1,109 @@
+"""A trained policy on its own: out of a checkpoint, into a file that Brax reads, and as a function."""
+
+import io
+import pickle
+from collections.abc import Callable
+from typing import Any, cast
+
+import jax
+import numpy as np
+from brax.training.agents.ppo.networks import make_inference_fn
+from flax import serialization
+
+from core.algorithms.ppo import checkpoint
+from core.algorithms.ppo.networks import PolicyParams, init_normalizer, make_networks
+from core.algorithms.ppo.spec import PPOSpec
+from core.errors import JobFailed
+
+Inference = Callable[[jax.Array, jax.Array], jax.Array]
+
+# All that a policy file names besides plain containers.
+_ALLOWED = {
+    ("brax.training.acme.running_statistics", "NormalizationMode"),
+    ("brax.training.acme.running_statistics", "RunningStatisticsState"),
+    ("brax.training.types", "UInt64"),
+    ("numpy", "dtype"),
+    ("numpy", "ndarray"),
+    ("numpy._core.multiarray", "_reconstruct"),
+    ("numpy._core.multiarray", "scalar"),
+    ("numpy._core.numeric", "_frombuffer"),
+}
+
+
+def make_inference(params: PolicyParams, *, deterministic: bool = True) -> Inference:
+    """(observations [..., obs], key) -> actions [..., act] in [-1, 1]; pure, to be jitted by the caller.
+
+    The networks' sizes are read from the parameters. deterministic: the mode of the action's
+    distribution instead of a sample; the key is then not used.
+    """
+    observation_size, action_size, settings = _sizes(params)
+    policy = make_inference_fn(make_networks(observation_size, action_size, settings))(
+        params, deterministic=deterministic
+    )
+
+    def act(observation: jax.Array, key: jax.Array) -> jax.Array:
+        return policy(observation, key)[0]
+
+    return act
+
+
+def policy_from_checkpoint(content: bytes) -> PolicyParams:
+    """(normaliser, policy, value) of a checkpoint, arrays on the host. Raises JobFailed if it is damaged."""
+    header, state = checkpoint.read(content)
+    template = jax.device_get(init_normalizer(header["observation_size"]))
+    normalizer: Any = serialization.from_state_dict(template, state["normalizer"])
+    return normalizer, state["params"]["policy"], state["params"]["value"]
+
+
+def write_policy(params: PolicyParams) -> bytes:
+    """The file that `brax.io.model.load_params` reads: equal parameters give equal bytes."""
+    file = io.BytesIO()
+    pickler = _PolicyPickler(file, protocol=4)
+    pickler.fast = True  # otherwise the bytes tell which equal strings are one object
+    pickler.dump(jax.tree.map(np.asarray, params))  # the map also brings dicts into one order
+    return file.getvalue()
+
+
+def read_policy(content: bytes) -> PolicyParams:
+    """Back from a policy file, running no code that it names besides that of arrays.
+
+    Raises JobFailed("bad_checkpoint") for anything else than a policy.
+    """
+    try:
+        normalizer, policy, value = _PolicyUnpickler(io.BytesIO(content)).load()
+    except Exception as error:  # whatever a decoder makes of damaged bytes
+        raise JobFailed("bad_checkpoint", "This is not a policy file, or it is damaged.") from error
+    return normalizer, policy, value
+
+
+class _PolicyPickler(pickle.Pickler):
+    def reducer_override(self, obj: Any, /) -> Any:
+        # JAX's arrays would be written with private names of the JAX at hand.
+        return np.asarray(obj).__reduce__() if isinstance(obj, jax.Array) else NotImplemented
+
+
+class _PolicyUnpickler(pickle.Unpickler):
+    def find_class(self, module_name: str, global_name: str, /) -> Any:
+        if (module_name.replace("numpy.core", "numpy._core"), global_name) not in _ALLOWED:
+            raise pickle.UnpicklingError(f"{module_name}.{global_name} does not belong in a policy")
+        return super().find_class(module_name, global_name)
+
+
+def _sizes(params: PolicyParams) -> tuple[int, int, PPOSpec]:
+    """Observation size, action size, and settings with the layers that these parameters were made for."""
+    _, policy, value = params
+    policy_layers, value_layers = _layers(policy), _layers(value)
+    hidden = {
+        "policy_hidden_layer_sizes": policy_layers[1:-1],
+        "value_hidden_layer_sizes": value_layers[1:-1],
+    }
+    settings = PPOSpec.model_validate(hidden)
+    # The last layer gives a location and a scale for each component of an action.
+    return policy_layers[0], policy_layers[-1] // 2, settings
+
+
+def _layers(network: Any) -> list[int]:
+    """Widths of a network from its input to its output."""
+    layers = cast("dict[str, Any]", network["params"])
+    kernels = [layers[f"hidden_{i}"]["kernel"] for i in range(len(layers))]
+    return [kernels[0].shape[0], *(kernel.shape[1] for kernel in kernels)]

@@ -1,0 +1,192 @@
+"""A PPO run: Brax's networks, loss, normaliser and distributions in a loop of our own."""
+
+import math
+import time
+from collections.abc import Generator, Iterator, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from core.algorithms.ppo import checkpoint
+from core.algorithms.ppo.evaluation import evaluation_metrics
+from core.algorithms.ppo.networks import PolicyParams
+from core.algorithms.ppo.policy import write_policy
+from core.algorithms.ppo.programs import Programs, trace
+from core.algorithms.ppo.schedule import Schedule
+from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.ppo.update import QUANTITIES, Failure, Hyperparameters, Learner, TrainingState
+from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.environments.environment import Environment
+from core.errors import JobFailed
+
+
+class PPOTrainer:
+    """One run of PPO; see core.algorithms.trainer.Trainer.
+
+    environment: one world, stepped side by side in `settings.num_envs`. settings: resolved, see
+    `spec.resolve`. checkpoint_every_steps: environment steps between CheckpointReady events; the last is
+    at the end in any case. resume: a checkpoint; the run goes on from it, with its random keys (`seed`
+    is not used) and under these settings. epoch_s: seconds that an epoch aims at; it changes how often
+    Progress comes, and nothing else.
+
+    Raises JobFailed("bad_checkpoint") when `resume` is damaged or belongs to a run of another shape.
+    """
+
+    def __init__(
+        self,
+        environment: Environment,
+        settings: PPOSpec,
+        *,
+        seed: int,
+        checkpoint_every_steps: int | None,
+        resume: bytes | None = None,
+        epoch_s: float = 1.0,
+    ) -> None:
+        self._seed = jnp.uint32(seed)
+        self._epoch_s = epoch_s
+        self._learner = Learner(environment, settings)
+        self._hyperparameters = Hyperparameters.of(settings)
+        self._description = checkpoint.describe(environment, settings)
+        self._schedule = Schedule(
+            settings.num_updates, settings.env_steps_per_update, settings.num_evals, checkpoint_every_steps
+        )
+        self._state: TrainingState | None = None
+        self._updates = 0
+        self._evaluated = 0
+        self._training_s = 0.0
+        if resume is not None:
+            self._restore(resume)
+
+    @property
+    def step(self) -> int:
+        """Environment steps taken so far, those before a resumption included."""
+        return self._updates * self._schedule.steps_per_update
+
+    def events(self) -> Iterator[Event]:
+        """Train to the end of the budget, rounded up to whole updates.
+
+        Phase trace and compile; then for each epoch Progress, and at their updates Evaluated and
+        CheckpointReady, the last of each at the end. Phase first_update comes before the first Progress.
+        Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state
+        before the update that brought it.
+        """
+        programs = yield from self._prepare()
+        yield from self._evaluate_if_due(programs)  # a run may be stopped before an evaluation that was due
+        if self._updates >= self._schedule.num_updates:
+            yield CheckpointReady(self.step)
+        until = self._updates + 1
+        while self._updates < self._schedule.num_updates:
+            before, first = self._updates, not self._training_s
+            started = time.perf_counter()
+            metrics = self._train(programs, until)
+            seconds, updates = time.perf_counter() - started, self._updates - before
+            self._training_s += seconds
+            if first:
+                yield Phase("first_update", seconds)
+            yield Progress(
+                self.step,
+                self._schedule.num_updates * self._schedule.steps_per_update,
+                {
+                    "training/sps": updates * self._schedule.steps_per_update / seconds,
+                    "training/walltime": self._training_s,
+                    **metrics,
+                },
+            )
+            yield from self._evaluate_if_due(programs)
+            if self._schedule.checkpoint_due(self._updates):
+                yield CheckpointReady(self.step)
+            affordable = max(1, round(self._epoch_s * updates / seconds))
+            until = min(self._updates + affordable, self._schedule.next_stop(self._updates))
+
+    def checkpoint(self) -> bytes:
+        """The whole state of the run: equal states give equal bytes. Valid between two events."""
+        progress = {"step": self.step, "updates": self._updates, "evaluated": self._evaluated}
+        return checkpoint.pack(self._description, progress, self._begun)
+
+    def policy(self) -> bytes:
+        """(normaliser, policy, value) in the file that `brax.io.model.load_params` reads."""
+        return write_policy(self._params)
+
+    @property
+    def _begun(self) -> TrainingState:
+        if self._state is None:
+            raise RuntimeError("The run has no state before its first event.")
+        return self._state
+
+    @property
+    def _params(self) -> PolicyParams:
+        state = self._begun
+        return state.normalizer, state.params.policy, state.params.value
+
+    def _restore(self, content: bytes) -> None:
+        template = jax.eval_shape(self._learner.init, self._seed)
+        progress, state = checkpoint.unpack(content, self._description, template)
+        self._state = jax.tree.map(jnp.asarray, state)
+        self._updates, self._evaluated = progress["updates"], progress["evaluated"]
+
+    def _prepare(self) -> Generator[Event, None, Programs]:
+        started = time.perf_counter()
+        compile_all = trace(self._learner, self._hyperparameters)
+        traced = time.perf_counter()
+        programs = compile_all()
+        compiled = time.perf_counter()
+        if self._state is None:
+            self._state = programs.init(self._seed)
+        yield Phase("trace", traced - started)
+        yield Phase("compile", compiled - traced)
+        return programs
+
+    def _train(self, programs: Programs, until: int) -> dict[str, float]:
+        """Train up to `until` updates; the metrics of the epoch."""
+        state, sums, failure = programs.epoch(self._begun, self._hyperparameters, np.int32(until))
+        self._state = state
+        failure = jax.device_get(failure)
+        before, self._updates = self._updates, int(state.num_updates)
+        if failure.quantities.any():
+            raise self._diverged(failure)
+        return _training_metrics(jax.device_get(sums), self._updates - before)
+
+    def _evaluate_if_due(self, programs: Programs) -> Iterator[Event]:
+        if self._evaluated == self._updates or not self._schedule.evaluation_due(self._updates):
+            return
+        started = time.perf_counter()
+        totals = programs.evaluate(self._params, self._begun.eval_key, self._begun.num_updates)
+        metrics = evaluation_metrics(jax.device_get(totals))
+        metrics["eval/epoch_eval_time"] = time.perf_counter() - started
+        bad = [name for name, value in metrics.items() if not math.isfinite(value)]
+        if bad:
+            raise JobFailed(
+                "diverged",
+                f"The evaluation at environment step {self.step} gave a value that is not finite: {bad[0]}.",
+                step=self.step,
+                quantity=bad[0],
+            )
+        self._evaluated = self._updates
+        yield Evaluated(self.step, metrics)
+
+    def _diverged(self, failure: Failure) -> JobFailed:
+        """What to tell of a failure in the update that follows the present state."""
+        settings = self._learner.settings
+        quantity = QUANTITIES[int(np.argmax(failure.quantities))]
+        within = min(int(failure.time_step) * settings.num_envs, settings.env_steps_per_update)
+        step = self.step + within
+        return JobFailed(
+            "diverged",
+            f"The {quantity} became non-finite at environment step {step}; the last good state is that of "
+            f"step {self.step}.",
+            step=step,
+            quantity=quantity,
+        )
+
+
+def _training_metrics(sums: Mapping[str, Any], updates: int) -> dict[str, float]:
+    """An epoch's metrics by Brax's names, from sums over its updates."""
+    values = {name: float(value) for name, value in sums.items()}
+    episodes, score, length = (values.pop(name) for name in ("episodes", "score", "length"))
+    metrics = {f"training/{name}": value / updates for name, value in values.items()}
+    if episodes:
+        metrics["training/episode_reward"] = score / episodes
+        metrics["training/episode_length"] = length / episodes
+    return metrics

@@ -1,0 +1,66 @@
+"""Small runs for the tests of learning."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.ppo.trainer import PPOTrainer
+from core.algorithms.trainer import CheckpointReady, Evaluated, Event
+from core.environments.environment import Environment
+
+# 32 environments of 4 steps, in 4 minibatches of 32 unrolls: 512 environment steps in an update.
+STEPS_PER_UPDATE = 512
+
+
+def small_settings(**changes: Any) -> PPOSpec:
+    """Settings under which a probe is learnt in seconds."""
+    return PPOSpec.model_validate(
+        {
+            "num_timesteps": 40 * STEPS_PER_UPDATE,
+            "num_envs": 32,
+            "episode_length": 8,
+            "unroll_length": 4,
+            "batch_size": 32,
+            "num_minibatches": 4,
+            "num_updates_per_batch": 4,
+            "learning_rate": 3e-3,
+            "entropy_cost": 0.0,
+            "discounting": 0.5,
+            "num_evals": 1,
+            "policy_hidden_layer_sizes": [16],
+            "value_hidden_layer_sizes": [16],
+            **changes,
+        }
+    )
+
+
+def small_trainer(
+    environment: Environment,
+    *,
+    seed: int = 0,
+    checkpoint_every_steps: int | None = None,
+    resume: bytes | None = None,
+    epoch_s: float = 1.0,
+    **changes: Any,
+) -> PPOTrainer:
+    return PPOTrainer(
+        environment,
+        small_settings(**changes),
+        seed=seed,
+        checkpoint_every_steps=checkpoint_every_steps,
+        resume=resume,
+        epoch_s=epoch_s,
+    )
+
+
+def last_evaluation(events: Iterator[Event]) -> dict[str, float]:
+    """The metrics of the last evaluation of a run, which is trained to its end."""
+    evaluations = [event for event in events if isinstance(event, Evaluated)]
+    return dict(evaluations[-1].metrics)
+
+
+def checkpoints(trainer: PPOTrainer) -> dict[int, bytes]:
+    """Every checkpoint that a run asks for, by its step."""
+    return {
+        event.step: trainer.checkpoint() for event in trainer.events() if isinstance(event, CheckpointReady)
+    }

@@ -1,0 +1,65 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo.losses import compute_ppo_loss
+from brax.training.types import Transition
+
+from core.algorithms.ppo.experience import cut_into_unrolls
+from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
+from core.algorithms.ppo.spec import PPOSpec
+
+SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8], "value_hidden_layer_sizes": [8]})
+
+
+def some_transitions(num_steps: int, num_envs: int) -> Transition:
+    """Random transitions [num_steps, num_envs, ...] with 3 numbers seen and 2 acted."""
+    random = np.random.default_rng(0)
+
+    def normal(*shape: int) -> jax.Array:
+        return jnp.asarray(random.normal(size=(num_steps, num_envs, *shape)), jnp.float32)
+
+    def coin() -> jax.Array:
+        return jnp.asarray(random.integers(0, 2, (num_steps, num_envs)), jnp.float32)
+
+    acted = {"raw_action": normal(2), "log_prob": normal(), "distribution_params": normal(4)}
+    return Transition(
+        observation=normal(3),
+        action=normal(2),
+        reward=normal(),
+        discount=coin(),
+        next_observation=normal(3),
+        extras={"policy_extras": acted, "state_extras": {"truncation": coin()}},
+    )
+
+
+def test_unrolls_are_pieces_of_one_environment_in_time() -> None:
+    # Step t of environment n is 10 t + n: six steps of two environments are four unrolls of three.
+    numbers = jnp.arange(6)[:, None] * 10 + jnp.arange(2)
+    transitions = Transition(numbers, (), numbers, numbers, numbers + 10, ())
+    batch = cut_into_unrolls(transitions, 3)
+    np.testing.assert_array_equal(batch.reward, [[0, 10, 20], [1, 11, 21], [30, 40, 50], [31, 41, 51]])
+    np.testing.assert_array_equal(batch.next_observation, [[30], [31], [60], [61]])
+
+
+def test_the_loss_is_brax_s_though_less_is_kept_and_normalisation_comes_first() -> None:
+    transitions = some_transitions(num_steps=8, num_envs=3)
+    normalizer = running_statistics.update(init_normalizer(3), 1.0 + 2.0 * transitions.observation)
+    params = init_params(make_networks(3, 2, SETTINGS), jax.random.PRNGKey(0))
+    key = jax.random.PRNGKey(1)
+
+    kept = cut_into_unrolls(transitions._replace(action=()), 4)
+    kept = kept._replace(
+        observation=running_statistics.normalize(kept.observation, normalizer),
+        next_observation=running_statistics.normalize(kept.next_observation, normalizer),
+    )
+    ours, _ = compute_ppo_loss(params, (), kept, key, make_networks(3, 2, SETTINGS, normalize=False))
+
+    # Brax's own arrangement: everything, [unrolls, time, ...], and networks that normalise.
+    whole = jax.tree.map(
+        lambda x: jnp.swapaxes(x.reshape((2, 4, *x.shape[1:])), 1, 2).reshape((6, 4, *x.shape[2:])),
+        transitions,
+    )
+    brax, _ = compute_ppo_loss(params, normalizer, whole, key, make_networks(3, 2, SETTINGS))
+    assert float(ours) == pytest.approx(float(brax), rel=1e-6)

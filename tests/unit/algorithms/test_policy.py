@@ -1,0 +1,77 @@
+import os
+import pickle
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.io import model
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo.networks import make_inference_fn, make_ppo_networks
+
+from core.algorithms.ppo.checkpoint import describe, pack
+from core.algorithms.ppo.networks import PolicyParams, init_normalizer, init_params, make_networks
+from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint, read_policy, write_policy
+from core.algorithms.ppo.spec import PPOSpec
+from core.environments import probes
+from core.errors import JobFailed
+
+SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]})
+OBSERVATIONS = jnp.array([[1.0, -2.0, 0.5], [0.0, 3.0, -1.0]])
+KEY = jax.random.PRNGKey(5)
+
+
+@pytest.fixture(scope="module")
+def params() -> PolicyParams:
+    """A policy that sees 3 numbers and acts with 2, with a normaliser that has seen something."""
+    trained = init_params(make_networks(3, 2, SETTINGS), jax.random.PRNGKey(0))
+    return running_statistics.update(init_normalizer(3), OBSERVATIONS), trained.policy, trained.value
+
+
+@pytest.mark.parametrize("deterministic", [True, False])
+def test_brax_loads_the_file_and_acts_as_we_do(
+    params: PolicyParams, tmp_path: Path, deterministic: bool
+) -> None:
+    path = tmp_path / "policy"
+    path.write_bytes(write_policy(params))
+    networks = make_ppo_networks(
+        3,
+        2,
+        preprocess_observations_fn=running_statistics.normalize,
+        policy_hidden_layer_sizes=(8, 4),
+        value_hidden_layer_sizes=(6,),
+    )
+    policy = make_inference_fn(networks)(model.load_params(str(path)), deterministic=deterministic)
+    expected, _ = policy(OBSERVATIONS, KEY)
+    got = make_inference(read_policy(path.read_bytes()), deterministic=deterministic)(OBSERVATIONS, KEY)
+    assert got.shape == (2, 2)
+    np.testing.assert_array_equal(got, expected)
+
+
+def test_equal_policies_give_equal_files(params: PolicyParams) -> None:
+    assert write_policy(params) == write_policy(jax.tree.map(jnp.array, params))
+
+
+def test_a_policy_comes_out_of_a_checkpoint_as_it_went_in(params: PolicyParams) -> None:
+    normalizer, policy, value = params
+    description = describe(probes.endless(), SETTINGS) | {"observation_size": 3, "action_size": 2}
+    state = {"normalizer": normalizer, "params": {"policy": policy, "value": value}}
+    got = policy_from_checkpoint(pack(description, {}, state))
+    jax.tree.map(np.testing.assert_array_equal, got, jax.device_get(params))
+    assert write_policy(got) == write_policy(params)
+
+
+class Command:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return os.system, ("exit 1",)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"no pickle", pickle.dumps(Command()), pickle.dumps((1, 2)), pickle.dumps((Command(), 1, 2))],
+)
+def test_a_file_that_is_no_policy_is_refused_and_runs_nothing(content: bytes) -> None:
+    with pytest.raises(JobFailed, match="not a policy file") as failure:
+        read_policy(content)
+    assert failure.value.reason == "bad_checkpoint"

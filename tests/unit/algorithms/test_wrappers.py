@@ -1,0 +1,71 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from core.environments.environment import State
+from core.environments.probes import Probe
+from core.environments.wrappers import Episodes, start_episodes, step_episodes
+
+# The observation is the time, the reward the action; an action above 0.9 terminates.
+WORLD = Probe(lambda obs, time, action: (action, jnp.where(action > 0.9, 1.0, 0.0)), shows_time=True)
+
+
+def act(episodes: Episodes, *actions: float) -> Episodes:
+    return step_episodes(WORLD, episodes, jnp.array(actions)[:, None], episode_length=3)
+
+
+def test_an_episode_is_cut_off_by_length_or_terminates_and_starts_anew() -> None:
+    episodes = start_episodes(WORLD, jax.random.PRNGKey(0), 2)
+    episodes = act(episodes, 0.25, 0.5)
+    np.testing.assert_array_equal(episodes.state.done, [0, 0])
+    np.testing.assert_array_equal(episodes.state.obs, [[1], [1]])
+
+    # The second world terminates with its second step: it is back at time 0, its reward and score are kept.
+    episodes = act(episodes, 0.25, 1.0)
+    np.testing.assert_array_equal(episodes.state.done, [0, 1])
+    np.testing.assert_array_equal(episodes.truncated, [0, 0])
+    np.testing.assert_array_equal(episodes.state.obs, [[2], [0]])
+    np.testing.assert_array_equal(episodes.state.physics.time, [2, 0])
+    np.testing.assert_array_equal(episodes.state.reward, [0.25, 1.0])
+    np.testing.assert_array_equal(episodes.ended_length, [0, 2])
+    np.testing.assert_array_equal(episodes.ended_score, [0, 1.5])
+
+    # The first world is cut off with its third step; the second counts from its fresh start.
+    episodes = act(episodes, 0.5, 0.25)
+    np.testing.assert_array_equal(episodes.state.done, [1, 0])
+    np.testing.assert_array_equal(episodes.truncated, [1, 0])
+    np.testing.assert_array_equal(episodes.state.obs, [[0], [1]])
+    np.testing.assert_array_equal(episodes.ended_length, [3, 0])
+    np.testing.assert_array_equal(episodes.ended_score, [1.0, 0])
+    np.testing.assert_array_equal(episodes.length, [0, 1])
+    np.testing.assert_array_equal(episodes.score, [0, 0.25])
+
+
+def test_an_episode_that_terminates_with_its_last_step_is_not_truncated() -> None:
+    episodes = start_episodes(WORLD, jax.random.PRNGKey(0), 1)
+    for action in (0.0, 0.0, 1.0):
+        episodes = act(episodes, action)
+    np.testing.assert_array_equal(episodes.state.done, [1])
+    np.testing.assert_array_equal(episodes.truncated, [0])
+    np.testing.assert_array_equal(episodes.ended_length, [3])
+
+
+def test_each_world_goes_back_to_its_own_first_state_and_info() -> None:
+    class Remembering(Probe):
+        def reset(self, key: jax.Array) -> State:
+            state = super().reset(key)
+            start = jax.random.uniform(key)
+            return State(state.physics, start[None], state.reward, state.done, {}, {"count": start})
+
+        def step(self, state: State, action: jax.Array) -> State:
+            count = state.info["count"] + 1
+            return State(state.physics, count[None], action[0], jnp.zeros(()), {}, {"count": count})
+
+    world = Remembering(WORLD.rule)
+    first = start_episodes(world, jax.random.PRNGKey(0), 2)
+    assert first.state.obs[0] != first.state.obs[1]
+    once = step_episodes(world, first, jnp.zeros((2, 1)), episode_length=2)
+    np.testing.assert_array_equal(once.state.obs, first.state.obs + 1)
+    twice = step_episodes(world, once, jnp.zeros((2, 1)), episode_length=2)
+    np.testing.assert_array_equal(twice.state.obs, first.state.obs)
+    np.testing.assert_array_equal(twice.state.info["count"], first.state.info["count"])
