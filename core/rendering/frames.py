@@ -1,0 +1,118 @@
+"""Pictures of a model's positions, by `mujoco.Renderer`. MUJOCO_GL must be set before this is imported."""
+
+from types import TracebackType
+from typing import Any, Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from core.rendering.gl import context_works
+from core.rendering.scene import Floats, View, prepare, quality_of
+
+# A colour behind models that bring no sky.
+_BACKDROP = np.array([0.62, 0.74, 0.87, 1.0], dtype=np.float32)
+
+
+class MujocoRenderer:
+    """Draws one model; holds a GL context until `close`.
+
+    camera: a camera of the model by its number, or None for the one that follows the body.
+    The model is changed (light, colours, buffer sizes): hand in a copy of your own.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, view: View, *, camera: int | None, width: int, height: int
+    ) -> None:
+        self._gl_renderer = context_works()
+        prepare(model, view, quality_of(self._gl_renderer), width=width, height=height)
+        self._model = model
+        self._data = mujoco.MjData(model)
+        self._view = view
+        self._camera = camera
+        self._renderer = mujoco.Renderer(model, height, width, max_geom=10_000)
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        self._has_sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX in model.tex_type
+
+    @property
+    def gl_renderer(self) -> str:
+        """What the GL driver calls itself; `llvmpipe` means software."""
+        return self._gl_renderer
+
+    def frame(self, qpos: NDArray[np.float64], look_at: Floats | None = None) -> NDArray[np.uint8]:
+        """RGB [height, width, 3] of the positions qpos [nq].
+
+        look_at: the point [3] in metres that the camera `track` looks at; by default the body itself.
+        """
+        self._place(qpos)
+        target = self.target() if look_at is None else look_at
+        eye: Any = self._follow(target) if self._camera is None else self._camera
+        self._renderer.update_scene(self._data, eye)
+        scene = self._renderer.scene
+        for light in range(scene.nlight):
+            if scene.lights[light].type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
+                # Its shadows are drawn about its position only, and the body walks away from there.
+                direction = np.array(scene.lights[light].dir)
+                scene.lights[light].pos[:] = target - 12 * self._view.radius * direction
+        if not self._has_sky:
+            self._hang_backdrop(target)
+        return self._renderer.render()
+
+    def path(self, qpos: Floats) -> Floats:
+        """Where the body is [N, 3] in each of the positions [N, nq]."""
+        points = np.empty((len(qpos), 3))
+        for row, positions in enumerate(qpos):
+            self._place(positions)
+            points[row] = self.target()
+        return points
+
+    def target(self) -> Floats:
+        """The point [3] that the camera `track` looks at now."""
+        body = self._view.body
+        return self._view.centre if body is None else np.array(self._data.xpos[body])
+
+    def close(self) -> None:
+        self._renderer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _place(self, qpos: Floats) -> None:
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        mujoco.mj_tendon(self._model, self._data)
+
+    def _follow(self, target: Floats) -> mujoco.MjvCamera:
+        camera = mujoco.MjvCamera()
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        camera.lookat[:] = target
+        camera.azimuth, camera.elevation = self._view.azimuth, self._view.elevation
+        camera.distance = self._view.distance
+        return camera
+
+    def _hang_backdrop(self, target: Floats) -> None:
+        scene = self._renderer.scene
+        if scene.ngeom >= scene.maxgeom:
+            return
+        eye = scene.camera[0]
+        forward, up = np.array(eye.forward, dtype=np.float64), np.array(eye.up, dtype=np.float64)
+        far = 0.9 * float(eye.frustum_far)
+        frame = np.stack([np.cross(up, -forward), up, -forward], axis=1)
+        geom = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(
+            geom,
+            mujoco.mjtGeom.mjGEOM_PLANE,
+            np.array([far, far, 0.0]) * 4,
+            np.array(eye.pos) + far * forward,
+            frame.ravel(),
+            _BACKDROP,
+        )
+        geom.emission, geom.specular = 0.3, 0.0
+        scene.ngeom += 1

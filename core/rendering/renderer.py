@@ -1,0 +1,21 @@
+"""The seam to whatever draws pictures of a model."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Renderer(Protocol):
+    """Draws one model from one camera."""
+
+    @property
+    def gl_renderer(self) -> str:
+        """What the GL driver calls itself; `llvmpipe` means software."""
+        ...
+
+    def frame(self, qpos: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """RGB [height, width, 3] of the positions qpos [nq]."""
+        ...
+
+    def close(self) -> None: ...

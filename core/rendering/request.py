@@ -1,0 +1,50 @@
+"""What the render process is asked for, and what it answers; both travel as JSON."""
+
+from pathlib import Path
+from typing import Literal
+
+from core.model import Stored
+
+FailureReason = Literal["no_gl", "bad_request", "crashed", "timeout"]
+
+
+class RenderRequest(Stored):
+    """A video of a stored trajectory.
+
+    trajectory: a file of `core.environments.trajectory`. model: the compiled model (.mjb) or its XML.
+    tracked_body: number of the body that the camera `track` follows. width, height: even pixels.
+    seconds: the video is no longer than this. poster: a PNG of a moment in the middle.
+    """
+
+    trajectory: Path
+    model: Path
+    tracked_body: int
+    video: Path
+    poster: Path
+    camera: str | int = "track"
+    width: int = 640
+    height: int = 480
+    fps: int = 30
+    seconds: float = 10.0
+
+
+class RenderResult(Stored):
+    """Facts about a video, for its artifact's metadata. wall_s: seconds the drawing took."""
+
+    gl_backend: str
+    gl_renderer: str
+    camera: str | int
+    frames: int
+    seconds: float
+    width: int
+    height: int
+    fps: int
+    codec: str
+    wall_s: float
+
+
+class RenderFailure(Stored):
+    """Why there is no video."""
+
+    reason: FailureReason
+    message: str

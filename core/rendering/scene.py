@@ -1,0 +1,153 @@
+"""How a model is shown: where the following camera stands, light, colours of a plain stage.
+
+Everything here changes a model that is only drawn; the one that is stepped is another copy.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# Names that software drivers give themselves: Mesa's, Chromium's.
+_SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader")
+_FLOOR_COLOURS = ((0.36, 0.43, 0.52), (0.62, 0.69, 0.77))
+_SKY_COLOURS = ((0.80, 0.88, 0.96), (0.36, 0.54, 0.78))
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What a picture may cost. samples: of each pixel, for smooth edges; shadow_pixels: of the map's side."""
+
+    samples: int
+    shadow_pixels: int
+
+
+def quality_of(gl_renderer: str) -> Quality:
+    """All that a GPU does in passing; in software, where smooth edges double the time, what 30 fps allow."""
+    in_software = any(name in gl_renderer.lower() for name in _SOFTWARE)
+    return Quality(samples=0, shadow_pixels=1536) if in_software else Quality(samples=4, shadow_pixels=4096)
+
+
+@dataclass(frozen=True)
+class View:
+    """Where the camera `track` stands. azimuth, elevation: degrees; distance, radius: metres.
+
+    body: what it follows, or None where the body cannot leave its place; then it looks at `centre`.
+    """
+
+    azimuth: float
+    elevation: float
+    distance: float
+    radius: float
+    centre: Floats
+    body: int | None
+
+
+def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> View:
+    """A view of the body's whole kinematic tree, as it stands in `qpos` [nq].
+
+    A free body is seen from behind its right side, one in a vertical plane from its side, and one
+    that turns about vertical axes only from above.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    root = int(model.body_rootid[body])
+    travels = _travels(model, root)
+    # What is bolted down swings about its base.
+    centre = np.array(data.subtree_com[root] if travels else data.xpos[root])
+    radius = _radius(model, data, root, centre)
+    azimuth, elevation = _angles(model, root)
+    return View(azimuth, elevation, 3.4 * radius, radius, centre, body if travels else None)
+
+
+def prepare(model: mujoco.MjModel, view: View, quality: Quality, *, width: int, height: int) -> None:
+    """Fit buffers and shadows to the picture, and give the stock grey stage a friendlier look."""
+    model.vis.global_.offwidth = width
+    model.vis.global_.offheight = height
+    model.vis.quality.offsamples = quality.samples
+    model.vis.quality.shadowsize = quality.shadow_pixels
+    # The shadow map covers the body's surroundings, not the whole floor: few pixels, sharp edges. Much
+    # narrower, and the floor in the foreground shadows itself in specks.
+    model.vis.map.shadowclip = 5.0 * view.radius / model.stat.extent
+    _light(model)
+    _recolour(model)
+
+
+def _travels(model: mujoco.MjModel, root: int) -> bool:
+    first = int(model.body_jntadr[root])
+    kinds = model.jnt_type[first : first + int(model.body_jntnum[root])]
+    return bool(np.isin(kinds, [mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE]).any())
+
+
+def _angles(model: mujoco.MjModel, root: int) -> tuple[float, float]:
+    joints = np.flatnonzero(model.body_rootid[model.jnt_bodyid] == root)
+    kinds = model.jnt_type[joints]
+    if mujoco.mjtJoint.mjJNT_FREE in kinds:
+        return 62.0, -20.0
+    hinges = model.jnt_axis[joints][kinds == mujoco.mjtJoint.mjJNT_HINGE]
+    if len(hinges) and np.abs(hinges[:, 2]).min() > 0.99:
+        return 90.0, -75.0
+    return 90.0, -10.0
+
+
+def _radius(model: mujoco.MjModel, data: mujoco.MjData, root: int, centre: Floats) -> float:
+    own = (model.body_rootid[model.geom_bodyid] == root) & (model.geom_rbound > 0)
+    if not own.any():
+        return float(model.stat.extent)
+    reach = np.linalg.norm(data.geom_xpos[own] - centre, axis=1) + model.geom_rbound[own]
+    return float(reach.max())
+
+
+def _light(model: mujoco.MjModel) -> None:
+    """A light straight overhead flattens everything: make it a low sun, and let the head light fill in."""
+    model.mat_reflectance[:] = 0.0  # a mirror costs a second pass and hides the checker
+    overhead = model.light_dir[:, 2] < -0.999
+    model.light_dir[overhead] = np.array([0.35, 0.35, -1.0]) / np.linalg.norm([0.35, 0.35, -1.0])
+    model.light_type[overhead] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    model.vis.headlight.ambient[:] = 0.35
+    model.vis.headlight.diffuse[:] = 0.35
+    model.vis.headlight.specular[:] = 0.1
+
+
+def _recolour(model: mujoco.MjModel) -> None:
+    """Blue-grey squares and a sky, where the model has the stock grey or black ones; others stay."""
+    for texture in range(model.ntex):
+        pixels = _pixels(model, texture)
+        flat = pixels.reshape(-1, pixels.shape[-1])
+        if pixels.shape[-1] != 3:
+            continue
+        if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX and flat.min(axis=0).max() < 8:
+            _remap(flat, *_SKY_COLOURS)
+        elif model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D and _is_grey_checker(flat):
+            _remap(flat, *_FLOOR_COLOURS)
+            _undim(model, texture)
+
+
+def _pixels(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
+    start, channels = int(model.tex_adr[texture]), int(model.tex_nchannel[texture])
+    size = int(model.tex_height[texture]) * int(model.tex_width[texture])
+    return model.tex_data[start : start + size * channels].reshape(size, channels)
+
+
+def _is_grey_checker(flat: NDArray[np.uint8]) -> bool:
+    colours = np.unique(flat, axis=0)
+    return len(colours) == 2 and bool((colours == colours[:, :1]).all())
+
+
+def _remap(flat: NDArray[np.uint8], dark: tuple[float, ...], light: tuple[float, ...]) -> None:
+    grey = flat.mean(axis=1, keepdims=True)
+    share = (grey - grey.min()) / max(float(np.ptp(grey)), 1.0)
+    flat[:] = np.round(255 * (np.array(dark) * (1 - share) + np.array(light) * share))
+
+
+def _undim(model: mujoco.MjModel, texture: int) -> None:
+    """Geoms and materials with this texture show it in its own colours, without gloss."""
+    materials = np.flatnonzero((model.mat_texid == texture).any(axis=1))
+    model.mat_rgba[materials, :3] = 1.0
+    model.mat_specular[materials] = 0.1
+    model.geom_rgba[np.isin(model.geom_matid, materials), :3] = 1.0

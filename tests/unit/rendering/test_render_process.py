@@ -1,0 +1,153 @@
+"""The render process as the training process sees it: real GL, real encoder."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.rendering.gl import RenderingFailed, probe
+from core.rendering.request import RenderRequest
+from tests.unit.rendering.conftest import ball_request, rolling_ball
+from worker.render_client import render
+
+pytestmark = pytest.mark.usefixtures("gl")
+
+
+def decoded(path: Path) -> list[NDArray[np.uint8]]:
+    with av.open(str(path)) as video:
+        return [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+
+
+def red(frame: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """Rows and columns [N, 2] where the ball is."""
+    channels = frame.astype(int)
+    return np.argwhere((channels[..., 0] > 100) & (channels[..., 1] < 60) & (channels[..., 2] < 60))
+
+
+def test_the_camera_follows_the_body_over_a_floor_that_passes_by(tmp_path: Path) -> None:
+    result = render(ball_request(tmp_path, rolling_ball(3.0)), timeout_s=60.0)
+    frames = decoded(tmp_path / "video.mp4")
+    assert (result.frames, len(frames), result.seconds, result.codec) == (30, 30, 3.0, "h264")
+    assert result.gl_renderer
+    assert result.gl_backend in ("egl", "osmesa", "cgl")
+    for frame in frames:
+        # Nine metres on, the ball is still whole and within the middle half of the picture.
+        rows, columns = red(frame).T
+        assert 30 < rows.mean() < 90
+        assert 40 < columns.mean() < 120
+    assert np.abs(frames[0].astype(int) - frames[7]).mean() > 5
+
+
+def test_the_poster_is_the_moment_in_the_middle(tmp_path: Path) -> None:
+    render(ball_request(tmp_path, rolling_ball(1.0)), timeout_s=60.0)
+    [poster] = decoded(tmp_path / "poster.png")
+    frames = decoded(tmp_path / "video.mp4")
+    differences = [np.abs(poster.astype(int) - frame).mean() for frame in frames]
+    assert int(np.argmin(differences)) == 5
+
+
+def test_a_stock_grey_stage_becomes_a_bright_one(tmp_path: Path) -> None:
+    render(ball_request(tmp_path, rolling_ball(0.1)), timeout_s=60.0)
+    [poster] = decoded(tmp_path / "poster.png")
+    assert poster.mean() > 100
+    # A sky is bluer than it is red.
+    assert poster[:5, :, 2].mean() > poster[:5, :, 0].mean() + 20
+
+
+def test_a_fixed_camera_sees_the_body_leave(tmp_path: Path) -> None:
+    request = ball_request(tmp_path, rolling_ball(3.0), camera="fixed")
+    render(request, timeout_s=60.0)
+    frames = decoded(tmp_path / "video.mp4")
+    assert len(red(frames[0]))
+    assert not len(red(frames[-1]))
+
+
+def test_episodes_follow_one_another_up_to_the_length_asked_for(tmp_path: Path) -> None:
+    request = ball_request(tmp_path, rolling_ball(0.5), rolling_ball(0.5), rolling_ball(0.5), seconds=1.2)
+    assert render(request, timeout_s=60.0).frames == 12
+
+
+def test_an_unknown_camera_is_refused_with_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(RenderingFailed, match="known are track, fixed") as failure:
+        render(ball_request(tmp_path, rolling_ball(0.1), camera="nose"), timeout_s=60.0)
+    assert failure.value.reason == "bad_request"
+
+
+def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
+    request = ball_request(tmp_path, rolling_ball(0.1))
+    request.model.write_bytes(b"not a model")
+    with pytest.raises(RenderingFailed) as failure:
+        render(request, timeout_s=60.0)
+    assert failure.value.reason == "bad_request"
+
+
+def test_a_video_that_takes_too_long_leaves_nothing(tmp_path: Path) -> None:
+    request = ball_request(tmp_path, rolling_ball(60.0), seconds=60.0, width=640, height=480)
+    with pytest.raises(RenderingFailed) as failure:
+        render(request, timeout_s=2.0)
+    assert failure.value.reason == "timeout"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.mjb", "t.npz"]
+
+
+def test_the_process_loads_no_jax(tmp_path: Path) -> None:
+    request = ball_request(tmp_path, rolling_ball(0.1))
+    code = "import sys; from worker.rendering import main; main(sys.argv[1:]); sys.exit('jax' in sys.modules)"
+    assert run_python(code, request, tmp_path).returncode == 0
+
+
+def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
+    # Six seconds more are 180 frames of 230 kB: 41 MB, if they were kept.
+    size = {"fps": 30, "width": 320, "height": 240}
+    short, long = (
+        peak_bytes(ball_request(tmp_path, rolling_ball(6.5), seconds=seconds, **size), tmp_path)
+        for seconds in (0.5, 6.5)
+    )
+    assert long - short < 15e6
+
+
+def test_a_killed_process_leaves_no_half_video_under_the_name(tmp_path: Path) -> None:
+    request = ball_request(tmp_path, rolling_ball(60.0), seconds=60.0, width=640, height=480)
+    command = [sys.executable, "-m", "worker.rendering", written(request, tmp_path)]
+    process = subprocess.Popen(command, env=surroundings(), stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 30
+    while not any(path.suffix == ".part" and path.stat().st_size for path in tmp_path.iterdir()):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGTERM)  # for the group: no reason to drop a video that its parent waits for
+    assert process.poll() is None
+    process.kill()
+    process.wait(10)
+    assert not request.video.exists()
+    assert not request.poster.exists()
+
+
+def surroundings() -> dict[str, str]:
+    return {**os.environ, "MUJOCO_GL": probe()[0]}
+
+
+def written(request: RenderRequest, folder: Path) -> str:
+    document = folder / "request.json"
+    document.write_text(request.model_dump_json())
+    return str(document)
+
+
+def run_python(code: str, request: RenderRequest, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", code, written(request, folder)]
+    return subprocess.run(command, env=surroundings(), capture_output=True, text=True, check=False)
+
+
+def peak_bytes(request: RenderRequest, folder: Path) -> int:
+    code = (
+        "import resource, sys; from worker.rendering import main; assert main(sys.argv[1:]) == 0;"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    unit = 1 if sys.platform == "darwin" else 1024
+    return int(run_python(code, request, folder).stdout.splitlines()[-1]) * unit
