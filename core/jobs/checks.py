@@ -1,0 +1,108 @@
+"""What can be known to be wrong before a job is stored: each refusal names the place and the way out."""
+
+from collections.abc import Callable
+
+from core.algorithms.ppo.spec import PPOSpec, check_resumption, resolve
+from core.environments import catalog
+from core.environments.info import Device, EnvironmentInfo
+from core.errors import EnvironmentNotFound, JobNotFound, Problem, Rejected
+from core.jobs.job import Artifact, Job
+from core.jobs.spec import Accelerator, CheckpointPolicy, ConstantPolicy, JobSpec, RolloutSpec, TrainSpec
+from core.jobs.store import JobStore
+from core.physics.availability import check_physics
+from core.rendering.camera import check_camera
+
+DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
+
+# A trajectory of so many steps of a humanoid takes 2 GB.
+_MOST_ROLLOUT_STEPS = 1_000_000
+
+
+def check(spec: JobSpec, store: JobStore) -> None:
+    """Raises Rejected with every problem of the first group that has one."""
+    info = _environment(spec)
+    catalog.parse_options(info, spec.environment.options)
+    check_physics(spec.physics)
+    check_camera(spec.video.camera, info.cameras)
+    match spec:
+        case TrainSpec():
+            _check_training(spec, info, store)
+        case RolloutSpec():
+            _check_rollout(spec, info, store)
+
+
+def _environment(spec: JobSpec) -> EnvironmentInfo:
+    try:
+        return catalog.find(spec.environment.id)
+    except EnvironmentNotFound as error:
+        raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
+
+
+def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
+    for device in DEVICES[spec.resources.accelerator]:
+        resolve(spec.algorithm, info, device)
+    if spec.resume_from is not None:
+        source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
+        _check_fit(spec, info, store.get(spec.resume_from.job))
+
+
+def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
+    """Whether the job, on any device that it may get, has the shape of the source's checkpoints."""
+    used = [a.details["hyperparameters"] for a in source.attempts if "hyperparameters" in a.details]
+    if not used:
+        return
+    made_with = PPOSpec.model_validate(used[-1])
+    refusals: list[Rejected] = []
+    for device in DEVICES[spec.resources.accelerator]:
+        try:
+            check_resumption(resolve(spec.algorithm, info, device), made_with)
+        except Rejected as refusal:
+            refusals.append(refusal)
+        else:
+            return
+    raise refusals[0]
+
+
+def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) -> None:
+    if (steps := spec.num_steps * spec.num_episodes) > _MOST_ROLLOUT_STEPS:
+        detail = (
+            f"num_steps × num_episodes = {steps:,}, and a rollout may have {_MOST_ROLLOUT_STEPS:,} steps: "
+            f"its trajectory is held in memory. Ask for several rollouts with different seeds."
+        )
+        raise Rejected(detail, [Problem("/num_steps", detail), Problem("/num_episodes", detail)])
+    match spec.policy:
+        case CheckpointPolicy(job=job, step=step):
+            source_checkpoint(spec, job, step, "/policy", store.get)
+        case ConstantPolicy(action=action) if len(action) != info.action_size:
+            detail = f"{info.id} takes {info.action_size} action components; {len(action)} were given."
+            raise Rejected(detail, [Problem("/policy/action", detail)])
+        case _:
+            pass
+
+
+def source_checkpoint(
+    spec: JobSpec, job_id: str, step: int | None, pointer: str, get: Callable[[str], Job]
+) -> Artifact:
+    """The checkpoint another job lends to this one; raises Rejected where it cannot."""
+    try:
+        source = get(job_id)
+    except JobNotFound as error:
+        raise Rejected(error.detail, [Problem(f"{pointer}/job", error.detail)]) from None
+    if (source.spec.environment.id, source.spec.environment.options) != (
+        spec.environment.id,
+        spec.environment.options,
+    ):
+        detail = (
+            f"Job {job_id} has the environment {source.spec.environment.id!r} with options "
+            f"{source.spec.environment.options}, this one {spec.environment.id!r} with "
+            f"{spec.environment.options}; they must be the same."
+        )
+        raise Rejected(detail, [Problem(f"{pointer}/job", detail), Problem("/environment", detail)])
+    checkpoint = source.newest("checkpoint", step)
+    if checkpoint is None:
+        steps = [str(a.step) for a in source.artifacts if a.role == "checkpoint"]
+        wanted = "no checkpoint" if step is None else f"no checkpoint of step {step}"
+        known = f"; it has {', '.join(steps)}" if steps else ""
+        detail = f"Job {job_id} ({source.status}) has {wanted}{known}."
+        raise Rejected(detail, [Problem(pointer if step is None else f"{pointer}/step", detail)])
+    return checkpoint

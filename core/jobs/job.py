@@ -1,0 +1,169 @@
+"""A job and what became of it, as a value: every step returns a new one."""
+
+import re
+import secrets
+from datetime import UTC, datetime
+from typing import Any, Literal, Self
+
+from core.errors import IllegalTransition, JobNotFound
+from core.jobs.spec import SentSpec
+from core.jobs.status import LOSSES, NEXT, JobStatus, Reason
+from core.model import Stored
+
+_JOB_ID = re.compile(r"[0-9a-f]{12}-[0-9a-f]{10}")
+
+ArtifactRole = Literal[
+    "checkpoint", "policy", "video", "poster", "trajectory", "summary", "metrics", "log", "learning_curve"
+]
+
+
+def new_job_id(now: datetime) -> str:
+    """Sortable by time: milliseconds since 1970 in hexadecimal, then 40 random bits."""
+    return f"{int(now.timestamp() * 1000):012x}-{secrets.token_hex(5)}"
+
+
+def check_job_id(text: str) -> str:
+    """The same text; raises JobNotFound where it cannot be an id, so that it never becomes part of a key."""
+    if _JOB_ID.fullmatch(text) is None:
+        raise JobNotFound(text[:64])
+    return text
+
+
+def utc_now() -> datetime:
+    return datetime.now(UTC)
+
+
+class Artifact(Stored):
+    """A file a reader may fetch. size: bytes; metadata: facts about how it was made."""
+
+    name: str
+    role: ArtifactRole
+    media_type: str
+    size: int
+    sha256: str
+    key: str
+    step: int | None = None
+    metadata: dict[str, Any] = {}
+
+
+class Progress(Stored):
+    """How far a running job is. step, total: environment steps; eta_s: seconds."""
+
+    step: int = 0
+    total: int = 0
+    steps_per_second: float | None = None
+    eta_s: float | None = None
+    metrics: dict[str, float] = {}
+
+
+class Attempt(Stored):
+    """One try at a job by one worker. token: what its writes must carry."""
+
+    number: int
+    token: str
+    worker: str
+    device: str | None = None
+    engine: str | None = None
+    details: dict[str, Any] = {}
+    started_at: datetime
+    ended_at: datetime | None = None
+    reason: Reason | None = None
+    message: str | None = None
+
+
+class Job(Stored):
+    """The record. `version` rises by one with every step; the store refuses any other."""
+
+    id: str
+    version: int = 1
+    spec: SentSpec
+    status: JobStatus = JobStatus.QUEUED
+    reason: Reason | None = None
+    message: str | None = None
+    created_at: datetime
+    started_at: datetime | None = None
+    finished_at: datetime | None = None
+    attempts: tuple[Attempt, ...] = ()
+    artifacts: tuple[Artifact, ...] = ()
+    progress: Progress = Progress()
+
+    @property
+    def token(self) -> str:
+        """The token that writes of the present attempt carry; empty when none holds the job."""
+        return self.attempts[-1].token if self.status.is_held and self.attempts else ""
+
+    @property
+    def lost_attempts(self) -> int:
+        """Attempts that count against `max_attempts`."""
+        return sum(attempt.reason in LOSSES for attempt in self.attempts)
+
+    @property
+    def next_attempt(self) -> int:
+        """The number of the attempt that a queued job waits for."""
+        return len(self.attempts) + 1
+
+    def next(self, **changes: Any) -> Self:
+        """The same job, one version on."""
+        return self.model_copy(update={**changes, "version": self.version + 1})
+
+    def become(self, wanted: JobStatus, **changes: Any) -> Self:
+        """The same job in its next status; raises IllegalTransition."""
+        if wanted not in NEXT[self.status]:
+            raise IllegalTransition(self.id, self.status, wanted)
+        return self.next(status=wanted, **changes)
+
+    def claimed(self, worker: str, now: datetime) -> Self:
+        """Starting, with a new attempt and a fresh token."""
+        number = len(self.attempts) + 1
+        attempt = Attempt(
+            number=number, token=f"{number}-{secrets.token_hex(8)}", worker=worker, started_at=now
+        )
+        return self.become(
+            JobStatus.STARTING, attempts=(*self.attempts, attempt), started_at=self.started_at or now
+        )
+
+    def running(self, **details: Any) -> Self:
+        """Running, with what the attempt found out about itself (device, engine, details)."""
+        attempt = self.attempts[-1].model_copy(update=details)
+        return self.become(JobStatus.RUNNING, attempts=(*self.attempts[:-1], attempt))
+
+    def noted(self, **details: Any) -> Self:
+        """The same status, with what the attempt found out about itself."""
+        attempt = self.attempts[-1].model_copy(update=details)
+        return self.next(attempts=(*self.attempts[:-1], attempt))
+
+    def ended(self, status: JobStatus, reason: Reason, message: str, now: datetime) -> Self:
+        """In a final status, its open attempt closed with the same reason."""
+        return self.become(
+            status,
+            reason=reason,
+            message=message,
+            finished_at=now,
+            attempts=self._closed(reason, message, now),
+        )
+
+    def requeued(self, reason: Reason, message: str, now: datetime) -> Self:
+        """Back in the queue, the attempt closed."""
+        return self.become(JobStatus.QUEUED, attempts=self._closed(reason, message, now))
+
+    def with_artifacts(self, artifacts: tuple[Artifact, ...]) -> Self:
+        """With these files for readers; one of the same name replaces the older."""
+        named = {artifact.name: artifact for artifact in (*self.artifacts, *artifacts)}
+        return self.next(artifacts=tuple(named.values()))
+
+    def with_newest_checkpoints(self, keep: int) -> Self:
+        """The same version, without checkpoints older than the newest `keep`."""
+        steps = sorted({a.step or 0 for a in self.artifacts if a.role == "checkpoint"})[-keep:]
+        kept = tuple(a for a in self.artifacts if a.role != "checkpoint" or (a.step or 0) in steps)
+        return self.model_copy(update={"artifacts": kept})
+
+    def newest(self, role: ArtifactRole, step: int | None = None) -> Artifact | None:
+        """The artifact of this role with the highest step, or of exactly this step."""
+        found = [a for a in self.artifacts if a.role == role and step in (None, a.step)]
+        return max(found, key=lambda a: -1 if a.step is None else a.step, default=None)
+
+    def _closed(self, reason: Reason, message: str, now: datetime) -> tuple[Attempt, ...]:
+        if not self.attempts or self.attempts[-1].ended_at is not None:
+            return self.attempts
+        last = self.attempts[-1].model_copy(update={"ended_at": now, "reason": reason, "message": message})
+        return (*self.attempts[:-1], last)

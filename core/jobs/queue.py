@@ -1,0 +1,32 @@
+"""The seam to whatever brings jobs to workers. It is never asked what is true."""
+
+from typing import Protocol
+
+from core.jobs.spec import Accelerator, Priority
+
+PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
+
+
+class JobQueue(Protocol):
+    """At-least-once dispatch; a job handed out twice is claimed once, by the store's compare-and-set.
+
+    Every method raises RecordsUnavailable when the queue cannot be reached.
+    """
+
+    def enqueue(self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority) -> None:
+        """Hand this attempt to a worker that fits. The same attempt twice is the same as once."""
+        ...
+
+    def contains(self, job_id: str, attempt: int) -> bool:
+        """Whether the attempt waits, or a worker has just taken it."""
+        ...
+
+    def remove(self, job_id: str, attempt: int) -> None:
+        """Forget the attempt, wherever it is; not there is no error."""
+        ...
+
+
+def queue_names(device: str) -> tuple[str, ...]:
+    """The queues a worker on this device serves, most urgent first."""
+    kinds = ("gpu", "any") if device != "cpu" else ("cpu", "any")
+    return tuple(f"gaitway-{kind}-{priority}" for priority in PRIORITIES for kind in kinds)

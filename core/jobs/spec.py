@@ -1,0 +1,162 @@
+"""What a client may ask for: a union discriminated by `kind`. What validates here has the right shape;
+whether it goes together is `core.jobs.checks`' business."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, JsonValue, PlainSerializer, TypeAdapter
+
+from core.algorithms.catalog import AlgorithmSpec
+from core.algorithms.ppo.spec import PPOSpec
+from core.model import Strict
+
+JobId = Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$", examples=["019aa3c2f0b1-5be0c1d2e3"])]
+Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
+Label = Annotated[str, Field(max_length=200)]
+LabelName = Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[A-Za-z0-9_.-]+$")]
+Priority = Literal["high", "normal", "low"]
+Accelerator = Literal["any", "cpu", "gpu"]
+PhysicsChoice = Literal["auto", "native", "mjx", "warp"]
+
+
+def _even(value: int) -> int:
+    if value % 2:
+        raise ValueError("must be even: H.264 in yuv420p halves the colour's resolution")
+    return value
+
+
+PixelCount = Annotated[int, Field(ge=16, le=3840), AfterValidator(_even)]
+
+
+class EnvironmentSpec(Strict):
+    """Which body in which world; options are the environment's own."""
+
+    id: str = Field(min_length=1, max_length=100, examples=["ant"])
+    options: dict[str, JsonValue] = {}
+
+
+def _bare_id(value: Any) -> Any:
+    return {"id": value} if isinstance(value, str) else value
+
+
+EnvironmentChoice = Annotated[
+    EnvironmentSpec, BeforeValidator(_bare_id, json_schema_input_type=EnvironmentSpec | str)
+]
+
+
+class CheckpointsSpec(Strict):
+    """How often the whole state of a run is kept, and how many of them."""
+
+    every_steps: int | None = Field(
+        default=None,
+        ge=1,
+        le=10**12,
+        description="Environment steps between checkpoints; by default a tenth of the budget.",
+    )
+    keep: int = Field(default=5, ge=1, le=1000, description="The newest so many are kept.")
+
+
+class VideoSpec(Strict):
+    """What the video shows."""
+
+    camera: str | int = Field(
+        default="track", description="`track`, or a camera of the model by name or number."
+    )
+    width: PixelCount = 640
+    height: PixelCount = 480
+    fps: int = Field(default=30, ge=1, le=120)
+    seconds: float = Field(default=10.0, gt=0, le=600)
+    every_checkpoint: bool = Field(
+        default=False, description="One video for each checkpoint, besides the last one."
+    )
+
+
+class ResourcesSpec(Strict):
+    """What the job needs of a worker."""
+
+    accelerator: Accelerator = "any"
+
+
+class ResumePoint(Strict):
+    """A checkpoint of another job; without a step, its newest."""
+
+    job: JobId
+    step: int | None = Field(default=None, ge=0)
+
+
+class _Common(Strict):
+    name: str | None = Field(default=None, max_length=200)
+    labels: dict[LabelName, Label] = Field(default={}, max_length=64)
+    environment: EnvironmentChoice
+    physics: PhysicsChoice = "auto"
+    seed: Seed = 0
+    video: VideoSpec = VideoSpec()
+    resources: ResourcesSpec = ResourcesSpec()
+    priority: Priority = "normal"
+    timeout_s: float = Field(
+        default=86_400.0, gt=0, le=30 * 86_400, description="Seconds an attempt may take."
+    )
+    max_attempts: int = Field(default=3, ge=1, le=100, description="Attempts allowed when workers are lost.")
+
+
+class TrainSpec(_Common):
+    """Train a policy; keep checkpoints, metrics and a video."""
+
+    kind: Literal["train"] = "train"
+    algorithm: AlgorithmSpec = PPOSpec()
+    checkpoints: CheckpointsSpec = CheckpointsSpec()
+    resume_from: ResumePoint | None = None
+
+
+class CheckpointPolicy(Strict):
+    """The policy in a training job's checkpoint; without a step, its newest."""
+
+    kind: Literal["checkpoint"] = "checkpoint"
+    job: JobId
+    step: int | None = Field(default=None, ge=0)
+
+
+class RandomPolicy(Strict):
+    """Each action component uniform in [-1, 1]."""
+
+    kind: Literal["random"] = "random"
+
+
+class ZeroPolicy(Strict):
+    """No action at all."""
+
+    kind: Literal["zero"] = "zero"
+
+
+class ConstantPolicy(Strict):
+    """The same action at every step."""
+
+    kind: Literal["constant"] = "constant"
+    action: list[Annotated[float, Field(ge=-1, le=1)]] = Field(min_length=1, max_length=1000)
+
+
+PolicyChoice = Annotated[
+    CheckpointPolicy | RandomPolicy | ZeroPolicy | ConstantPolicy, Field(discriminator="kind")
+]
+
+
+class RolloutSpec(_Common):
+    """Let a policy act; keep the trajectory, a summary and a video."""
+
+    kind: Literal["rollout"] = "rollout"
+    policy: PolicyChoice
+    num_steps: int = Field(default=1000, ge=1, le=100_000, description="Actions in an episode, at most.")
+    num_episodes: int = Field(default=1, ge=1, le=1000)
+    deterministic: bool = True
+
+
+JobSpec = Annotated[TrainSpec | RolloutSpec, Field(discriminator="kind")]
+
+
+def _as_sent(spec: TrainSpec | RolloutSpec) -> dict[str, Any]:
+    return {"kind": spec.kind, **spec.model_dump(mode="json", exclude_unset=True)}
+
+
+# A specification inside a stored document. What the client did not say stays unsaid: tuned defaults are
+# laid under it where the job runs.
+SentSpec = Annotated[JobSpec, PlainSerializer(_as_sent, return_type=dict[str, Any])]
+JOB_SPEC: TypeAdapter[TrainSpec | RolloutSpec] = TypeAdapter(JobSpec)

@@ -1,0 +1,61 @@
+"""A job's life as a table."""
+
+from enum import StrEnum
+
+
+class JobStatus(StrEnum):
+    QUEUED = "queued"
+    STARTING = "starting"
+    RUNNING = "running"
+    CANCELLING = "cancelling"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @property
+    def is_final(self) -> bool:
+        return not NEXT[self]
+
+    @property
+    def is_held(self) -> bool:
+        """Whether an attempt holds the job now."""
+        return self in (JobStatus.STARTING, JobStatus.RUNNING, JobStatus.CANCELLING)
+
+
+NEXT: dict[JobStatus, frozenset[JobStatus]] = {
+    JobStatus.QUEUED: frozenset({JobStatus.STARTING, JobStatus.CANCELLED, JobStatus.FAILED}),
+    # Back to queued: the attempt was lost or drained, and another one is allowed.
+    JobStatus.STARTING: frozenset(
+        {JobStatus.RUNNING, JobStatus.CANCELLING, JobStatus.SUCCEEDED, JobStatus.FAILED, JobStatus.QUEUED}
+    ),
+    JobStatus.RUNNING: frozenset(
+        {JobStatus.CANCELLING, JobStatus.SUCCEEDED, JobStatus.FAILED, JobStatus.QUEUED}
+    ),
+    # A cancelled job may have come to its end, or to grief, before the word reached it.
+    JobStatus.CANCELLING: frozenset({JobStatus.CANCELLED, JobStatus.SUCCEEDED, JobStatus.FAILED}),
+    JobStatus.SUCCEEDED: frozenset(),
+    JobStatus.FAILED: frozenset(),
+    JobStatus.CANCELLED: frozenset(),
+}
+
+
+class Reason(StrEnum):
+    """Why a job or one of its attempts ended."""
+
+    COMPLETED = "completed"
+    USER_CANCELLED = "user_cancelled"
+    TIMEOUT = "timeout"
+    WORKER_LOST = "worker_lost"
+    WORKER_DRAINED = "worker_drained"
+    TRAINING_KILLED = "training_killed"
+    OUT_OF_MEMORY = "out_of_memory"
+    DIVERGED = "diverged"
+    BAD_MODEL = "bad_model"
+    BAD_CHECKPOINT = "bad_checkpoint"
+    NO_DEVICE = "no_device"
+    STORAGE_UNAVAILABLE = "storage_unavailable"
+    TRAINING_CRASHED = "training_crashed"
+
+
+# The ends of an attempt that count against a job's `max_attempts`; a drained worker is nobody's fault.
+LOSSES = frozenset({Reason.WORKER_LOST, Reason.TRAINING_KILLED})
