@@ -1,0 +1,56 @@
+"""Objects in this process' memory."""
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from threading import Lock
+
+from core.adapters.object_keys import PIECE_BYTES, check_readable, check_writable
+from core.errors import ObjectNotFound
+from core.storage.objects import ObjectInfo
+
+
+class MemoryObjectStore:
+    """An ObjectStore for one process; thread-safe."""
+
+    def __init__(self) -> None:
+        self._objects: dict[str, tuple[bytes, str]] = {}
+        self._lock = Lock()
+
+    def put(self, key: str, body: bytes, *, media_type: str = "application/octet-stream") -> None:
+        with self._lock:
+            self._objects[check_writable(key)] = (bytes(body), media_type)
+
+    def put_file(self, key: str, path: Path, *, media_type: str = "application/octet-stream") -> None:
+        self.put(check_writable(key), path.read_bytes(), media_type=media_type)
+
+    def get(self, key: str) -> bytes:
+        return self._found(key)[0]
+
+    def open(
+        self, key: str, start: int = 0, length: int | None = None
+    ) -> AbstractContextManager[Iterator[bytes]]:
+        body = self._found(key)[0]
+        end = len(body) if length is None else min(len(body), start + length)
+        return nullcontext(body[i : min(end, i + PIECE_BYTES)] for i in range(start, end, PIECE_BYTES))
+
+    def info(self, key: str) -> ObjectInfo:
+        body, media_type = self._found(key)
+        return ObjectInfo(key, len(body), media_type)
+
+    def list(self, prefix: str) -> Iterator[ObjectInfo]:
+        with self._lock:
+            found = [(key, body) for key, (body, _) in self._objects.items() if key.startswith(prefix)]
+        return iter(ObjectInfo(key, len(body)) for key, body in sorted(found))
+
+    def delete_prefix(self, prefix: str) -> None:
+        with self._lock:
+            for key in [key for key in self._objects if key.startswith(prefix)]:
+                del self._objects[key]
+
+    def _found(self, key: str) -> tuple[bytes, str]:
+        with self._lock:
+            found = self._objects.get(check_readable(key))
+        if found is None:
+            raise ObjectNotFound(key)
+        return found

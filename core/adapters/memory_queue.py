@@ -1,0 +1,58 @@
+"""A job queue in this process' memory."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from threading import Lock
+
+from core.jobs.queue import queue_names
+from core.jobs.spec import Accelerator, Priority
+
+
+@dataclass(frozen=True)
+class Dispatch:
+    """One attempt on its way to a worker."""
+
+    job_id: str
+    attempt: int
+
+
+class MemoryJobQueue:
+    """A JobQueue for one process; thread-safe. What was enqueued can be looked at and taken."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[Dispatch, str] = {}
+        self._taken: set[Dispatch] = set()
+        self._lock = Lock()
+
+    def enqueue(self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority) -> None:
+        dispatch = Dispatch(job_id, attempt)
+        with self._lock:
+            if dispatch not in self._taken:
+                self._waiting.setdefault(dispatch, f"gaitway-{accelerator}-{priority}")
+
+    def contains(self, job_id: str, attempt: int) -> bool:
+        dispatch = Dispatch(job_id, attempt)
+        with self._lock:
+            return dispatch in self._waiting or dispatch in self._taken
+
+    def remove(self, job_id: str, attempt: int) -> None:
+        dispatch = Dispatch(job_id, attempt)
+        with self._lock:
+            self._waiting.pop(dispatch, None)
+            self._taken.discard(dispatch)
+
+    def waiting(self) -> Sequence[Dispatch]:
+        """What no worker has taken, oldest first."""
+        with self._lock:
+            return list(self._waiting)
+
+    def take(self, device: str = "cpu") -> Dispatch | None:
+        """The next attempt for a worker on this device, as a worker would get it; None when nothing waits."""
+        with self._lock:
+            for name in queue_names(device):
+                for dispatch, queue in self._waiting.items():
+                    if queue == name:
+                        del self._waiting[dispatch]
+                        self._taken.add(dispatch)
+                        return dispatch
+        return None

@@ -1,0 +1,97 @@
+"""Real servers for the tests, one of each per process of the test run, empty for every test."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import redis
+
+from core.adapters.connect import connect_redis, connect_s3
+from core.adapters.memory_jobs import MemoryJobStore
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.redis_jobs import RedisJobStore
+from core.adapters.rq_queue import RQQueue
+from core.adapters.s3_objects import S3ObjectStore
+from core.jobs.queue import JobQueue
+from core.jobs.store import JobStore
+from core.settings import Settings
+from core.storage.objects import ObjectStore
+from gaitway.embedded.valkey import Valkey
+from gaitway.embedded.weed import REGION, Weed
+
+pytest_plugins = ["tests.hypothesis_profiles"]
+
+
+@pytest.fixture(scope="session")
+def valkey(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Valkey]:
+    """A running Valkey; tests take `redis_client`, or `settings`, to find it empty."""
+    with Valkey(tmp_path_factory.mktemp("valkey")) as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def weed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Weed]:
+    """A running object store; tests take `object_store`, or `settings`, to find it empty."""
+    with Weed(tmp_path_factory.mktemp("weed")) as server:
+        yield server
+
+
+@pytest.fixture
+def redis_client(valkey: Valkey) -> Iterator[redis.Redis]:
+    """A client of an empty Valkey."""
+    with connect_redis(valkey.url) as client:
+        client.flushall()
+        yield client
+
+
+@pytest.fixture
+def object_store(weed: Weed) -> S3ObjectStore:
+    """The real object store, empty."""
+    client = connect_s3(weed.endpoint, weed.access_key, weed.secret_key, secure=False, region=REGION)
+    store = S3ObjectStore(client, weed.bucket)
+    store.delete_prefix("")
+    return store
+
+
+@pytest.fixture
+def settings(
+    valkey: Valkey, weed: Weed, redis_client: redis.Redis, object_store: S3ObjectStore, tmp_path: Path
+) -> Settings:
+    """Settings that lead to both servers, both empty, and to an empty data folder."""
+    return Settings.model_validate(
+        {
+            "redis_url": valkey.url,
+            "s3_endpoint": weed.endpoint,
+            "s3_access_key": weed.access_key,
+            "s3_secret_key": weed.secret_key,
+            "s3_bucket": weed.bucket,
+            "s3_secure": False,
+            "s3_region": REGION,
+            "data_dir": tmp_path / "data",
+        }
+    )
+
+
+@pytest.fixture(params=["memory", "redis"])
+def jobs(request: pytest.FixtureRequest) -> JobStore:
+    """Each job store in turn, empty."""
+    if request.param == "memory":
+        return MemoryJobStore()
+    return RedisJobStore(request.getfixturevalue("redis_client"))
+
+
+@pytest.fixture(params=["memory", "rq"])
+def queue(request: pytest.FixtureRequest) -> JobQueue:
+    """Each job queue in turn, empty."""
+    if request.param == "memory":
+        return MemoryJobQueue()
+    return RQQueue(request.getfixturevalue("redis_client"))
+
+
+@pytest.fixture(params=["memory", "s3"])
+def objects(request: pytest.FixtureRequest) -> ObjectStore:
+    """Each object store in turn, empty."""
+    if request.param == "memory":
+        return MemoryObjectStore()
+    return request.getfixturevalue("object_store")

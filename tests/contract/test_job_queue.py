@@ -1,0 +1,162 @@
+"""What every JobQueue promises, on each of them; and that RQ's workers get what was enqueued."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import redis
+from rq import Queue, SimpleWorker
+from rq.job import Job as RQJob
+from rq.serializers import JSONSerializer
+
+from core.adapters.connect import connect_redis
+from core.adapters.memory_queue import Dispatch, MemoryJobQueue
+from core.adapters.rq_queue import TASK, RQQueue
+from core.errors import RecordsUnavailable
+from core.jobs.queue import JobQueue, queue_names
+from gaitway.embedded.valkey import Valkey
+
+JOB = "019aa3c2f0b1-5be0c1d2e3"
+OTHER = "019aa3c2f0b2-5be0c1d2e3"
+
+
+def enqueue(queue: JobQueue, job_id: str = JOB, attempt: int = 1) -> None:
+    queue.enqueue(job_id, attempt, accelerator="any", priority="normal")
+
+
+class TestEveryQueue:
+    def test_what_was_enqueued_is_contained(self, queue: JobQueue) -> None:
+        enqueue(queue)
+        assert queue.contains(JOB, 1)
+        assert not queue.contains(JOB, 2)
+        assert not queue.contains(OTHER, 1)
+
+    def test_what_was_removed_is_gone_and_can_come_again(self, queue: JobQueue) -> None:
+        enqueue(queue)
+        queue.remove(JOB, 1)
+        assert not queue.contains(JOB, 1)
+        enqueue(queue)
+        assert queue.contains(JOB, 1)
+
+    def test_removing_what_is_not_there_is_no_error(self, queue: JobQueue) -> None:
+        enqueue(queue, OTHER)
+        queue.remove(JOB, 1)
+        assert queue.contains(OTHER, 1)
+
+    def test_removing_one_attempt_leaves_the_others(self, queue: JobQueue) -> None:
+        enqueue(queue, JOB, 1)
+        enqueue(queue, JOB, 2)
+        queue.remove(JOB, 1)
+        assert queue.contains(JOB, 2)
+
+
+class TestMemory:
+    def test_workers_take_the_most_urgent_that_fits_once(self) -> None:
+        queue = MemoryJobQueue()
+        queue.enqueue(JOB, 1, accelerator="any", priority="low")
+        queue.enqueue(JOB, 2, accelerator="gpu", priority="high")
+        queue.enqueue(JOB, 3, accelerator="cpu", priority="normal")
+        enqueue(queue, JOB, 3)
+        assert [dispatch.attempt for dispatch in queue.waiting()] == [1, 2, 3]
+        assert [queue.take("cpu"), queue.take("cpu")] == [Dispatch(JOB, 3), Dispatch(JOB, 1)]
+        assert queue.take("cpu") is None
+        assert queue.contains(JOB, 3)
+        assert queue.take("gpu:0") == Dispatch(JOB, 2)
+
+
+class TestRQ:
+    def test_a_worker_finds_the_function_the_job_and_the_attempt(self, redis_client: redis.Redis) -> None:
+        RQQueue(redis_client).enqueue(JOB, 3, accelerator="gpu", priority="high")
+        (rq_job,) = waiting(redis_client, "gaitway-gpu-high")
+        assert (rq_job.func_name, tuple(rq_job.args)) == (TASK, (JOB, 3))
+        # RQ must neither stop the job, nor keep its result, nor start a second copy of it.
+        assert (rq_job.timeout, rq_job.result_ttl, rq_job.retries_left) == (-1, 0, None)
+
+    def test_every_queue_is_served_by_some_worker(self, redis_client: redis.Redis) -> None:
+        served = {*queue_names("cpu"), *queue_names("gpu:0")}
+        queue = RQQueue(redis_client)
+        for accelerator in ("any", "cpu", "gpu"):
+            for priority in ("high", "normal", "low"):
+                queue.enqueue(
+                    JOB, len(waiting_everywhere(redis_client)), accelerator=accelerator, priority=priority
+                )
+        assert {found.name for found in Queue.all(connection=redis_client)} <= served
+        assert sum(len(waiting(redis_client, name)) for name in served) == 9
+
+    def test_the_same_attempt_twice_waits_once(self, redis_client: redis.Redis) -> None:
+        queue = RQQueue(redis_client)
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(lambda _: enqueue(queue), range(8)))
+        assert len(waiting_everywhere(redis_client)) == 1
+
+    def test_an_attempt_whose_worker_died_before_it_started_is_enqueued_again(
+        self, redis_client: redis.Redis
+    ) -> None:
+        queue = RQQueue(redis_client)
+        enqueue(queue)
+        redis_client.lpop("rq:queue:gaitway-any-normal")  # what a worker does, that then dies
+        assert not queue.contains(JOB, 1)
+        enqueue(queue)
+        assert len(waiting(redis_client, "gaitway-any-normal")) == 1
+
+    def test_while_a_worker_runs_it_an_attempt_is_contained(
+        self, redis_client: redis.Redis, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        queue = RQQueue(redis_client)
+        monkeypatch.setattr("core.adapters.rq_queue.TASK", "tests.contract.test_job_queue.look")
+        enqueue(queue)
+        monkeypatch.setattr(f"{__name__}.seen_from", queue)
+        work(redis_client)
+        assert seen == [(JOB, 1, True)]
+        assert not queue.contains(JOB, 1)
+
+    def test_an_attempt_that_failed_can_be_enqueued_again(
+        self, redis_client: redis.Redis, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        queue = RQQueue(redis_client)
+        monkeypatch.setattr("core.adapters.rq_queue.TASK", "tests.contract.test_job_queue.no_such_function")
+        enqueue(queue)
+        work(redis_client)
+        assert not queue.contains(JOB, 1)
+        enqueue(queue)
+        assert queue.contains(JOB, 1)
+
+    def test_every_call_says_that_the_queue_is_gone(self, tmp_path: Path) -> None:
+        with Valkey(tmp_path) as server, connect_redis(server.url) as client:
+            queue = RQQueue(client)
+            enqueue(queue)
+            server.stop()
+            with pytest.raises(RecordsUnavailable):
+                enqueue(queue)
+            with pytest.raises(RecordsUnavailable):
+                queue.contains(JOB, 1)
+            with pytest.raises(RecordsUnavailable):
+                queue.remove(JOB, 1)
+
+
+seen: list[tuple[str, int, bool]] = []
+seen_from: JobQueue | None = None
+
+
+def look(job_id: str, attempt: int) -> None:
+    """A task: note whether the queue contains what it is part of."""
+    assert seen_from is not None
+    seen.append((job_id, attempt, seen_from.contains(job_id, attempt)))
+
+
+def work(client: redis.Redis) -> None:
+    """Let one of RQ's workers do what waits, in this process."""
+    seen.clear()
+    assert threading.current_thread() is threading.main_thread()
+    worker = SimpleWorker(["gaitway-any-normal"], connection=client, serializer=JSONSerializer)
+    worker.work(burst=True, logging_level="CRITICAL")
+
+
+def waiting(client: redis.Redis, name: str) -> list[RQJob]:
+    return Queue(name, connection=client, serializer=JSONSerializer).jobs
+
+
+def waiting_everywhere(client: redis.Redis) -> list[RQJob]:
+    names = {*queue_names("cpu"), *queue_names("gpu:0")}
+    return [job for name in names for job in waiting(client, name)]
