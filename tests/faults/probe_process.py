@@ -1,0 +1,71 @@
+"""A stand-in for the training process: does what its first argument says. No numerical stack."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+behaviour, spool, events_fd = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
+stopped = False
+
+
+def on_sigterm(*_: object) -> None:
+    global stopped
+    stopped = True
+
+
+signal.signal(signal.SIGTERM, signal.SIG_IGN if behaviour == "ignores_sigterm" else on_sigterm)
+
+
+def say(**message: object) -> None:
+    os.write(events_fd, json.dumps(message).encode() + b"\n")
+
+
+def keep(name: str, role: str, body: bytes, step: int | None = None) -> None:
+    (spool / name).write_bytes(body)
+    say(type="file", name=name, path=name, role=role, media_type="application/octet-stream", step=step)
+
+
+say(type="hello", pid=os.getpid())
+say(type="started", device="probe", engine="none", details={"answer": 42})
+match behaviour:
+    case "succeeds":
+        print("a line of the log", flush=True)
+        for step in (10, 20):
+            say(type="metrics", step=step, values={"eval/episode_reward": float(step)})
+            say(type="progress", step=step, total=20, steps_per_second=5.0, eta_s=0.0, metrics={"a": 1.0})
+            keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", b"state %d" % step, step)
+        say(type="finished")
+    case "waits" | "ignores_sigterm":
+        keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
+        while not stopped:
+            time.sleep(0.01)
+        keep("checkpoint-000000000020.msgpack", "checkpoint", b"state", 20)
+        say(type="finished", stopped=True)
+    case "goes_on_from_a_checkpoint":
+        task = json.loads((spool / "task.json").read_text())
+        body = (spool / task["checkpoint"]).read_bytes() if task["checkpoint"] else b"nothing"
+        keep("policy", "policy", body, task["checkpoint_step"])
+        say(type="finished")
+    case "fails":
+        say(type="failed", reason="diverged", message="The reward became non-finite at environment step 7.")
+        sys.exit(1)
+    case "crashes":
+        print("Traceback: something", flush=True)
+        sys.exit(3)
+    case "is_killed":
+        keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
+        os.kill(os.getpid(), signal.SIGKILL)
+    case "leaves_a_child":
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+        keep("summary.json", "summary", str(child.pid).encode())
+        say(type="finished")
+    case "floods":
+        for number in range(20_000):
+            print(f"line {number} " + "x" * 200)
+        say(type="finished")
+    case _:
+        raise SystemExit(f"no such behaviour: {behaviour}")

@@ -1,0 +1,231 @@
+"""The supervisor against processes that do well, badly, and worse; the stores are the in-memory twins."""
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import SecretStr
+
+from core.adapters.memory_jobs import MemoryJobStore
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory_queue import MemoryJobQueue
+from core.errors import RecordsUnavailable
+from core.jobs.attempts import claim
+from core.jobs.cancellation import cancel
+from core.jobs.job import Job, utc_now
+from core.jobs.spec import JOB_SPEC
+from core.jobs.status import JobStatus, Reason
+from core.jobs.submission import submit
+from core.settings import Settings
+from worker.supervisor import Supervisor
+
+PROBE = Path(__file__).with_name("probe_process.py")
+
+
+class Bench:
+    """A service of in-memory parts, and supervisors for the probe process."""
+
+    def __init__(self, data_dir: Path) -> None:
+        self.store, self.queue, self.objects = MemoryJobStore(), MemoryJobQueue(), MemoryObjectStore()
+        self.settings = Settings(
+            redis_url=SecretStr("unused"),
+            s3_endpoint="unused",
+            s3_access_key="unused",
+            s3_secret_key=SecretStr("unused"),
+            data_dir=data_dir,
+            heartbeat=timedelta(seconds=0.02),
+            grace=timedelta(seconds=1),
+        )
+
+    def submit(self, **fields: Any) -> Job:
+        spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
+        return submit(spec, store=self.store, queue=self.queue, objects=self.objects, now=utc_now())
+
+    def supervisor(self, job: Job, behaviour: str) -> Supervisor:
+        number = self.store.get(job.id).next_attempt
+        holding = claim(
+            job.id,
+            number,
+            "w",
+            store=self.store,
+            objects=self.objects,
+            lease=self.settings.lease,
+            now=utc_now(),
+        )
+        assert holding is not None
+        return Supervisor(holding, self.settings, "cpu", "slot", (sys.executable, str(PROBE), behaviour))
+
+    def run(self, behaviour: str, **fields: Any) -> Job:
+        job = self.submit(**fields)
+        self.supervisor(job, behaviour).run()
+        return self.store.get(job.id)
+
+    def cancel(self, job: Job) -> None:
+        cancel(job.id, store=self.store, queue=self.queue, objects=self.objects, now=utc_now())
+
+    @contextmanager
+    def running(self, job: Job, behaviour: str) -> Iterator[Supervisor]:
+        """Its supervisor in a thread; inside the block, the first checkpoint is there."""
+        supervisor = self.supervisor(job, behaviour)
+        thread = threading.Thread(target=supervisor.run)
+        thread.start()
+        wait_until(lambda: self.store.get(job.id).newest("checkpoint") is not None)
+        yield supervisor
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 10) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def test_what_the_process_says_becomes_facts(bench: Bench) -> None:
+    job = bench.run("succeeds")
+    assert (job.status, job.reason) == (JobStatus.SUCCEEDED, Reason.COMPLETED)
+    assert (job.progress.step, job.progress.total, job.progress.steps_per_second) == (20, 20, 5.0)
+    assert (job.attempts[0].device, job.attempts[0].details) == ("probe", {"answer": 42})
+    assert [a.step for a in job.artifacts if a.role == "checkpoint"] == [10, 20]
+    checkpoint = job.newest("checkpoint")
+    assert checkpoint is not None
+    assert bench.objects.get(checkpoint.key) == b"state 20"
+    rows = bench.store.feed(job.id, "events", kind="metrics")
+    assert [row.data["values"] for row in rows] == [
+        {"eval/episode_reward": 10.0},
+        {"eval/episode_reward": 20.0},
+    ]
+    assert [line.data["text"] for line in bench.store.feed(job.id, "logs")] == ["a line of the log"]
+
+
+def test_metrics_up_to_the_last_checkpoint_are_a_file(bench: Bench) -> None:
+    job = bench.run("succeeds")
+    metrics = job.newest("metrics")
+    assert metrics is not None
+    lines = bench.objects.get(metrics.key).splitlines()
+    assert len(lines) == 2
+    assert b'"step": 20' in lines[1]
+
+
+def test_nothing_is_left_in_the_spool(bench: Bench) -> None:
+    bench.run("succeeds")
+    assert list((bench.settings.data_dir / "spool").iterdir()) == []
+
+
+def test_a_failure_carries_the_process_own_reason(bench: Bench) -> None:
+    job = bench.run("fails")
+    assert (job.status, job.reason) == (JobStatus.FAILED, Reason.DIVERGED)
+    assert job.message == "The reward became non-finite at environment step 7."
+
+
+def test_a_crash_without_a_word_is_said_to_be_one_and_its_log_is_there(bench: Bench) -> None:
+    job = bench.run("crashes")
+    assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TRAINING_CRASHED)
+    assert [line.data["text"] for line in bench.store.feed(job.id, "logs")] == ["Traceback: something"]
+
+
+def test_a_killed_process_gives_the_job_another_attempt_that_starts_from_the_checkpoint(bench: Bench) -> None:
+    job = bench.run("is_killed")
+    assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.TRAINING_KILLED)
+    bench.supervisor(job, "goes_on_from_a_checkpoint").run()
+    done = bench.store.get(job.id)
+    policy = done.newest("policy")
+    assert done.status == JobStatus.SUCCEEDED
+    assert policy is not None
+    assert (bench.objects.get(policy.key), policy.step) == (b"state", 10)
+
+
+def test_attempts_run_out(bench: Bench) -> None:
+    job = bench.run("is_killed", max_attempts=1)
+    assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TRAINING_KILLED)
+
+
+def test_a_cancel_keeps_the_checkpoint_of_that_moment(bench: Bench) -> None:
+    job = bench.submit()
+    with bench.running(job, "waits"):
+        bench.cancel(job)
+    ended = bench.store.get(job.id)
+    assert (ended.status, ended.reason) == (JobStatus.CANCELLED, Reason.USER_CANCELLED)
+    assert [a.step for a in ended.artifacts if a.role == "checkpoint"] == [10, 20]
+
+
+def test_a_drain_gives_the_job_back_with_its_checkpoint(bench: Bench) -> None:
+    job = bench.submit(max_attempts=1)
+    with bench.running(job, "waits") as supervisor:
+        supervisor.drain()
+    ended = bench.store.get(job.id)
+    assert (ended.status, ended.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
+    assert [a.step for a in ended.artifacts if a.role == "checkpoint"] == [10, 20]
+
+
+def test_a_timeout_is_a_failure_that_keeps_the_work(bench: Bench) -> None:
+    job = bench.run("waits", timeout_s=0.5)
+    assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TIMEOUT)
+    assert job.newest("checkpoint", 20) is not None
+
+
+def test_who_does_not_listen_is_killed_after_the_grace_time(bench: Bench) -> None:
+    job = bench.submit()
+    with bench.running(job, "ignores_sigterm"):
+        bench.cancel(job)
+    ended = bench.store.get(job.id)
+    assert ended.status == JobStatus.CANCELLED
+    assert "killed" in (ended.message or "")
+    assert [a.step for a in ended.artifacts if a.role == "checkpoint"] == [10]
+
+
+def test_a_child_that_the_process_leaves_behind_is_ended(bench: Bench) -> None:
+    job = bench.run("leaves_a_child")
+    summary = job.newest("summary")
+    assert summary is not None
+    child = int(bench.objects.get(summary.key))
+    with pytest.raises(ProcessLookupError):
+        os.kill(child, 0)
+
+
+def test_a_flood_of_lines_halts_nothing(bench: Bench) -> None:
+    job = bench.run("floods")
+    assert job.status == JobStatus.SUCCEEDED
+    lines = bench.store.feed(job.id, "logs", limit=100_000)
+    assert len(lines) == 20_000
+
+
+def test_an_attempt_whose_job_was_taken_stops_and_writes_no_more(bench: Bench) -> None:
+    job = bench.submit()
+    with bench.running(job, "waits"):
+        held = bench.store.get(job.id)
+        taken = held.requeued(Reason.WORKER_LOST, "taken by a test", utc_now())
+        bench.store.save(taken)
+    assert bench.store.get(job.id) == taken
+
+
+def test_an_outage_of_the_records_pauses_bookkeeping_and_not_the_job(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    away = threading.Event()
+    record = bench.store.record
+
+    def record_unless_away(*args: Any, **kwargs: Any) -> None:
+        if away.is_set():
+            raise RecordsUnavailable("The test switched it off.")
+        record(*args, **kwargs)
+
+    monkeypatch.setattr(bench.store, "record", record_unless_away)
+    away.set()
+    threading.Timer(0.5, away.clear).start()
+    job = bench.run("succeeds")
+    assert job.status == JobStatus.SUCCEEDED
+    assert job.progress.step == 20

@@ -1,0 +1,48 @@
+"""Saying "alive" while a job runs, and hearing what others want of it."""
+
+import threading
+from typing import Self
+
+import structlog
+
+from core.errors import LeaseLost, Unavailable
+from core.jobs.attempts import Holding
+from core.jobs.status import JobStatus
+from core.settings import Settings
+
+log = structlog.get_logger()
+
+
+class Heartbeat:
+    """A thread that renews the lease. An outage of the store is waited out: the token decides afterwards."""
+
+    def __init__(self, holding: Holding, settings: Settings) -> None:
+        self.cancelled = threading.Event()
+        self.lost = threading.Event()
+        self._holding = holding
+        self._settings = settings
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _beat(self) -> None:
+        while not self._over.is_set() and not self.lost.is_set():
+            try:
+                status = self._holding.store.renew(
+                    self._holding.job_id, self._holding.token, self._settings.lease
+                )
+            except Unavailable as error:
+                log.warning("heartbeat_missed", error=error.detail)
+            except LeaseLost:
+                self.lost.set()
+            else:
+                if status == JobStatus.CANCELLING:
+                    self.cancelled.set()
+            self._over.wait(self._settings.heartbeat.total_seconds())

@@ -1,0 +1,113 @@
+"""The worker: an RQ worker that forks a supervisor for each attempt. Composition root.
+
+It never loads the numerical stack: a process that holds JAX must not fork.
+"""
+
+import contextlib
+import os
+import secrets
+import signal
+import socket
+import time
+from datetime import timedelta
+from typing import Any
+
+import rq
+import structlog
+from redis.exceptions import RedisError
+from rq.serializers import JSONSerializer
+
+from core.adapters.connect import connect_redis, job_store
+from core.adapters.rq_queue import job_of
+from core.errors import Unavailable
+from core.jobs.job import utc_now
+from core.jobs.queue import queue_names
+from core.jobs.store import JobStore, WorkerInfo
+from core.settings import Settings
+from core.telemetry import configure_logging
+from worker.device import device_of
+from worker.lifeline import die_with_parent
+
+log = structlog.get_logger()
+
+# Between two signs of life of an idle worker; it is shown as gone after three missed ones.
+_ANNOUNCE_EVERY_S = 10
+# Between two tries to reach a queue that is away.
+_PAUSE_S = 1.0
+
+
+class GaitwayWorker(rq.Worker):
+    """RQ's forking worker, which tells the service about itself and passes a shutdown on to its job."""
+
+    def __init__(self, settings: Settings, store: JobStore) -> None:
+        self._store = store
+        device = device_of(settings)
+        name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
+        now = utc_now()
+        self._info = WorkerInfo(
+            name=name,
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            device=device,
+            queues=queue_names(device),
+            started_at=now,
+            seen_at=now,
+        )
+        super().__init__(  # pyright: ignore[reportUnknownMemberType]
+            list(queue_names(device)),
+            name=name,
+            connection=connect_redis(settings.redis_url.get_secret_value()),
+            serializer=JSONSerializer,
+            worker_ttl=3 * _ANNOUNCE_EVERY_S + 15,
+            job_monitoring_interval=_ANNOUNCE_EVERY_S,
+        )
+
+    def heartbeat(self, *args: Any, **kwargs: Any) -> None:
+        super().heartbeat(*args, **kwargs)
+        self.announce()
+
+    def monitor_work_horse(self, job: Any, queue: Any) -> None:
+        """Wait for the job's end, through any outage of Redis: RQ alone would give up and orphan the job."""
+        while True:
+            try:
+                super().monitor_work_horse(job, queue)
+            except RedisError as error:
+                log.warning("queue_bookkeeping_waits", error=str(error))
+                time.sleep(_PAUSE_S)
+            else:
+                return
+
+    def announce(self) -> None:
+        """Show in `GET /workers`. A missed one is made up for by the next."""
+        job = self.get_current_job_id()
+        info = self._info.model_copy(update={"seen_at": utc_now(), "job": job_of(job) if job else None})
+        try:
+            self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
+        except Unavailable as error:
+            log.warning("announcement_missed", error=error.detail)
+
+    def request_stop(self, signum: Any, frame: Any) -> None:
+        """First SIGTERM or SIGINT: the job drains, then the worker goes. RQ itself would only wait."""
+        if self.horse_pid:
+            os.kill(self.horse_pid, signal.SIGTERM)
+        super().request_stop(signum, frame)  # pyright: ignore[reportUnknownMemberType]
+
+
+def main() -> None:
+    """Serve until a SIGTERM."""
+    settings = Settings()  # pyright: ignore[reportCallIssue] # Its fields come from the environment.
+    configure_logging("worker")
+    if parent := os.environ.get("GAITWAY_PARENT"):
+        die_with_parent(int(parent), signal.SIGTERM)
+    store = job_store(settings)
+    worker = GaitwayWorker(settings, store)
+    log.info("worker_started", worker=worker.name)
+    try:
+        worker.work(logging_level="WARNING")
+    finally:
+        with contextlib.suppress(Unavailable):
+            store.withdraw(worker.name)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""What the training process tells its supervisor: one JSON document a line, over a pipe of their own."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter
+
+from core.jobs.job import ArtifactRole
+from core.jobs.spec import SentSpec
+from core.jobs.status import Reason
+from core.model import Stored
+
+
+class Hello(Stored):
+    """The process runs; nothing heavy is loaded yet."""
+
+    type: Literal["hello"] = "hello"
+    pid: int
+
+
+class Started(Stored):
+    """What the process found: where it runs, on which engine and why, under which hyperparameters."""
+
+    type: Literal["started"] = "started"
+    device: str
+    engine: str
+    details: dict[str, Any] = {}
+
+
+class PhaseEnded(Stored):
+    """A part of the start-up took so many seconds."""
+
+    type: Literal["phase"] = "phase"
+    name: str
+    seconds: float
+
+
+class Advanced(Stored):
+    """Training reached `step` of `total` environment steps."""
+
+    type: Literal["progress"] = "progress"
+    step: int
+    total: int
+    steps_per_second: float | None = None
+    eta_s: float | None = None
+    metrics: dict[str, float] = {}
+
+
+class Measured(Stored):
+    """A row of metrics that belongs to `step`."""
+
+    type: Literal["metrics"] = "metrics"
+    step: int
+    values: dict[str, float]
+
+
+class FileReady(Stored):
+    """A whole file lies in the spool under `path`; it will not change again."""
+
+    type: Literal["file"] = "file"
+    name: str
+    path: str
+    role: ArtifactRole
+    media_type: str
+    step: int | None = None
+    metadata: dict[str, Any] = {}
+
+
+class Noted(Stored):
+    """Something people should know, that is no failure."""
+
+    type: Literal["note"] = "note"
+    text: str
+
+
+class Failed(Stored):
+    """The job cannot succeed, and why."""
+
+    type: Literal["failed"] = "failed"
+    reason: Reason
+    message: str
+
+
+class Finished(Stored):
+    """Everything asked for is done; `stopped` where a SIGTERM cut it short."""
+
+    type: Literal["finished"] = "finished"
+    stopped: bool = False
+
+
+Message = Annotated[
+    Hello | Started | PhaseEnded | Advanced | Measured | FileReady | Noted | Failed | Finished,
+    Field(discriminator="type"),
+]
+MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)
+
+
+class Task(Stored):
+    """What the supervisor leaves in the spool, as `task.json`, for the training process.
+
+    device: `cpu`, or `gpu:<index>`. checkpoint: path of the state to go on from (training), or to take the
+    policy from (rollout). checkpoint_step: the environment step it is of.
+    """
+
+    job_id: str
+    attempt: int
+    spec: SentSpec
+    device: str
+    checkpoint: str | None = None
+    checkpoint_step: int = 0

@@ -1,0 +1,142 @@
+"""From what the training process says to stored facts, in order, whatever the network does meanwhile."""
+
+import contextlib
+import hashlib
+import json
+import queue
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from threading import Thread
+
+from core.errors import LeaseLost
+from core.jobs.attempts import Holding
+from core.jobs.job import Artifact, Progress, utc_now
+from core.jobs.store import Entry
+from core.storage import keys
+from worker.messages import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
+from worker.patience import through_outages
+
+
+class Outbox:
+    """A thread that stores messages and log lines. An outage makes it wait, never the training.
+
+    `lost` is true once the attempt no longer holds its job: nothing more is stored then.
+    """
+
+    def __init__(self, holding: Holding, spool: Path, keep_checkpoints: int) -> None:
+        self.lost = False
+        self._holding = holding
+        self._spool = spool
+        self._keep_checkpoints = keep_checkpoints
+        self._waiting: queue.SimpleQueue[Message | str | None] = queue.SimpleQueue()
+        self._thread = Thread(target=self._work, name="outbox", daemon=True)
+        self._thread.start()
+
+    def put(self, item: Message | str) -> None:
+        """Take a message, or a line of the log."""
+        self._waiting.put(item)
+
+    def close(self, patience_s: float) -> bool:
+        """Wait until all is stored, at most so long; whether it is."""
+        self._waiting.put(None)
+        self._thread.join(patience_s)
+        return not self._thread.is_alive() and not self.lost
+
+    def _work(self) -> None:
+        while True:
+            items = self._take()
+            lines = [item for item in items if isinstance(item, str)]
+            messages = [item for item in items if item is not None and not isinstance(item, str)]
+            steps = [partial(self._store_lines, lines)] if lines else []
+            steps += [partial(self._store, message) for message in messages]
+            for step in steps:
+                if not self._insist(step):
+                    return
+            if None in items:
+                return
+
+    def _take(self) -> list[Message | str | None]:
+        """At least one item; and, so that a flood of lines is one write, what else waits already."""
+        items = [self._waiting.get()]
+        with contextlib.suppress(queue.Empty):
+            while len(items) < 500:
+                items.append(self._waiting.get_nowait())
+        return items
+
+    def _insist(self, step: Callable[[], None]) -> bool:
+        """Do it, through any outage; false when the job is not ours any more."""
+        try:
+            through_outages(step)
+        except LeaseLost:
+            self.lost = True
+            return False
+        return True
+
+    def _store_lines(self, lines: Sequence[str]) -> None:
+        now = utc_now()
+        entries = [Entry(kind="line", time=now, data={"text": line}) for line in lines]
+        self._holding.store.record(self._holding.job_id, self._holding.token, "logs", entries)
+
+    def _store(self, message: Message) -> None:
+        match message:
+            case Started(device=device, engine=engine, details=details):
+                self._holding.start(device=device, engine=engine, details=details)
+            case PhaseEnded(name=name, seconds=seconds):
+                self._record("phase", {"name": name, "seconds": seconds})
+            case Advanced():
+                progress = Progress.model_validate(message.model_dump(exclude={"type"}))
+                self._record("progress", message.model_dump(exclude={"type"}), progress)
+            case Measured(step=step, values=values):
+                self._record("metrics", {"step": step, "values": values})
+            case FileReady():
+                self._publish(message)
+            case Noted(text=text):
+                self._record("note", {"text": text})
+            case Hello(pid=pid):
+                self._record("phase", {"name": "process", "pid": pid})
+            case _:  # Failed and Finished are the supervisor's to weigh.
+                pass
+
+    def _record(self, kind: str, data: dict[str, object], progress: Progress | None = None) -> None:
+        entry = Entry(kind=kind, time=utc_now(), data=data)
+        self._holding.store.record(self._holding.job_id, self._holding.token, "events", [entry], progress)
+
+    def _publish(self, message: FileReady) -> None:
+        path = self._spool / message.path
+        published = [self._upload(message, path)]
+        if message.role == "checkpoint":
+            published.append(self._upload(self._metrics_so_far(), self._spool / "metrics.jsonl"))
+        self._holding.publish(tuple(published), self._keep_checkpoints)
+        self._record("artifact", {"name": message.name, "role": message.role, "step": message.step})
+        path.unlink(missing_ok=True)
+
+    def _upload(self, message: FileReady, path: Path) -> Artifact:
+        key = keys.artifact(self._holding.job_id, self._holding.number, message.name)
+        artifact = Artifact(
+            name=message.name,
+            role=message.role,
+            media_type=message.media_type,
+            size=path.stat().st_size,
+            sha256=_sha256(path),
+            key=key,
+            step=message.step,
+            metadata=message.metadata,
+        )
+        self._holding.objects.put_file(key, path, media_type=message.media_type)
+        return artifact
+
+    def _metrics_so_far(self) -> FileReady:
+        """The job's metrics as JSON lines, a later row for the same step in the place of an earlier."""
+        feed = self._holding.store.feed(self._holding.job_id, "events", kind="metrics", limit=1_000_000)
+        rows = {(e.data["step"], tuple(sorted(e.data["values"]))): e for e in feed}
+        lines = [json.dumps({"time": e.time.isoformat(), **e.data}, sort_keys=True) for e in rows.values()]
+        (self._spool / "metrics.jsonl").write_text("".join(f"{line}\n" for line in lines))
+        return FileReady(
+            name="metrics.jsonl", path="metrics.jsonl", role="metrics", media_type="application/jsonl"
+        )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,107 @@
+"""The training process as its supervisor sees it: a group of its own, a pipe of messages, a pipe of text."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, cast
+
+import structlog
+from pydantic import ValidationError
+
+from worker.messages import MESSAGE, Message
+
+log = structlog.get_logger()
+
+TRAINING = (sys.executable, "-m", "worker.training")
+_LONGEST_LINE = 4000
+# Where the caches are; and whose process this is, for whoever looks for left-overs.
+_PASSED_ON = ("GAITWAY_DATA_DIR", "GAITWAY_STACK_ID")
+
+
+class TrainingProcess:
+    """Started at once. `messages` and `lines` end when the process, and all it started, have ended.
+
+    command: the program; it is given the spool, the descriptor to write messages to, and our process id.
+    """
+
+    def __init__(self, command: Sequence[str], spool: Path, device: str, slot_fd: int) -> None:
+        read_end, write_end = os.pipe()
+        self._messages: IO[bytes] = os.fdopen(read_end, "rb")
+        self._child = subprocess.Popen(
+            [*command, str(spool), str(write_end), str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            pass_fds=(write_end, slot_fd),
+            env=environment(device, os.environ),
+        )
+        os.close(write_end)
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def messages(self) -> Iterator[Message]:
+        """What it says, in order. A line cut short by its death is passed over."""
+        with self._messages as pipe:
+            for line in pipe:
+                try:
+                    yield MESSAGE.validate_json(line)
+                except ValidationError:
+                    log.warning("message_not_understood", line=line[:200])
+
+    def lines(self) -> Iterator[str]:
+        """What it and its libraries print, line by line, each cut to 4,000 characters."""
+        with cast("IO[bytes]", self._child.stdout) as pipe:
+            for line in pipe:
+                yield line.decode(errors="replace").rstrip("\n")[:_LONGEST_LINE]
+
+    def poll(self, timeout_s: float) -> int | None:
+        """Its exit status, waiting at most so long; negative: the signal that ended it."""
+        try:
+            return self._child.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def stop(self) -> None:
+        """Ask it to finish its update, keep what it has, and exit."""
+        self._signal_leader(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it and everything it started, and see that nothing is left."""
+        deadline = time.monotonic() + 10
+        while _group_lives(self._child.pid) and time.monotonic() < deadline:
+            try:
+                os.killpg(self._child.pid, signal.SIGKILL)
+            except ProcessLookupError:
+                break
+            self.poll(0.05)
+        if _group_lives(self._child.pid):
+            log.error("processes_left", process_group=self._child.pid)
+
+    def _signal_leader(self, number: int) -> None:
+        if self._child.poll() is None:
+            self._child.send_signal(number)
+
+
+def environment(device: str, base: Mapping[str, str]) -> dict[str, str]:
+    """The variables of a process on this device: it sees that device alone, and no secret of the service."""
+    kept = {name: value for name, value in base.items() if not name.startswith("GAITWAY_")}
+    kept["PYTHONUNBUFFERED"] = "1"
+    kept |= {name: base[name] for name in _PASSED_ON if name in base}
+    if device == "cpu":
+        return {**kept, "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
+    return {**kept, "CUDA_VISIBLE_DEVICES": device.partition(":")[2] or "0"}
+
+
+def _group_lives(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True

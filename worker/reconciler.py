@@ -1,0 +1,45 @@
+"""The reconciler as a process: looks at every unfinished job every few seconds. Composition root."""
+
+import os
+import signal
+import threading
+
+import structlog
+
+from core.adapters.connect import job_queue, job_store, object_store
+from core.errors import Unavailable
+from core.jobs.job import utc_now
+from core.jobs.reconciliation import reconcile
+from core.settings import Settings
+from core.telemetry import configure_logging
+from worker.lifeline import die_with_parent
+
+log = structlog.get_logger()
+
+
+def main() -> None:
+    """Reconcile until a SIGTERM."""
+    over = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda number, frame: over.set())
+    if parent := os.environ.get("GAITWAY_PARENT"):
+        die_with_parent(int(parent))
+    settings = Settings()  # pyright: ignore[reportCallIssue] # Its fields come from the environment.
+    configure_logging("reconciler")
+    store, queue, objects = job_store(settings), job_queue(settings), object_store(settings)
+    while not over.is_set():
+        try:
+            reconcile(
+                store=store,
+                queue=queue,
+                objects=objects,
+                lease=settings.lease,
+                now=utc_now(),
+            )
+        except Unavailable as error:
+            log.warning("reconciliation_missed", error=error.detail)
+        over.wait(settings.reconcile_every.total_seconds())
+
+
+if __name__ == "__main__":
+    main()

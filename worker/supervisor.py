@@ -1,0 +1,188 @@
+"""One attempt at one job: start the training process, watch it, store what it says, end it for certain."""
+
+import shutil
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import structlog
+
+from core.errors import LeaseLost, NotFound, Rejected, StorageUnavailable
+from core.jobs.attempts import Holding
+from core.jobs.checks import source_checkpoint
+from core.jobs.job import Artifact, Job, utc_now
+from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
+from core.jobs.status import JobStatus, Reason
+from core.settings import Settings
+from worker.heartbeat import Heartbeat
+from worker.messages import Failed, Finished, Task
+from worker.outbox import Outbox
+from worker.outcome import Outcome, Stop, judge
+from worker.patience import through_outages
+from worker.process import TRAINING, TrainingProcess
+from worker.slot import SlotTaken, slot
+
+log = structlog.get_logger()
+
+# How often the supervisor looks up from waiting for the process to end.
+_GLANCE_S = 0.1
+# How long finished work waits for a store that is away, before the attempt is given up.
+_STORAGE_PATIENCE_S = 900.0
+
+
+@dataclass
+class Supervisor:
+    """Runs one claimed attempt. `drain` may be called from a signal handler.
+
+    Leaves behind: the job ended or back in the queue, no process, no spool.
+    """
+
+    holding: Holding
+    settings: Settings
+    device: str
+    slot_name: str
+    command: Sequence[str] = TRAINING
+    _draining: threading.Event = field(default_factory=threading.Event)
+
+    def drain(self) -> None:
+        """The worker has to go: keep a checkpoint and give the job back."""
+        self._draining.set()
+
+    def run(self) -> None:
+        spool = self.settings.data_dir / "spool" / f"{self.holding.job_id}.{self.holding.number}"
+        spool.mkdir(parents=True, exist_ok=True)
+        try:
+            with Heartbeat(self.holding, self.settings) as heartbeat:
+                self._attempt(heartbeat, spool)
+        except LeaseLost:
+            log.warning("attempt_abandoned", job_id=self.holding.job_id, attempt=self.holding.number)
+        except SlotTaken as error:
+            self.holding.give_back(Reason.WORKER_LOST, str(error), utc_now())
+        except (NotFound, Rejected) as error:
+            self.holding.end(JobStatus.FAILED, Reason.BAD_CHECKPOINT, error.detail, utc_now())
+        except StorageUnavailable as error:
+            self.holding.give_back(Reason.WORKER_LOST, error.detail, utc_now())
+        finally:
+            shutil.rmtree(spool, ignore_errors=True)
+
+    def _attempt(self, heartbeat: Heartbeat, spool: Path) -> None:
+        job = through_outages(partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S)
+        through_outages(partial(write_task, job, self.holding, self.device, spool), _STORAGE_PATIENCE_S)
+        lock = self.settings.data_dir / "locks" / f"{self.slot_name}.lock"
+        with slot(lock, self.settings.grace.total_seconds()) as slot_fd:
+            outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
+            process = TrainingProcess(self.command, spool, self.device, slot_fd)
+            try:
+                outcome = self._watch(process, outbox, heartbeat, job.spec.timeout_s)
+            finally:
+                process.kill()
+        if not outbox.close(_STORAGE_PATIENCE_S):
+            if outbox.lost:
+                raise LeaseLost(self.holding.job_id)
+            raise StorageUnavailable("The results could not be stored.")
+        self._conclude(outcome)
+
+    def _watch(
+        self, process: TrainingProcess, outbox: Outbox, heartbeat: Heartbeat, timeout_s: float
+    ) -> Outcome:
+        ear = _Ear(process, outbox)
+        deadline = time.monotonic() + timeout_s
+        stop: Stop | None = None
+        kill_at = float("inf")
+        while (status := process.poll(_GLANCE_S)) is None:
+            if heartbeat.lost.is_set() or outbox.lost:
+                raise LeaseLost(self.holding.job_id)
+            if stop is None and (stop := self._wanted(heartbeat, deadline)) is not None:
+                log.info("training_stops", job_id=self.holding.job_id, why=stop)
+                process.stop()
+                kill_at = time.monotonic() + self.settings.grace.total_seconds()
+            if time.monotonic() > kill_at:
+                process.kill()
+        process.kill()
+        ear.join()
+        return judge(ear.last_word, status, stop, timeout_s)
+
+    def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
+        if heartbeat.cancelled.is_set():
+            return Stop.CANCEL
+        if self._draining.is_set():
+            return Stop.DRAIN
+        return Stop.TIMEOUT if time.monotonic() > deadline else None
+
+    def _conclude(self, outcome: Outcome) -> None:
+        job = through_outages(partial(self._end, outcome), _STORAGE_PATIENCE_S)
+        log.info("attempt_ended", job_id=job.id, status=job.status, reason=outcome.reason)
+
+    def _end(self, outcome: Outcome) -> Job:
+        now = utc_now()
+        if outcome.status is None:
+            return self.holding.give_back(outcome.reason, outcome.message, now)
+        return self.holding.end(outcome.status, outcome.reason, outcome.message, now)
+
+
+class _Ear:
+    """Two threads that hear what the process says, so that no pipe ever fills up and halts it."""
+
+    def __init__(self, process: TrainingProcess, outbox: Outbox) -> None:
+        self.last_word: Failed | Finished | None = None
+        self._process = process
+        self._outbox = outbox
+        self._threads = [
+            threading.Thread(target=target, name=target.__name__, daemon=True)
+            for target in (self._hear_messages, self._hear_lines)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def join(self) -> None:
+        """Both pipes have been read to their ends; the log is on its way to the store."""
+        for thread in self._threads:
+            thread.join()
+
+    def _hear_messages(self) -> None:
+        for message in self._process.messages():
+            if isinstance(message, Failed | Finished):
+                self.last_word = message
+            self._outbox.put(message)
+
+    def _hear_lines(self) -> None:
+        for line in self._process.lines():
+            self._outbox.put(line)
+
+
+def write_task(job: Job, holding: Holding, device: str, spool: Path) -> None:
+    """Leave in the spool what the training process needs: the task, and the checkpoint it starts from.
+
+    Raises Rejected or NotFound where the checkpoint of another job has gone meanwhile.
+    """
+    checkpoint = _checkpoint_to_use(job, holding)
+    task = Task(job_id=job.id, attempt=holding.number, spec=job.spec, device=device)
+    if checkpoint is not None:
+        with holding.objects.open(checkpoint.key) as pieces, (spool / "start.msgpack").open("wb") as file:
+            for piece in pieces:
+                file.write(piece)
+        task = task.model_copy(
+            update={"checkpoint": "start.msgpack", "checkpoint_step": checkpoint.step or 0}
+        )
+    (spool / "task.json").write_text(task.model_dump_json())
+
+
+def _checkpoint_to_use(job: Job, holding: Holding) -> Artifact | None:
+    """Its own newest one, if an earlier attempt got that far; else the one its specification names."""
+    own = job.newest("checkpoint")
+    match job.spec:
+        case TrainSpec(resume_from=None):
+            return own
+        case TrainSpec(resume_from=point) if own is None and point is not None:
+            return source_checkpoint(job.spec, point.job, point.step, "/resume_from", holding.store.get)
+        case RolloutSpec(policy=CheckpointPolicy(job=source, step=step)):
+            return source_checkpoint(job.spec, source, step, "/policy", holding.store.get)
+        case _:
+            return own
+
+
+def _checkpoints_kept(job: Job) -> int:
+    return job.spec.checkpoints.keep if isinstance(job.spec, TrainSpec) else 1

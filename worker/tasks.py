@@ -1,0 +1,55 @@
+"""What RQ calls, in a work-horse of its own for each attempt."""
+
+import os
+import signal
+import socket
+
+import structlog
+
+from core.adapters.connect import job_store, object_store
+from core.jobs.attempts import claim
+from core.jobs.job import utc_now
+from core.settings import Settings
+from worker.device import device_of
+from worker.lifeline import die_with_parent
+from worker.supervisor import Supervisor
+
+log = structlog.get_logger()
+
+
+def run_attempt(job_id: str, attempt: int) -> None:
+    """Claim the attempt and see it to its end; a dispatch that is no longer true does nothing."""
+    supervisor: Supervisor | None = None
+    drained_early = False
+
+    def drain(*_: object) -> None:
+        nonlocal drained_early
+        drained_early = True
+        if supervisor is not None:
+            supervisor.drain()
+
+    signal.signal(signal.SIGTERM, drain)
+    # A worker that is killed takes its work-horse along, and that one drains: SIGTERM, not SIGKILL.
+    die_with_parent(signal_number=signal.SIGTERM)
+    structlog.contextvars.bind_contextvars(job_id=job_id, attempt=attempt)
+    settings = Settings()  # pyright: ignore[reportCallIssue] # Its fields come from the environment.
+    device = device_of(settings)
+    worker = f"{socket.gethostname()}:{device}"
+    holding = claim(
+        job_id,
+        attempt,
+        worker,
+        store=job_store(settings),
+        objects=object_store(settings),
+        lease=settings.lease,
+        now=utc_now(),
+    )
+    if holding is None:
+        log.info("dispatch_ignored")
+        return
+    # A GPU is one slot for the whole machine; CPU workers may share the cores, one job each.
+    slot_name = f"cpu-{os.getppid()}" if device == "cpu" else device.replace(":", "-")
+    supervisor = Supervisor(holding, settings, device, slot_name)
+    if drained_early:
+        supervisor.drain()
+    supervisor.run()

@@ -1,0 +1,28 @@
+"""`python -m worker.training SPOOL EVENTS_FD PARENT_PID`, started by the supervisor."""
+
+import json
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from worker.lifeline import die_with_parent
+
+
+def main() -> None:
+    spool, events_fd, parent = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    die_with_parent(parent)
+    os.chdir(spool)  # MuJoCo writes its log where it stands.
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Said before anything heavy is imported: from here on the job is seen to run.
+    os.write(events_fd, json.dumps({"type": "hello", "pid": os.getpid()}).encode() + b"\n")
+    from worker.training.run import run  # Imports JAX.
+
+    sys.exit(run(spool, events_fd, stop))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,67 @@
+"""The environment of a task, on the device and the engine that its worker has."""
+
+import os
+import platform
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from core.environments import catalog
+from core.environments.environment import Environment
+from core.environments.info import Device, EnvironmentInfo
+from core.errors import JobFailed
+from core.physics.choose import choose, engine_builder
+from worker.messages import Started, Task
+
+
+@dataclass(frozen=True)
+class Body:
+    """An environment, and how it came to stand on this engine."""
+
+    info: EnvironmentInfo
+    environment: Environment
+    device: Device
+    device_name: str
+    engine: str
+    engine_reason: str
+
+    def started(self, **details: Any) -> Started:
+        """What the job's record shall say about this attempt."""
+        versions = {name: version(name) for name in ("jax", "brax", "mujoco", "mujoco-mjx")}
+        return Started(
+            device=self.device_name,
+            engine=self.engine,
+            details={
+                "engine_reason": self.engine_reason,
+                "host": platform.node(),
+                "python": platform.python_version(),
+                "versions": versions,
+                **details,
+            },
+        )
+
+
+def load_body(task: Task) -> Body:
+    """Raises JobFailed("no_device") where a GPU was promised and JAX finds none."""
+    _keep_compilations()
+    device: Device = "cpu" if task.device == "cpu" else "gpu"
+    found = jax.devices()[0]
+    if device == "gpu" and found.platform != "gpu":
+        raise JobFailed(
+            "no_device", f"The worker serves {task.device}, but JAX finds only {found.device_kind}."
+        )
+    choice = choose(task.spec.physics, device)
+    info = catalog.find(task.spec.environment.id)
+    options = catalog.parse_options(info, task.spec.environment.options)
+    environment = catalog.make(info, options, engine_builder(choice.name))
+    name = found.device_kind if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
+    return Body(info, environment, device, name, choice.name, choice.reason)
+
+
+def _keep_compilations() -> None:
+    """Compiled programs are kept between jobs, beside the worker's other data."""
+    if data_dir := os.environ.get("GAITWAY_DATA_DIR"):
+        jax.config.update("jax_compilation_cache_dir", str(Path(data_dir) / "cache" / "jax"))

@@ -1,0 +1,106 @@
+"""A rollout job: episodes of a policy, their trajectory, a summary, a video."""
+
+import json
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+
+from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint
+from core.environments import trajectory
+from core.environments.rollout import (
+    Policy,
+    Roller,
+    constant_policy,
+    cut,
+    random_policy,
+    trajectory_of,
+    zero_policy,
+)
+from core.environments.trajectory import Episode
+from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, RolloutSpec, ZeroPolicy
+from worker.messages import Advanced, Measured, Task
+from worker.training.body import Body
+from worker.training.channel import Channel
+from worker.training.video import Film
+
+# Episodes that run side by side.
+_WORLDS = 64
+
+
+def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stop: threading.Event) -> bool:
+    """Act, write down, draw. Whether a stop cut it short: what there is by then is kept."""
+    channel.send(body.started(policy=spec.policy.model_dump()))
+    policy = _policy(task, spec, body, channel)
+    episodes = _act(spec, body, policy, channel, stop)
+    shown = trajectory_of(
+        body.environment,
+        episodes,
+        environment=spec.environment.model_dump(),
+        policy=spec.policy.model_dump(),
+        seed=spec.seed,
+    )
+    trajectory.save(channel.spool / "trajectory.npz", shown)
+    channel.hand_over("trajectory.npz", "trajectory", "application/x-npz")
+    summary = trajectory.summary(shown)
+    channel.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
+    _report(summary, channel)
+    film = Film(spec, body, lambda _, observation, key: policy(observation, key), channel)
+    film.show("video", _first_seconds(episodes, spec.video.seconds, body.environment.dt), None)
+    return len(episodes) < spec.num_episodes
+
+
+def _act(
+    spec: RolloutSpec, body: Body, policy: Policy, channel: Channel, stop: threading.Event
+) -> list[Episode]:
+    """The episodes asked for; after a stop, those there are by then."""
+    key = jax.random.PRNGKey(spec.seed)
+    worlds = min(spec.num_episodes, _WORLDS)
+    roller = Roller(body.environment, lambda _, observation, key: policy(observation, key), num_worlds=worlds)
+    episodes = list[Episode]()
+    for episode in roller.episodes(None, key, num_steps=spec.num_steps, num_episodes=spec.num_episodes):
+        episodes.append(episode)
+        if len(episodes) % worlds == 0:
+            steps = sum(episode.num_steps for episode in episodes)
+            channel.send(Advanced(step=steps, total=spec.num_steps * spec.num_episodes))
+        if stop.is_set():
+            break
+    return episodes
+
+
+def _policy(task: Task, spec: RolloutSpec, body: Body, channel: Channel) -> Policy:
+    size = body.environment.action_size
+    match spec.policy:
+        case CheckpointPolicy():
+            content = (channel.spool / str(task.checkpoint)).read_bytes()
+            return make_inference(policy_from_checkpoint(content), deterministic=spec.deterministic)
+        case RandomPolicy():
+            return random_policy(size)
+        case ZeroPolicy():
+            return zero_policy(size)
+        case ConstantPolicy(action=action):
+            return constant_policy(action)
+
+
+def _report(summary: dict[str, Any], channel: Channel) -> None:
+    steps = sum(row["num_steps"] for row in summary["episodes"])
+    values = {
+        "eval/episode_reward": summary["mean"]["return"],
+        "eval/episode_reward_std": summary["std"]["return"],
+        "eval/avg_episode_length": summary["mean"]["num_steps"],
+        "eval/forward_speed": summary["mean"]["forward_speed_m_s"],
+    }
+    channel.send(Measured(step=steps, values=values))
+    channel.send(Advanced(step=steps, total=steps, eta_s=0.0, metrics=values))
+
+
+def _first_seconds(episodes: Sequence[Episode], seconds: float, dt: float) -> list[Episode]:
+    """As many episodes as the video has time for, the last one cut."""
+    left, shown = max(1, round(seconds / dt)), list[Episode]()
+    for episode in episodes:
+        if left <= 0:
+            break
+        shown.append(cut(episode, left))
+        left -= shown[-1].num_steps
+    return shown

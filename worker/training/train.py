@@ -1,0 +1,110 @@
+"""A training job: the trainer's events become messages and files."""
+
+import threading
+import time
+from dataclasses import dataclass, field
+
+import jax
+
+from core.algorithms.ppo.networks import PolicyParams
+from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint
+from core.algorithms.ppo.spec import PPOSpec, resolve
+from core.algorithms.ppo.trainer import PPOTrainer
+from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, Trainer
+from core.errors import JobFailed
+from core.jobs.spec import TrainSpec
+from worker.messages import Advanced, Measured, PhaseEnded, Task
+from worker.training.body import Body
+from worker.training.channel import Channel
+from worker.training.video import Film
+
+# A tenth of the budget lies between checkpoints where the job does not say.
+_CHECKPOINTS = 10
+
+
+def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stop: threading.Event) -> bool:
+    """Train to the end or to a stop; keep a checkpoint, policy and video. Whether a stop cut it short."""
+    settings = resolve(spec.algorithm, body.info, body.device)
+    channel.send(body.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
+    trainer = make_trainer(task, spec, settings, body, channel)
+    report = Report(channel, trainer, settings)
+    film = Film(spec, body, _act, channel)
+    try:
+        for event in trainer.events():
+            report.tell(event)
+            if isinstance(event, CheckpointReady) and spec.video.every_checkpoint:
+                film.shoot(f"video-{event.step:012d}", _policy(trainer), event.step)
+            if stop.is_set():
+                break
+    except JobFailed:
+        report.keep_checkpoint()  # The last good one.
+        raise
+    report.keep_checkpoint()
+    channel.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
+    film.shoot("video", _policy(trainer), trainer.step)
+    return stop.is_set() and trainer.step < settings.num_timesteps
+
+
+def _policy(trainer: Trainer) -> PolicyParams:
+    return policy_from_checkpoint(trainer.checkpoint())
+
+
+def _act(parameters: PolicyParams, observation: jax.Array, key: jax.Array) -> jax.Array:
+    return make_inference(parameters)(observation, key)
+
+
+def make_trainer(task: Task, spec: TrainSpec, settings: PPOSpec, body: Body, channel: Channel) -> Trainer:
+    """The trainer that the algorithm's kind names, set up to go on from the task's checkpoint."""
+    resume = (channel.spool / task.checkpoint).read_bytes() if task.checkpoint else None
+    every_steps = spec.checkpoints.every_steps or max(1, settings.num_timesteps // _CHECKPOINTS)
+    return PPOTrainer(
+        body.environment, settings, seed=spec.seed, checkpoint_every_steps=every_steps, resume=resume
+    )
+
+
+@dataclass
+class Report:
+    """Turns a trainer's events into messages; remembers the newest metrics, and the last checkpoint kept."""
+
+    channel: Channel
+    trainer: Trainer
+    settings: PPOSpec
+    _metrics: dict[str, float] = field(default_factory=dict[str, float])
+    _kept_step: int | None = None
+    _started: tuple[float, int] = (0.0, 0)
+
+    def tell(self, event: Event) -> None:
+        match event:
+            case Phase(name=name, seconds=seconds):
+                self.channel.send(PhaseEnded(name=name, seconds=seconds))
+            case Progress(step=step, total=total, metrics=metrics):
+                self._metrics.update(metrics)
+                self.channel.send(Measured(step=step, values=dict(metrics)))
+                self.channel.send(self._advanced(step, total))
+            case Evaluated(step=step, metrics=metrics):
+                self._metrics.update(metrics)
+                self.channel.send(Measured(step=step, values=dict(metrics)))
+                # The last update may pass the budget, as in Brax: that is where the run ends.
+                total = self.settings.num_updates * self.settings.env_steps_per_update
+                self.channel.send(self._advanced(step, total))
+            case CheckpointReady():
+                self.keep_checkpoint()
+
+    def keep_checkpoint(self) -> None:
+        """Of the present state, once."""
+        step = self.trainer.step
+        if step != self._kept_step:
+            name = f"checkpoint-{step:012d}.msgpack"
+            self.channel.keep(name, self.trainer.checkpoint(), "checkpoint", "application/msgpack", step=step)
+            self._kept_step = step
+
+    def _advanced(self, step: int, total: int) -> Advanced:
+        now = time.monotonic()
+        if self._started == (0.0, 0):
+            self._started = (now, step)
+        began, first_step = self._started
+        rate = (step - first_step) / (now - began) if step > first_step else self._metrics.get("training/sps")
+        eta_s = max(0, total - step) / rate if rate else None
+        return Advanced(
+            step=step, total=total, steps_per_second=rate, eta_s=eta_s, metrics=dict(self._metrics)
+        )

@@ -1,0 +1,70 @@
+"""Videos of a policy: episodes in the compiled environment, drawn by the render process."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax
+import mujoco
+
+from core.environments import trajectory
+from core.environments.rollout import ParametricPolicy, Roller, footage, trajectory_of
+from core.environments.trajectory import Episode
+from core.jobs.spec import RolloutSpec, TrainSpec
+from core.rendering.gl import RenderingFailed
+from core.rendering.request import RenderRequest
+from worker.messages import Noted
+from worker.render_client import render
+from worker.training.body import Body
+from worker.training.channel import Channel
+
+# A frame takes a tenth of a second on the slowest software renderer seen; and twice that, to be sure.
+_SECONDS_PER_FRAME = 0.2
+_START_UP_S = 60.0
+
+
+@dataclass(frozen=True)
+class Film:
+    """Makes a job's videos. The policy is compiled once, whatever its parameters."""
+
+    spec: TrainSpec | RolloutSpec
+    body: Body
+    policy: ParametricPolicy
+    channel: Channel
+
+    def shoot(self, name: str, parameters: Any, step: int | None) -> None:
+        """A video of these parameters as `<name>.mp4`, with its poster `<name>.png`."""
+        key = jax.random.PRNGKey(self.spec.seed)
+        seconds = self.spec.video.seconds
+        episodes = footage(self._roller, parameters, key, dt=self.body.environment.dt, seconds=seconds)
+        self.show(name, episodes, step)
+
+    def show(self, name: str, episodes: Sequence[Episode], step: int | None) -> None:
+        """A video of these episodes. Where nothing can draw, the job goes on without one, and says why."""
+        spool, video = self.channel.spool, self.spec.video
+        shown = trajectory_of(self.body.environment, episodes, environment=self.body.info.id)
+        trajectory.save(spool / "shown.npz", shown)
+        model = spool / "model.mjb"
+        mujoco.mj_saveModel(self.body.environment.model, str(model), None)
+        request = RenderRequest(
+            trajectory=spool / "shown.npz",
+            model=model,
+            tracked_body=self.body.environment.tracked_body,
+            video=spool / f"{name}.mp4",
+            poster=spool / f"{name}.png",
+            **video.model_dump(exclude={"every_checkpoint"}),
+        )
+        try:
+            result = render(request, timeout_s=_START_UP_S + _SECONDS_PER_FRAME * video.fps * video.seconds)
+        except RenderingFailed as error:
+            self.channel.send(Noted(text=f"There is no video: {error.detail}"))
+            return
+        speed = trajectory.summary(shown)["mean"]["forward_speed_m_s"]
+        facts = {**result.model_dump(), "forward_speed_m_s": speed, "episodes": len(episodes)}
+        self.channel.hand_over(f"{name}.mp4", "video", "video/mp4", step=step, metadata=facts)
+        self.channel.hand_over(f"{name}.png", "poster", "image/png", step=step, metadata=facts)
+
+    @cached_property
+    def _roller(self) -> Roller:
+        return Roller(self.body.environment, self.policy)
