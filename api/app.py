@@ -1,0 +1,51 @@
+"""The HTTP edge. Composition root: `build` alone knows real adapters."""
+
+from importlib.metadata import version
+
+from fastapi import FastAPI
+
+from api import problems
+from api.correlation import Correlation
+from api.dependencies import Service
+from api.openapi import describe
+from api.routes import ROUTERS
+from core.jobs.queue import JobQueue
+from core.jobs.store import JobStore
+from core.settings import Settings
+from core.storage.objects import ObjectStore
+
+_DESCRIPTION = """Bodies learn to walk: submit a training or a rollout, watch it, fetch its video.
+
+Every refusal is `application/problem+json` (RFC 9457). Times are RFC 3339 in UTC; ids sort by time."""
+
+
+def create_app(settings: Settings, *, store: JobStore, queue: JobQueue, objects: ObjectStore) -> FastAPI:
+    """The service over these parts."""
+    app = FastAPI(
+        title="Gaitway",
+        version=version("gaitway"),
+        description=_DESCRIPTION,
+        redirect_slashes=False,
+        redoc_url=None,
+    )
+    app.state.service = Service(settings, store, queue, objects)
+    app.openapi = lambda: describe(app)
+    problems.install(app)
+    app.add_middleware(Correlation)
+    for router in ROUTERS:
+        app.include_router(router)
+    return app
+
+
+def build(settings: Settings) -> FastAPI:
+    """The service over Redis, RQ and the object store that the settings name."""
+    from core.adapters.connect import job_queue, job_store, object_store
+
+    return create_app(
+        settings, store=job_store(settings), queue=job_queue(settings), objects=object_store(settings)
+    )
+
+
+def from_environment() -> FastAPI:
+    """The service as the environment's settings say; `uvicorn --factory api.app:from_environment`."""
+    return build(Settings())  # pyright: ignore[reportCallIssue] # Its fields come from the environment.

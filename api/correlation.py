@@ -1,0 +1,76 @@
+"""Around every request: a correlation id, one log line, and an answer even to a defect."""
+
+import re
+import secrets
+import time
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.errors import CrossSiteRequest, UnexpectedError
+from api.problems import answer
+
+log = structlog.get_logger()
+
+HEADER = "X-Request-ID"
+_ACCEPTABLE = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
+_SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+
+
+class Correlation:
+    """ASGI middleware. It takes the client's X-Request-ID where that is harmless, and answers with it."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        sent = Headers(scope=scope).get(HEADER, "")
+        correlation_id = sent if _ACCEPTABLE.fullmatch(sent) else secrets.token_hex(8)
+        with structlog.contextvars.bound_contextvars(correlation_id=correlation_id):
+            await self._answer(scope, receive, _Sender(send, correlation_id), correlation_id)
+
+    async def _answer(self, scope: Scope, receive: Receive, sender: "_Sender", correlation_id: str) -> None:
+        started = time.perf_counter()
+        try:
+            if _is_cross_site(scope):
+                refusal = CrossSiteRequest("A page of another site may not change anything here.")
+                await answer(refusal, scope["path"])(scope, receive, sender)
+            else:
+                await self._app(scope, receive, sender)
+        except Exception:
+            log.exception("request_crashed", method=scope["method"], path=scope["path"])
+            if sender.status:  # Part of the answer is out: breaking the connection is all that tells of it.
+                raise
+            await answer(UnexpectedError(correlation_id), scope["path"])(scope, receive, sender)
+        seconds = round(time.perf_counter() - started, 4)
+        log.info(
+            "request_answered",
+            method=scope["method"],
+            path=scope["path"],
+            status=sender.status,
+            seconds=seconds,
+        )
+
+
+class _Sender:
+    """Passes the answer on, with the correlation id, and remembers its status; 0 before it began."""
+
+    def __init__(self, send: Send, correlation_id: str) -> None:
+        self.status = 0
+        self._send = send
+        self._correlation_id = correlation_id
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            MutableHeaders(scope=message)[HEADER] = self._correlation_id
+        await self._send(message)
+
+
+def _is_cross_site(scope: Scope) -> bool:
+    """Whether a browser says that another site's page wants to change something: jobs have no other guard."""
+    return scope["method"] not in _SAFE_METHODS and Headers(scope=scope).get("Sec-Fetch-Site") == "cross-site"

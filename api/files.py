@@ -1,0 +1,91 @@
+"""An artifact as an answer: streamed piece by piece, with its version, its ranges and a safe media type."""
+
+from collections.abc import AsyncIterator, Iterator
+from contextlib import ExitStack
+from typing import Any
+from urllib.parse import quote
+
+import anyio
+from anyio import to_thread
+from fastapi import Request, Response
+from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from api.errors import RangeNotSatisfiable
+from api.problems import refusals
+from api.ranges import ByteRange, is_known, requested_range
+from core.errors import ArtifactNotFound, ArtifactNotReady, JobNotFound, StorageUnavailable
+from core.jobs.job import Artifact
+from core.storage.objects import ObjectStore
+
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The whole file",
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    },
+    206: {"description": "The bytes that `Range` asked for"},
+    304: {"description": "`If-None-Match` names this version"},
+    **refusals(JobNotFound, ArtifactNotFound, ArtifactNotReady, RangeNotSatisfiable, StorageUnavailable),
+}
+
+
+class PiecesResponse(StreamingResponse):
+    """Streams an open object, and closes it when the client has had enough, too."""
+
+    def __init__(
+        self, pieces: Iterator[bytes], opened: ExitStack, status: int, headers: dict[str, str]
+    ) -> None:
+        super().__init__(_in_threads(pieces), status, headers)
+        self._opened = opened
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            with anyio.CancelScope(shield=True):
+                await to_thread.run_sync(self._opened.close)
+
+
+def file_response(request: Request, artifact: Artifact, objects: ObjectStore) -> Response:
+    """The file, a part of it, or word that the client has it.
+
+    Raises RangeNotSatisfiable, ObjectNotFound, StorageUnavailable.
+    """
+    etag = f'"{artifact.sha256}"'
+    headers = _headers(artifact, etag)
+    if is_known(request.headers, etag):
+        return Response(status_code=304, headers=headers)
+    wanted = requested_range(request.headers, artifact.size, etag) if request.method == "GET" else None
+    part = wanted or ByteRange(0, artifact.size, artifact.size)
+    headers["Content-Length"] = str(part.length)
+    headers["Content-Type"] = _media_type(artifact)
+    if wanted is not None:
+        headers["Content-Range"] = wanted.content_range
+    if request.method == "HEAD" or not part.length:
+        return Response(status_code=200, headers=headers)
+    opened = ExitStack()
+    pieces = opened.enter_context(objects.open(artifact.key, part.start, part.length))
+    return PiecesResponse(pieces, opened, 206 if wanted else 200, headers)
+
+
+def _headers(artifact: Artifact, etag: str) -> dict[str, str]:
+    return {
+        "ETag": etag,
+        "Accept-Ranges": "bytes",
+        "Cache-Control": "private, no-cache",
+        "Content-Disposition": f"inline; filename*=UTF-8''{quote(artifact.name, safe='')}",
+        "Content-Security-Policy": "sandbox",
+        "X-Content-Type-Options": "nosniff",
+    }
+
+
+def _media_type(artifact: Artifact) -> str:
+    """As it was stored; but nothing that a browser would run, and text with its encoding."""
+    if artifact.role == "log" or artifact.media_type.startswith("text/"):
+        return "text/plain; charset=utf-8"
+    return artifact.media_type
+
+
+async def _in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+    while (piece := await to_thread.run_sync(next, pieces, None)) is not None:
+        yield piece

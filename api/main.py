@@ -1,0 +1,69 @@
+"""`python -m api`: the service under uvicorn."""
+
+import argparse
+import ipaddress
+import socket
+from collections.abc import Sequence
+from types import FrameType
+
+import structlog
+import uvicorn
+from fastapi import FastAPI
+
+from api.app import from_environment
+from core.telemetry import configure_logging
+
+log = structlog.get_logger()
+
+# Long enough for a file's piece or a submission on its way; streams close by themselves.
+_GRACE_S = 5
+
+
+class Server(uvicorn.Server):
+    """uvicorn, which tells open streams that the end has come."""
+
+    def __init__(self, app: FastAPI) -> None:
+        super().__init__(
+            uvicorn.Config(
+                app,
+                access_log=False,
+                log_config=None,
+                lifespan="off",
+                server_header=False,
+                timeout_graceful_shutdown=_GRACE_S,
+                timeout_keep_alive=30,
+                ws="none",
+            )
+        )
+        self._service = app.state.service
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self._service.stopping = True
+        super().handle_exit(sig, frame)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A bound socket; port 0 takes a free one. Raises OSError."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    return socket.create_server((host, port), family=family, backlog=512)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Serve until SIGTERM or SIGINT."""
+    parser = argparse.ArgumentParser(prog="python -m api", description="Gaitway's HTTP service.")
+    parser.add_argument("--host", default="127.0.0.1", help="default: %(default)s, this machine only")
+    parser.add_argument("--port", type=int, default=8000, help="0 takes a free one; default: %(default)s")
+    chosen = parser.parse_args(arguments)
+    configure_logging("api")
+    with listen(chosen.host, chosen.port) as listener:
+        host, port = listener.getsockname()[:2]
+        if not _is_loopback(host):
+            log.warning(
+                "service_exposed", host=host, advice="There is no authentication; put a proxy before it."
+            )
+        log.info("service_listens", host=host, port=port)
+        Server(from_environment()).run(sockets=[listener])
+
+
+def _is_loopback(host: str) -> bool:
+    return ipaddress.ip_address(host).is_loopback

@@ -1,0 +1,40 @@
+"""The OpenAPI document: what FastAPI derives, with the job's own schema, and problems for its errors."""
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from api.problems import MEDIA_TYPE, ProblemView
+from core.jobs.spec import JOB_SPEC
+
+_REF = "#/components/schemas/{model}"
+_PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}}
+_METHODS = frozenset({"get", "post", "delete"})
+
+
+def describe(app: FastAPI) -> dict[str, Any]:
+    """The document; made once."""
+    if app.openapi_schema is None:
+        document = get_openapi(
+            title=app.title, version=app.version, description=app.description, routes=app.routes
+        )
+        schemas = document.setdefault("components", {}).setdefault("schemas", {})
+        for name in ("HTTPValidationError", "ValidationError"):
+            schemas.pop(name, None)
+        job = JOB_SPEC.json_schema(ref_template=_REF)
+        schemas.update(
+            {**job.pop("$defs"), "JobSpec": job, "Problem": ProblemView.model_json_schema(ref_template=_REF)}
+        )
+        schemas.update(schemas["Problem"].pop("$defs", {}))
+        for path in document["paths"].values():
+            for method in _METHODS & path.keys():
+                _answer_with_problems(path[method]["responses"])
+        app.openapi_schema = document
+    return app.openapi_schema
+
+
+def _answer_with_problems(responses: dict[str, Any]) -> None:
+    if "application/json" in responses.get("422", {}).get("content", {}):
+        responses["422"] = {"description": "A parameter is not valid", **_PROBLEM}
+    responses["default"] = {"description": "Any other refusal", **_PROBLEM}

@@ -1,0 +1,58 @@
+"""What happens to a job, as it happens."""
+
+from typing import Annotated
+
+from anyio import to_thread
+from fastapi import APIRouter, Header, Query, Response
+from starlette.responses import StreamingResponse
+
+from api import sse
+from api.dependencies import JobId, Parameters, Service, ServiceDep
+from api.following import Follower
+from api.problems import refusals
+from core.errors import JobNotFound, RecordsUnavailable, Rejected
+from core.jobs.job import Job
+
+router = APIRouter(tags=["jobs"])
+
+_EXAMPLE = 'id: 7-0\nevent: status\ndata: {"time":"2026-11-20T09:00:00Z","data":{"status":"running"}}\n\n'
+
+
+class After(Parameters):
+    """after: the id of the last event seen; the header Last-Event-ID says the same, and goes first."""
+
+    after: str = ""
+
+
+@router.get(
+    "/jobs/{job_id}/events",
+    response_class=StreamingResponse,
+    responses={
+        200: {
+            "description": "Events of the kinds status, progress, metrics, artifact and phase; the last one "
+            "is the job's final status. A comment every 15 seconds of silence.",
+            "content": {sse.MEDIA_TYPE: {"example": _EXAMPLE}},
+        },
+        204: {"description": "The job has ended and everything was seen: do not come back"},
+        **refusals(JobNotFound, Rejected, RecordsUnavailable),
+    },
+)
+async def follow_events(
+    job_id: JobId,
+    asked: Annotated[After, Query()],
+    service: ServiceDep,
+    last_event_id: Annotated[str | None, Header(alias="Last-Event-ID")] = None,
+) -> Response:
+    """Server-sent events until the job ends; resumes after Last-Event-ID."""
+    after = last_event_id or asked.after
+    job, has_more = await to_thread.run_sync(_look, service, job_id, after)
+    if after and job.status.is_final and not has_more:
+        return Response(status_code=204)
+    stream = sse.event_stream(Follower(service, job, "events", after))
+    return StreamingResponse(stream, headers=sse.HEADERS, media_type=sse.MEDIA_TYPE)
+
+
+def _look(service: Service, job_id: str, after: str) -> tuple[Job, bool]:
+    """The job, and whether anything comes after; what is wrong is raised before the stream begins."""
+    job = service.store.get(job_id)
+    return job, bool(service.store.feed(job_id, "events", after=after, limit=1))

@@ -1,0 +1,116 @@
+"""A job's files: videos, checkpoints, everything else."""
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from pydantic import Field
+
+from api.dependencies import JobId, Parameters, ServiceDep
+from api.files import RESPONSES, file_response
+from api.problems import refusals
+from api.views import ArtifactView, Listing
+from core.errors import ArtifactNotFound, ArtifactNotReady, JobNotFound, NotFound, RecordsUnavailable
+from core.jobs.job import Artifact, ArtifactRole, Job
+
+router = APIRouter(tags=["files"])
+
+
+class Picture(Parameters):
+    """Which video or poster; without anything, the newest."""
+
+    step: int | None = Field(None, ge=0, le=10**18, description="Of the checkpoint with this step.")
+    camera: str | None = Field(None, max_length=200, description="Seen by this camera.")
+
+    def shows(self, artifact: Artifact) -> bool:
+        camera = str(artifact.metadata.get("camera", ""))
+        return self.step in (None, artifact.step) and self.camera in (None, camera)
+
+
+Asked = Annotated[Picture, Query()]
+
+
+def _file_route(path: str, **options: Any) -> Callable[[Callable[..., Response]], Callable[..., Response]]:
+    """A GET that is documented, and a HEAD that is not."""
+
+    def register(endpoint: Callable[..., Response]) -> Callable[..., Response]:
+        router.head(path, include_in_schema=False, response_class=Response)(endpoint)
+        return router.get(path, response_class=Response, responses=RESPONSES, **options)(endpoint)
+
+    return register
+
+
+@router.get("/jobs/{job_id}/artifacts", responses=refusals(JobNotFound, RecordsUnavailable))
+def list_artifacts(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView]:
+    """Every file there is for readers."""
+    artifacts = service.store.get(job_id).artifacts
+    return Listing[ArtifactView](items=[ArtifactView.of(job_id, artifact) for artifact in artifacts])
+
+
+@router.get("/jobs/{job_id}/checkpoints", responses=refusals(JobNotFound, RecordsUnavailable))
+def list_checkpoints(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView]:
+    """The checkpoints that are kept, by step."""
+    found = [artifact for artifact in service.store.get(job_id).artifacts if artifact.role == "checkpoint"]
+    found.sort(key=lambda artifact: artifact.step or 0)
+    return Listing[ArtifactView](items=[ArtifactView.of(job_id, artifact) for artifact in found])
+
+
+@_file_route("/jobs/{job_id}/video")
+def read_video(
+    job_id: JobId, asked: Annotated[Picture, Query()], service: ServiceDep, request: Request
+) -> Response:
+    """The newest video as MP4, or that of a step or a camera."""
+    return file_response(request, _picture(service.store.get(job_id), "video", asked), service.objects)
+
+
+@_file_route("/jobs/{job_id}/poster")
+def read_poster(
+    job_id: JobId, asked: Annotated[Picture, Query()], service: ServiceDep, request: Request
+) -> Response:
+    """A still of the video as PNG."""
+    return file_response(request, _picture(service.store.get(job_id), "poster", asked), service.objects)
+
+
+@_file_route("/jobs/{job_id}/checkpoints/{step}")
+def read_checkpoint(
+    job_id: JobId, step: Annotated[int, Path(ge=0, le=10**18)], service: ServiceDep, request: Request
+) -> Response:
+    """The whole state of the run at this step, as one file."""
+    job = service.store.get(job_id)
+    found = job.newest("checkpoint", step)
+    if found is None:
+        raise _absence(job, f"checkpoint of step {step}", "checkpoint")
+    return file_response(request, found, service.objects)
+
+
+@_file_route("/jobs/{job_id}/artifacts/{name}")
+def read_artifact(job_id: JobId, name: str, service: ServiceDep, request: Request) -> Response:
+    """A file by its name."""
+    job = service.store.get(job_id)
+    found = next((artifact for artifact in job.artifacts if artifact.name == name), None)
+    if found is None:
+        raise _absence(job, f"file {name[:100]!r}")
+    return file_response(request, found, service.objects)
+
+
+def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
+    found = [artifact for artifact in job.artifacts if artifact.role == role and asked.shows(artifact)]
+    if not found:
+        step = "" if asked.step is None else f" of step {asked.step}"
+        camera = "" if asked.camera is None else f" by camera {asked.camera!r}"
+        raise _absence(job, f"{role}{step}{camera}", role)
+    # One without a step is of the job's end.
+    return max(found, key=lambda artifact: float("inf") if artifact.step is None else artifact.step)
+
+
+def _absence(job: Job, wanted: str, role: ArtifactRole | None = None) -> NotFound:
+    """Why it is not there: not yet, or never; with what is there instead."""
+    there = [artifact for artifact in job.artifacts if role in (None, artifact.role)]
+    names = ", ".join(artifact.name for artifact in there[:20])
+    instead = f" There is {names}." if there else ""
+    facts: dict[str, Any] = {"job": job.id, "job_status": job.status, "artifacts": [a.name for a in there]}
+    if not job.status.is_final:
+        return ArtifactNotReady(f"Job {job.id} is {job.status} and has no {wanted} yet.{instead}", **facts)
+    because = f" ({job.reason}: {job.message})" if job.reason else ""
+    sentence = f"Job {job.id} has ended as {job.status}{because} without a {wanted}.{instead}"
+    return ArtifactNotFound(sentence, reason=job.reason, **facts)

@@ -1,0 +1,29 @@
+"""Whether the service is up, and whether it can do its work."""
+
+from contextlib import suppress
+
+from fastapi import APIRouter
+
+from api.dependencies import ServiceDep
+from api.problems import refusals
+from api.views import Health
+from core.errors import ObjectNotFound, RecordsUnavailable, StorageUnavailable
+
+router = APIRouter(tags=["health"])
+
+_PROBE = "readiness"
+
+
+@router.get("/healthz")
+async def is_alive() -> Health:
+    """The process answers."""
+    return Health()
+
+
+@router.get("/readyz", responses=refusals(RecordsUnavailable, StorageUnavailable))
+def is_ready(service: ServiceDep) -> Health:
+    """Job records and object store can be reached."""
+    service.store.ping()
+    with suppress(ObjectNotFound):  # An answer is all that is wanted of the object store.
+        service.objects.info(_PROBE)
+    return Health()

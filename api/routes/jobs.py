@@ -1,0 +1,137 @@
+"""Jobs: submit, list, read, cancel, delete."""
+
+import re
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Response
+from pydantic import Field
+
+from api.dependencies import JobId, Parameters, ServiceDep
+from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
+from api.problems import refusals
+from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
+from api.views import JobView, Listing
+from core.errors import (
+    IdempotencyKeyReused,
+    JobFinished,
+    JobNotFinished,
+    JobNotFound,
+    Problem,
+    RecordsUnavailable,
+    Rejected,
+    StorageUnavailable,
+)
+from core.jobs.cancellation import cancel
+from core.jobs.deletion import delete
+from core.jobs.job import utc_now
+from core.jobs.status import JobStatus
+from core.jobs.store import JobQuery
+from core.jobs.submission import submit
+
+router = APIRouter(tags=["jobs"])
+
+_SCHEMA = {"$ref": "#/components/schemas/JobSpec"}
+_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": _SCHEMA, "examples": EXAMPLES}},
+    }
+}
+_LABEL = re.compile(r"([A-Za-z0-9_.-]{1,63})[:=](.{0,200})", re.DOTALL)
+
+
+class Listed(Parameters):
+    """Which jobs; each filter that is given must match."""
+
+    status: JobStatus | None = None
+    kind: Literal["train", "rollout"] | None = None
+    environment: str | None = Field(None, max_length=100, examples=["ant"])
+    name: str | None = Field(None, max_length=200)
+    label: list[str] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
+    cursor: str | None = Field(None, max_length=100, description="The `next` of an earlier page.")
+    limit: int = Field(50, ge=1, le=200)
+
+    def query(self) -> JobQuery:
+        return JobQuery(
+            status=self.status,
+            kind=self.kind,
+            environment=self.environment,
+            name=self.name,
+            labels=dict(_label(text) for text in self.label),
+        )
+
+
+@router.post(
+    "/jobs",
+    status_code=202,
+    openapi_extra=_BODY,
+    response_description="Queued; it will not be lost",
+    responses=refusals(
+        MalformedBody,
+        IdempotencyKeyReused,
+        BodyTooLarge,
+        UnsupportedMediaType,
+        Rejected,
+        StorageUnavailable,
+        RecordsUnavailable,
+    ),
+)
+def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep, response: Response) -> JobView:
+    """Queue a training or a rollout."""
+    job = submit(
+        spec,
+        store=service.store,
+        queue=service.queue,
+        objects=service.objects,
+        now=utc_now(),
+        idempotency=idempotency(key, spec),
+    )
+    response.headers["Location"] = f"/jobs/{job.id}"
+    return JobView.of(job)
+
+
+@router.get("/jobs", responses=refusals(Rejected, RecordsUnavailable))
+def list_jobs(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listing[JobView]:
+    """Jobs, newest first."""
+    page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit)
+    return Listing[JobView](items=[JobView.of(job) for job in page.jobs], next=page.next_cursor)
+
+
+@router.get("/jobs/{job_id}", responses=refusals(JobNotFound, RecordsUnavailable))
+def read_job(job_id: JobId, service: ServiceDep) -> JobView:
+    """A job as it is now."""
+    return JobView.of(service.store.get(job_id))
+
+
+@router.post(
+    "/jobs/{job_id}/cancel",
+    status_code=202,
+    response_description="It stops as soon as what there is has been saved",
+    responses={
+        200: {"model": JobView, "description": "It is cancelled"},
+        **refusals(JobNotFound, JobFinished, RecordsUnavailable),
+    },
+)
+def cancel_job(job_id: JobId, service: ServiceDep, response: Response) -> JobView:
+    """Stop a job, keeping checkpoint, metrics and video up to now. Twice is the same as once."""
+    job = cancel(job_id, store=service.store, queue=service.queue, objects=service.objects, now=utc_now())
+    response.status_code = 200 if job.status.is_final else 202
+    return JobView.of(job)
+
+
+@router.delete(
+    "/jobs/{job_id}", status_code=204, responses=refusals(JobNotFound, JobNotFinished, StorageUnavailable)
+)
+def delete_job(job_id: JobId, service: ServiceDep) -> None:
+    """Remove an ended job and its files for good."""
+    delete(job_id, store=service.store, queue=service.queue, objects=service.objects)
+
+
+def _label(text: str) -> tuple[str, str]:
+    found = _LABEL.fullmatch(text)
+    if found is None:
+        detail = (
+            f"`label` must be key:value, with a key of letters, digits, `_`, `.` and `-`, not {text[:80]!r}."
+        )
+        raise Rejected(detail, [Problem("/label", detail)])
+    return found[1], found[2]

@@ -1,0 +1,138 @@
+"""What pydantic found wrong, as sentences and JSON pointers into the client's own document."""
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from typing import Any, cast
+
+from core.errors import Problem
+from core.jobs.spec import JOB_SPEC
+
+_MOST_PROBLEMS = 50
+_CONSTANTS: dict[bool | None, str] = {None: "null", True: "true", False: "false"}
+_NOT_FINITE = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
+
+Location = tuple[int | str, ...]
+
+
+def body_problems(errors: Iterable[Mapping[str, Any]], document: Any) -> Sequence[Problem]:
+    """One problem for each offending place, of the first fifty. document: what the client sent, parsed."""
+    found: dict[str, list[str]] = {}
+    for error in errors:
+        pointer = _pointer(error, document)
+        if pointer not in found and len(found) == _MOST_PROBLEMS:
+            break
+        found.setdefault(pointer, []).append(_sentence(error, _fields_at(error["loc"][:-1])))
+    return [Problem(pointer, _joined(sentences)) for pointer, sentences in found.items()]
+
+
+def parameter_problems(errors: Iterable[Mapping[str, Any]]) -> Sequence[Problem]:
+    """The same for parameters of the path and the query; the pointer is `/` and the parameter's name."""
+    found: dict[str, list[str]] = {}
+    for error in errors:
+        name = next((part for part in error["loc"][1:] if isinstance(part, str)), "")
+        found.setdefault(f"/{_escaped(name)}", []).append(_sentence({**error, "loc": (name,)}, ()))
+    return [Problem(pointer, _joined(sentences)) for pointer, sentences in found.items()]
+
+
+def shown(value: Any) -> str:
+    """A value as it may stand in a sentence: short, in JSON's words, whatever it is."""
+    match value:
+        case None | bool():
+            return _CONSTANTS[value]
+        case int():
+            return str(value) if abs(value) < 10**20 else "an integer of very many digits"
+        case float():
+            return f"{value:g}" if math.isfinite(value) else _NOT_FINITE[str(value)]
+        case str():
+            return repr(value if len(value) <= 40 else value[:40] + "…")
+        case dict():
+            return "an object"
+        case _:
+            return "an array"
+
+
+def _pointer(error: Mapping[str, Any], document: Any) -> str:
+    """The error's place in the client's document: pydantic's union tags and key marks are not in it."""
+    pointer, here = "", document
+    last = len(error["loc"]) - 1
+    for position, part in enumerate(error["loc"]):
+        if isinstance(here, dict) and part in here:
+            here = cast("dict[Any, Any]", here)[part]
+        elif isinstance(here, list) and isinstance(part, int):
+            here = cast("list[Any]", here)[part]
+        elif position < last or error["type"] != "missing":
+            continue
+        pointer += f"/{_escaped(part)}"
+    if error["type"].startswith("union_tag"):
+        pointer += f"/{_discriminator(error)}"
+    return pointer
+
+
+def _sentence(error: Mapping[str, Any], known: Sequence[str]) -> str:
+    name = _name(error["loc"])[:60]
+    match error["type"]:
+        case "extra_forbidden":
+            return f"`{name}` is not a field here{_hint(name, known)}"
+        case "missing":
+            return f"`{name}` is missing."
+        case "union_tag_not_found":
+            return f"`{_discriminator(error)}` is missing; it says what the object is."
+        case "union_tag_invalid":
+            tags = [tag.strip(" '") for tag in error["ctx"]["expected_tags"].split(",")]
+            tag = str(error["ctx"]["tag"])
+            return f"`{_discriminator(error)}` is {shown(tag)}{_hint(tag, tags)}"
+        case "string_pattern_mismatch":
+            return f"`{name}` must match {error['ctx']['pattern']}, not be {shown(error['input'])}."
+        case _:
+            words = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+            but = f", not {shown(error['input'])}" if words.startswith("must be") else ""
+            return f"`{name}`: {words[0].lower()}{words[1:]}{but}."
+
+
+def _name(location: Location) -> str:
+    return next((part for part in reversed(location) if isinstance(part, str) and part != "[key]"), "body")
+
+
+def _discriminator(error: Mapping[str, Any]) -> str:
+    return str(error["ctx"]["discriminator"]).strip("'")
+
+
+def _hint(wrong: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(wrong[:60], known, n=1, cutoff=0.5)
+    if near:
+        return f"; did you mean `{near[0]}`?"
+    return f"; known are {', '.join(f'`{name}`' for name in known)}." if known else "."
+
+
+def _joined(sentences: Sequence[str]) -> str:
+    return " Or: ".join(dict.fromkeys(sentences))
+
+
+def _escaped(part: object) -> str:
+    return str(part).replace("~", "~0").replace("/", "~1")
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    return JOB_SPEC.json_schema()
+
+
+def _fields_at(location: Location) -> Sequence[str]:
+    """The fields that an object at this place of a job may have; pydantic's union tags lead the way."""
+    node = _schema()
+    for part in location:
+        node = _object(node)
+        mapping = node.get("discriminator", {}).get("mapping", {})
+        node = {"$ref": mapping[part]} if part in mapping else node.get("properties", {}).get(part, {})
+    return list(_object(node).get("properties", {}))
+
+
+def _object(node: dict[str, Any]) -> dict[str, Any]:
+    """The node itself, its reference followed, and of several forms the one that is an object."""
+    if "$ref" in node:
+        return _object(_schema()["$defs"][node["$ref"].rpartition("/")[2]])
+    if "anyOf" in node:
+        return next((_object(form) for form in node["anyOf"] if "$ref" in form), dict[str, Any]())
+    return node

@@ -1,0 +1,119 @@
+"""A submission as it comes over the wire: its media type, length, JSON and shape are checked here."""
+
+import hashlib
+import json
+from typing import Annotated
+
+from fastapi import Depends, Header, Request
+from pydantic import ValidationError
+from pydantic_core import from_json
+
+from api.dependencies import ServiceDep
+from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
+from api.sentences import body_problems
+from core.errors import Problem, Rejected
+from core.jobs.spec import JOB_SPEC, JobSpec
+from core.jobs.store import Idempotency
+
+# A client that is still sending would not hear the answer: a body this much longer is read and thrown away.
+_DRAINED_BYTES = 16 * 2**20
+_LONGEST_KEY = 255
+
+
+def parse(body: bytes) -> JobSpec:
+    """The specification in a body. Raises MalformedBody, and Rejected with every field that is wrong."""
+    try:
+        return JOB_SPEC.validate_json(body)
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+    if errors[0]["type"] == "json_invalid":
+        raise MalformedBody(str(errors[0].get("ctx", {}).get("error", "it cannot be read")))
+    problems = body_problems(errors, from_json(body))
+    raise Rejected(" ".join(problem.detail for problem in problems[:5]), problems)
+
+
+def fingerprint(spec: JobSpec) -> str:
+    """Equal for bodies that mean the same, however they are spaced or ordered."""
+    said = spec.model_dump(mode="json", exclude_unset=True)
+    return hashlib.sha256(json.dumps([spec.kind, said], sort_keys=True).encode()).hexdigest()
+
+
+async def read_body(request: Request, limit: int) -> bytes:
+    """The whole body. Raises BodyTooLarge as soon as it is known to be longer than the limit."""
+    announced = request.headers.get("content-length", "0")
+    if announced.isdigit() and int(announced) > limit + _DRAINED_BYTES:
+        raise BodyTooLarge(limit)
+    pieces, size = list[bytes](), 0
+    async for piece in request.stream():
+        size += len(piece)
+        if size <= limit:
+            pieces.append(piece)
+        elif size > limit + _DRAINED_BYTES:
+            break
+    if size > limit:
+        raise BodyTooLarge(limit)
+    return b"".join(pieces)
+
+
+async def _submitted(request: Request, service: ServiceDep) -> JobSpec:
+    media_type = request.headers.get("content-type", "")
+    if media_type.partition(";")[0].strip().lower() != "application/json":
+        raise UnsupportedMediaType(media_type)
+    return parse(await read_body(request, service.settings.max_body_bytes))
+
+
+async def _idempotency_key(
+    key: Annotated[
+        str | None,
+        Header(
+            alias="Idempotency-Key",
+            description="1 to 255 printable ASCII characters. The same key with the same body makes one job, "
+            "however often it is sent within 24 hours.",
+            examples=["7d1f0c7a-first-try"],
+        ),
+    ] = None,
+) -> str | None:
+    if key is None:
+        return None
+    if not 1 <= len(key) <= _LONGEST_KEY or not (key.isascii() and key.isprintable()):
+        detail = f"The Idempotency-Key must be 1 to {_LONGEST_KEY} printable ASCII characters."
+        raise Rejected(detail, [Problem("/Idempotency-Key", detail)])
+    return key
+
+
+Submitted = Annotated[JobSpec, Depends(_submitted)]
+IdempotencyKey = Annotated[str | None, Depends(_idempotency_key)]
+
+
+def idempotency(key: str | None, spec: JobSpec) -> Idempotency | None:
+    """The key together with what it was sent with."""
+    return None if key is None else Idempotency(key, fingerprint(spec))
+
+
+EXAMPLES = {
+    "the smallest job": {"value": {"kind": "train", "environment": "ant"}},
+    "a training run": {
+        "value": {
+            "kind": "train",
+            "name": "first steps",
+            "labels": {"project": "gaits"},
+            "environment": {"id": "ant", "options": {"healthy_reward": 0.5}},
+            "algorithm": {"kind": "ppo", "num_timesteps": 3_000_000, "num_envs": 256, "learning_rate": 6e-4},
+            "physics": "auto",
+            "seed": 0,
+            "checkpoints": {"every_steps": 500_000, "keep": 5},
+            "video": {"camera": "track", "width": 640, "height": 480, "fps": 30, "seconds": 10.0},
+        }
+    },
+    "a rollout of its policy": {
+        "value": {
+            "kind": "rollout",
+            "environment": "ant",
+            "policy": {"kind": "checkpoint", "job": "019aa3c2f0b1-5be0c1d2e3"},
+            "num_steps": 1000,
+        }
+    },
+    "a rollout of random actions": {
+        "value": {"kind": "rollout", "environment": "ant", "policy": {"kind": "random"}, "num_episodes": 3}
+    },
+}

@@ -1,0 +1,172 @@
+"""What readers get to see of the records; an attempt's lease token is never part of it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Annotated, Any, Generic, Self, TypeVar
+from urllib.parse import quote
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from core.environments.info import Device, EnvironmentInfo
+from core.jobs.job import Artifact, ArtifactRole, Job, Progress
+from core.jobs.spec import SentSpec
+from core.jobs.status import JobStatus, Reason
+from core.rendering.camera import TRACK
+
+Item = TypeVar("Item")
+
+
+class View(BaseModel):
+    """A document that the service answers with."""
+
+    model_config = ConfigDict(frozen=True, from_attributes=True)
+
+
+class Listing(View, Generic[Item]):
+    """Some items, and the cursor of the next page; null at the end."""
+
+    items: Sequence[Item]
+    next: str | None = None
+
+
+class ArtifactView(View):
+    """A file. size: bytes; href: where to fetch it; metadata: how it was made."""
+
+    name: str = Field(examples=["video.mp4"])
+    role: ArtifactRole
+    step: int | None
+    media_type: str
+    size: int
+    sha256: str
+    href: str
+    metadata: dict[str, Any]
+
+    @classmethod
+    def of(cls, job_id: str, artifact: Artifact) -> Self:
+        href = f"/jobs/{job_id}/artifacts/{quote(artifact.name, safe='')}"
+        return cls(**artifact.model_dump(exclude={"key"}), href=href)
+
+
+class AttemptView(View):
+    """One try at the job by one worker. details: what it found out about its machine."""
+
+    number: int
+    worker: str
+    device: str | None
+    engine: str | None
+    details: dict[str, Any]
+    started_at: datetime
+    ended_at: datetime | None
+    reason: Reason | None
+    message: str | None
+
+
+class JobView(View):
+    """A job as it is now. spec: as it was sent; what it leaves out, the environment's tuned values fill."""
+
+    id: str = Field(examples=["019aa3c2f0b1-5be0c1d2e3"])
+    kind: str = Field(examples=["train"])
+    name: str | None
+    labels: dict[str, str]
+    status: JobStatus
+    reason: Reason | None = Field(description="Why it ended.")
+    message: str | None = Field(description="The same as a sentence for people.")
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    progress: Progress
+    attempts: Sequence[AttemptView]
+    artifacts: Sequence[ArtifactView]
+    spec: SentSpec
+    links: dict[str, str]
+
+    @classmethod
+    def of(cls, job: Job) -> Self:
+        return cls(
+            id=job.id,
+            kind=job.spec.kind,
+            name=job.spec.name,
+            labels=dict(job.spec.labels),
+            status=job.status,
+            reason=job.reason,
+            message=job.message,
+            created_at=job.created_at,
+            started_at=job.started_at,
+            finished_at=job.finished_at,
+            progress=job.progress,
+            attempts=[AttemptView.model_validate(attempt) for attempt in job.attempts],
+            artifacts=[ArtifactView.of(job.id, artifact) for artifact in job.artifacts],
+            spec=job.spec,
+            links=_links(job),
+        )
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+class MetricsRow(View):
+    """Measurements of one step, by Brax's names; null where a value was not finite."""
+
+    step: int
+    time: datetime
+    values: dict[str, Annotated[float | None, AfterValidator(_finite)]] = Field(
+        examples=[{"eval/episode_reward": 1.0}]
+    )
+
+
+class Metrics(View):
+    """Rows in the order in which they were measured; next: what to send as `after` to get only later ones."""
+
+    rows: Sequence[MetricsRow]
+    next: str | None = None
+
+
+class EnvironmentView(View):
+    """A body in a world. dt: seconds between actions; options: JSON Schema; tuned: by algorithm, device."""
+
+    id: str
+    description: str
+    observation_size: int
+    action_size: int
+    dt: float
+    episode_length: int
+    cameras: Sequence[str]
+    options: dict[str, Any]
+    tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]]
+
+    @classmethod
+    def of(cls, info: EnvironmentInfo) -> Self:
+        return cls(
+            id=info.id,
+            description=info.description,
+            observation_size=info.observation_size,
+            action_size=info.action_size,
+            dt=info.dt,
+            episode_length=info.episode_length,
+            cameras=[TRACK, *(name for name in info.cameras if name and name != TRACK)],
+            options=info.options.model_json_schema(),
+            tuned=info.tuned,
+        )
+
+
+class AlgorithmView(View):
+    """An algorithm, and the JSON Schema of its hyperparameters."""
+
+    kind: str
+    description: str
+    parameters: dict[str, Any]
+
+
+class Health(View):
+    """status: `ok`; anything else is a problem."""
+
+    status: str = "ok"
+
+
+def _links(job: Job) -> dict[str, str]:
+    here = f"/jobs/{job.id}"
+    parts = ["events", "metrics", "logs", "checkpoints", "artifacts", "video", "poster"]
+    links = {"self": here, **{part: f"{here}/{part}" for part in parts}}
+    return links if job.status.is_final else {**links, "cancel": f"{here}/cancel"}

@@ -1,0 +1,180 @@
+"""Whatever is wrong with a submission: a problem, a sentence, a pointer; and nothing stored or queued."""
+
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.api.conftest import Stack
+from tests.api.problems import pointers, problem
+
+MINIMAL = {"kind": "train", "environment": "ant"}
+NO_JOB = "019aa3c2f0b1-5be0c1d2e3"
+
+
+def rollout(**policy: Any) -> dict[str, Any]:
+    return {"kind": "rollout", "environment": "ant", "policy": policy}
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_kept(stack: Stack) -> Iterator[None]:
+    yield
+    assert stack.is_empty()
+
+
+@pytest.mark.parametrize(
+    ("body", "pointer", "words"),
+    [
+        ({"kind": "train", "environment": "unicorn"}, "/environment", "no environment 'unicorn'"),
+        ({"kind": "train", "environment": {"id": "antt"}}, "/environment", "'ant'?"),
+        ({"kind": "train"}, "/environment", "`environment` is missing."),
+        ({"environment": "ant"}, "/kind", "`kind` is missing"),
+        ({"kind": "trian", "environment": "ant"}, "/kind", "did you mean `train`?"),
+        ({"kind": "zzz", "environment": "ant"}, "/kind", "known are `train`, `rollout`."),
+        ([], "", "must be an object"),
+        ("text", "", "must be an object"),
+        (MINIMAL | {"algorithm": {"kind": "sac"}}, "/algorithm/kind", "'ppo'"),
+        (MINIMAL | {"algorithm": "ppo"}, "/algorithm", "must be an object"),
+        (
+            MINIMAL | {"algorithm": {"kind": "ppo", "clip_epsilon": 0.2}},
+            "/algorithm/clip_epsilon",
+            "`clip_epsilon` is not a field here; did you mean `clipping_epsilon`?",
+        ),
+        (MINIMAL | {"enviroment": "ant"}, "/enviroment", "did you mean `environment`?"),
+        (MINIMAL | {"a/b~c": 1}, "/a~1b~0c", "not a field here"),
+        (MINIMAL | {"video": {"camera": "moon"}}, "/video/camera", "no camera 'moon'"),
+        (MINIMAL | {"video": {"camera": 99}}, "/video/camera", "no camera 99"),
+        (MINIMAL | {"video": {"camera": 10**400}}, "/video/camera", "no camera"),
+        (MINIMAL | {"video": {"camera": 1.5}}, "/video/camera", "valid string"),
+        (MINIMAL | {"video": {"width": 17}}, "/video/width", "must be even"),
+        (MINIMAL | {"seed": -1}, "/seed", "greater than or equal to 0, not -1"),
+        (MINIMAL | {"seed": 10**400}, "/seed", "not an integer of very many digits"),
+        (MINIMAL | {"seed": "0"}, "/seed", "valid integer, not '0'"),
+        (MINIMAL | {"timeout_s": 10**400}, "/timeout_s", "finite number"),
+        (MINIMAL | {"timeout_s": True}, "/timeout_s", "must be a valid number, not true"),
+        (MINIMAL | {"labels": {"white space": "x"}}, "/labels/white space", "must match"),
+        (
+            MINIMAL | {"environment": {"id": "ant", "options": {"gravity": 0}}},
+            "/environment/options/gravity",
+            "no such option",
+        ),
+        (MINIMAL | {"resume_from": {"job": "../../etc"}}, "/resume_from/job", "must match"),
+        (rollout(kind="zero", action=[1]), "/policy/action", "not a field here"),
+        (rollout(kind="dance"), "/policy/kind", "known are"),
+        (rollout(kind="constant", action=[0.5]), "/policy/action", "8 action components"),
+        (rollout(kind="constant", action=[0, 2]), "/policy/action/1", "less than or equal to 1, not 2"),
+        (rollout(kind="checkpoint", job=NO_JOB), "/policy/job", "no job"),
+    ],
+)  # fmt: skip
+def test_a_wrong_value_is_refused_with_its_place(stack: Stack, body: Any, pointer: str, words: str) -> None:
+    document = problem(stack.http.post("/jobs", json=body), 422, "invalid-request")
+    assert pointer in pointers(document)
+    assert words in next(place["detail"] for place in document["errors"] if place["pointer"] == pointer)
+
+
+@pytest.mark.parametrize(
+    ("word", "shown"),
+    [("NaN", "NaN"), ("Infinity", "Infinity"), ("-Infinity", "-Infinity"), ("1e999", "Infinity")],
+)
+def test_numbers_that_are_not_finite_are_refused(stack: Stack, word: str, shown: str) -> None:
+    body = (
+        f'{{"kind": "train", "environment": "ant", "algorithm": {{"kind": "ppo", "learning_rate": {word}}}}}'
+    )
+    answer = stack.http.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+    document = problem(answer, 422, "invalid-request")
+    assert pointers(document) == ["/algorithm/learning_rate"]
+    assert f"must be a finite number, not {shown}." in document["detail"]
+
+
+def test_every_wrong_field_is_named_at_once(stack: Stack) -> None:
+    body = MINIMAL | {"seed": -1, "priority": "urgent", "colour": "red"}
+    document = problem(stack.http.post("/jobs", json=body), 422, "invalid-request")
+    assert sorted(pointers(document)) == ["/colour", "/priority", "/seed"]
+
+
+def test_a_hundred_thousand_unknown_fields_get_a_short_answer(stack: Stack) -> None:
+    body = MINIMAL | {f"field{i}": 0 for i in range(60_000)}
+    answer = stack.http.post("/jobs", json=body)
+    problem(answer, 422, "invalid-request")
+    assert len(answer.content) < 20_000
+
+
+def test_batches_that_do_not_fit_the_environments_name_all_three_fields(stack: Stack) -> None:
+    # 7 × 3 = 21 unrolls do not spread evenly over 256 environments.
+    algorithm = {"kind": "ppo", "batch_size": 7, "num_minibatches": 3, "num_envs": 256}
+    document = problem(
+        stack.http.post("/jobs", json=MINIMAL | {"algorithm": algorithm}), 422, "invalid-request"
+    )
+    assert set(pointers(document)) == {
+        "/algorithm/batch_size",
+        "/algorithm/num_minibatches",
+        "/algorithm/num_envs",
+    }
+    assert "21" in document["detail"]
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (b"", "EOF while parsing a value at line 1 column 0"),
+        (b"kind=train", "line 1 column 1"),
+        (b'{"kind": "train",\n "environment": }', "line 2 column 17"),
+        (b'{"kind": "train"} extra', "trailing characters"),
+        (b"\xff\xfe{}", "line 1 column 1"),
+        (b'{"kind": "tr\xffain"}', "unicode"),
+        (b'{"name": "\\ud800"}', "hex escape"),
+        (b"[" * 200_000, "recursion limit exceeded"),
+        (b'{"seed": ' + b"9" * 5000 + b"}", "number out of range"),
+    ],
+)
+def test_what_is_not_json_is_refused_with_the_position(stack: Stack, body: bytes, words: str) -> None:
+    answer = stack.http.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+    document = problem(answer, 400, "malformed-body")
+    assert words in document["detail"]
+
+
+@pytest.mark.parametrize(
+    "media_type", ["text/plain", "application/x-www-form-urlencoded", "application/jsonp", ""]
+)
+def test_another_media_type_is_refused(stack: Stack, media_type: str) -> None:
+    headers = {"Content-Type": media_type} if media_type else {}
+    answer = stack.http.post("/jobs", content=b'{"kind":"train","environment":"ant"}', headers=headers)
+    problem(answer, 415, "unsupported-media-type")
+
+
+def _pieces(size: int) -> Iterator[bytes]:
+    for _ in range(size // 2**16):
+        yield b" " * 2**16
+
+
+@pytest.mark.parametrize("is_chunked", [False, True])
+def test_a_body_over_a_mebibyte_is_refused(stack: Stack, is_chunked: bool) -> None:
+    body = _pieces(2**20 + 2**16) if is_chunked else b" " * (2**20 + 1)
+    answer = stack.http.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+    document = problem(answer, 413, "body-too-large")
+    assert document["limit_bytes"] == 2**20
+
+
+def test_a_body_that_announces_a_terabyte_is_refused_unread(stack: Stack) -> None:
+    # Nothing but the head is ever sent: an answer can only come if nobody waits for the body.
+    head = (
+        f"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {2**40}\r\n\r\n"
+    )
+    with socket.create_connection(("127.0.0.1", stack.port), timeout=10) as connection:
+        connection.sendall(head.encode())
+        assert connection.recv(1000).startswith(b"HTTP/1.1 413 ")
+
+
+@pytest.mark.parametrize("key", ["", "x" * 256, "töpfe".encode(), b"tab\there"])
+def test_an_idempotency_key_must_be_short_and_printable(stack: Stack, key: str | bytes) -> None:
+    document = problem(
+        stack.http.post("/jobs", json=MINIMAL, headers={"Idempotency-Key": key}), 422, "invalid-request"
+    )
+    assert pointers(document) == ["/Idempotency-Key"]
+
+
+def test_a_page_of_another_site_may_not_submit_or_cancel(stack: Stack) -> None:
+    headers = {"Sec-Fetch-Site": "cross-site"}
+    problem(stack.http.post("/jobs", json=MINIMAL, headers=headers), 403, "cross-site-request")
+    problem(stack.http.post(f"/jobs/{NO_JOB}/cancel", headers=headers), 403, "cross-site-request")

@@ -1,0 +1,190 @@
+"""Submitting, reading, listing, cancelling and deleting jobs."""
+
+import re
+
+import httpx
+import pytest
+
+from core.jobs.job import utc_now
+from core.jobs.status import JobStatus, Reason
+from tests.api.conftest import Attempt, Stack, job
+from tests.api.problems import pointers, problem
+
+MINIMAL = {"kind": "train", "environment": "ant"}
+
+
+def ids(answer: httpx.Response) -> list[str]:
+    assert answer.status_code == 200, answer.text
+    return [item["id"] for item in answer.json()["items"]]
+
+
+def test_a_submission_is_stored_queued_and_answered_with_its_address(stack: Stack) -> None:
+    answer = stack.http.post("/jobs", json=MINIMAL)
+    view = answer.json()
+    assert answer.status_code == 202
+    assert answer.headers["Location"] == f"/jobs/{view['id']}" == view["links"]["self"]
+    assert stack.store.get(view["id"]).status == JobStatus.QUEUED
+    assert [(d.job_id, d.attempt) for d in stack.queue.waiting()] == [(view["id"], 1)]
+    assert [info.key for info in stack.objects.list("")] == [f"jobs/{view['id']}/spec.json"]
+
+
+def test_a_job_reads_as_it_was_sent_with_times_in_utc(stack: Stack) -> None:
+    sent = MINIMAL | {"name": "first steps", "labels": {"project": "gaits"}, "seed": 7}
+    view = stack.http.get(stack.http.post("/jobs", json=sent).headers["Location"]).json()
+    assert view["spec"] == sent | {"environment": {"id": "ant"}}
+    assert (view["kind"], view["name"], view["labels"]) == ("train", "first steps", {"project": "gaits"})
+    assert (view["status"], view["reason"], view["attempts"], view["artifacts"]) == ("queued", None, [], [])
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z", view["created_at"])
+
+
+def test_an_attempt_is_shown_without_its_lease_token(stack: Stack) -> None:
+    attempt = Attempt(stack, job())
+    answer = stack.http.get(f"/jobs/{attempt.id}")
+    shown = answer.json()["attempts"][0]
+    assert (shown["worker"], shown["device"], shown["engine"]) == ("worker-1", "cpu", "native")
+    assert attempt.holding.token not in answer.text
+    assert "token" not in shown
+
+
+def test_the_same_idempotency_key_and_body_make_one_job(stack: Stack) -> None:
+    headers = {"Idempotency-Key": "once"}
+    first = stack.http.post("/jobs", json=MINIMAL, headers=headers)
+    # The same meaning in another spelling.
+    again = stack.http.post(
+        "/jobs",
+        content=b' {"environment": {"id": "ant"}, "kind": "train"}',
+        headers={**headers, "Content-Type": "application/json; charset=utf-8"},
+    )
+    assert again.status_code == 202
+    assert again.json()["id"] == first.json()["id"]
+    assert len(stack.queue.waiting()) == 1
+
+
+def test_an_idempotency_key_with_another_body_is_refused(stack: Stack) -> None:
+    headers = {"Idempotency-Key": "once"}
+    stack.http.post("/jobs", json=MINIMAL, headers=headers)
+    answer = stack.http.post("/jobs", json=MINIMAL | {"seed": 1}, headers=headers)
+    assert "'once'" in problem(answer, 409, "idempotency-key-reused")["detail"]
+    assert len(stack.queue.waiting()) == len(list(stack.objects.list(""))) == 1
+
+
+def test_a_listing_goes_page_by_page_from_the_newest(stack: Stack) -> None:
+    made = [f"019aa3c2f0b{i}-5be0c1d2e3" for i in range(5)]
+    for job_id in made:
+        stack.store.add(job(job_id))
+    seen, cursor = list[str](), None
+    while True:
+        page = stack.http.get("/jobs", params={"limit": 2} | ({"cursor": cursor} if cursor else {}))
+        seen += ids(page)
+        cursor = page.json()["next"]
+        if cursor is None:
+            break
+    assert seen == made[::-1]
+
+
+@pytest.mark.parametrize(
+    ("query", "found"),
+    [
+        ("", "ba"),
+        ("status=queued", "ba"),
+        ("status=failed", ""),
+        ("kind=rollout", ""),
+        ("environment=ant", "ba"),
+        ("environment=hopper", ""),
+        ("name=b", "b"),
+        ("label=group:x", "ba"),
+        ("label=group:x&label=seed:2", "b"),
+        ("label=group%3Dx&label=seed%3D1", "a"),
+        ("label=url:http://a:b", "a"),
+    ],
+)
+def test_filters_narrow_a_listing(stack: Stack, query: str, found: str) -> None:
+    a = job("00000000000a-0000000000", name="a", labels={"group": "x", "seed": "1", "url": "http://a:b"})
+    b = job("00000000000b-0000000000", name="b", labels={"group": "x", "seed": "2"})
+    stack.store.add(a)
+    stack.store.add(b)
+    assert [job_id[11] for job_id in ids(stack.http.get(f"/jobs?{query}"))] == list(found)
+
+
+@pytest.mark.parametrize(
+    ("query", "pointer"),
+    [
+        ("limit=0", "/limit"),
+        ("limit=201", "/limit"),
+        ("limit=" + "9" * 5000, "/limit"),
+        ("limit=x", "/limit"),
+        ("status=asleep", "/status"),
+        ("statsu=queued", "/statsu"),
+        ("cursor=../..", "/cursor"),
+        ("label=nothing", "/label"),
+    ],
+)
+def test_a_wrong_filter_is_refused_and_not_passed_over(stack: Stack, query: str, pointer: str) -> None:
+    assert pointer in pointers(problem(stack.http.get(f"/jobs?{query}"), 422, "invalid-request"))
+
+
+def test_a_waiting_job_is_cancelled_at_once_and_twice_is_the_same(stack: Stack) -> None:
+    location = stack.http.post("/jobs", json=MINIMAL).headers["Location"]
+    for _ in range(2):
+        answer = stack.http.post(f"{location}/cancel")
+        assert (answer.status_code, answer.json()["status"]) == (200, "cancelled")
+        assert answer.json()["reason"] == "user_cancelled"
+    assert stack.queue.waiting() == []
+
+
+def test_a_running_job_is_asked_to_stop(stack: Stack) -> None:
+    attempt = Attempt(stack, job())
+    answer = stack.http.post(f"/jobs/{attempt.id}/cancel")
+    assert (answer.status_code, answer.json()["status"]) == (202, "cancelling")
+
+
+def test_cancelling_what_has_ended_is_a_conflict(stack: Stack) -> None:
+    attempt = Attempt(stack, job())
+    attempt.end()
+    answer = stack.http.post(f"/jobs/{attempt.id}/cancel")
+    assert "already succeeded" in problem(answer, 409, "job-finished")["detail"]
+
+
+def test_only_what_has_ended_can_be_deleted(stack: Stack) -> None:
+    attempt = Attempt(stack, job())
+    attempt.keep("video.mp4")
+    problem(stack.http.delete(f"/jobs/{attempt.id}"), 409, "job-not-finished")
+    attempt.end(JobStatus.FAILED, Reason.DIVERGED)
+    answer = stack.http.delete(f"/jobs/{attempt.id}")
+    assert (answer.status_code, answer.content) == (204, b"")
+    problem(stack.http.get(f"/jobs/{attempt.id}"), 404, "job-not-found")
+    assert list(stack.objects.list("")) == []
+
+
+@pytest.mark.parametrize(
+    "part", ["", "/cancel", "/events", "/metrics", "/logs", "/video", "/artifacts", "/checkpoints/1"]
+)
+@pytest.mark.parametrize(
+    "job_id", ["nope", "%00", "..%00", "019AA3C2F0B1-5BE0C1D2E3", "019aa3c2f0b1-5be0c1d2e3", "x" * 5000]
+)
+def test_an_id_that_names_no_job_is_not_found(stack: Stack, job_id: str, part: str) -> None:
+    method = "POST" if part == "/cancel" else "GET"
+    problem(stack.http.request(method, f"/jobs/{job_id}{part}"), 404, "job-not-found")
+
+
+def test_ids_with_slashes_or_dots_are_no_address(stack: Stack) -> None:
+    for path in ("/jobs/a/b", "/jobs/%2e%2e/%2e%2e/etc", "/jobs/..%2fsecret", "/jobs/", "//", "/nothing"):
+        # Not joined by the client, which would tidy the dots away.
+        answer = stack.http.get(
+            httpx.URL(scheme="http", host="127.0.0.1", port=stack.port, raw_path=path.encode())
+        )
+        assert answer.status_code == 404, path
+        assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_another_method_is_refused_with_those_there_are(stack: Stack) -> None:
+    answer = stack.http.put("/healthz")
+    problem(answer, 405, "method-not-allowed")
+    assert answer.headers["Allow"] == "GET"
+
+
+def test_a_lone_submission_takes_little_time(stack: Stack) -> None:
+    started = utc_now()
+    for _ in range(50):
+        assert stack.http.post("/jobs", json=MINIMAL).status_code == 202
+    assert (utc_now() - started).total_seconds() / 50 < 0.1  # ~6 ms here; a loaded machine gets patience.

@@ -1,0 +1,304 @@
+"""The service around the jobs: catalog, health, problems, documentation, its process."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from hypothesis import HealthCheck, given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
+
+from api.app import build
+from api.errors import MalformedBody
+from api.problems import classes_of_errors, status_of
+from api.submissions import EXAMPLES, parse
+from core.adapters.connect import job_store, object_store
+from core.algorithms.catalog import ALGORITHMS
+from core.environments.catalog import ENVIRONMENTS
+from core.errors import GaitwayError, RecordsUnavailable, Rejected, StorageUnavailable
+from core.jobs.attempts import claim
+from core.jobs.job import Artifact
+from core.jobs.status import JobStatus, Reason
+from core.jobs.store import WorkerInfo
+from core.settings import Settings
+from core.storage import keys
+from tests.api.conftest import ARTIFACT, NOON, Stack, serving
+from tests.api.problems import problem
+
+
+def test_an_environment_tells_what_a_job_may_say_about_it(stack: Stack) -> None:
+    ant = stack.http.get("/environments/ant").json()
+    assert (ant["observation_size"], ant["action_size"], ant["dt"], ant["episode_length"]) == (
+        27,
+        8,
+        0.05,
+        1000,
+    )
+    assert ant["cameras"][0] == "track"
+    assert ant["cameras"].count("track") == 1
+    assert ant["options"]["properties"]["healthy_reward"]["default"] == 1.0
+    assert ant["tuned"]["ppo"]["cpu"]["num_envs"] == 256
+
+
+def test_every_environment_of_the_catalog_is_listed(stack: Stack) -> None:
+    listed = stack.http.get("/environments").json()
+    assert {item["id"] for item in listed["items"]} == set(ENVIRONMENTS)
+    assert listed["next"] is None
+
+
+def test_an_unknown_environment_names_the_nearest(stack: Stack) -> None:
+    document = problem(stack.http.get("/environments/antt"), 404, "environment-not-found")
+    assert "'ant'" in document["detail"]
+    assert "ant" in document["environments"]
+
+
+def test_every_algorithm_has_a_schema(stack: Stack) -> None:
+    items = stack.http.get("/algorithms").json()["items"]
+    assert [item["kind"] for item in items] == list(ALGORITHMS)
+    assert items[0]["parameters"]["properties"]["discounting"]["maximum"] == 1.0
+
+
+def test_workers_are_listed_while_they_are_heard_of(stack: Stack) -> None:
+    worker = WorkerInfo(name="w", host="h", pid=1, device="cpu", started_at=NOON, seen_at=NOON)
+    stack.store.announce(worker, timedelta(minutes=1))
+    items = stack.http.get("/workers").json()["items"]
+    assert [(item["name"], item["device"], item["job"]) for item in items] == [("w", "cpu", None)]
+
+
+def test_a_service_is_ready_while_both_stores_answer(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert stack.http.get("/readyz").json() == {"status": "ok"}
+
+    def no_records() -> None:
+        raise RecordsUnavailable("Redis does not answer.", retry_after_s=7)
+
+    monkeypatch.setattr(stack.store, "ping", no_records)
+    answer = stack.http.get("/readyz")
+    problem(answer, 503, "records-unavailable")
+    assert answer.headers["Retry-After"] == "7"
+    assert stack.http.get("/healthz").json() == {"status": "ok"}
+
+
+def test_a_submission_while_the_object_store_is_away_may_be_repeated(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def away(*_: object, **__: object) -> None:
+        raise StorageUnavailable("The object store does not answer.")
+
+    monkeypatch.setattr(stack.objects, "put", away)
+    answer = stack.http.post("/jobs", json={"kind": "train", "environment": "ant"})
+    problem(answer, 503, "storage-unavailable")
+    assert answer.headers["Retry-After"] == "5"
+    assert stack.is_empty()
+
+
+@pytest.mark.parametrize("error", list(classes_of_errors()), ids=lambda error: error.__name__)
+def test_every_error_has_a_status_and_a_page(stack: Stack, error: type[GaitwayError]) -> None:
+    assert 400 <= status_of(error) < 600
+    page = stack.http.get(f"/problems/{error.code}")
+    assert page.status_code == 200
+    assert error.title in page.text
+
+
+def test_every_code_belongs_to_one_error() -> None:
+    codes = [error.code for error in classes_of_errors() if "code" in vars(error)]
+    assert len(codes) == len(set(codes))
+
+
+def test_a_defect_is_answered_without_its_internals(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    def defect() -> None:
+        raise ZeroDivisionError("secret internals")
+
+    monkeypatch.setattr(stack.store, "workers", defect)
+    answer = stack.http.get("/workers", headers={"X-Request-ID": "mine-1"})
+    assert problem(answer, 500, "unexpected-error")["correlation_id"] == "mine-1"
+    assert answer.headers["X-Request-ID"] == "mine-1"
+    assert "secret" not in answer.text
+
+
+@pytest.mark.parametrize("sent", ["", "x" * 65, "a b", '{"x":1}'])
+def test_a_correlation_id_that_could_do_harm_is_replaced(stack: Stack, sent: str) -> None:
+    answer = stack.http.get("/healthz", headers={"X-Request-ID": sent})
+    assert answer.headers["X-Request-ID"] != sent
+    assert len(answer.headers["X-Request-ID"]) == 16
+
+
+def test_the_page_for_people_loads_nothing_from_elsewhere(stack: Stack) -> None:
+    page = stack.http.get("/")
+    assert page.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert "default-src 'self'" in page.headers["Content-Security-Policy"]
+    assert "http://" not in page.text
+    assert "https://" not in page.text
+
+
+def test_every_operation_is_documented_with_its_problems(stack: Stack) -> None:
+    document = stack.http.get("/openapi.json").json()
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            assert operation["summary"], path
+            assert operation["description"], path
+            refusals = {
+                status: answer for status, answer in operation["responses"].items() if status[0] not in "23"
+            }
+            assert refusals, (path, method)
+            for answer in refusals.values():
+                assert list(answer["content"]) == ["application/problem+json"], (path, method)
+    body = document["paths"]["/jobs"]["post"]["requestBody"]["content"]["application/json"]
+    assert body["schema"] == {"$ref": "#/components/schemas/JobSpec"}
+    assert set(document["paths"]["/jobs"]["post"]["responses"]) >= {
+        "202",
+        "400",
+        "409",
+        "413",
+        "415",
+        "422",
+        "503",
+    }
+
+
+def test_every_reference_of_the_documentation_leads_somewhere(stack: Stack) -> None:
+    text = stack.http.get("/openapi.json").text
+    schemas = json.loads(text)["components"]["schemas"]
+    assert {part.split('"')[0] for part in text.split("#/components/schemas/")[1:]} <= set(schemas)
+    assert "HTTPValidationError" not in schemas
+
+
+@pytest.mark.parametrize("name", list(EXAMPLES))
+def test_the_examples_are_valid(name: str) -> None:
+    assert parse(json.dumps(EXAMPLES[name]["value"]).encode()).kind in ("train", "rollout")
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+_FIELDS = [
+    "environment",
+    "algorithm",
+    "video",
+    "seed",
+    "labels",
+    "policy",
+    "resume_from",
+    "name",
+    "timeout_s",
+    "physics",
+    "checkpoints",
+    "x",
+]
+_BODIES = st.builds(
+    lambda kind, fields: {"kind": kind, "environment": "ant", **fields},
+    st.sampled_from(["train", "rollout", "x"]) | _JSON,
+    st.dictionaries(st.sampled_from(_FIELDS), _JSON, max_size=4),
+)
+
+
+@examples(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+@given(body=_BODIES | _JSON)
+def test_no_document_does_more_than_be_refused(body: Any) -> None:
+    try:
+        parse(json.dumps(body).encode())
+    except (Rejected, MalformedBody) as error:
+        places = error.problems
+        assert places
+        assert all(place.detail for place in places)
+        for place in places:
+            assert _leads_somewhere(place.pointer, body), (place.pointer, body)
+
+
+@examples(
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    derandomize=True,
+)
+@given(body=st.binary(max_size=64) | _BODIES.map(lambda body: json.dumps(body).encode()))
+def test_no_body_makes_the_service_fail(stack: Stack, body: bytes) -> None:
+    answer = stack.http.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+    assert answer.status_code in (202, 400, 422)
+
+
+def _leads_somewhere(pointer: str, document: Any) -> bool:
+    """Whether the place exists, or at least the object that lacks it."""
+    *parents, _ = [part.replace("~1", "/").replace("~0", "~") for part in pointer.split("/")[1:]] or [""]
+    for part in parents:
+        document = document[int(part)] if isinstance(document, list) else document[part]
+    return True
+
+
+def test_the_process_is_small_without_a_numerical_stack_and_ends_on_sigterm(tmp_path: Path) -> None:
+    probe = (
+        "import sys, api.app, core.adapters.connect\n"
+        "found = {'jax', 'jaxlib', 'mujoco', 'numpy', 'brax', 'av'} & set(sys.modules)\n"
+        "assert not found, found\n"
+        "from api.main import main; main(['--port', '0'])"
+    )
+    environment = {
+        "GAITWAY_REDIS_URL": f"unix://{tmp_path}/none.sock",
+        "GAITWAY_S3_ENDPOINT": "127.0.0.1:9",
+        "GAITWAY_S3_ACCESS_KEY": "key",
+        "GAITWAY_S3_SECRET_KEY": "secret",
+        "GAITWAY_S3_SECURE": "false",
+        "GAITWAY_DATA_DIR": str(tmp_path),
+    }
+    with subprocess.Popen(
+        [sys.executable, "-c", probe], stdout=subprocess.PIPE, text=True, env={**os.environ, **environment}
+    ) as process:
+        try:
+            assert process.stdout is not None
+            port = json.loads(process.stdout.readline())["port"]
+            with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20) as http:
+                assert http.get("/healthz").status_code == 200
+                assert http.get("/openapi.json").status_code == 200
+                problem(http.get("/readyz"), 503, "records-unavailable")
+                status = Path(f"/proc/{process.pid}/status")
+                if status.exists():  # elsewhere than on Linux there is nothing to read
+                    resident = next(
+                        line for line in status.read_text().splitlines() if line.startswith("VmRSS")
+                    )
+                    assert int(resident.split()[1]) / 1024 < 120
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(20) in (0, -signal.SIGTERM)
+        finally:
+            process.kill()
+
+
+def test_the_service_works_over_the_real_stores(settings: Settings) -> None:
+    with (
+        serving(build(settings)) as port,
+        httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20, verify=False) as http,  # noqa: S501
+    ):
+        assert http.get("/readyz").status_code == 200
+        headers = {"Idempotency-Key": "real"}
+        ids = {
+            http.post("/jobs", json={"kind": "train", "environment": "ant"}, headers=headers).json()["id"]
+            for _ in range(2)
+        }
+        assert len(ids) == 1
+        job_id = ids.pop()
+        store, objects = job_store(settings), object_store(settings)
+        held = claim(job_id, 1, "w", store=store, objects=objects, lease=timedelta(minutes=1), now=NOON)
+        assert held is not None
+        video = Artifact(
+            name="video.mp4", role="video", media_type="video/mp4", key=keys.artifact(job_id, 1, "video.mp4"),
+            size=len(ARTIFACT), sha256="0" * 64,
+        )  # fmt: skip
+        objects.put(video.key, ARTIFACT)
+        held.start(device="cpu")
+        held.publish((video,), keep_checkpoints=1)
+        held.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done.", NOON)
+        assert http.get(f"/jobs/{job_id}/video").content == ARTIFACT
+        part = http.get(f"/jobs/{job_id}/video", headers={"Range": "bytes=1048570-1048579"})
+        assert part.content == ARTIFACT[1048570:1048580]
+        events = http.get(f"/jobs/{job_id}/events").text
+        assert [line for line in events.splitlines() if "status" in line][-1].count("succeeded") == 1
+        assert [item["id"] for item in http.get("/jobs?status=succeeded").json()["items"]] == [job_id]
+        assert http.delete(f"/jobs/{job_id}").status_code == 204
+        problem(http.get(f"/jobs/{job_id}/video"), 404, "job-not-found")
