@@ -1,0 +1,152 @@
+"""Child processes that end with their launcher, and what they need of a machine."""
+
+import fcntl
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+from core.errors import Unavailable
+
+# Runs before the server in its place. PR_SET_PDEATHSIG is 1; a launcher already gone would never signal.
+_END_WITH_PARENT = """
+import ctypes, os, signal, sys
+if sys.platform == "linux":
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != int(sys.argv[1]):
+        sys.exit("the launcher has gone")
+os.execv(sys.argv[2], sys.argv[2:])
+"""
+LOCK_PATIENCE_S = 5.0
+_FIRST_PORT, _LAST_PORT = 20_000, 32_000  # below the range that outgoing connections take theirs from
+
+
+class ServerFailed(Exception):
+    """A server did not start or stay; the message ends with the last lines of its log."""
+
+
+class ServerProcess:
+    """One child in a session of its own: Ctrl-C in a terminal reaches only the launcher.
+
+    On Linux the kernel kills it when the *thread* that started it ends: start it from one that stays.
+    """
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.name = name
+        self._folder = folder
+        self._log = folder / f"{name}.log"
+        self._child: subprocess.Popen[bytes] | None = None
+
+    @property
+    def pid(self) -> int | None:
+        return self._child.pid if self._child is not None and self._child.poll() is None else None
+
+    def start(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        """Start it; a second one in the same folder raises ServerFailed."""
+        wrapper = [sys.executable, "-I", "-S", "-c", _END_WITH_PARENT, str(os.getpid())]
+        with _locked(self._folder / "lock", self.name) as lock, self._log.open("wb") as log:
+            # The child inherits the lock, so it is held until the last byte is written.
+            self._child = subprocess.Popen(
+                [*wrapper, *command],
+                cwd=self._folder,
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                pass_fds=[lock.fileno()],
+            )
+
+    def check(self) -> None:
+        """Raises ServerFailed where it has ended."""
+        if self._child is None:
+            raise ServerFailed(f"{self.name} was not started.")
+        if (status := self._child.poll()) is not None:
+            raise ServerFailed(f"{self.name} ended with status {status}.\n{self.last_lines()}")
+
+    def wait_until(self, ready: Callable[[], object], timeout_s: float = 60.0) -> None:
+        """Return when `ready` no longer raises Unavailable. Raises ServerFailed."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            self.check()
+            try:
+                ready()
+            except Unavailable as unavailable:
+                if time.monotonic() > deadline:
+                    raise ServerFailed(f"{self.name}: {unavailable.detail}\n{self.last_lines()}") from None
+                time.sleep(0.02)
+            else:
+                return
+
+    def log(self) -> str:
+        """What it has said since its start."""
+        return self._log.read_text(errors="replace") if self._log.exists() else ""
+
+    def last_lines(self, count: int = 15) -> str:
+        return "\n".join(self.log().splitlines()[-count:])
+
+    def stop(self, grace_s: float) -> None:
+        """SIGTERM, then SIGKILL to its whole group; returns when it has ended."""
+        if self._child is None:
+            return
+        try:
+            if self._child.poll() is None:
+                self._child.terminate()
+                with suppress(subprocess.TimeoutExpired):
+                    self._child.wait(grace_s)
+        finally:  # an impatient second Ctrl-C leaves nothing running either
+            with suppress(ProcessLookupError):
+                os.killpg(self._child.pid, signal.SIGKILL)
+            self._child.wait()
+            self._child = None
+
+
+def free_ports(count: int) -> list[int]:
+    """So many different ports that nobody on the loopback interface listens at now."""
+    ports: set[int] = set()
+    while len(ports) < count:
+        # Not `random`: processes that seed it alike would choose alike.
+        port = _FIRST_PORT + secrets.randbelow(_LAST_PORT - _FIRST_PORT)
+        if are_free([port]):
+            ports.add(port)
+    return list(ports)
+
+
+def are_free(ports: Sequence[int]) -> bool:
+    """Whether nobody on the loopback interface listens at any of them now."""
+    return all(_is_free(port) for port in ports)
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as probe:
+        # As servers do it; a connection that lingers from the last run is no hindrance.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+        return True
+
+
+def _locked(path: Path, name: str) -> IO[bytes]:
+    lock = path.open("ab")
+    deadline = time.monotonic() + LOCK_PATIENCE_S
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                lock.close()
+                raise ServerFailed(
+                    f"Another {name} uses {path.parent}; stop it, or choose another folder."
+                ) from None
+            time.sleep(0.05)  # the one before may be on its way out
+        else:
+            return lock

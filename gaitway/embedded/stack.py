@@ -1,0 +1,216 @@
+"""The whole service on one machine: servers, API, workers and reconciler under one data folder."""
+
+import fcntl
+import os
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Self
+
+import httpx
+
+from core.errors import Unavailable
+from gaitway.embedded.folders import private_folder
+from gaitway.embedded.interruption import Interruption
+from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free
+from gaitway.embedded.servers import EmbeddedServers
+
+FIRST_PORT = 8000
+_PORTS_TRIED = 100
+_GRACE_S = 30
+_MOST_RESTARTS = 5  # in so many seconds:
+_RESTART_WINDOW_S = 60.0
+
+
+@dataclass
+class _Member:
+    """A process of the stack, and how to start it."""
+
+    process: ServerProcess
+    launch: Callable[[], object]
+    restarts: deque[float] = field(default_factory=lambda: deque[float](maxlen=_MOST_RESTARTS))
+    due_at: float | None = None
+
+
+class Stack:
+    """Starts everything on entry, ends everything on exit. Use it from the main thread.
+
+    port: of the API on the loopback interface; by default 8000, or the next that is free.
+    tell: takes each sentence for the user. Raises ServerFailed where something does not start.
+    """
+
+    def __init__(
+        self,
+        data_dir: Path,
+        *,
+        port: int | None = None,
+        num_workers: int = 1,
+        tell: Callable[[str], None] = lambda sentence: None,
+    ) -> None:
+        self._wanted_port = port
+        self._num_workers = num_workers
+        self._tell = tell
+        self._members: list[_Member] = []
+        self._interruption = Interruption()
+        self._folder = data_dir
+        self._lock: IO[str] | None = None
+        self.url = ""
+
+    @property
+    def data_dir(self) -> Path:
+        """Where everything lives: a folder for each process, its log inside."""
+        return self._folder
+
+    @property
+    def interruption(self) -> Interruption:
+        """Where a caller may let Ctrl-C end its own waits."""
+        return self._interruption
+
+    def __enter__(self) -> Self:
+        self._interruption.__enter__()
+        try:
+            self._start()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._stop()
+        finally:
+            if self._lock is not None:
+                self._lock.close()
+            self._interruption.__exit__(None, None, None)
+
+    def watch(self) -> None:
+        """Keep everything running until Interrupted; what ends by itself is started again.
+
+        Raises ServerFailed where it ends again and again.
+        """
+        while True:
+            with self._interruption.allowed():
+                time.sleep(0.2)
+            self.mend()
+
+    def mend(self) -> None:
+        """Start again what has ended by itself. Raises ServerFailed after five times in a minute."""
+        now = time.monotonic()
+        for member in self._members:
+            if member.due_at is None and member.process.pid is None:
+                member.due_at = now + self._delay_s(member, now)
+            elif member.due_at is not None and now >= member.due_at:
+                member.due_at = None
+                member.process.stop(grace_s=0)  # whatever it left in its group
+                member.launch()
+
+    def _delay_s(self, member: _Member, now: float) -> float:
+        name, lines = member.process.name, member.process.last_lines(8)
+        while member.restarts and member.restarts[0] < now - _RESTART_WINDOW_S:
+            member.restarts.popleft()
+        if len(member.restarts) == _MOST_RESTARTS:
+            raise ServerFailed(f"{name} ended {_MOST_RESTARTS + 1} times in a minute.\n{lines}")
+        self._tell(f"{name} has ended unexpectedly and is started again. Its last lines:\n{lines}")
+        member.restarts.append(now)
+        return 0.25 * 2 ** len(member.restarts)
+
+    def _start(self) -> None:
+        port = _choose_port(self._wanted_port)
+        self._folder = private_folder(self._folder)
+        self._lock = _lock(self._folder)
+        servers = EmbeddedServers(self._folder)
+        self._add(servers.weed.process, servers.weed.launch)
+        self._add(servers.valkey.process, servers.valkey.launch)
+        with self._interruption.allowed():
+            servers.valkey.wait_ready()
+        environment = self._environment(servers)
+        api = self._add_module("api", environment, "api", "--port", str(port))
+        for number in range(1, self._num_workers + 1):
+            self._add_module(f"worker-{number}", environment, "worker.main")
+        self._add_module("reconciler", environment, "worker.reconciler")
+        self.url = f"http://127.0.0.1:{port}"
+        with self._interruption.allowed():
+            servers.weed.wait_ready()
+            api.wait_until(lambda: _answers(self.url))
+
+    def _add(self, process: ServerProcess, launch: Callable[[], object]) -> None:
+        self._members.append(_Member(process, launch))
+        launch()
+
+    def _add_module(self, name: str, environment: dict[str, str], *module: str) -> ServerProcess:
+        process = ServerProcess(name, private_folder(self._folder / name))
+        command = [sys.executable, "-m", *module]
+        self._add(process, lambda: process.start(command, environment))
+        return process
+
+    def _environment(self, servers: EmbeddedServers) -> dict[str, str]:
+        leaks = ("PYTHONPATH", "PYTHONHOME")
+        return {
+            **{name: value for name, value in os.environ.items() if name not in leaks},
+            **servers.environment(),
+            "GAITWAY_DATA_DIR": str(self._folder),
+            "GAITWAY_GRACE": f"PT{_GRACE_S}S",
+            # The folder it starts in must not lend it modules.
+            "PYTHONSAFEPATH": "1",
+            "PYTHONUNBUFFERED": "1",
+        }
+
+    def _stop(self) -> None:
+        """Workers first, all at once: they save what they have. A second signal ends the wait."""
+        signals_before = self._interruption.count
+        workers = [m.process for m in self._members if m.process.name.startswith("worker-")]
+        for worker in workers:
+            if worker.pid is not None:
+                with suppress(ProcessLookupError):
+                    os.kill(worker.pid, signal.SIGTERM)
+        deadline = time.monotonic() + _GRACE_S + 5
+        while any(worker.pid is not None for worker in workers):
+            if time.monotonic() > deadline or self._interruption.count > signals_before:
+                break
+            time.sleep(0.02)
+        for member in reversed(self._members):
+            is_worker = member.process in workers
+            member.process.stop(grace_s=0 if is_worker else 3)
+        self._members.clear()
+
+
+def _choose_port(wanted: int | None) -> int:
+    if wanted is not None:
+        if not are_free([wanted]):
+            raise ServerFailed(f"Port {wanted} is in use; choose another, or none to take the next free one.")
+        return wanted
+    for port in range(FIRST_PORT, FIRST_PORT + _PORTS_TRIED):
+        if are_free([port]):
+            return port
+    raise ServerFailed(f"No port from {FIRST_PORT} to {FIRST_PORT + _PORTS_TRIED - 1} is free; name one.")
+
+
+def _lock(folder: Path) -> IO[str]:
+    """The folder's lock, with this process's id in it for whoever comes second."""
+    lock = (folder / "stack.lock").open("a+")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.seek(0)
+        owner = lock.read().strip() or "unknown"
+        lock.close()
+        raise ServerFailed(f"Process {owner} already runs a service on {folder}; end it first.") from None
+    lock.truncate(0)
+    lock.write(f"{os.getpid()}\n")
+    lock.flush()
+    return lock
+
+
+def _answers(url: str) -> None:
+    """Raises Unavailable until the API says that it is ready."""
+    try:
+        answer = httpx.get(f"{url}/readyz", timeout=2, trust_env=False)
+    except httpx.TransportError as error:
+        raise Unavailable(f"{url} does not answer: {error}") from error
+    if not answer.is_success:
+        raise Unavailable(f"{url}/readyz answers {answer.status_code}: {answer.text[:300]}")

