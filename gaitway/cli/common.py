@@ -1,0 +1,63 @@
+"""What the commands share: the client, job names, JSON."""
+
+import json
+import sys
+from typing import Annotated, Any
+
+import typer
+from pydantic import BaseModel
+
+from gaitway.cli.errors import wrong_usage
+from gaitway.client import Client
+from gaitway.views import JobView
+
+_SEARCHED = 1000
+
+JobName = Annotated[
+    str, typer.Argument(metavar="JOB", help="A job's id, an unmistakable beginning or end of one, or `last`.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
+
+
+def client_of(context: typer.Context) -> Client:
+    """The client for the service that `--url` or GAITWAY_URL names."""
+    return context.find_object(Client) or Client()
+
+
+def job_id(client: Client, name: str) -> str:
+    """The full id. Raises typer.Exit(2) where the abbreviation fits several jobs or none."""
+    if len(name) == 23:
+        return name
+    if name == "last":
+        newest = next(client.list(limit=1), None)
+        if newest is None:
+            raise wrong_usage("There is no job yet.")
+        return newest.id
+    fitting = [
+        job.id for job in client.list(limit=_SEARCHED) if job.id.startswith(name) or job.id.endswith(name)
+    ]
+    if len(fitting) == 1:
+        return fitting[0]
+    if not fitting:
+        raise wrong_usage(
+            f"Of the newest {_SEARCHED:,} jobs none has an id that begins or ends with {name!r}."
+        )
+    raise wrong_usage(f"{name!r} fits {len(fitting)} jobs: {', '.join(fitting[:5])}. Give more of the id.")
+
+
+def print_json(document: Any) -> None:
+    """A document on stdout, as plain text."""
+    sys.stdout.write(json.dumps(_plain(document), indent=2, ensure_ascii=False) + "\n")
+
+
+def end_code(job: JobView) -> int:
+    """0 for a job that succeeded, 1 for one that did not."""
+    return 0 if job.succeeded else 1
+
+
+def _plain(document: Any) -> Any:
+    if isinstance(document, BaseModel):
+        return document.model_dump(mode="json")
+    if isinstance(document, list | tuple):
+        return [_plain(item) for item in document]  # pyright: ignore[reportUnknownVariableType]
+    return document

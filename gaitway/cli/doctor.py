@@ -1,0 +1,38 @@
+"""`gaitway doctor`: whether this machine can do what the service needs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from gaitway.cli.common import AsJson, print_json
+from gaitway.doctor.check import Check
+
+_STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red", "skip": "dim"}
+
+
+def doctor(
+    data: Annotated[Path, typer.Option(help="The service's data folder.")] = Path("gaitway-data"),
+    embedded: Annotated[
+        bool, typer.Option("--embedded", help="Start the embedded servers for a moment and check these.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check whether this machine can do what the service needs. Exit code 1 if something fails."""
+    from gaitway.doctor.run import examine
+
+    console, checks = Console(), list[Check]()
+    for check in examine(data, embedded=embedded):
+        checks.append(check)
+        if not as_json:
+            console.print(
+                Text(f"{check.state:>4}", _STYLES[check.state]), Text(f"{check.name}: {check.detail}")
+            )
+            if check.remedy:
+                console.print(Text(f"       → {check.remedy}"), soft_wrap=True)
+    failed = [check for check in checks if check.state == "fail"]
+    if as_json:
+        print_json({"ok": not failed, "checks": [check.document() for check in checks]})
+    raise typer.Exit(1 if failed else 0)

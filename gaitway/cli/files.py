@@ -1,0 +1,56 @@
+"""`gaitway video`, `download`: a job's files, brought whole."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
+
+from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
+from gaitway.downloading import OnBytes
+
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="A file or a folder; by default here.")]
+
+
+def video(
+    context: typer.Context,
+    job: JobName,
+    output: Output = None,
+    step: Annotated[int | None, typer.Option(help="Of the checkpoint with this step.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fetch a job's video as an MP4."""
+    client = client_of(context)
+    full_id = job_id(client, job)
+    target = output or Path(f"{full_id}{'' if step is None else f'-{step}'}.mp4")
+    _told(_with_bar(lambda on_bytes: client.video(full_id, target, step, on_bytes=on_bytes)), as_json)
+
+
+def download(
+    context: typer.Context,
+    job: JobName,
+    name: Annotated[str, typer.Argument(help="As `gaitway show` lists it.")],
+    output: Output = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fetch one of a job's files; a download that broke off goes on where it was."""
+    client = client_of(context)
+    full_id = job_id(client, job)
+    _told(_with_bar(lambda on_bytes: client.download(full_id, name, output, on_bytes=on_bytes)), as_json)
+
+
+def _with_bar(fetch: Callable[[OnBytes], Path]) -> Path:
+    with Progress(
+        BarColumn(), DownloadColumn(), TransferSpeedColumn(), console=Console(stderr=True), transient=True
+    ) as bar:
+        task = bar.add_task("", total=None)
+        return fetch(lambda here, in_all: bar.update(task, completed=here, total=in_all))
+
+
+def _told(path: Path, as_json: bool) -> None:
+    if as_json:
+        print_json({"path": str(path), "size": path.stat().st_size})
+    else:
+        print(path)

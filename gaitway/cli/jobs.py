@@ -1,0 +1,117 @@
+"""`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand."""
+
+from datetime import UTC, datetime
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
+from gaitway.cli.errors import wrong_usage
+from gaitway.cli.progress import duration
+from gaitway.cli.watch import ending
+from gaitway.views import JobView
+
+_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan"}
+
+
+def jobs(  # noqa: PLR0913 # A command line's options.
+    context: typer.Context,
+    status: Annotated[str | None, typer.Option()] = None,
+    kind: Annotated[str | None, typer.Option(help="train or rollout")] = None,
+    environment: Annotated[str | None, typer.Option()] = None,
+    name: Annotated[str | None, typer.Option()] = None,
+    label: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="Every one must match.")
+    ] = None,
+    limit: Annotated[int, typer.Option("--limit", "-n", min=1)] = 20,
+    as_json: AsJson = False,
+) -> None:
+    """List jobs, newest first."""
+    labels = dict(_label(text) for text in label or ())
+    filters = {"status": status, "kind": kind, "environment": environment, "name": name, "labels": labels}
+    found = list(client_of(context).list(limit=limit, **filters))
+    if as_json:
+        print_json(found)
+    elif not found:
+        print("No jobs." if not any(filters.values()) else "No job matches.")
+    else:
+        Console().print(_table(found))
+
+
+def show(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
+    """Show one job: its settings, progress, attempts and files."""
+    client = client_of(context)
+    found = client.get(job_id(client, job))
+    if as_json:
+        print_json(found)
+        return
+    console = Console()
+    for line in _lines(found):
+        console.print(Text(line), soft_wrap=True)
+
+
+def cancel(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
+    """Stop a job; checkpoint, metrics and video up to now are kept."""
+    client = client_of(context)
+    found = client.cancel(job_id(client, job))
+    if as_json:
+        print_json(found)
+    else:
+        print(ending(found) if found.is_final else f"Job {found.id} is {found.status}.")
+
+
+def delete(context: typer.Context, job: JobName) -> None:
+    """Remove an ended job and its files for good."""
+    client = client_of(context)
+    full_id = job_id(client, job)
+    client.delete(full_id)
+    print(f"Job {full_id} is deleted.")
+
+
+def _label(text: str) -> tuple[str, str]:
+    name, sign, value = text.partition("=")
+    if not sign:
+        raise wrong_usage(f"--label {text!r} is not of the form KEY=VALUE.")
+    return name, value
+
+
+def _table(found: list[JobView]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for column in ("JOB", "KIND", "ENVIRONMENT", "STATUS", "STEPS", "AGE", "NAME"):
+        table.add_column(column, no_wrap=column == "JOB")
+    for job in found:
+        age = duration((datetime.now(UTC) - job.created_at).total_seconds())
+        share = f"{100 * job.progress.step / job.progress.total:.0f} %" if job.progress.total else ""
+        status = Text(_status(job), style=_STYLES.get(job.status, ""))
+        texts = (job.id, job.kind, job.environment or "", status, share, age, job.name or "")
+        table.add_row(*(text if isinstance(text, Text) else Text(text) for text in texts))
+    return table
+
+
+def _status(job: JobView) -> str:
+    plain = job.reason in (None, "completed", "user_cancelled")
+    return job.status if plain else f"{job.status} ({job.reason})"
+
+
+def _lines(job: JobView) -> list[str]:
+    lines = [f"{job.id}  {job.kind}  {job.environment}  {_status(job)}"]
+    facts = {
+        "name": job.name,
+        "labels": ", ".join(f"{name}={value}" for name, value in job.labels.items()),
+        "message": job.message,
+        "created": job.created_at,
+        "started": job.started_at,
+        "finished": job.finished_at,
+        "progress": f"{job.progress.step:,} of {job.progress.total:,} steps" if job.progress.total else "",
+    }
+    lines += [f"  {name + ':':<10}{value}" for name, value in facts.items() if value]
+    lines += [f"  {name} = {value:g}" for name, value in job.progress.metrics.items() if value is not None]
+    for attempt in job.attempts:
+        end = f"{attempt.reason}: {attempt.message}" if attempt.reason else "goes on"
+        where = ", ".join(part for part in (attempt.worker, attempt.device, attempt.engine) if part)
+        lines.append(f"  attempt {attempt.number} on {where}: {end}")
+    lines += [f"  {a.name}  {a.size:,} bytes  {a.media_type}" for a in job.artifacts]
+    return lines

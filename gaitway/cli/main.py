@@ -1,0 +1,50 @@
+"""The terminal program `gaitway`."""
+
+from typing import Annotated
+
+import typer
+
+from gaitway.cli import doctor, files, jobs, services, submit, watch
+from gaitway.cli.errors import Group
+from gaitway.client import Client
+
+app = typer.Typer(
+    cls=Group,
+    help="Send training jobs to a Gaitway service, watch them, and fetch what they made.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def main(
+    context: typer.Context,
+    url: Annotated[
+        str | None,
+        typer.Option(envvar="GAITWAY_URL", help="Of the service; by default http://127.0.0.1:8000."),
+    ] = None,
+) -> None:
+    """Send training jobs to a Gaitway service, watch them, and fetch what they made."""
+    client = Client(url)
+    context.obj = client
+    context.call_on_close(client.close)
+
+
+for command in (
+    submit.submit,
+    jobs.jobs,
+    jobs.show,
+    watch.watch,
+    watch.logs,
+    jobs.cancel,
+    jobs.delete,
+    files.video,
+    files.download,
+    doctor.doctor,
+    services.up,
+):
+    app.command()(command)
+for command in (services.demo, services.api, services.worker):
+    app.command(context_settings=services.PASS_ON)(command)

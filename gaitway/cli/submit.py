@@ -1,0 +1,101 @@
+"""`gaitway submit`: from a file, from options, or from both."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+from rich.console import Console
+
+from gaitway.cli.common import AsJson, client_of, end_code, print_json
+from gaitway.cli.errors import wrong_usage
+from gaitway.cli.watch import watch_job
+
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="Any field, e.g. algorithm.learning_rate=3e-4."),
+]
+
+
+def submit(  # noqa: PLR0913 # A command line's options.
+    context: typer.Context,
+    environment: Annotated[str | None, typer.Argument(help="The body and its world, e.g. ant.")] = None,
+    file: Annotated[str | None, typer.Option("--file", "-f", help="JSON of a job; `-` reads stdin.")] = None,
+    num_timesteps: Annotated[int | None, typer.Option(help="Environment steps to train for.")] = None,
+    seed: Annotated[int | None, typer.Option()] = None,
+    name: Annotated[str | None, typer.Option()] = None,
+    label: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
+    assignments: Assignments = None,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay and show the progress.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Queue a training (or, from a file, a rollout)."""
+    spec = _read(file) if file else {}
+    if environment is not None:
+        spec["environment"] = environment
+    if "environment" not in spec:
+        raise wrong_usage(
+            "Name an environment (`gaitway submit ant`), or a file with a job (`--file job.json`)."
+        )
+    spec.update({key: value for key, value in (("seed", seed), ("name", name)) if value is not None})
+    if label:
+        spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
+    if num_timesteps is not None:
+        put(spec, "algorithm.num_timesteps", num_timesteps)
+    for text in assignments or ():
+        path, value = _assignment(text)
+        put(spec, path, _value(value))
+    if isinstance(spec.get("algorithm"), dict):
+        spec["algorithm"].setdefault("kind", "ppo")
+    client = client_of(context)
+    job = client.submit(spec)
+    if watch:
+        job = watch_job(client, job, Console(stderr=as_json))
+    if as_json:
+        print_json(job)
+    elif not watch:
+        print(job.id)
+    raise typer.Exit(end_code(job) if watch and job.is_final else 0)
+
+
+def put(spec: dict[str, Any], path: str, value: Any) -> None:
+    """Set `a.b.c` in nested dicts, making those that are missing. Raises typer.Exit otherwise."""
+    *above, last = path.split(".")
+    place = spec
+    for part in above:
+        inner: Any = place.setdefault(part, {})
+        if part == "environment" and isinstance(inner, str):
+            inner = place[part] = {"id": inner}
+        if not isinstance(inner, dict):
+            raise wrong_usage(f"--set {path}: {part!r} is not an object.")
+        place = cast("dict[str, Any]", inner)
+    place[last] = value
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    name, sign, value = text.partition("=")
+    if not sign or not name:
+        raise wrong_usage(f"{text!r} is not of the form NAME=VALUE.")
+    return name, value
+
+
+def _value(text: str) -> Any:
+    """JSON where it is JSON, and the text itself otherwise."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _read(file: str) -> dict[str, Any]:
+    try:
+        text = sys.stdin.read() if file == "-" else Path(file).read_text(encoding="utf-8")
+        document = json.loads(text)
+    except OSError as error:
+        raise wrong_usage(f"{file} cannot be read: {error.strerror}.") from None
+    except ValueError as error:
+        raise wrong_usage(f"{file} is not JSON: {error}.") from None
+    if not isinstance(document, dict):
+        raise wrong_usage(f"{file} holds no JSON object.")
+    return cast("dict[str, Any]", document)

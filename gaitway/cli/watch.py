@@ -1,0 +1,70 @@
+"""`gaitway watch` and `gaitway logs`: a job as it goes."""
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from gaitway.cli.common import AsJson, JobName, client_of, end_code, job_id, print_json
+from gaitway.cli.progress import JobProgress
+from gaitway.client import Client
+from gaitway.views import JobView
+
+
+def watch_job(client: Client, job: JobView, console: Console) -> JobView:
+    """Show the job until it ends; Ctrl-C ends the showing only. Returns the job as it then is."""
+    console.print(Text(f"Job {job.id}: {job.kind} {job.environment}"), soft_wrap=True)
+    try:
+        with JobProgress(console) as progress:
+            progress.update(job)
+            for event in client.events(job.id):
+                progress.update(event)
+            job = client.get(job.id)
+            progress.update(job)
+    except KeyboardInterrupt:
+        again = (
+            f"The job goes on; `gaitway watch {job.id}` shows it again, `gaitway cancel {job.id}` ends it."
+        )
+        console.print(Text(again), soft_wrap=True)
+        raise typer.Exit(130) from None
+    console.print(Text(ending(job)), soft_wrap=True)
+    return job
+
+
+def ending(job: JobView) -> str:
+    """One line on how a job ended."""
+    why = f" ({job.reason})" if job.reason and job.reason != "completed" else ""
+    return f"Job {job.id} {job.status}{why}{': ' + job.message if job.message else ''}"
+
+
+def watch(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
+    """Follow a job live; Ctrl-C stops the watching, not the job. Exit code 1 if the job failed."""
+    client = client_of(context)
+    found = client.get(job_id(client, job))
+    if as_json:
+        for event in client.events(found.id):
+            print(event.model_dump_json(), flush=True)
+        found = client.get(found.id)
+    else:
+        found = watch_job(client, found, Console())
+    raise typer.Exit(end_code(found))
+
+
+def logs(
+    context: typer.Context,
+    job: JobName,
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on until the job ends.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Print a job's log."""
+    client = client_of(context)
+    lines = client.logs(job_id(client, job), follow=follow)
+    if as_json:
+        print_json(list(lines))
+        return
+    try:
+        for line in lines:
+            print(line, flush=follow)
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None

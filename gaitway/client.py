@@ -1,0 +1,278 @@
+"""A Gaitway service, as a typed Python object."""
+
+import os
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from types import TracebackType
+from typing import Any, Self, TypeVar
+from urllib.parse import quote
+
+import httpx
+from pydantic import BaseModel
+
+from gaitway import policy
+from gaitway.downloading import OnBytes, download
+from gaitway.errors import NotFound, WaitTimeout
+from gaitway.following import follow_feed, follow_log
+from gaitway.transport import Retry, Transport
+from gaitway.views import (
+    ArtifactView,
+    EnvironmentView,
+    Event,
+    JobView,
+    MetricsRow,
+    Page,
+    WorkerView,
+)
+
+AnyView = TypeVar("AnyView", bound=BaseModel)
+
+DEFAULT_URL = "http://127.0.0.1:8000"
+
+
+class Client:
+    """Talks to one service. Usable from several threads, and as a context manager.
+
+    base_url: by default what GAITWAY_URL says, else http://127.0.0.1:8000.
+    Every method raises ApiError for a refusal (NotFound, Conflict, Rejected, Unavailable), and
+    Unreachable when nothing answers. Passing troubles are tried again first; no call is ever made
+    twice by that, not even `submit`.
+    """
+
+    def __init__(
+        self,
+        base_url: str | None = None,
+        *,
+        timeout_s: float = 30.0,
+        retry: Retry | None = None,
+        http: httpx.Client | None = None,
+    ) -> None:
+        url = base_url or os.environ.get("GAITWAY_URL") or DEFAULT_URL
+        self._transport = Transport(url, retry or Retry(), timeout_s, http)
+
+    @property
+    def base_url(self) -> str:
+        return self._transport.base_url
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"Client({self.base_url!r})"
+
+    # Jobs
+
+    def submit(
+        self, spec: Mapping[str, Any] | None = None, *, idempotency_key: str | None = None, **fields: Any
+    ) -> JobView:
+        """Queue a job: `submit(environment="ant", algorithm={"kind": "ppo", "num_timesteps": 1_000_000})`.
+
+        fields go over those of `spec`; `kind` is `train` unless said otherwise. However often the
+        request has to be sent, one job comes of it. idempotency_key: to keep that promise over
+        several calls, too; the same key with another specification raises Conflict.
+        """
+        document = {"kind": "train", **(spec or {}), **fields}
+        headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
+        return self._job(self._transport.request("POST", "/jobs", json=document, headers=headers))
+
+    def get(self, job_id: str) -> JobView:
+        """The job as it is now."""
+        return self._job(self._transport.request("GET", _path(job_id)))
+
+    def list(self, *, limit: int | None = None, **filters: Any) -> Iterator[JobView]:
+        """Jobs, newest first, fetched page by page as they are asked for; at most `limit`.
+
+        filters: status, kind, environment, name, and labels (a dict, every one must match).
+        """
+        cursor, left = None, limit
+        while left is None or left > 0:
+            page = self.page(cursor=cursor, limit=min(left or 100, 100), **filters)
+            yield from page.items
+            left = None if left is None else left - len(page)
+            cursor = page.next
+            if cursor is None:
+                return
+
+    def page(self, *, cursor: str | None = None, limit: int = 50, **filters: Any) -> Page[JobView]:
+        """One page of jobs, newest first; cursor: the `next` of an earlier page."""
+        labels: Mapping[str, str] = filters.pop("labels", None) or {}
+        named = {name: value for name, value in filters.items() if value is not None}
+        params = {**named, "label": [f"{name}={value}" for name, value in labels.items()], "limit": limit}
+        response = self._transport.request(
+            "GET", "/jobs", params=params | ({"cursor": cursor} if cursor else {})
+        )
+        return Page[JobView].model_validate_json(response.content)
+
+    def cancel(self, job_id: str) -> JobView:
+        """Ask a job to stop; its checkpoint, metrics and video up to then are kept.
+
+        Raises Conflict where the job has ended.
+        """
+        return self._job(self._transport.request("POST", _path(job_id, "cancel")))
+
+    def delete(self, job_id: str) -> None:
+        """Remove an ended job and its files. Raises Conflict while it runs."""
+        self._transport.request("DELETE", _path(job_id))
+
+    # Following a job
+
+    def wait(self, job_id: str, timeout: float | None = None) -> JobView:
+        """The job once it has ended, however it ended. timeout: seconds; raises WaitTimeout after them."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        job = self.get(job_id)
+        if not job.is_final:
+            for _ in self._events(job_id, None, deadline):
+                pass
+            job = self.get(job_id)
+        if not job.is_final:
+            raise WaitTimeout(f"Job {job_id} is still {job.status} after {timeout:g} s; it goes on.")
+        return job
+
+    def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
+        """What happens to the job, as it happens, until it ends.
+
+        Kinds: status, progress, metrics, artifact, phase.
+        after: the id of the last event seen, to go on behind it. Broken connections are taken up
+        again without a gap or a repetition.
+        """
+        return self._events(job_id, after, None)
+
+    def _events(self, job_id: str, after: str | None, deadline: float | None) -> Iterator[Event]:
+        def has_ended() -> bool:
+            return self.get(job_id).is_final
+
+        return follow_feed(self._transport, _path(job_id, "events"), has_ended, after, deadline)
+
+    def metrics(self, job_id: str) -> Sequence[MetricsRow]:
+        """Every measurement so far, in the order in which they were made."""
+        rows, after = list[MetricsRow](), ""
+        while True:
+            page = self._transport.request("GET", _path(job_id, "metrics"), params={"after": after}).json()
+            rows += [MetricsRow.model_validate(row) for row in page["rows"]]
+            if not page["rows"] or not page.get("next"):
+                return rows
+            after = page["next"]
+
+    def logs(self, job_id: str, follow: bool = False) -> Iterator[str]:
+        """The job's log, line by line; follow: and what is added, until the job ends."""
+        if not follow:
+            yield from self._transport.request("GET", _path(job_id, "logs")).text.splitlines()
+        else:
+            yield from follow_log(self._transport, _path(job_id, "logs"), lambda: self.get(job_id).is_final)
+
+    # Files
+
+    def artifacts(self, job_id: str) -> Sequence[ArtifactView]:
+        """The files that are there for readers."""
+        return self._items(_path(job_id, "artifacts"), ArtifactView)
+
+    def checkpoints(self, job_id: str) -> Sequence[ArtifactView]:
+        """The checkpoints that are kept, by step."""
+        found = [artifact for artifact in self.artifacts(job_id) if artifact.role == "checkpoint"]
+        return sorted(found, key=lambda artifact: artifact.step or 0)
+
+    def download(
+        self, job_id: str, name: str, path: str | Path | None = None, *, on_bytes: OnBytes | None = None
+    ) -> Path:
+        """Bring the artifact `name` to `path` (a file or a folder; by default here), whole and checked.
+
+        A broken connection is resumed, also by a later call. on_bytes: called with (bytes here, in all).
+        """
+        href = _path(job_id, "artifacts", name)
+        artifact = self._announced(job_id, lambda job: job.artifact(name), href)
+        return download(self._transport, artifact, _target(artifact, path), on_bytes)
+
+    def video(
+        self,
+        job_id: str,
+        path: str | Path | None = None,
+        step: int | None = None,
+        *,
+        on_bytes: OnBytes | None = None,
+    ) -> Path:
+        """The job's video as an MP4 at `path`; step: that of this checkpoint instead of the newest."""
+        return self._newest(job_id, "video", path, step, on_bytes)
+
+    def poster(self, job_id: str, path: str | Path | None = None, step: int | None = None) -> Path:
+        """A still of the video."""
+        return self._newest(job_id, "poster", path, step, None)
+
+    def load_policy(self, job_id: str, step: int | None = None, deterministic: bool = True) -> policy.Policy:
+        """The trained policy as a jitted `act(observation, key=None) -> action` on arrays [..., size].
+
+        step: that of this checkpoint; by default the final policy, or the newest checkpoint of a job
+        that has none yet. deterministic: without the exploration's noise (else `key` is needed).
+        Raises MissingExtra without the `worker` extra.
+        """
+        job = self.get(job_id)
+        final = job.newest("policy") if step is None else None
+        artifact = final or job.newest("checkpoint", step)
+        if artifact is None:
+            kept = ", ".join(str(found.step) for found in self.checkpoints(job_id)) or "none yet"
+            which = "policy" if step is None else f"checkpoint of step {step}"
+            raise NotFound(404, {"detail": f"Job {job_id} has no {which}; its checkpoints: {kept}."})
+        with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
+            path = download(self._transport, artifact, Path(folder) / "policy")
+            return policy.load(path, is_checkpoint=final is None, deterministic=deterministic)
+
+    # The service
+
+    def environments(self) -> Sequence[EnvironmentView]:
+        """The bodies and worlds that a job may name."""
+        return self._items("/environments", EnvironmentView)
+
+    def workers(self) -> Sequence[WorkerView]:
+        """The workers that were heard of lately."""
+        return self._items("/workers", WorkerView)
+
+    def health(self) -> Mapping[str, Any]:
+        """What the service says of its own readiness. Raises Unavailable when a part of it is away."""
+        return self._transport.request("GET", "/readyz").json()
+
+    def _job(self, response: httpx.Response) -> JobView:
+        return JobView.model_validate_json(response.content)
+
+    def _items(self, path: str, view: type[AnyView]) -> Sequence[AnyView]:
+        return [view.model_validate(item) for item in self._transport.request("GET", path).json()["items"]]
+
+    def _newest(
+        self, job_id: str, role: str, path: str | Path | None, step: int | None, on_bytes: OnBytes | None
+    ) -> Path:
+        href = _path(job_id, role) + ("" if step is None else f"?step={step}")
+        artifact = self._announced(job_id, lambda job: job.newest(role, step), href)
+        return download(self._transport, artifact, _target(artifact, path), on_bytes)
+
+    def _announced(
+        self, job_id: str, find: Callable[[JobView], ArtifactView | None], href: str
+    ) -> ArtifactView:
+        """What `find` finds in the job; or the service's own refusal, which says whether it will come."""
+        artifact = find(self.get(job_id))
+        if artifact is None:
+            self._transport.request("GET", href, headers={"Range": "bytes=0-0"})
+            artifact = find(self.get(job_id))  # it has come in between
+        if artifact is None:
+            raise NotFound(404, {"detail": f"Job {job_id} does not name what {href} gives."})
+        return artifact
+
+
+def _path(job_id: str, *parts: str) -> str:
+    # Quoted, so that an id or a name with a slash or dots cannot become another address.
+    return "/".join(["/jobs", *(quote(part, safe="") for part in (job_id, *parts))])
+
+
+def _target(artifact: ArtifactView, path: str | Path | None) -> Path:
+    """Where the file goes: `path`, or inside it when it is a folder."""
+    chosen = Path(path) if path is not None else Path.cwd()
+    return chosen / PurePosixPath(artifact.name).name if chosen.is_dir() else chosen

@@ -1,0 +1,153 @@
+"""`./run demo`: an ant learns to walk through the whole service, and its video is brought back."""
+
+import argparse
+import contextlib
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from gaitway.cli.progress import JobProgress
+from gaitway.client import Client
+from gaitway.embedded.interruption import Interrupted
+from gaitway.embedded.processes import ServerFailed
+from gaitway.embedded.stack import Stack
+from gaitway.embedded.up import port_number, positive, tell
+from gaitway.errors import GaitwayError
+from gaitway.plots import learning_curve
+from gaitway.views import JobView
+
+_BUDGETS = {"ant": 800_000}
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the user asked for."""
+
+    out: Path
+    environment: str
+    num_timesteps: int | None
+    seed: int
+    port: int | None
+
+    @property
+    def data_dir(self) -> Path:
+        return self.out / "data"
+
+    def specification(self) -> dict[str, Any]:
+        """The job, as anybody would submit it."""
+        budget = self.num_timesteps or _BUDGETS.get(self.environment)
+        algorithm = {"kind": "ppo"} | ({"num_timesteps": budget} if budget else {})
+        return {
+            "kind": "train",
+            "name": "first steps",
+            "environment": self.environment,
+            "algorithm": algorithm,
+            "seed": self.seed,
+        }
+
+
+def run_demo(wishes: Wishes) -> int:
+    """The exit status: 0 once the job has succeeded and its files are there."""
+    wishes.out.mkdir(parents=True, exist_ok=True)
+    tell("Starting the service: records, object store, API, one worker …")
+    job: JobView | None = None
+    try:
+        with (
+            Stack(wishes.data_dir, port=wishes.port, tell=tell) as stack,
+            stack.interruption.allowed(),
+            Client(stack.url) as client,
+        ):
+            print(f"Gaitway is at {stack.url}  (what it offers: {stack.url}/docs)", flush=True)
+            started = time.monotonic()
+            job = client.submit(wishes.specification())
+            print(f"Job {job.id}, as it goes: {stack.url}/jobs/{job.id}/events", flush=True)
+            job = _follow(client, job)
+            elapsed_s = time.monotonic() - started
+            kept = _fetch(client, job, wishes.out)
+            _report(job, stack.url, kept, elapsed_s)
+    except (ServerFailed, GaitwayError) as failure:
+        tell(f"The demo could not go on: {failure}")
+        _say_what_is_kept(wishes, job)
+        return 1
+    except Interrupted as interrupted:
+        tell("Interrupted; everything that the demo started has ended.")
+        _say_what_is_kept(wishes, job)
+        return interrupted.exit_status
+    _say_what_is_kept(wishes, job)
+    return 0 if job.succeeded else 1
+
+
+def _follow(client: Client, job: JobView) -> JobView:
+    with JobProgress(Console()) as progress:
+        for event in client.events(job.id):
+            progress.update(event)
+        job = client.get(job.id)
+        progress.update(job)
+    return job
+
+
+def _fetch(client: Client, job: JobView, out: Path) -> dict[str, Path]:
+    """Bring everything over HTTP; what it is, and where."""
+    name, kept = job.environment or "body", dict[str, Path]()
+    if job.newest("video") is not None:
+        kept["video"] = client.video(job.id, out / f"{name}.mp4")
+    if (poster := job.newest("poster")) is not None:
+        kept["poster"] = client.poster(job.id, out / f"{name}{Path(poster.name).suffix}")
+    if (policy := job.newest("policy")) is not None:
+        kept["policy"] = client.download(
+            job.id, policy.name, out / f"{name}-policy{Path(policy.name).suffix}"
+        )
+    rows = [row.model_dump() for row in client.metrics(job.id)]
+    if rows:
+        kept["learning curve"] = out / f"{name}-curve.png"
+        learning_curve(rows, kept["learning curve"], title=f"{name}: {job.name or job.id}")
+    return kept
+
+
+def _report(job: JobView, url: str, kept: dict[str, Path], elapsed_s: float) -> None:
+    why = f": {job.message}" if job.message and not job.succeeded else ""
+    print(f"\nThe job has {job.status} after {elapsed_s:.0f} s{why}")
+    video = job.newest("video")
+    speed = job.progress.metrics.get("eval/forward_speed")
+    if video is not None:
+        speed = video.metadata.get("forward_speed_m_s", speed)
+    if speed is not None:
+        print(f"The {job.environment} walks at {speed:.2f} m/s.")
+    if video is None:
+        print("There is no video: where nothing can draw, `gaitway doctor` says what is missing.")
+    for what, path in kept.items():
+        print(f"  {what:15} {path}")
+    print(f"While the service runs, the video is at {url}/jobs/{job.id}/video", flush=True)
+
+
+def _say_what_is_kept(wishes: Wishes, job: JobView | None) -> None:
+    if job is None:
+        return
+    with contextlib.suppress(BrokenPipeError):
+        command = shlex.join(["./run", "up", "--data", str(wishes.data_dir)])
+        print(f"Job {job.id} and its files are kept; to see them served again:  {command}", flush=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="./run demo", description="Train an ant, watch it, keep its video.")
+    parser.add_argument(
+        "--out", type=Path, default=Path("gaitway-demo"), metavar="DIR", help="for the results"
+    )
+    parser.add_argument("--environment", default="ant", metavar="ID", help="ant, hopper, half_cheetah, …")
+    parser.add_argument("--timesteps", type=positive, metavar="N", help="environment steps to train for")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--port", type=port_number, help="of the API; by default 8000 or the next free one")
+    chosen = parser.parse_args(arguments)
+    return run_demo(
+        Wishes(chosen.out.resolve(), chosen.environment, chosen.timesteps, chosen.seed, chosen.port)
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

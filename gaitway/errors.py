@@ -1,0 +1,139 @@
+"""What a call of the client can end with, in words for people.
+
+GaitwayError
+├── ApiError           the service answered with a problem (RFC 9457)
+│   ├── NotFound       what was named does not exist
+│   │   └── NotReady   it may come: try again after `retry_after_s`
+│   ├── Conflict       it exists, but not in a state that allows this
+│   ├── Rejected       the request itself is wrong; `errors` say where
+│   └── Unavailable    try again after `retry_after_s`
+├── Unreachable        no service answers
+├── WaitTimeout        the job has not ended in the time given
+├── DownloadFailed     a file could not be brought whole
+└── MissingExtra       a part of the package is not installed
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import httpx
+
+
+@dataclass(frozen=True)
+class FieldError:
+    """One offending place in what was sent: a JSON pointer (RFC 6901) and a sentence."""
+
+    pointer: str
+    detail: str
+
+
+class GaitwayError(Exception):
+    """Every failure that the client foresees."""
+
+
+class ApiError(GaitwayError):
+    """An answer that is a problem. `facts` holds whatever members the service added."""
+
+    def __init__(self, status: int, problem: Mapping[str, Any], retry_after_s: float | None = None) -> None:
+        self.status = status
+        self.type = str(problem.get("type", "about:blank"))
+        self.title = str(problem.get("title", f"HTTP {status}"))
+        self.detail = str(problem.get("detail") or self.title)
+        self.errors = _field_errors(problem.get("errors"))
+        self.retry_after_s = retry_after_s
+        self.facts = dict(problem)
+        super().__init__(self.detail)
+
+    def __str__(self) -> str:
+        return "\n".join(
+            [self.detail, *(f"  {error.pointer or '/'}: {error.detail}" for error in self.errors)]
+        )
+
+
+class NotFound(ApiError):
+    """404, 410."""
+
+
+class NotReady(NotFound):
+    """404 with Retry-After: the job that makes it has not ended."""
+
+
+class Conflict(ApiError):
+    """409, 412."""
+
+
+class Rejected(ApiError):
+    """400, 413, 415, 422 and every other refusal of the request itself."""
+
+
+class Unavailable(ApiError):
+    """429, 502, 503, 504."""
+
+
+class Unreachable(GaitwayError):
+    """Nothing answered at the address, or the connection broke each time."""
+
+    def __init__(self, url: str, why: str) -> None:
+        super().__init__(
+            f"No Gaitway service answers at {url} ({why}); start one with `./run up` or `gaitway up`."
+        )
+        self.url = url
+
+
+class WaitTimeout(GaitwayError, TimeoutError):
+    """The job goes on; only the waiting has ended."""
+
+
+class DownloadFailed(GaitwayError):
+    """What came was not what the service announced."""
+
+
+class MissingExtra(GaitwayError, ImportError):
+    """Needs an optional part of the package."""
+
+
+def problem_of(response: httpx.Response) -> ApiError:
+    """The error that an answer with status ≥ 400 stands for; its body must have been read."""
+    retry_after_s = retry_after(response)
+    family = _family(response.status_code, retry_after_s)
+    return family(response.status_code, _document(response), retry_after_s)
+
+
+def retry_after(response: httpx.Response) -> float | None:
+    """The seconds of a Retry-After header; None where there is none or it is a date."""
+    try:
+        return max(0.0, float(response.headers["Retry-After"]))
+    except (KeyError, ValueError):
+        return None
+
+
+def _family(status: int, retry_after_s: float | None) -> type[ApiError]:
+    if status in (404, 410):
+        return NotFound if retry_after_s is None else NotReady
+    if status in (409, 412):
+        return Conflict
+    if status in (429, 502, 503, 504):
+        return Unavailable
+    return Rejected if 400 <= status < 500 else ApiError
+
+
+def _document(response: httpx.Response) -> Mapping[str, Any]:
+    try:
+        document: Any = response.json()
+    except ValueError:
+        document = None
+    if isinstance(document, dict):
+        return cast("dict[str, Any]", document)
+    # A proxy's page, or something that is no Gaitway at all: its first line is the best there is.
+    text = response.text.strip().partition("\n")[0][:200] or "no body"
+    return {"detail": f"HTTP {response.status_code} from {response.request.url}: {text}"}
+
+
+def _field_errors(errors: Any) -> Sequence[FieldError]:
+    if not isinstance(errors, list):
+        return ()
+    entries = [
+        cast("dict[str, Any]", error) for error in cast("list[Any]", errors) if isinstance(error, dict)
+    ]
+    return tuple(FieldError(str(entry.get("pointer", "")), str(entry.get("detail", ""))) for entry in entries)

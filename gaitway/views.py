@@ -1,0 +1,171 @@
+"""What the client returns. Unknown members are kept out of the way: a newer service may say more."""
+
+from collections.abc import Iterator
+from datetime import datetime
+from typing import Any, Generic, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+FINAL_STATUSES = frozenset({"succeeded", "failed", "cancelled"})
+
+Item = TypeVar("Item")
+
+
+class View(BaseModel):
+    """A document of the service, as a frozen value."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class ArtifactView(View):
+    """A file of a job. size: bytes; href: its path on the service."""
+
+    name: str
+    role: str | None = None
+    media_type: str = "application/octet-stream"
+    size: int
+    sha256: str
+    step: int | None = None
+    href: str
+    metadata: dict[str, Any] = Field(default_factory=dict[str, Any])
+
+    def __repr__(self) -> str:
+        return f"<Artifact {self.name} {self.media_type} {self.size} bytes>"
+
+
+class ProgressView(View):
+    """How far a job is. step, total: environment steps; eta_s: seconds; metrics: latest by Brax's names."""
+
+    step: int = 0
+    total: int = 0
+    steps_per_second: float | None = None
+    eta_s: float | None = None
+    metrics: dict[str, float | None] = Field(default_factory=dict[str, float | None])
+
+
+class AttemptView(View):
+    """One try at a job by one worker."""
+
+    number: int
+    worker: str | None = None
+    device: str | None = None
+    engine: str | None = None
+    details: dict[str, Any] = Field(default_factory=dict[str, Any])
+    started_at: datetime | None = None
+    ended_at: datetime | None = None
+    reason: str | None = None
+    message: str | None = None
+
+
+class JobView(View):
+    """A job as it was when it was read; read it again for news."""
+
+    id: str
+    kind: str
+    name: str | None = None
+    labels: dict[str, str] = Field(default_factory=dict[str, str])
+    status: str
+    reason: str | None = None
+    message: str | None = None
+    created_at: datetime
+    started_at: datetime | None = None
+    finished_at: datetime | None = None
+    progress: ProgressView = ProgressView()
+    attempts: tuple[AttemptView, ...] = ()
+    artifacts: tuple[ArtifactView, ...] = ()
+    spec: dict[str, Any] = Field(default_factory=dict[str, Any])
+    links: dict[str, Any] = Field(default_factory=dict[str, Any])
+
+    @property
+    def is_final(self) -> bool:
+        """Whether nothing will change any more."""
+        return self.status in FINAL_STATUSES
+
+    @property
+    def succeeded(self) -> bool:
+        return self.status == "succeeded"
+
+    @property
+    def environment(self) -> str | None:
+        """The environment's id."""
+        chosen = self.spec.get("environment")
+        return chosen.get("id") if isinstance(chosen, dict) else chosen  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+
+    def artifact(self, name: str) -> ArtifactView | None:
+        """The file of this name."""
+        return next((artifact for artifact in self.artifacts if artifact.name == name), None)
+
+    def newest(self, role: str, step: int | None = None) -> ArtifactView | None:
+        """The artifact of this role with the highest step, or of exactly `step`.
+
+        One without a step is of the end.
+        """
+        found = [a for a in self.artifacts if a.role == role and step in (None, a.step)]
+        return max(found, key=lambda a: float("inf") if a.step is None else a.step, default=None)
+
+    def __repr__(self) -> str:
+        parts = [self.id, self.kind, str(self.environment), self.status]
+        if self.reason and self.reason != "completed":
+            parts.append(f"({self.reason})")
+        if self.progress.total:
+            parts.append(f"{self.progress.step:,}/{self.progress.total:,} steps")
+        return f"<Job {' '.join(parts)}>"
+
+    __str__ = __repr__
+
+
+class Page(View, Generic[Item]):
+    """Some items, and the cursor of the next page (None at the end)."""
+
+    items: list[Item]
+    next: str | None = None
+
+    def __iter__(self) -> Iterator[Item]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return iter(self.items)
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+
+class Event(View):
+    """Something that happened to a job. kind: status, progress, metrics, artifact, phase, or line."""
+
+    id: str = ""
+    kind: str
+    time: datetime | None = None
+    data: dict[str, Any] = Field(default_factory=dict[str, Any])
+
+    @property
+    def is_end(self) -> bool:
+        """Whether the job has ended with this."""
+        return self.kind == "status" and self.data.get("status") in FINAL_STATUSES
+
+
+class MetricsRow(View):
+    """Values of one step by Brax's names; None where a value was not finite."""
+
+    step: int
+    time: datetime | None = None
+    values: dict[str, float | None] = Field(default_factory=dict[str, float | None])
+
+
+class EnvironmentView(BaseModel):
+    """An environment of the catalog; what else the service says of it is kept as attributes."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    id: str
+    description: str = ""
+
+
+class WorkerView(View):
+    """A worker that was heard of lately; job: what it works on."""
+
+    name: str
+    host: str = ""
+    pid: int | None = None
+    device: str = ""
+    queues: tuple[str, ...] = ()
+    job: str | None = None
+    started_at: datetime | None = None
+    seen_at: datetime | None = None

@@ -1,0 +1,28 @@
+import subprocess
+import sys
+
+from core.jobs.status import JobStatus
+from gaitway.views import FINAL_STATUSES
+
+
+def test_the_client_needs_neither_the_cli_nor_the_numerical_stack() -> None:
+    # None in sys.modules makes an import fail. (httpx itself takes rich where it is installed.)
+    absent = ["typer", "rich", "click", "jax", "numpy", "mujoco", "redis", "fastapi", "core"]
+    code = f"import sys; sys.modules.update(dict.fromkeys({absent})); import gaitway; print(gaitway.Client('http://x'))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.stderr) == ("Client('http://x')", "")
+
+
+def test_a_policy_without_the_numerical_stack_is_refused_with_what_to_install() -> None:
+    code = (
+        "import sys; from pathlib import Path; sys.modules['jax'] = None\n"
+        "from gaitway import MissingExtra, policy\n"
+        "try: policy.load(Path('x'), is_checkpoint=False)\n"
+        "except MissingExtra as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "pip install 'gaitway[worker]'" in done.stdout
+
+
+def test_the_client_knows_which_statuses_are_final() -> None:
+    assert {status.value for status in JobStatus if status.is_final} == FINAL_STATUSES
