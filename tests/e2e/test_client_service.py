@@ -1,0 +1,183 @@
+"""The client and the CLI against the real service, over real sockets."""
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from core.jobs.status import JobStatus, Reason
+from gaitway import Client, Conflict, NotFound, NotReady, Rejected
+from gaitway.cli.main import app
+from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
+
+__all__ = ["quiet", "server", "stack"]  # fixtures
+
+
+@pytest.fixture
+def client(stack: Stack) -> Any:
+    with Client(f"http://127.0.0.1:{stack.port}") as client:
+        yield client
+
+
+def gaitway(stack: Stack, *arguments: str, stdin: str | None = None) -> Result:
+    return CliRunner().invoke(app, ["--url", f"http://127.0.0.1:{stack.port}", *arguments], input=stdin)
+
+
+def test_a_job_is_submitted_read_listed_cancelled_and_deleted(client: Client) -> None:
+    first = client.submit(environment="ant", labels={"project": "a b=c"})
+    second = client.submit({"kind": "train", "environment": {"id": "ant"}}, seed=3)
+    assert client.get(second.id).spec["seed"] == 3
+    assert [found.id for found in client.list()] == [second.id, first.id]
+    assert [found.id for found in client.list(labels={"project": "a b=c"}, status="queued")] == [first.id]
+    assert client.page(limit=1).next is not None
+    assert client.cancel(first.id).status == "cancelled"
+    client.delete(first.id)
+    with pytest.raises(NotFound):
+        client.get(first.id)
+    with pytest.raises(Conflict):
+        client.delete(second.id)
+
+
+def test_the_same_key_with_another_specification_is_a_conflict(client: Client) -> None:
+    first = client.submit(environment="ant", idempotency_key="k")
+    assert client.submit(environment="ant", idempotency_key="k").id == first.id
+    with pytest.raises(Conflict):
+        client.submit(environment="ant", seed=1, idempotency_key="k")
+
+
+def test_a_rejection_names_the_place(client: Client) -> None:
+    with pytest.raises(Rejected) as caught:
+        client.submit(environment="ant", algorithm={"kind": "ppo", "learning_rat": 1})
+    assert [error.pointer for error in caught.value.errors] == ["/algorithm/learning_rat"]
+    assert "/algorithm/learning_rat" in str(caught.value)
+
+
+def test_a_job_is_followed_to_its_end_and_its_files_are_fetched(
+    stack: Stack, client: Client, tmp_path: Path
+) -> None:
+    attempt = Attempt(stack, job())
+    with pytest.raises(NotReady):
+        client.video(attempt.id, tmp_path)
+    events = client.events(attempt.id)
+    assert next(events).kind == "status"
+
+    def work() -> None:
+        attempt.say("metrics", step=7, values={"eval/episode_reward": 2.5})
+        attempt.say("line", channel="logs", text="hello")
+        attempt.keep("video.mp4", step=7)
+        attempt.end()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    rest = list(events)
+    thread.join()
+    assert (rest[-1].kind, rest[-1].data["status"]) == ("status", "succeeded")
+    done = client.wait(attempt.id, timeout=10)
+    assert done.succeeded
+    assert client.video(attempt.id, tmp_path).read_bytes() == ARTIFACT
+    assert client.download(attempt.id, "video.mp4", tmp_path / "b.mp4").read_bytes() == ARTIFACT
+    assert [(row.step, row.values) for row in client.metrics(attempt.id)] == [
+        (7, {"eval/episode_reward": 2.5})
+    ]
+    assert list(client.logs(attempt.id)) == list(client.logs(attempt.id, follow=True)) == ["hello"]
+    with pytest.raises(NotFound, match="policy"):
+        client.load_policy(attempt.id)
+    with pytest.raises(NotFound):
+        client.poster(attempt.id, tmp_path)
+
+
+def test_the_catalog_the_workers_and_the_health_are_read(client: Client) -> None:
+    assert "ant" in [environment.id for environment in client.environments()]
+    assert list(client.workers()) == []
+    assert client.health() == {"status": "ok"}
+
+
+def test_the_cli_submits_what_its_options_say(stack: Stack, client: Client) -> None:
+    done = gaitway(
+        stack,
+        *(
+            "submit",
+            "ant",
+            "--num-timesteps",
+            "1000000",
+            "--set",
+            "algorithm.learning_rate=3e-4",
+            "--seed",
+            "1",
+        ),
+        *("--name", "first", "--label", "project=vnl", "--set", "video.camera=track", "--json"),
+    )
+    assert done.exit_code == 0, done.output
+    spec = client.get(json.loads(done.stdout)["id"]).spec
+    assert spec["algorithm"] == {"kind": "ppo", "num_timesteps": 1_000_000, "learning_rate": 3e-4}
+    assert (spec["seed"], spec["name"], spec["labels"]) == (1, "first", {"project": "vnl"})
+    assert spec["video"] == {"camera": "track"}
+
+
+def test_the_cli_reads_a_job_from_a_file_and_from_stdin(stack: Stack, client: Client, tmp_path: Path) -> None:
+    text = '{"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}}'
+    file = tmp_path / "job.json"
+    file.write_text(text)
+    assert gaitway(stack, "submit", "--file", str(file)).exit_code == 0
+    assert gaitway(stack, "submit", "--file", "-", "--seed", "5", stdin=text).exit_code == 0
+    assert [(found.kind, found.spec.get("seed")) for found in client.list()] == [
+        ("rollout", 5),
+        ("rollout", None),
+    ]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["submit"],
+        ["submit", "ant", "--set", "nonsense"],
+        ["submit", "ant", "--seed", "-1"],
+        ["submit", "--file", "/nowhere/job.json"],
+        ["submit", "ant", "--set", "seed.x=1", "--seed", "1"],
+        ["show", "last"],
+        ["show", "abc"],
+        ["no-such-command"],
+    ],
+)
+def test_wrong_usage_is_a_sentence_and_exit_code_2(stack: Stack, arguments: list[str]) -> None:
+    done = gaitway(stack, *arguments)
+    assert done.exit_code == 2
+    assert "Traceback" not in done.output
+    assert done.stderr.strip()
+    assert stack.is_empty()
+
+
+def test_watching_shows_the_end_and_its_exit_code_tells_failure(stack: Stack) -> None:
+    good, bad = Attempt(stack, job()), Attempt(stack, job("019aa3c2f0b2-5be0c1d2e4"))
+    good.end()
+    bad.end(JobStatus.FAILED, Reason.DIVERGED)
+    assert gaitway(stack, "watch", good.id).exit_code == 0
+    done = gaitway(stack, "watch", "last")
+    assert done.exit_code == 1
+    assert "failed (diverged): It came to its end." in done.stdout
+
+
+def test_jobs_are_listed_shown_and_found_by_a_part_of_their_id(stack: Stack) -> None:
+    attempt = Attempt(stack, job())
+    attempt.keep("video.mp4")
+    table = gaitway(stack, "jobs").stdout
+    assert attempt.id in table
+    assert "running" in table
+    assert json.loads(gaitway(stack, "jobs", "--json").stdout)[0]["id"] == attempt.id
+    assert gaitway(stack, "jobs", "--status", "failed").stdout == "No job matches.\n"
+    for name in (attempt.id, attempt.id[:15], attempt.id[-4:], "last"):
+        assert "video.mp4" in gaitway(stack, "show", name).stdout
+
+
+def test_the_cli_fetches_files_and_cancels(stack: Stack, tmp_path: Path) -> None:
+    attempt = Attempt(stack, job())
+    attempt.keep("video.mp4")
+    target = tmp_path / "walk.mp4"
+    assert gaitway(stack, "video", "last", "-o", str(target)).stdout.replace("\n", "") == str(target)
+    assert target.read_bytes() == ARTIFACT
+    assert gaitway(stack, "download", "last", "video.mp4", "-o", str(tmp_path)).exit_code == 0
+    assert gaitway(stack, "download", "last", "absent").exit_code == 1
+    assert "cancelling" in gaitway(stack, "cancel", "last").stdout

@@ -1,0 +1,172 @@
+"""The whole service with real parts: jobs go from POST to their video, and survive what happens to them."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import av
+import httpx
+import numpy as np
+import psutil
+import pytest
+
+from core.environments import trajectory
+from gaitway.client import Client
+from gaitway.embedded.processes import free_ports
+from gaitway.views import Event, JobView
+
+# Updates of 64 × 10 = 640 steps; about eight seconds of training, once it is compiled.
+SMALL: dict[str, Any] = {
+    "kind": "train",
+    "environment": "inverted_pendulum",
+    "algorithm": {
+        "num_timesteps": 64_000,
+        "num_envs": 64,
+        "unroll_length": 10,
+        "batch_size": 16,
+        "num_minibatches": 4,
+        "num_evals": 2,
+        "num_eval_envs": 4,
+        "episode_length": 100,
+        "policy_hidden_layer_sizes": [16],
+        "value_hidden_layer_sizes": [16],
+    },
+    "checkpoints": {"every_steps": 12_800, "keep": 100},
+    "video": {"width": 160, "height": 120, "seconds": 1},
+    "seed": 3,
+}
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """A client of a stack with one worker."""
+    data = tmp_path_factory.mktemp("stack")
+    port = free_ports(1)[0]
+    command = [sys.executable, "-m", "gaitway.embedded.up", "--data", str(data), "--port", str(port)]
+    stack = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    with stack, Client(f"http://127.0.0.1:{port}") as client:
+        assert stack.stdout is not None
+        assert stack.stdout.readline()
+        yield client
+        stack.send_signal(signal.SIGTERM)
+        stack.communicate(timeout=60)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(client: Client) -> JobView:
+    """The small job, left in peace."""
+    return client.wait(client.submit(SMALL).id, timeout=110)
+
+
+def until_checkpoint(client: Client, job: JobView) -> tuple[list[Event], int]:
+    """The job's events up to its first checkpoint, and the training process' id."""
+    seen: list[Event] = []
+    for event in client.events(job.id):
+        seen.append(event)
+        if event.kind == "artifact" and event.data["role"] == "checkpoint":
+            break
+    pid = next(e.data["pid"] for e in seen if e.kind == "phase" and e.data["name"] == "process")
+    return seen, int(pid)
+
+
+def final_checkpoint(job: JobView) -> str:
+    found = job.newest("checkpoint")
+    assert found is not None
+    assert found.step == 64_000
+    return found.sha256
+
+
+def test_a_job_goes_from_post_to_its_video(client: Client, undisturbed: JobView, tmp_path: Path) -> None:
+    assert (undisturbed.status, undisturbed.reason) == ("succeeded", "completed")
+    assert undisturbed.progress.step == undisturbed.progress.total == 64_000
+    video = client.video(undisturbed.id, tmp_path / "video.mp4")
+    with av.open(str(video)) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.width, stream.height) == ("h264", 160, 120)
+        assert sum(1 for _ in container.decode(stream)) == 30
+    assert {a.role for a in undisturbed.artifacts} == {"checkpoint", "metrics", "policy", "poster", "video"}
+    assert [a.step for a in client.checkpoints(undisturbed.id)] == [12_800 * i for i in range(1, 6)]
+
+
+def test_the_video_is_served_in_parts(client: Client, undisturbed: JobView) -> None:
+    url = f"{client.base_url}/jobs/{undisturbed.id}/video"
+    whole = httpx.get(url).content
+    part = httpx.get(url, headers={"Range": "bytes=4-11"})
+    assert (part.status_code, part.content) == (206, whole[4:12])
+    beyond = httpx.get(url, headers={"Range": f"bytes={len(whole)}-"})
+    assert (beyond.status_code, beyond.headers["content-range"]) == (416, f"bytes */{len(whole)}")
+    assert beyond.headers["content-type"] == "application/problem+json"
+
+
+def test_what_the_attempt_found_is_in_the_record(undisturbed: JobView) -> None:
+    attempt = undisturbed.attempts[0]
+    assert attempt.engine == "native"
+    assert attempt.details["hyperparameters"]["num_envs"] == 64
+    assert attempt.details["hyperparameters"]["clipping_epsilon"] == 0.3
+    assert "mujoco" in attempt.details["versions"]
+
+
+def test_metrics_have_braxs_names_and_rise_in_step(client: Client, undisturbed: JobView) -> None:
+    rows = client.metrics(undisturbed.id)
+    steps = [row.step for row in rows]
+    assert steps == sorted(steps)
+    names = {name for row in rows for name in row.values}
+    assert {"eval/episode_reward", "training/sps", "training/total_loss"} <= names
+
+
+def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
+    client: Client, undisturbed: JobView, tmp_path: Path
+) -> None:
+    policy = {"kind": "checkpoint", "job": undisturbed.id}
+    spec = {**SMALL, "kind": "rollout", "policy": policy, "num_steps": 40, "num_episodes": 2}
+    for field in ("algorithm", "checkpoints"):
+        del spec[field]
+    job = client.wait(client.submit(spec).id, timeout=110)
+    assert job.succeeded, job.message
+    shown = trajectory.load(client.download(job.id, "trajectory.npz", tmp_path / "trajectory.npz"))
+    assert [episode.num_steps for episode in shown.episodes] == [40, 40]
+    summary = httpx.get(f"{client.base_url}/jobs/{job.id}/artifacts/summary.json").json()
+    expected = float(np.sum(shown.episodes[1].reward))
+    assert summary["episodes"][1]["return"] == pytest.approx(expected)
+    assert job.newest("video") is not None
+
+
+def test_a_killed_training_process_changes_nothing_in_the_result(
+    client: Client, undisturbed: JobView
+) -> None:
+    job = client.submit(SMALL)
+    _, pid = until_checkpoint(client, job)
+    os.kill(pid, signal.SIGKILL)
+    ended = client.wait(job.id, timeout=110)
+    assert [attempt.reason for attempt in ended.attempts] == ["training_killed", "completed"]
+    assert ended.attempts[1].details["resumed_at_step"] > 0
+    assert final_checkpoint(ended) == final_checkpoint(undisturbed)
+
+
+def test_a_drained_worker_changes_nothing_in_the_result(client: Client, undisturbed: JobView) -> None:
+    job = client.submit(SMALL)
+    until_checkpoint(client, job)
+    (worker,) = client.workers()
+    os.kill(worker.pid, signal.SIGTERM)  # The stack starts another one in its place.
+    ended = client.wait(job.id, timeout=110)
+    assert [attempt.reason for attempt in ended.attempts] == ["worker_drained", "completed"]
+    assert final_checkpoint(ended) == final_checkpoint(undisturbed)
+
+
+def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(client: Client) -> None:
+    job = client.submit({**SMALL, "algorithm": {**SMALL["algorithm"], "num_timesteps": 10_000_000}})
+    _, pid = until_checkpoint(client, job)
+    assert client.cancel(job.id).status == "cancelling"
+    ended = client.wait(job.id, timeout=110)
+    assert (ended.status, ended.reason) == ("cancelled", "user_cancelled")
+    kept = {artifact.role for artifact in ended.artifacts}
+    assert {"checkpoint", "metrics", "policy", "poster", "video"} == kept
+    checkpoint, policy = ended.newest("checkpoint"), ended.newest("policy")
+    assert checkpoint is not None
+    assert policy is not None
+    assert checkpoint.step == policy.step
+    assert not psutil.pid_exists(pid)

@@ -1,0 +1,182 @@
+"""The stack as a user starts it: it comes up, tells, mends itself, and leaves nothing behind."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import psutil
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
+
+MARK = "GAITWAY_TEST_STACK"
+
+
+@dataclass(frozen=True)
+class Launched:
+    """A launcher under test; `mark` is in the environment of whatever comes from it."""
+
+    process: subprocess.Popen[str]
+    data: Path
+    mark: str
+
+    def family(self) -> list[psutil.Process]:
+        """Every living process of this stack, by its environment or its data folder.
+
+        weed has an environment of its own; valkey writes over its environment and arguments, and stands in
+        its part of the folder.
+        """
+        return [process for process in psutil.process_iter() if self._is_ours(process)]
+
+    def named(self, part: str) -> list[psutil.Process]:
+        return [process for process in self.family() if part in " ".join(process.cmdline())]
+
+    def url(self) -> str:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        found = re.search(r"http://127\.0\.0\.1:\d+", line)
+        assert found is not None, (line, self.process.communicate())
+        return found[0]
+
+    def _is_ours(self, process: psutil.Process) -> bool:
+        try:
+            if process.pid == os.getpid() or process.status() == psutil.STATUS_ZOMBIE:
+                return False
+            traces = (" ".join(process.cmdline()), process.cwd())
+            return process.environ().get(MARK) == self.mark or any(str(self.data) in t for t in traces)
+        except (psutil.NoSuchProcess, psutil.AccessDenied):
+            return False
+
+
+Launch = Callable[..., Launched]
+
+
+@pytest.fixture
+def launch(tmp_path: Path) -> Iterator[Launch]:
+    launched: list[Launched] = []
+
+    def start(*arguments: str) -> Launched:
+        mark = uuid.uuid4().hex
+        data = tmp_path / "data with a space"
+        command = [sys.executable, "-P", "-m", "gaitway.embedded.up", "--data", str(data), *arguments]
+        process = subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            env={**os.environ, MARK: mark},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        launched.append(Launched(process, data, mark))
+        return launched[-1]
+
+    yield start
+    for one in launched:
+        one.process.kill()
+        one.process.communicate()
+        for left in one.family():
+            left.kill()
+
+
+def eventually(holds: Callable[[], bool], within_s: float) -> bool:
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline:
+        if holds():
+            return True
+        time.sleep(0.05)
+    return holds()
+
+
+def test_the_stack_serves_has_its_workers_and_ends_with_nothing_left(launch: Launch) -> None:
+    stack = launch("--workers", "2")
+    url = stack.url()
+    assert httpx.get(f"{url}/readyz").status_code == 200
+    assert eventually(lambda: len(httpx.get(f"{url}/workers").json()["items"]) == 2, 20)
+    # Launcher, valkey, weed, API, two workers and the reconciler, at least.
+    assert len(stack.family()) >= 7
+    stack.process.send_signal(signal.SIGINT)
+    _, told = stack.process.communicate(timeout=30)
+    assert stack.process.returncode == 0, told
+    assert "Ending" in told
+    assert stack.family() == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("seconds", [0.6, 1.2, 2.0])
+def test_a_signal_while_it_starts_leaves_nothing(launch: Launch, seconds: float, number: int) -> None:
+    stack = launch()
+    # Real time on purpose: the moments shall be spread over the whole start.
+    time.sleep(seconds)
+    stack.process.send_signal(number)
+    stack.process.communicate(timeout=30)
+    assert stack.process.returncode in (0, 128 + number, -number)
+    assert stack.family() == []
+
+
+def test_killing_the_launcher_ends_everything(launch: Launch) -> None:
+    stack = launch()
+    stack.url()
+    assert len(stack.family()) >= 6
+    stack.process.kill()
+    assert eventually(lambda: stack.family() == [], 10), stack.family()
+
+
+def test_a_process_that_ends_is_started_again_and_named(launch: Launch) -> None:
+    stack = launch()
+    url = stack.url()
+    for one in stack.named("-m api"):
+        one.kill()
+    assert eventually(lambda: _is_ready(url), 20)
+    stack.process.send_signal(signal.SIGINT)
+    _, told = stack.process.communicate(timeout=30)
+    assert "api has ended unexpectedly and is started again" in told
+
+
+def test_a_port_in_use_is_refused_before_anything_starts(launch: Launch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        stack = launch("--port", str(port))
+        _, told = stack.process.communicate(timeout=30)
+    assert stack.process.returncode == 1
+    assert f"Port {port} is in use" in told
+    assert not stack.data.exists()
+
+
+def test_a_second_stack_on_the_same_data_is_refused_with_the_first_ones_id(launch: Launch) -> None:
+    first = launch()
+    first.url()
+    second = launch()
+    _, told = second.process.communicate(timeout=30)
+    assert second.process.returncode == 1
+    assert f"Process {first.process.pid} already runs a service" in told
+    assert first.process.poll() is None
+
+
+def test_a_job_survives_a_restart_of_everything(launch: Launch) -> None:
+    first = launch()
+    url = first.url()
+    # No worker here has a GPU, so it stays in the queue.
+    wish = {"environment": "ant", "kind": "train", "resources": {"accelerator": "gpu"}}
+    answer = httpx.post(f"{url}/jobs", json=wish)
+    assert answer.status_code == 202, answer.text
+    first.process.send_signal(signal.SIGTERM)
+    first.process.communicate(timeout=30)
+    again = httpx.get(f"{launch().url()}/jobs/{answer.json()['id']}")
+    assert again.json()["status"] == "queued"
+
+
+def _is_ready(url: str) -> bool:
+    try:
+        return httpx.get(f"{url}/readyz", timeout=1).status_code == 200
+    except httpx.TransportError:
+        return False

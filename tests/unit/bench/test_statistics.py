@@ -1,0 +1,47 @@
+"""What is said of several rounds."""
+
+from collections.abc import Callable
+
+import pytest
+
+from bench.statistics import Spread, alternate, percentile, ratios, spread
+
+
+def test_a_spread_is_the_median_between_the_extremes() -> None:
+    assert spread([3.0, 1.0, 10.0]) == Spread(median=3.0, low=1.0, high=10.0)
+
+
+def test_a_ratio_is_taken_round_by_round() -> None:
+    # The machine was half as fast in the second round: 4/2 = 2/1 = 2. Medians alone would say 3/1.5 too,
+    # but their extremes would be 4/1 and 2/2.
+    assert ratios([4.0, 2.0], [2.0, 1.0]) == Spread(median=2.0, low=2.0, high=2.0)
+
+
+def test_ratios_of_unequal_rounds_are_refused() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        ratios([1.0, 2.0], [1.0])
+
+
+@pytest.mark.parametrize(("percent", "expected"), [(50, 50), (99, 99), (99.5, 100), (100, 100), (0, 1)])
+def test_a_percentile_is_one_of_the_values(percent: float, expected: float) -> None:
+    # Of 1..100 the nearest rank of p % is the ceil(p)th value, and at least the first.
+    assert percentile([float(n) for n in range(100, 0, -1)], percent) == expected
+
+
+def test_nothing_has_no_median_and_no_percentile() -> None:
+    with pytest.raises(ValueError, match="median"):
+        spread([])
+    with pytest.raises(ValueError, match="percentile"):
+        percentile([], 99)
+
+
+def test_measurements_alternate_and_turn_round() -> None:
+    order: list[str] = []
+
+    def measured(name: str) -> Callable[[], int]:
+        return lambda: order.append(name) or len(order)
+
+    results = alternate(3, a=measured("a"), b=measured("b"))
+
+    assert order == ["a", "b", "b", "a", "a", "b"]
+    assert results == {"a": [1, 4, 5], "b": [2, 3, 6]}
