@@ -1,0 +1,1 @@
+"""Measurements against targets and peers: `./run bench [NAME ...]`. Each prints a table and writes JSON."""

@@ -1,0 +1,96 @@
+"""Tables from results: on the terminal, and between the markers of docs/performance.md."""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from bench.result import Figure, Result
+
+HEADINGS = ("Figure", "Measured", "Lowest – highest", "Target", "")
+
+
+def begin(name: str) -> str:
+    return f"<!-- bench {name}: begin -->"
+
+
+def end(name: str) -> str:
+    return f"<!-- bench {name}: end -->"
+
+
+def number(value: float) -> str:
+    """Three significant digits or more, thousands apart."""
+    if value == 0:
+        return "0"
+    if abs(value) >= 1000:
+        return f"{value:,.0f}"
+    return f"{value:.3g}"
+
+
+def cells(figure: Figure) -> tuple[str, str, str, str, str]:
+    """A figure under HEADINGS; a missed target is called missed."""
+    among = (
+        "" if figure.low is None or figure.high is None else f"{number(figure.low)} – {number(figure.high)}"
+    )
+    target = "" if figure.target is None else f"{figure.target.comparison} {number(figure.target.value)}"
+    verdict = {True: "met", False: "**missed**", None: ""}[figure.met]
+    return figure.name, f"{number(figure.value)} {figure.unit}".strip(), among, target, verdict
+
+
+def show(result: Result, console: Console) -> None:
+    """The table and the notes, on a terminal."""
+    table = Table(*HEADINGS, title=result.title, title_justify="left")
+    for figure in result.figures:
+        *texts, verdict = cells(figure)
+        colour = "red" if figure.met is False else "green"
+        table.add_row(*texts, f"[{colour}]{verdict.strip('*')}[/]" if verdict else "")
+    console.print(table)
+    if result.quick:
+        console.print("A smoke test of the bench: the numbers say nothing.", style="yellow")
+    for note in result.notes:
+        console.print(f"- {note}", markup=False)
+
+
+def markdown(result: Result) -> str:
+    """The same as Markdown, with where and when it was measured."""
+    machine = result.machine
+    packages = ", ".join(f"{name} {version}" for name, version in machine.packages.items())
+    lines = [
+        _row(HEADINGS),
+        _row("---" for _ in HEADINGS),
+        *(_row(cells(figure)) for figure in result.figures),
+        "",
+        f"`{result.command}` on {machine.measured_at[:10]}, commit {machine.commit}: {machine.processor}, "
+        f"{machine.cores} cores, {machine.memory_gib:g} GiB, Python {machine.python}, {packages}; "
+        f"load {machine.load_before:g} before it began.",
+    ]
+    if result.notes:
+        lines += ["", *(f"- {note}" for note in result.notes)]
+    return "\n".join(lines)
+
+
+def filled(page: str, results: Iterable[Result]) -> str:
+    """The page with each result's section renewed.
+
+    Raises ValueError for a result of a smoke test, and where the page has no place for a result.
+    """
+    for result in results:
+        if result.quick:
+            raise ValueError(f"{result.name}.json is of a smoke test (--quick); measure it in earnest first.")
+        place = re.compile(f"{re.escape(begin(result.name))}.*?{re.escape(end(result.name))}", re.DOTALL)
+        section = f"{begin(result.name)}\n{markdown(result)}\n{end(result.name)}"
+        page, count = place.subn(lambda _, section=section: section, page)
+        if count != 1:
+            raise ValueError(f"The page has {count} places for {result.name!r}; there must be one.")
+    return page
+
+
+def load(folder: Path) -> list[Result]:
+    """Every result in the folder, by name."""
+    return [Result.model_validate_json(path.read_bytes()) for path in sorted(folder.glob("*.json"))]
+
+
+def _row(texts: Iterable[str]) -> str:
+    return "| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |"

@@ -1,0 +1,48 @@
+"""What is said of several rounds of one measurement."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import TypeVar
+
+Measured = TypeVar("Measured")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The median of some rounds between the least and the greatest."""
+
+    median: float
+    low: float
+    high: float
+
+
+def spread(values: Sequence[float]) -> Spread:
+    """Raises ValueError where there are no values."""
+    if not values:
+        raise ValueError("There is nothing to take the median of.")
+    return Spread(median(values), min(values), max(values))
+
+
+def ratios(numerators: Sequence[float], denominators: Sequence[float]) -> Spread:
+    """Round by round, so that what slows a whole round down cancels out."""
+    return spread([a / b for a, b in zip(numerators, denominators, strict=True)])
+
+
+def percentile(values: Sequence[float], percent: float) -> float:
+    """The least value that at least `percent` % of the values do not exceed (nearest rank)."""
+    if not values:
+        raise ValueError("There is nothing to take a percentile of.")
+    rank = max(1, math.ceil(percent / 100 * len(values)))
+    return sorted(values)[rank - 1]
+
+
+def alternate(rounds: int, **measurements: Callable[[], Measured]) -> dict[str, list[Measured]]:
+    """Each measurement once a round, in turn and every other round backwards: A B, B A, A B, …"""
+    results: dict[str, list[Measured]] = {name: [] for name in measurements}
+    for turn in range(rounds):
+        names = list(measurements)
+        for name in names if turn % 2 == 0 else reversed(names):
+            results[name].append(measurements[name]())
+    return results

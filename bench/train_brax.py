@@ -1,0 +1,68 @@
+"""One run of the peer, `brax.training.agents.ppo.train`: `python -m bench.train_brax ANSWER REQUEST`.
+
+Request: environment, engine, settings, seed; epochs (it reports after each); evaluate. The engine
+`mjx_equal` is MJX-JAX with the solver settings that `native` has.
+"""
+
+import time
+from functools import partial
+from typing import Any
+
+from bench.child import answer
+
+# What `ppo.train` calls by other names, or not at all.
+_NOT_BRAX = {"kind", "policy_hidden_layer_sizes", "value_hidden_layer_sizes", "num_evals"}
+
+
+def work(request: dict[str, Any]) -> dict[str, Any]:
+    """training: [[steps, seconds of training until then], …]; wall_s: from the call to its return."""
+    import jax
+    import jax.numpy as jnp
+
+    # Brax 0.14.2 calls a function that JAX has removed; these two lines are what it did.
+    if not hasattr(jax, "device_put_replicated"):
+        jax.device_put_replicated = lambda x, to: jax.tree.map(lambda a: jnp.stack([a] * len(to)), x)
+    from brax.training.agents.ppo import networks, train
+
+    from bench.brax_environment import BraxEnvironment
+    from core.algorithms.ppo.spec import PPOSpec, resolve
+    from core.environments import catalog
+    from core.physics.choose import engine_builder
+
+    def builder(name: str) -> Any:
+        if name != "mjx_equal":
+            return engine_builder(name)
+        mjx = engine_builder("mjx")
+        # The settings for accelerators are what makes it less accurate than `native`: leave them out.
+        return lambda model, num_substeps, derived, *, accelerated=None: mjx(model, num_substeps, derived)
+
+    info = catalog.find(request["environment"])
+    ours = catalog.make(info, catalog.parse_options(info, {}), builder(request["engine"]))
+    settings = resolve(PPOSpec.model_validate(request["settings"]), info, "cpu")
+    training, rewards = list[tuple[int, float]](), list[tuple[int, float]]()
+
+    def report(step: int, metrics: dict[str, Any]) -> None:
+        if "training/walltime" in metrics:
+            training.append((int(step), float(metrics["training/walltime"])))
+        if "eval/episode_reward" in metrics:
+            rewards.append((int(step), float(metrics["eval/episode_reward"])))
+
+    began = time.perf_counter()
+    train.train(
+        BraxEnvironment(ours),
+        **settings.model_dump(exclude=_NOT_BRAX),
+        num_evals=request["epochs"] + 1,  # one comes before the first epoch
+        run_evals=request["evaluate"],
+        network_factory=partial(
+            networks.make_ppo_networks,
+            policy_hidden_layer_sizes=tuple(settings.policy_hidden_layer_sizes),
+            value_hidden_layer_sizes=tuple(settings.value_hidden_layer_sizes),
+        ),
+        seed=request["seed"],
+        progress_fn=report,
+    )
+    return {"training": training, "rewards": rewards, "wall_s": time.perf_counter() - began}
+
+
+if __name__ == "__main__":
+    answer(work)

@@ -1,0 +1,61 @@
+"""One environment, trained with its tuned defaults: how they were chosen, and how to choose better ones.
+
+`python -m bench.train_environment ANSWER.json '{"environment": "ant", "device": "cpu"}'`; `settings` in the
+request changes hyperparameters, `seed` the seed. On a GPU, leave JAX_PLATFORMS unset.
+"""
+
+import time
+from typing import Any
+
+from bench.child import answer
+
+
+def train(request: dict[str, Any]) -> dict[str, Any]:
+    """environment, device (`cpu`, `gpu`), and what to change in the tuned settings."""
+    import jax
+
+    from core.algorithms.ppo.spec import PPOSpec, resolve
+    from core.algorithms.ppo.trainer import PPOTrainer
+    from core.algorithms.trainer import Evaluated, Phase, Progress
+    from core.environments import catalog
+    from core.physics.choose import choose, engine_builder
+
+    began = time.perf_counter()
+    info = catalog.find(request["environment"])
+    choice = choose("auto", request["device"])
+    environment = catalog.make(info, catalog.parse_options(info, {}), engine_builder(choice.name))
+    settings = resolve(PPOSpec(**request.get("settings", {})), info, request["device"])
+    trainer = PPOTrainer(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
+    curve: list[dict[str, float]] = []
+    rates: list[float] = []
+    phases: dict[str, float] = {}
+    for event in trainer.events():
+        match event:
+            case Phase(name=name, seconds=seconds):
+                phases[name] = seconds
+            case Progress(metrics=metrics):
+                rates.append(metrics["training/sps"])
+            case Evaluated(step=step, metrics=metrics):
+                wall_s = time.perf_counter() - began
+                curve.append({"step": step, "wall_s": wall_s, **_kept(metrics)})
+            case _:
+                pass
+    return {
+        "environment": info.id,
+        "device": jax.devices()[0].device_kind,
+        "engine": choice.name,
+        "steps": trainer.step,
+        "wall_s": time.perf_counter() - began,
+        "steps_per_second": sorted(rates)[len(rates) // 2],
+        "phases": phases,
+        "curve": curve,
+    }
+
+
+def _kept(metrics: Any) -> dict[str, float]:
+    names = ("eval/episode_reward", "eval/avg_episode_length", "eval/forward_speed")
+    return {name.removeprefix("eval/"): metrics[name] for name in names if name in metrics}
+
+
+if __name__ == "__main__":
+    answer(train)
