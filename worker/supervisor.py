@@ -35,9 +35,10 @@ _STORAGE_PATIENCE_S = 900.0
 
 @dataclass
 class Supervisor:
-    """Runs one claimed attempt. `drain` may be called from a signal handler.
+    """Runs one claimed attempt.
 
-    Leaves behind: the job ended or back in the queue, no process, no spool.
+    draining: set, also by a signal handler, once the worker has to go; the job then keeps a checkpoint
+    and is given back. Leaves behind: the job ended or back in the queue, no process, no spool.
     """
 
     holding: Holding
@@ -45,11 +46,7 @@ class Supervisor:
     device: str
     slot_name: str
     command: Sequence[str] = TRAINING
-    _draining: threading.Event = field(default_factory=threading.Event)
-
-    def drain(self) -> None:
-        """The worker has to go: keep a checkpoint and give the job back."""
-        self._draining.set()
+    draining: threading.Event = field(default_factory=threading.Event)
 
     def run(self) -> None:
         spool = self.settings.data_dir / "spool" / f"{self.holding.job_id}.{self.holding.number}"
@@ -108,7 +105,7 @@ class Supervisor:
     def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
         if heartbeat.cancelled.is_set():
             return Stop.CANCEL
-        if self._draining.is_set():
+        if self.draining.is_set():
             return Stop.DRAIN
         return Stop.TIMEOUT if time.monotonic() > deadline else None
 

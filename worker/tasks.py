@@ -3,6 +3,7 @@
 import os
 import signal
 import socket
+import threading
 
 import structlog
 
@@ -19,16 +20,8 @@ log = structlog.get_logger()
 
 def run_attempt(job_id: str, attempt: int) -> None:
     """Claim the attempt and see it to its end; a dispatch that is no longer true does nothing."""
-    supervisor: Supervisor | None = None
-    drained_early = False
-
-    def drain(*_: object) -> None:
-        nonlocal drained_early
-        drained_early = True
-        if supervisor is not None:
-            supervisor.drain()
-
-    signal.signal(signal.SIGTERM, drain)
+    draining = threading.Event()
+    signal.signal(signal.SIGTERM, lambda number, frame: draining.set())
     # A worker that is killed takes its work-horse along, and that one drains: SIGTERM, not SIGKILL.
     die_with_parent(signal_number=signal.SIGTERM)
     structlog.contextvars.bind_contextvars(job_id=job_id, attempt=attempt)
@@ -49,7 +42,4 @@ def run_attempt(job_id: str, attempt: int) -> None:
         return
     # A GPU is one slot for the whole machine; CPU workers may share the cores, one job each.
     slot_name = f"cpu-{os.getppid()}" if device == "cpu" else device.replace(":", "-")
-    supervisor = Supervisor(holding, settings, device, slot_name)
-    if drained_early:
-        supervisor.drain()
-    supervisor.run()
+    Supervisor(holding, settings, device, slot_name, draining=draining).run()

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, JsonValue, PlainSer
 from core.algorithms.catalog import AlgorithmSpec
 from core.algorithms.ppo.spec import PPOSpec
 from core.model import Strict
+from core.physics.availability import PhysicsChoice
 
 JobId = Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$", examples=["019aa3c2f0b1-5be0c1d2e3"])]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
@@ -15,7 +16,6 @@ Label = Annotated[str, Field(max_length=200)]
 LabelName = Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[A-Za-z0-9_.-]+$")]
 Priority = Literal["high", "normal", "low"]
 Accelerator = Literal["any", "cpu", "gpu"]
-PhysicsChoice = Literal["auto", "native", "mjx", "warp"]
 
 
 def _even(value: int) -> int:

@@ -165,7 +165,7 @@ def test_a_cancel_keeps_the_checkpoint_of_that_moment(bench: Bench) -> None:
 def test_a_drain_gives_the_job_back_with_its_checkpoint(bench: Bench) -> None:
     job = bench.submit(max_attempts=1)
     with bench.running(job, "waits") as supervisor:
-        supervisor.drain()
+        supervisor.draining.set()
     ended = bench.store.get(job.id)
     assert (ended.status, ended.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
     assert [a.step for a in ended.artifacts if a.role == "checkpoint"] == [10, 20]

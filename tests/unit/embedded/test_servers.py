@@ -180,6 +180,7 @@ class TestFailure:
     def test_a_space_in_the_path_is_no_hindrance(self, tmp_path: Path) -> None:
         with Valkey(tmp_path / "a b%20ü") as valkey:
             valkey.process.check()
+            assert valkey.process.pid is not None
 
     @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's parent-death signal is Linux's")
     def test_they_do_not_outlive_a_launcher_that_was_killed(self, tmp_path: Path) -> None:
