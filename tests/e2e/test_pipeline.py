@@ -19,12 +19,12 @@ from gaitway.client import Client
 from gaitway.embedded.processes import free_ports
 from gaitway.views import Event, JobView
 
-# Updates of 64 × 10 = 640 steps; about eight seconds of training, once it is compiled.
+# Updates of 64 × 10 = 640 steps; some ten seconds of training, so that it can be disturbed in the middle.
 SMALL: dict[str, Any] = {
     "kind": "train",
     "environment": "inverted_pendulum",
     "algorithm": {
-        "num_timesteps": 64_000,
+        "num_timesteps": 256_000,
         "num_envs": 64,
         "unroll_length": 10,
         "batch_size": 16,
@@ -35,7 +35,7 @@ SMALL: dict[str, Any] = {
         "policy_hidden_layer_sizes": [16],
         "value_hidden_layer_sizes": [16],
     },
-    "checkpoints": {"every_steps": 12_800, "keep": 100},
+    "checkpoints": {"every_steps": 51_200, "keep": 100},
     "video": {"width": 160, "height": 120, "seconds": 1},
     "seed": 3,
 }
@@ -76,20 +76,20 @@ def until_checkpoint(client: Client, job: JobView) -> tuple[list[Event], int]:
 def final_checkpoint(job: JobView) -> str:
     found = job.newest("checkpoint")
     assert found is not None
-    assert found.step == 64_000
+    assert found.step == 256_000
     return found.sha256
 
 
 def test_a_job_goes_from_post_to_its_video(client: Client, undisturbed: JobView, tmp_path: Path) -> None:
     assert (undisturbed.status, undisturbed.reason) == ("succeeded", "completed")
-    assert undisturbed.progress.step == undisturbed.progress.total == 64_000
+    assert undisturbed.progress.step == undisturbed.progress.total == 256_000
     video = client.video(undisturbed.id, tmp_path / "video.mp4")
     with av.open(str(video)) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.width, stream.height) == ("h264", 160, 120)
         assert sum(1 for _ in container.decode(stream)) == 30
     assert {a.role for a in undisturbed.artifacts} == {"checkpoint", "metrics", "policy", "poster", "video"}
-    assert [a.step for a in client.checkpoints(undisturbed.id)] == [12_800 * i for i in range(1, 6)]
+    assert [a.step for a in client.checkpoints(undisturbed.id)] == [51_200 * i for i in range(1, 6)]
 
 
 def test_the_video_is_served_in_parts(client: Client, undisturbed: JobView) -> None:
