@@ -9,9 +9,10 @@ from api.correlation import Correlation
 from api.dependencies import Service
 from api.openapi import describe
 from api.routes import ROUTERS
+from core.configuration import read
 from core.jobs.queue import JobQueue
 from core.jobs.store import JobStore
-from core.settings import Settings
+from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
 
 _DESCRIPTION = """Bodies learn to walk: submit a training or a rollout, watch it, fetch its video.
@@ -19,7 +20,7 @@ _DESCRIPTION = """Bodies learn to walk: submit a training or a rollout, watch it
 Every refusal is `application/problem+json` (RFC 9457). Times are RFC 3339 in UTC; ids sort by time."""
 
 
-def create_app(settings: Settings, *, store: JobStore, queue: JobQueue, objects: ObjectStore) -> FastAPI:
+def create_app(settings: ApiSettings, *, store: JobStore, queue: JobQueue, objects: ObjectStore) -> FastAPI:
     """The service over these parts."""
     app = FastAPI(
         title="Gaitway",
@@ -37,7 +38,7 @@ def create_app(settings: Settings, *, store: JobStore, queue: JobQueue, objects:
     return app
 
 
-def build(settings: Settings) -> FastAPI:
+def build(settings: ApiSettings) -> FastAPI:
     """The service over Redis, RQ and the object store that the settings name."""
     from core.adapters.connect import job_queue, job_store, object_store
 
@@ -47,5 +48,12 @@ def build(settings: Settings) -> FastAPI:
 
 
 def from_environment() -> FastAPI:
-    """The service as the environment's settings say; `uvicorn --factory api.app:from_environment`."""
-    return build(Settings())  # pyright: ignore[reportCallIssue] # Its fields come from the environment.
+    """The service as the environment's settings say; `uvicorn --factory api.app:from_environment`.
+
+    Raises Misconfigured.
+    """
+    from core.adapters.startup import check_stores
+
+    settings = read(ApiSettings)
+    check_stores(settings)
+    return build(settings)

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict
 from core.jobs.job import check_job_id
 from core.jobs.queue import JobQueue
 from core.jobs.store import JobStore
-from core.settings import Settings
+from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
 
 _WATCHING_THREADS = 16
@@ -24,7 +24,7 @@ class Service:
     watching: the threads that streams read with, apart from those that other requests share.
     """
 
-    settings: Settings
+    settings: ApiSettings
     store: JobStore
     queue: JobQueue
     objects: ObjectStore

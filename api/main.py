@@ -11,10 +11,16 @@ import uvicorn
 from fastapi import FastAPI
 
 from api.app import from_environment
+from core.configuration import stopping_if_misconfigured
+from core.errors import Misconfigured
 from core.telemetry import configure_logging
 
 log = structlog.get_logger()
 
+_OPEN_DOOR = (
+    "Whoever reaches this address may submit, cancel and delete jobs: there are no accounts. Listen at "
+    "127.0.0.1 (--host, or GAITWAY_ADDRESS under Docker Compose), or put a proxy with accounts before it."
+)
 # Long enough for a file's piece or a submission on its way; streams close by themselves.
 _GRACE_S = 5
 
@@ -43,9 +49,14 @@ class Server(uvicorn.Server):
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A bound socket; port 0 takes a free one. Raises OSError."""
+    """A bound socket; port 0 takes a free one. Raises Misconfigured."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    return socket.create_server((host, port), family=family, backlog=512)
+    try:
+        return socket.create_server((host, port), family=family, backlog=512)
+    except OSError as error:
+        raise Misconfigured(
+            f"The API cannot listen at {host} port {port} ({error.strerror}); see --host and --port."
+        ) from error
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -55,15 +66,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--port", type=int, default=8000, help="0 takes a free one; default: %(default)s")
     chosen = parser.parse_args(arguments)
     configure_logging("api")
-    with listen(chosen.host, chosen.port) as listener:
+    _serve(chosen.host, chosen.port)
+
+
+@stopping_if_misconfigured()
+def _serve(host: str, port: int) -> None:
+    with listen(host, port) as listener:
+        app = from_environment()
         host, port = listener.getsockname()[:2]
-        if not _is_loopback(host):
-            log.warning(
-                "service_exposed", host=host, advice="There is no authentication; put a proxy before it."
-            )
+        outside = app.state.service.settings.published or host
+        if not _is_loopback(outside):
+            log.warning("service_exposed", address=outside, advice=_OPEN_DOOR)
         log.info("service_listens", host=host, port=port)
-        Server(from_environment()).run(sockets=[listener])
+        Server(app).run(sockets=[listener])
 
 
 def _is_loopback(host: str) -> bool:
-    return ipaddress.ip_address(host).is_loopback
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

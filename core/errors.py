@@ -5,6 +5,7 @@ GaitwayError
 ├── Conflict       it exists, but not in a state that allows this
 ├── Rejected       the request itself is wrong; it will never work as sent
 ├── Unavailable    nothing wrong with the request; try again after `retry_after_s`
+├── Misconfigured  a setting is wrong or missing; a process that starts with it stops
 └── JobFailed      a job's own end, raised inside the training process
 """
 
@@ -160,6 +161,27 @@ class StorageUnavailable(Unavailable):
 class RecordsUnavailable(Unavailable):
     code = "records-unavailable"
     title = "The job records cannot be reached"
+
+
+class StorageRefuses(StorageUnavailable):
+    """It answers, and a setting has to change before it does what is asked."""
+
+    code = "storage-refuses"
+    title = "The object store refuses"
+
+
+class RecordsRefuse(RecordsUnavailable):
+    """It answers, and a setting has to change before it does what is asked."""
+
+    code = "records-refuse"
+    title = "Redis refuses"
+
+
+class Misconfigured(GaitwayError):
+    """The sentence names the setting and the remedy."""
+
+    code = "misconfigured"
+    title = "A setting is wrong"
 
 
 class JobFailed(GaitwayError):

@@ -1,32 +1,144 @@
-"""Every setting of the service; a process reads them once, at its composition root."""
+"""Every setting of the service; a process reads its own once, at its composition root.
+
+StoreSettings            what every process needs: where the records and the objects are
+├── ApiSettings
+├── WorkerSettings       one worker; `worker.fleet` hands them on, with one device each
+└── ReconcilerSettings
+"""
 
 from datetime import timedelta
+from ipaddress import ip_address
 from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlsplit
 
-from pydantic import Field, SecretStr
+from pydantic import AfterValidator, BeforeValidator, Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+PREFIX = "GAITWAY_"
 
-class Settings(BaseSettings):
-    """Read from the environment, `GAITWAY_` before each name in capitals."""
+_REDIS_SCHEMES = ("redis", "rediss", "unix")
 
-    model_config = SettingsConfigDict(env_prefix="GAITWAY_", frozen=True)
 
-    redis_url: SecretStr = Field(description="redis://, rediss:// or unix:// address, password included.")
-    s3_endpoint: str = Field(description="host:port of the object store.")
-    s3_access_key: str
-    s3_secret_key: SecretStr
-    s3_bucket: str = "gaitway"
+def _number_of_seconds(value: Any) -> Any:
+    """A bare number is seconds; pydantic itself would want an ISO 8601 duration."""
+    try:
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+def _address(value: str) -> str:
+    if "/" in value:
+        raise ValueError("write host:port alone; GAITWAY_S3_SECURE says whether it is https")
+    return value
+
+
+def _redis_address(value: SecretStr) -> SecretStr:
+    scheme = value.get_secret_value().partition("://")[0]
+    if scheme not in _REDIS_SCHEMES:
+        raise ValueError("begin it with redis://, rediss:// (TLS) or unix://")
+    return value
+
+
+Seconds = Annotated[timedelta, BeforeValidator(_number_of_seconds), Field(gt=timedelta(0))]
+Address = Annotated[str, Field(min_length=1), AfterValidator(_address)]
+RedisAddress = Annotated[SecretStr, AfterValidator(_redis_address)]
+Lease = Annotated[Seconds, Field(description="How long a silent worker keeps its job.")]
+
+
+class StoreSettings(BaseSettings):
+    """Read from the environment, `GAITWAY_` before each name in capitals; an empty variable is none.
+
+    A value may also be a file of that name, in small letters, in the folder that GAITWAY_SECRETS_DIR names.
+    """
+
+    model_config = SettingsConfigDict(
+        env_prefix=PREFIX, env_ignore_empty=True, frozen=True, hide_input_in_errors=True, extra="ignore"
+    )
+
+    redis_url: RedisAddress = Field(
+        description="Where Redis or Valkey is: redis://:PASSWORD@HOST:PORT/0, rediss:// for TLS, or "
+        "unix:///path/to/its.sock."
+    )
+    redis_without_password: bool = Field(
+        False, description="Accept a Redis on another machine that asks for no password."
+    )
+    s3_endpoint: Address = Field(description="Where the object store is: HOST:PORT, without https://.")
+    s3_access_key: str = Field(min_length=1, description="Its access key's id.")
+    s3_secret_key: SecretStr = Field(min_length=1, description="The secret that belongs to the access key.")
+    s3_bucket: str = Field(
+        "gaitway", min_length=3, max_length=63, description="The bucket; it has to exist already."
+    )
     s3_secure: bool = Field(True, description="TLS to the object store.")
-    s3_region: str | None = None
-    data_dir: Path = Field(description="Spool, caches and locks of this machine's workers.")
-    device: str = Field("auto", description="What a worker runs on: auto, cpu, or gpu:<index>.")
-    lease: timedelta = Field(timedelta(seconds=15), description="How long a silent worker keeps its job.")
-    heartbeat: timedelta = Field(
-        timedelta(seconds=1), description="How often a worker renews it and looks for a cancel."
+    s3_region: str | None = Field(None, description="The bucket's region, where the store has regions.")
+    s3_style: Literal["auto", "path", "host"] = Field(
+        "auto",
+        description="How the bucket is addressed: HOST/BUCKET (path), BUCKET.HOST (host), or host for "
+        "Amazon's own addresses and path for all others (auto).",
     )
-    grace: timedelta = Field(timedelta(seconds=60), description="From a cancel, timeout or drain to SIGKILL.")
-    reconcile_every: timedelta = Field(
-        timedelta(seconds=5), description="Between two looks of the reconciler."
+
+    @model_validator(mode="after")
+    def _no_open_door(self) -> Self:
+        if not self.redis_without_password and _is_open(self.redis_url.get_secret_value()):
+            raise ValueError(
+                f"{PREFIX}REDIS_URL names another machine and has no password: whoever reaches that "
+                "Redis decides what the workers run. Give it one (requirepass) and write "
+                f"redis://:PASSWORD@HOST:PORT/0, or accept it by {PREFIX}REDIS_WITHOUT_PASSWORD=true."
+            )
+        return self
+
+
+class ApiSettings(StoreSettings):
+    """What `python -m api` reads."""
+
+    max_body_bytes: int = Field(2**20, gt=0, description="Largest request body, in bytes.")
+    published: str | None = Field(
+        None,
+        description="The host address at which others reach the API, where it cannot know: behind a proxy, "
+        "or published by a container engine. For its warning about an open door.",
     )
-    max_body_bytes: int = Field(2**20, description="Largest request body.")
+
+
+class WorkerSettings(StoreSettings):
+    """What `python -m worker.main` reads."""
+
+    data_dir: Path = Field(description="Folder of this machine's spool, caches and locks.")
+    device: str = Field(
+        "auto",
+        pattern=r"^(auto|cpu|gpu(:\d+)?)$",
+        description="What the worker runs on: cpu, gpu:INDEX, or auto for the first GPU if there is one.",
+    )
+    lease: Lease = timedelta(seconds=15)
+    heartbeat: Seconds = Field(
+        timedelta(seconds=1), description="How often a worker renews its lease and looks for a cancel."
+    )
+    grace: Seconds = Field(timedelta(seconds=60), description="From a cancel, timeout or drain to SIGKILL.")
+
+    @model_validator(mode="after")
+    def _outlives_a_missed_beat(self) -> Self:
+        if self.lease < 3 * self.heartbeat:
+            raise ValueError(
+                f"{PREFIX}LEASE ({self.lease.total_seconds():g} s) has to be at least three times "
+                f"{PREFIX}HEARTBEAT ({self.heartbeat.total_seconds():g} s), or a slow moment costs a job."
+            )
+        return self
+
+
+class ReconcilerSettings(StoreSettings):
+    """What `python -m worker.reconciler` reads."""
+
+    lease: Lease = timedelta(seconds=15)
+    reconcile_every: Seconds = Field(timedelta(seconds=5), description="Between two looks at every job.")
+
+
+def _is_open(url: str) -> bool:
+    """Whether a Redis on another machine is named without a password."""
+    parts = urlsplit(url)
+    if parts.scheme == "unix" or parts.password:
+        return False
+    host = parts.hostname or "localhost"
+    try:
+        return not ip_address(host).is_loopback
+    except ValueError:
+        return host != "localhost"

@@ -15,7 +15,7 @@ from core.adapters.rq_queue import RQQueue
 from core.adapters.s3_objects import S3ObjectStore
 from core.jobs.queue import JobQueue
 from core.jobs.store import JobStore
-from core.settings import Settings
+from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import REGION, Weed
@@ -57,9 +57,9 @@ def object_store(weed: Weed) -> S3ObjectStore:
 @pytest.fixture
 def settings(
     valkey: Valkey, weed: Weed, redis_client: redis.Redis, object_store: S3ObjectStore, tmp_path: Path
-) -> Settings:
-    """Settings that lead to both servers, both empty, and to an empty data folder."""
-    return Settings.model_validate(
+) -> WorkerSettings:
+    """WorkerSettings that lead to both servers, both empty, and to an empty data folder."""
+    return WorkerSettings.model_validate(
         {
             "redis_url": valkey.url,
             "s3_endpoint": weed.endpoint,

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from core.settings import Settings
+from core.settings import WorkerSettings
 
 _NVIDIA = Path("/proc/driver/nvidia/gpus")
 
 
-def device_of(settings: Settings) -> str:
+def device_of(settings: WorkerSettings) -> str:
     """`cpu`, or `gpu:<index>`; `auto` is the first GPU where the driver shows one."""
     if settings.device != "auto":
         return settings.device

@@ -8,7 +8,7 @@ import structlog
 from core.errors import LeaseLost, Unavailable
 from core.jobs.attempts import Holding
 from core.jobs.status import JobStatus
-from core.settings import Settings
+from core.settings import WorkerSettings
 
 log = structlog.get_logger()
 
@@ -16,7 +16,7 @@ log = structlog.get_logger()
 class Heartbeat:
     """A thread that renews the lease. An outage of the store is waited out: the token decides afterwards."""
 
-    def __init__(self, holding: Holding, settings: Settings) -> None:
+    def __init__(self, holding: Holding, settings: WorkerSettings) -> None:
         self.cancelled = threading.Event()
         self.lost = threading.Event()
         self._holding = holding

@@ -19,11 +19,13 @@ from rq.serializers import JSONSerializer
 
 from core.adapters.connect import connect_redis, job_store
 from core.adapters.rq_queue import job_of
+from core.adapters.startup import check_stores
+from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs.job import utc_now
 from core.jobs.queue import queue_names
 from core.jobs.store import JobStore, WorkerInfo
-from core.settings import Settings
+from core.settings import WorkerSettings
 from core.telemetry import configure_logging
 from worker.device import device_of
 from worker.lifeline import die_with_parent
@@ -39,7 +41,7 @@ _PAUSE_S = 1.0
 class GaitwayWorker(rq.Worker):
     """RQ's forking worker, which tells the service about itself and passes a shutdown on to its job."""
 
-    def __init__(self, settings: Settings, store: JobStore) -> None:
+    def __init__(self, settings: WorkerSettings, store: JobStore) -> None:
         self._store = store
         device = device_of(settings)
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
@@ -93,12 +95,14 @@ class GaitwayWorker(rq.Worker):
         super().request_stop(signum, frame)  # pyright: ignore[reportUnknownMemberType]
 
 
+@stopping_if_misconfigured()
 def main() -> None:
     """Serve until a SIGTERM."""
-    settings = Settings()  # pyright: ignore[reportCallIssue] # Its fields come from the environment.
     configure_logging("worker")
     if parent := os.environ.get("GAITWAY_PARENT"):
         die_with_parent(int(parent), signal.SIGTERM)
+    settings = read(WorkerSettings)
+    check_stores(settings)
     store = job_store(settings)
     worker = GaitwayWorker(settings, store)
     log.info("worker_started", worker=worker.name)

@@ -13,9 +13,9 @@ from core.errors import LeaseLost
 from core.jobs.attempts import Holding
 from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Entry
+from core.patience import through_outages
 from core.storage import keys
 from worker.messages import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
-from worker.patience import through_outages
 
 
 class Outbox:

@@ -7,16 +7,19 @@ import threading
 import structlog
 
 from core.adapters.connect import job_queue, job_store, object_store
+from core.adapters.startup import check_stores
+from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs.job import utc_now
 from core.jobs.reconciliation import reconcile
-from core.settings import Settings
+from core.settings import ReconcilerSettings
 from core.telemetry import configure_logging
 from worker.lifeline import die_with_parent
 
 log = structlog.get_logger()
 
 
+@stopping_if_misconfigured()
 def main() -> None:
     """Reconcile until a SIGTERM."""
     over = threading.Event()
@@ -24,8 +27,9 @@ def main() -> None:
         signal.signal(number, lambda number, frame: over.set())
     if parent := os.environ.get("GAITWAY_PARENT"):
         die_with_parent(int(parent))
-    settings = Settings()  # pyright: ignore[reportCallIssue] # Its fields come from the environment.
     configure_logging("reconciler")
+    settings = read(ReconcilerSettings)
+    check_stores(settings)
     store, queue, objects = job_store(settings), job_queue(settings), object_store(settings)
     while not over.is_set():
         try:

@@ -16,12 +16,12 @@ from core.jobs.checks import source_checkpoint
 from core.jobs.job import Artifact, Job, utc_now
 from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
 from core.jobs.status import JobStatus, Reason
-from core.settings import Settings
+from core.patience import through_outages
+from core.settings import WorkerSettings
 from worker.heartbeat import Heartbeat
 from worker.messages import Failed, Finished, Task
 from worker.outbox import Outbox
 from worker.outcome import Outcome, Stop, judge
-from worker.patience import through_outages
 from worker.process import TRAINING, TrainingProcess
 from worker.slot import SlotTaken, slot
 
@@ -42,7 +42,7 @@ class Supervisor:
     """
 
     holding: Holding
-    settings: Settings
+    settings: WorkerSettings
     device: str
     slot_name: str
     command: Sequence[str] = TRAINING

@@ -8,9 +8,10 @@ import threading
 import structlog
 
 from core.adapters.connect import job_store, object_store
+from core.configuration import read
 from core.jobs.attempts import claim
 from core.jobs.job import utc_now
-from core.settings import Settings
+from core.settings import WorkerSettings
 from worker.device import device_of
 from worker.lifeline import die_with_parent
 from worker.supervisor import Supervisor
@@ -25,7 +26,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
     # A worker that is killed takes its work-horse along, and that one drains: SIGTERM, not SIGKILL.
     die_with_parent(signal_number=signal.SIGTERM)
     structlog.contextvars.bind_contextvars(job_id=job_id, attempt=attempt)
-    settings = Settings()  # pyright: ignore[reportCallIssue] # Its fields come from the environment.
+    settings = read(WorkerSettings)
     device = device_of(settings)
     worker = f"{socket.gethostname()}:{device}"
     holding = claim(

@@ -13,7 +13,7 @@ from urllib3 import Timeout as HTTPTimeout
 from core.adapters.redis_jobs import LONGEST_BLOCK_S, RedisJobStore
 from core.adapters.rq_queue import RQQueue
 from core.adapters.s3_objects import S3ObjectStore
-from core.settings import Settings
+from core.settings import StoreSettings
 
 
 def connect_redis(url: str, *, retries: int = 2) -> Redis:
@@ -58,15 +58,15 @@ def connect_s3(
     )
 
 
-def job_store(settings: Settings) -> RedisJobStore:
+def job_store(settings: StoreSettings) -> RedisJobStore:
     return RedisJobStore(connect_redis(settings.redis_url.get_secret_value()))
 
 
-def job_queue(settings: Settings) -> RQQueue:
+def job_queue(settings: StoreSettings) -> RQQueue:
     return RQQueue(connect_redis(settings.redis_url.get_secret_value()))
 
 
-def object_store(settings: Settings) -> S3ObjectStore:
+def object_store(settings: StoreSettings) -> S3ObjectStore:
     secret_key = settings.s3_secret_key.get_secret_value()
     client = connect_s3(
         settings.s3_endpoint,

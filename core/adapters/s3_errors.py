@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from minio.error import MinioException, S3Error
 from urllib3.exceptions import HTTPError
 
-from core.errors import ObjectNotFound, StorageUnavailable
+from core.errors import ObjectNotFound, StorageRefuses, StorageUnavailable
 
 _NOT_THERE = {"NoSuchKey", "NoSuchObject"}
 _LOOK_AT = {
@@ -27,8 +27,10 @@ def reaching_s3(key: str = "") -> Generator[None]:
     except S3Error as error:
         if error.code in _NOT_THERE:
             raise ObjectNotFound(key) from error
-        hint = _LOOK_AT.get(error.code or "", error.message or "no reason given")
-        raise StorageUnavailable(f"The object store refused ({error.code}): {hint}.") from error
+        if remedy := _LOOK_AT.get(error.code or ""):
+            raise StorageRefuses(f"The object store refuses ({error.code}): {remedy}.") from error
+        reason = error.message or "no reason given"
+        raise StorageUnavailable(f"The object store cannot do it now ({error.code}): {reason}.") from error
     except (MinioException, HTTPError) as error:
         raise StorageUnavailable(
             f"The object store does not answer at GAITWAY_S3_ENDPOINT ({type(error).__name__})."

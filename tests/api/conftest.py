@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -25,7 +24,7 @@ from core.jobs.job import Artifact, Job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Channel, Entry
-from core.settings import Settings
+from core.settings import ApiSettings
 from core.storage import keys
 
 NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
@@ -57,8 +56,8 @@ class Stack:
 
 
 # The twins need no address.
-NOWHERE = Settings(
-    redis_url="unix:///unused", s3_endpoint="", s3_access_key="", s3_secret_key="", data_dir=Path("unused")
+NOWHERE = ApiSettings(
+    redis_url="unix:///unused", s3_endpoint="unused", s3_access_key="unused", s3_secret_key="unused"
 )
 
 

@@ -27,7 +27,7 @@ from core.jobs.attempts import claim
 from core.jobs.job import Artifact
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import WorkerInfo
-from core.settings import Settings
+from core.settings import ApiSettings, StoreSettings, WorkerSettings
 from core.storage import keys
 from tests.api.conftest import ARTIFACT, NOON, Stack, serving
 from tests.api.problems import problem
@@ -270,9 +270,10 @@ def test_the_process_is_small_without_a_numerical_stack_and_ends_on_sigterm(tmp_
             process.kill()
 
 
-def test_the_service_works_over_the_real_stores(settings: Settings) -> None:
+def test_the_service_works_over_the_real_stores(settings: WorkerSettings) -> None:
+    stores = settings.model_dump(include=set(StoreSettings.model_fields))
     with (
-        serving(build(settings)) as port,
+        serving(build(ApiSettings.model_validate(stores))) as port,
         httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20, verify=False) as http,  # noqa: S501
     ):
         assert http.get("/readyz").status_code == 200

@@ -23,7 +23,7 @@ from core.jobs.job import Job, utc_now
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.submission import submit
-from core.settings import Settings
+from core.settings import WorkerSettings
 from worker.supervisor import Supervisor
 
 PROBE = Path(__file__).with_name("probe_process.py")
@@ -34,8 +34,8 @@ class Bench:
 
     def __init__(self, data_dir: Path) -> None:
         self.store, self.queue, self.objects = MemoryJobStore(), MemoryJobQueue(), MemoryObjectStore()
-        self.settings = Settings(
-            redis_url=SecretStr("unused"),
+        self.settings = WorkerSettings(
+            redis_url=SecretStr("unix:///unused"),
             s3_endpoint="unused",
             s3_access_key="unused",
             s3_secret_key=SecretStr("unused"),

@@ -14,7 +14,7 @@ import pytest
 import urllib3
 
 from core.adapters.connect import job_store, object_store
-from core.settings import Settings
+from core.settings import WorkerSettings
 from gaitway.embedded.processes import ServerFailed, are_free, free_ports
 from gaitway.embedded.servers import EmbeddedServers
 from gaitway.embedded.valkey import Valkey
@@ -43,10 +43,10 @@ def servers(folder: Path) -> Iterator[EmbeddedServers]:
         yield running
 
 
-def settings_of(servers: EmbeddedServers, monkeypatch: pytest.MonkeyPatch, data_dir: Path) -> Settings:
+def settings_of(servers: EmbeddedServers, monkeypatch: pytest.MonkeyPatch, data_dir: Path) -> WorkerSettings:
     for name, value in servers.environment().items():
         monkeypatch.setenv(name, value)
-    return Settings(data_dir=data_dir)  # type: ignore[call-arg]
+    return WorkerSettings(data_dir=data_dir)  # type: ignore[call-arg]
 
 
 class TestTogether:

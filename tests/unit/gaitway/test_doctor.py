@@ -4,13 +4,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from core.settings import Settings
+from core.settings import WorkerSettings
 from gaitway.cli.main import app
 from gaitway.doctor import machine, run, services
 from gaitway.doctor.check import Check, ProbeFailed, probe
 
 
-def environ(settings: Settings, **changed: str) -> dict[str, str]:
+def environ(settings: WorkerSettings, **changed: str) -> dict[str, str]:
     return {
         "GAITWAY_REDIS_URL": settings.redis_url.get_secret_value(),
         "GAITWAY_S3_ENDPOINT": settings.s3_endpoint,
@@ -23,7 +23,7 @@ def environ(settings: Settings, **changed: str) -> dict[str, str]:
     }
 
 
-def test_real_servers_pass(settings: Settings) -> None:
+def test_real_servers_pass(settings: WorkerSettings) -> None:
     found = [check(environ(settings)) for check in (services.redis, services.object_store, services.clock)]
     assert [check.state for check in found] == ["pass", "pass", "pass"]
 
