@@ -55,5 +55,5 @@ def from_environment() -> FastAPI:
     from core.adapters.startup import check_stores
 
     settings = read(ApiSettings)
-    check_stores(settings)
+    check_stores(settings, patience_s=0)  # whoever asks meanwhile is told that they are away
     return build(settings)
