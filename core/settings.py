@@ -44,6 +44,9 @@ def _redis_address(value: SecretStr) -> SecretStr:
 Seconds = Annotated[timedelta, BeforeValidator(_number_of_seconds), Field(gt=timedelta(0))]
 Address = Annotated[str, Field(min_length=1), AfterValidator(_address)]
 RedisAddress = Annotated[SecretStr, AfterValidator(_redis_address)]
+AliveFile = Annotated[
+    Path | None, Field(description="Touched at each sign of life, for the health check of a container.")
+]
 Lease = Annotated[Seconds, Field(description="How long a silent worker keeps its job.")]
 
 
@@ -109,6 +112,7 @@ class WorkerSettings(StoreSettings):
         pattern=r"^(auto|cpu|gpu(:\d+)?)$",
         description="What the worker runs on: cpu, gpu:INDEX, or auto for the first GPU if there is one.",
     )
+    alive_file: AliveFile = None
     lease: Lease = timedelta(seconds=15)
     heartbeat: Seconds = Field(
         timedelta(seconds=1), description="How often a worker renews its lease and looks for a cancel."
@@ -128,6 +132,7 @@ class WorkerSettings(StoreSettings):
 class ReconcilerSettings(StoreSettings):
     """What `python -m worker.reconciler` reads."""
 
+    alive_file: AliveFile = None
     lease: Lease = timedelta(seconds=15)
     reconcile_every: Seconds = Field(timedelta(seconds=5), description="Between two looks at every job.")
 

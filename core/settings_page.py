@@ -1,14 +1,14 @@
 """docs/settings.md, made from the settings' own classes; `python -m core.settings_page` prints it."""
 
 import sys
-from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any
 
 from pydantic import SecretStr
 from pydantic.fields import FieldInfo
 
-from core.configuration import PROCESSES, SECRETS_DIR, variable
+from core.configuration import PROCESSES, variable
+from core.other_variables import OTHERS
 
 _HEAD = """# Settings
 
@@ -24,47 +24,6 @@ _SECRETS = """
 Each of these may be a file instead: named like the variable in small letters (`gaitway_redis_url`), in the
 folder that `GAITWAY_SECRETS_DIR` names. A variable wins over a file.
 """
-
-
-@dataclass(frozen=True)
-class Other:
-    """A variable that no settings class holds: something else reads it."""
-
-    name: str
-    readers: str
-    default: str
-    meaning: str
-
-
-OTHERS = (
-    Other(SECRETS_DIR, "API, worker, reconciler", "–", "Folder of files that hold settings, one each."),
-    Other("GAITWAY_URL", "`gaitway`, `gaitway.Client`", "`http://127.0.0.1:8000`", "Where the API is."),
-    Other(
-        "GAITWAY_ADDRESS",
-        "Docker Compose",
-        "`127.0.0.1`",
-        "Address of this host that the API is published at.",
-    ),
-    Other("GAITWAY_PORT", "Docker Compose", "`8000`", "Port of this host that the API is published at."),
-    Other(
-        "SSL_CERT_FILE",
-        "API, worker, reconciler",
-        "the system's",
-        "Certificates to trust, in one PEM file, where the stores' TLS has an authority of your own.",
-    ),
-    Other(
-        "MUJOCO_GL",
-        "worker",
-        "`egl`, else `osmesa`",
-        "The OpenGL back-end that draws videos: `egl`, `osmesa` or `glfw`.",
-    ),
-    Other(
-        "MUJOCO_EGL_DEVICE_ID",
-        "worker",
-        "the job's GPU",
-        "Which EGL device draws, where EGL and CUDA number the GPUs differently.",
-    ),
-)
 
 
 def page() -> str:

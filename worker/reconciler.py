@@ -14,6 +14,7 @@ from core.jobs.job import utc_now
 from core.jobs.reconciliation import reconcile
 from core.settings import ReconcilerSettings
 from core.telemetry import configure_logging
+from worker.alive import show_life
 from worker.lifeline import die_with_parent
 
 log = structlog.get_logger()
@@ -40,6 +41,7 @@ def main() -> None:
                 lease=settings.lease,
                 now=utc_now(),
             )
+            show_life(settings.alive_file)
         except Unavailable as error:
             log.warning("reconciliation_missed", error=error.detail)
         over.wait(settings.reconcile_every.total_seconds())

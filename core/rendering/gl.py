@@ -12,7 +12,7 @@ from typing import Any
 
 from core.errors import GaitwayError
 
-REMEDY = "install Debian's packages libegl1 and libgl1-mesa-dri (software rendering needs no GPU)"
+REMEDY = "install Debian's packages libegl1, libgl1-mesa-dri and libopengl0 (software rendering needs no GPU)"
 _TRIAL_TIMEOUT_S = 60.0
 
 

@@ -36,7 +36,7 @@ def test_macos_has_its_own() -> None:
 
 def test_no_back_end_at_all_is_told_with_the_packages_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "no-such-thing")
-    with pytest.raises(RenderingFailed, match="libegl1 and libgl1-mesa-dri") as failure:
+    with pytest.raises(RenderingFailed, match="libegl1, libgl1-mesa-dri and libopengl0") as failure:
         probe()
     assert failure.value.reason == "no_gl"
     assert "no-such-thing" in failure.value.detail

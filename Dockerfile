@@ -1,0 +1,113 @@
+# Three images from one file:
+#   api          HTTP service, reconciler and set-up; no numerical stack
+#   worker       training, rollouts and videos on the CPU, drawn in software
+#   worker-cuda  the same on NVIDIA GPUs, one worker each, drawn by EGL
+# `docker compose build` makes api and worker; docs/install.md says what is in them and how large they are.
+
+ARG PYTHON=3.12-slim-bookworm
+
+# ---- what every image stands on ------------------------------------------------------------------
+
+FROM python:${PYTHON} AS base
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends tini \
+    && apt-get clean && rm -rf /var/lib/apt/lists/* /var/cache/apt/*.bin \
+    && groupadd --gid 10001 gaitway \
+    && useradd --uid 10001 --gid gaitway --home-dir /tmp --no-create-home gaitway \
+    # New volumes take their owner from these folders.
+    && install -d -o gaitway -g gaitway -m 700 /run/gaitway /var/lib/gaitway /volumes/valkey /volumes/objects
+ENV PATH=/opt/gaitway/bin:$PATH \
+    PYTHONSAFEPATH=1 \
+    PYTHONUNBUFFERED=1 \
+    PYTHONDONTWRITEBYTECODE=1
+WORKDIR /tmp
+# It reaps what outlives its parent, and hands signals on to the one process below it.
+ENTRYPOINT ["tini", "--"]
+
+FROM base AS drawing
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri libopengl0 \
+    && apt-get clean && rm -rf /var/lib/apt/lists/* /var/cache/apt/*.bin
+
+# ---- what is installed, from the lock file -------------------------------------------------------
+
+FROM python:${PYTHON} AS build
+RUN python -m pip install --no-cache-dir --disable-pip-version-check uv==0.9.30 hatchling==1.28.0
+ENV UV_COMPILE_BYTECODE=1 \
+    UV_LINK_MODE=copy \
+    UV_PYTHON_DOWNLOADS=never \
+    UV_PROJECT_ENVIRONMENT=/opt/gaitway
+WORKDIR /source
+
+FROM build AS dependencies
+COPY pyproject.toml uv.lock ./
+RUN python -m uv venv /opt/gaitway
+
+FROM dependencies AS dependencies-api
+RUN --mount=type=cache,target=/root/.cache/uv \
+    python -m uv sync --frozen --no-install-project --no-default-groups --extra api --extra cli
+
+FROM dependencies AS dependencies-worker
+RUN --mount=type=cache,target=/root/.cache/uv \
+    python -m uv sync --frozen --no-install-project --no-default-groups --extra worker --extra cli
+
+FROM dependencies AS dependencies-worker-cuda
+RUN --mount=type=cache,target=/root/.cache/uv \
+    python -m uv sync --frozen --no-install-project --no-default-groups \
+    --extra worker --extra cuda --extra warp --extra cli
+
+# Apart from the dependencies, so that a change of code makes this small layer anew and nothing else.
+FROM build AS project
+COPY . .
+RUN python -m hatchling build -t wheel -d /tmp/wheel \
+    && python -m uv venv /opt/gaitway \
+    && python -m uv pip install --python /opt/gaitway/bin/python --no-deps /tmp/wheel/*.whl
+
+# ---- the images ----------------------------------------------------------------------------------
+
+FROM base AS api
+COPY --from=dependencies-api /opt/gaitway /opt/gaitway
+COPY --from=project /opt/gaitway /opt/gaitway
+USER gaitway
+EXPOSE 8000
+CMD ["python", "-m", "api", "--host", "0.0.0.0", "--port", "8000"]
+HEALTHCHECK --interval=5s --timeout=5s --start-period=20s \
+    CMD ["python", "-c", "from urllib.request import urlopen; urlopen('http://127.0.0.1:8000/readyz', timeout=4)"]
+LABEL org.opencontainers.image.title="Gaitway API" \
+      org.opencontainers.image.description="The HTTP service and the reconciler of Gaitway" \
+      org.opencontainers.image.source="https://github.com/gaitway/gaitway" \
+      org.opencontainers.image.licenses="Apache-2.0"
+
+FROM drawing AS worker
+ENV GAITWAY_DATA_DIR=/var/lib/gaitway \
+    GAITWAY_ALIVE_FILE=/tmp/gaitway-alive \
+    GAITWAY_DEVICE=cpu \
+    MESA_SHADER_CACHE_DIR=/var/lib/gaitway/cache/mesa
+COPY --from=dependencies-worker /opt/gaitway /opt/gaitway
+COPY --from=project /opt/gaitway /opt/gaitway
+USER gaitway
+VOLUME /var/lib/gaitway
+CMD ["python", "-m", "worker.main"]
+HEALTHCHECK --interval=15s --timeout=5s --start-period=30s CMD ["python", "-m", "worker.alive"]
+LABEL org.opencontainers.image.title="Gaitway worker" \
+      org.opencontainers.image.description="Training, rollouts and videos on the CPU" \
+      org.opencontainers.image.source="https://github.com/gaitway/gaitway" \
+      org.opencontainers.image.licenses="Apache-2.0"
+
+FROM drawing AS worker-cuda
+# The NVIDIA runtime brings the driver's libraries, those for graphics only where they are asked for.
+ENV GAITWAY_DATA_DIR=/var/lib/gaitway \
+    GAITWAY_ALIVE_FILE=/tmp/gaitway-alive \
+    MESA_SHADER_CACHE_DIR=/var/lib/gaitway/cache/mesa \
+    NVIDIA_VISIBLE_DEVICES=all \
+    NVIDIA_DRIVER_CAPABILITIES=compute,utility,graphics
+COPY --from=dependencies-worker-cuda /opt/gaitway /opt/gaitway
+COPY --from=project /opt/gaitway /opt/gaitway
+USER gaitway
+VOLUME /var/lib/gaitway
+CMD ["python", "-m", "worker.fleet"]
+HEALTHCHECK --interval=15s --timeout=5s --start-period=60s CMD ["python", "-m", "worker.alive"]
+LABEL org.opencontainers.image.title="Gaitway worker for NVIDIA GPUs" \
+      org.opencontainers.image.description="Training, rollouts and videos, one worker for each GPU" \
+      org.opencontainers.image.source="https://github.com/gaitway/gaitway" \
+      org.opencontainers.image.licenses="Apache-2.0"

@@ -1,0 +1,119 @@
+"""What `docker compose` asks of us besides the service itself.
+
+`python -m gaitway.compose setup`  makes the secrets at the first start, and the files that hold them
+`python -m gaitway.compose join`   prints the settings under which a worker on another machine joins
+"""
+
+import os
+import secrets
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from gaitway.embedded.folders import remembered
+
+SECRETS = Path("/run/gaitway")
+REGION = "us-east-1"
+
+_REDIS, _S3 = "GAITWAY_REDIS_URL", "GAITWAY_S3_ENDPOINT"
+_PASSED_ON = (
+    _REDIS,
+    "GAITWAY_REDIS_WITHOUT_PASSWORD",
+    _S3,
+    *(f"GAITWAY_S3_{name}" for name in ("ACCESS_KEY", "SECRET_KEY", "BUCKET", "SECURE", "REGION", "STYLE")),
+)
+
+
+def setup(folder: Path, environ: Mapping[str, str]) -> None:
+    """Fill the secrets' folder: keys made once, and settings for stores that the user has not named."""
+    keys = _keys(folder)
+    _write(folder / "valkey.password", keys["redis_password"])
+    _write(folder / "valkey.conf", f"requirepass {keys['redis_password']}\n")
+    _write(folder / "objects.sh", _starting_weed(keys))
+    wanted = own_stores(keys, environ, redis_host="valkey", s3_host="objects")
+    for name in _PASSED_ON:
+        file = folder / name.lower()
+        if name in wanted:
+            _write(file, wanted[name])
+        else:  # What the user has named since then must not be mixed with what we had.
+            file.unlink(missing_ok=True)
+
+
+def join(folder: Path, environ: Mapping[str, str]) -> dict[str, str]:
+    """The settings of a worker elsewhere. Raises KeyError where GAITWAY_SHARE is missing but needed."""
+    named = {name: environ[name] for name in _PASSED_ON if environ.get(name)}
+    if _REDIS in named and _S3 in named:
+        return named
+    shared = environ["GAITWAY_SHARE"]
+    return {**own_stores(_keys(folder), environ, redis_host=shared, s3_host=shared), **named}
+
+
+def own_stores(
+    keys: Mapping[str, str], environ: Mapping[str, str], *, redis_host: str, s3_host: str
+) -> dict[str, str]:
+    """Settings that lead to the stores of docker-compose.yml, as far as the user has not named others."""
+    found = dict[str, str]()
+    if not environ.get(_REDIS):
+        found[_REDIS] = f"redis://:{keys['redis_password']}@{redis_host}:6379/0"
+    if not environ.get(_S3):
+        found |= {
+            _S3: f"{s3_host}:8333",
+            "GAITWAY_S3_ACCESS_KEY": keys["s3_access_key"],
+            "GAITWAY_S3_SECRET_KEY": keys["s3_secret_key"],
+            "GAITWAY_S3_SECURE": "false",
+            "GAITWAY_S3_REGION": REGION,
+        }
+    return found
+
+
+def _keys(folder: Path) -> dict[str, str]:
+    def make() -> dict[str, str]:
+        return {
+            "redis_password": secrets.token_urlsafe(32),
+            "s3_access_key": secrets.token_hex(10),
+            "s3_secret_key": secrets.token_urlsafe(32),
+            "s3_inner_key": secrets.token_hex(32),
+        }
+
+    return remembered(folder / "keys.json", make)
+
+
+def _starting_weed(keys: Mapping[str, str]) -> str:
+    """A script that starts what it is given, with keys that no list of processes shows."""
+    # SeaweedFS's inner ports are open to every container of the network; these shut them to all but itself.
+    doors = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
+    variables = {
+        "AWS_ACCESS_KEY_ID": keys["s3_access_key"],
+        "AWS_SECRET_ACCESS_KEY": keys["s3_secret_key"],
+        **{f"WEED_{door}_KEY": keys["s3_inner_key"] for door in doors},
+    }
+    lines = [f"export {name}='{value}'\n" for name, value in variables.items()]
+    return "".join([*lines, 'exec "$@"\n'])
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_suffix(".partial")
+    with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+        file.write(text)
+    partial.replace(path)
+
+
+def main(arguments: Sequence[str]) -> int:
+    match arguments:
+        case ["setup"]:
+            setup(SECRETS, os.environ)
+        case ["join"]:
+            try:
+                settings = join(SECRETS, os.environ)
+            except KeyError:
+                sys.stderr.write("GAITWAY_SHARE is not set: see deploy/share.yml.\n")
+                return 2
+            sys.stdout.writelines(f"{name}={value}\n" for name, value in settings.items())
+        case _:
+            sys.stderr.write(f"{__doc__}\n")
+            return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,297 @@
+"""`docker compose up` as its users live with it: jobs, disturbances, a second machine, a back-up."""
+
+import json
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import av
+import httpx
+import pytest
+
+from gaitway.client import Client
+from gaitway.views import Event, JobView
+from tests.e2e.compose.conftest import Figure
+from tests.e2e.compose.project import CommandFailed, Project, removing, run, run_for_bytes
+
+# Ten checkpoints in some twenty seconds of training, so that it can be disturbed in the middle.
+ANT: dict[str, Any] = {
+    "kind": "train",
+    "environment": "ant",
+    "algorithm": {"num_timesteps": 204_800, "num_evals": 2, "num_eval_envs": 8},
+    "checkpoints": {"every_steps": 20_480, "keep": 100},
+    "video": {"width": 320, "height": 240, "seconds": 2},
+    "seed": 7,
+}
+SERVICES = ("valkey", "objects", "api", "reconciler", "worker")
+ROLLOUT = {"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}, "num_steps": 20}
+
+
+@pytest.fixture(scope="module")
+def client(project: Project) -> Iterator[Client]:
+    with project.client() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def undisturbed(client: Client) -> JobView:
+    """The job, left in peace."""
+    job = client.wait(client.submit(ANT).id, timeout=300)
+    assert job.succeeded, job.message
+    return job
+
+
+def until_checkpoint(client: Client, job: JobView) -> None:
+    """Return once the job has stored its first checkpoint."""
+    for event in client.events(job.id):
+        if event.kind == "artifact" and event.data["role"] == "checkpoint":
+            return
+    raise AssertionError(f"The job ended without a checkpoint: {client.get(job.id)}")
+
+
+def final_checkpoint(job: JobView) -> tuple[int | None, str]:
+    found = job.newest("checkpoint")
+    assert found is not None
+    return found.step, found.sha256
+
+
+def reached_again(client: Client, job: JobView, timeout_s: float = 60) -> None:
+    """Return once the service answers for this job."""
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            httpx.get(f"{client.base_url}/jobs/{job.id}", timeout=5).raise_for_status()
+            return
+        except httpx.HTTPError:
+            assert time.monotonic() < deadline
+            time.sleep(0.2)  # There is nothing to await before somebody listens.
+
+
+def test_everything_becomes_healthy(project: Project, report: list[Figure]) -> None:
+    started = time.monotonic()
+    project.compose("up", "--detach", "--wait")
+    report.append(Figure("up again, to everything healthy", time.monotonic() - started, "s"))
+    for service in SERVICES:
+        (container,) = project.containers(service)
+        health = run("docker", "inspect", "--format", "{{.State.Health.Status}}", container)
+        assert health.strip() == "healthy", service
+
+
+def test_only_the_apis_port_is_open_and_on_loopback(project: Project) -> None:
+    services = [json.loads(line) for line in project.compose("ps", "--format", "json").splitlines()]
+    open_ports = {
+        (one["Service"], publisher["URL"], publisher["PublishedPort"])
+        for one in services
+        for publisher in one["Publishers"] or ()
+        if publisher["PublishedPort"]
+    }
+    assert open_ports == {("api", "127.0.0.1", project.port)}
+
+
+def test_no_secret_is_in_the_configuration_or_in_a_list_of_processes(project: Project) -> None:
+    keys = json.loads(project.compose("run", "--rm", "-T", "setup", "cat", "/run/gaitway/keys.json"))
+    containers = project.compose("ps", "--quiet").split()
+    shown = [project.compose("config"), project.compose("top"), run("docker", "inspect", *containers)]
+    for secret in keys.values():
+        assert not any(secret in text for text in shown)
+
+
+def test_every_process_is_confined(project: Project) -> None:
+    for service in SERVICES:
+        described = json.loads(run("docker", "inspect", *project.containers(service)))[0]
+        assert described["HostConfig"]["ReadonlyRootfs"], service
+        assert described["HostConfig"]["CapDrop"] == ["ALL"], service
+        assert project.exec(service, "id", "-u").strip() == "10001", service
+    assert project.exec("worker", "cat", "/proc/1/comm").strip() == "tini"
+
+
+def test_an_ant_is_trained_and_its_video_fetched(
+    client: Client, undisturbed: JobView, tmp_path: Path
+) -> None:
+    video = client.video(undisturbed.id, tmp_path / "ant.mp4")
+    with av.open(str(video)) as container:
+        stream = container.streams.video[0]
+        assert (stream.width, stream.height) == (320, 240)
+        assert sum(1 for _ in container.decode(stream)) == 60
+
+
+def test_a_cancelled_job_keeps_its_work(client: Client) -> None:
+    job = client.submit({**ANT, "algorithm": {"num_timesteps": 20_000_000}})
+    until_checkpoint(client, job)
+    client.cancel(job.id)
+    ended = client.wait(job.id, timeout=90)
+    assert (ended.status, ended.reason) == ("cancelled", "user_cancelled")
+    assert {a.role for a in ended.artifacts} >= {"checkpoint", "policy", "video"}
+
+
+def test_a_killed_container_costs_no_work(
+    project: Project, client: Client, undisturbed: JobView, report: list[Figure]
+) -> None:
+    job = client.submit(ANT)
+    until_checkpoint(client, job)
+    (container,) = project.containers("worker")
+    run("docker", "kill", container)
+    killed = time.monotonic()
+    project.compose("up", "--detach", "worker")
+    ended = client.wait(job.id, timeout=300)
+    report.append(Figure("a killed worker's job: from the kill to its end", time.monotonic() - killed, "s"))
+    assert ended.succeeded, ended.message
+    assert [attempt.reason for attempt in ended.attempts] == ["worker_lost", "completed"]
+    assert final_checkpoint(ended) == final_checkpoint(undisturbed)
+
+
+@pytest.mark.parametrize("service", ["valkey", "objects"])
+def test_a_restarted_store_changes_nothing(
+    service: str, project: Project, client: Client, undisturbed: JobView
+) -> None:
+    job = client.submit(ANT)
+    until_checkpoint(client, job)
+    project.compose("restart", service)
+    reached_again(client, job)
+    ended = client.wait(job.id, timeout=300)
+    assert ended.succeeded, ended.message
+    assert final_checkpoint(ended) == final_checkpoint(undisturbed)
+    assert len(ended.attempts) == 1
+
+
+def test_two_workers_work_at_once(project: Project, client: Client) -> None:
+    project.compose("up", "--detach", "--scale", "worker=2", "--no-recreate")
+    jobs = [client.submit({**ANT, "seed": seed}) for seed in (1, 2)]
+    for job in jobs:
+        until_checkpoint(client, job)
+    assert {client.get(job.id).status for job in jobs} == {"running"}
+    ended = [client.wait(job.id, timeout=300) for job in jobs]
+    assert all(job.succeeded for job in ended)
+    assert len({job.attempts[0].worker for job in ended}) == 2
+    project.compose("up", "--detach", "--scale", "worker=1", "--no-recreate")
+
+
+def progress(events: list[Event]) -> list[int]:
+    return [int(event.data["step"]) for event in events if event.kind == "progress"]
+
+
+def test_stop_drains_and_start_goes_on(
+    project: Project, client: Client, undisturbed: JobView, report: list[Figure]
+) -> None:
+    job = client.submit(ANT)
+    until_checkpoint(client, job)
+    started = time.monotonic()
+    project.compose("stop")
+    report.append(Figure("stop, with a job in progress", time.monotonic() - started, "s"))
+    started = time.monotonic()
+    project.compose("start")
+    reached_again(client, job)
+    report.append(Figure("start, to the service's answer", time.monotonic() - started, "s"))
+    ended = client.wait(job.id, timeout=300)
+    assert ended.succeeded, ended.message
+    assert [attempt.reason for attempt in ended.attempts] == ["worker_drained", "completed"]
+    assert final_checkpoint(ended) == final_checkpoint(undisturbed)
+    steps = progress(list(client.events(job.id)))
+    lost = max(earlier - later for earlier, later in pairwise(steps))
+    report.append(Figure("steps told before the stop and done again after it", max(lost, 0), "steps", 0))
+    assert lost <= 0
+
+
+def test_a_second_machine_joins_by_one_command(project: Project, checkout: Path, client: Client) -> None:
+    gateway = run("docker", "network", "inspect", "bridge", "--format", "{{(index .IPAM.Config 0).Gateway}}")
+    shared = Project(
+        checkout,
+        {
+            **project.settings,
+            "COMPOSE_FILE": f"{checkout}/docker-compose.yml:{checkout}/deploy/share.yml",
+            "GAITWAY_SHARE": gateway.strip(),
+        },
+        project.name,
+        project.port,
+    )
+    shared.compose("up", "--detach", "--scale", "worker=0")
+    printed = shared.compose("run", "--rm", "-T", "setup", "python", "-m", "gaitway.compose", "join")
+    settings = dict(line.split("=", 1) for line in printed.splitlines())
+    assert settings["GAITWAY_S3_ENDPOINT"] == f"{gateway.strip()}:8333"
+    with removing(Project(checkout, {**project.settings, **settings})) as second:
+        second.compose("up", "--detach", "--no-deps", "worker")
+        job = client.wait(client.submit(ROLLOUT).id, timeout=120)
+        assert job.succeeded, job.message
+        (container,) = second.containers("worker")
+        assert (job.attempts[0].worker or "").startswith(container[:12])
+        # The same settings, with an API and a reconciler of its own and no stores.
+        other = {**second.settings, "GAITWAY_OWN_REDIS": "0", "GAITWAY_OWN_S3": "0"}
+        third = Project(checkout, other, second.name, second.port)
+        third.compose("up", "--detach")
+        assert not third.containers("valkey") and not third.containers("objects")  # noqa: PT018
+        reached_again(third.client(), job)
+    project.compose("up", "--detach")
+
+
+def test_a_backup_is_restored_elsewhere(
+    project: Project, checkout: Path, undisturbed: JobView, tmp_path: Path, client: Client
+) -> None:
+    """The two commands of docs/operations.md; of the objects alone, so that the records are made anew."""
+    project.compose("stop")
+    archiving = project.command("run", "--rm", "-T", "setup", "tar", "-C", "/volumes", "-c", "objects")
+    backup = run_for_bytes(*archiving, **project.environment())
+    project.compose("start")
+    with removing(Project(checkout, project.settings)) as other:
+        other.compose("run", "--rm", "-T", "setup", "tar", "-C", "/volumes", "-x", stdin=backup)
+        other.compose("up", "--detach")
+        with other.client() as elsewhere:
+            reached_again(elsewhere, undisturbed)
+            assert final_checkpoint(elsewhere.get(undisturbed.id)) == final_checkpoint(undisturbed)
+            copy = elsewhere.video(undisturbed.id, tmp_path / "copy.mp4").read_bytes()
+            again = elsewhere.submit({**ROLLOUT, "policy": {"kind": "checkpoint", "job": undisturbed.id}})
+            assert elsewhere.wait(again.id, timeout=120).succeeded
+    reached_again(client, undisturbed)
+    assert copy == client.video(undisturbed.id, tmp_path / "original.mp4").read_bytes()
+
+
+def test_down_and_up_keep_everything(
+    project: Project, client: Client, undisturbed: JobView, tmp_path: Path
+) -> None:
+    project.compose("down")
+    assert not project.containers("api", stopped=True)
+    project.compose("up", "--detach")
+    reached_again(client, undisturbed)
+    assert client.get(undisturbed.id) == undisturbed
+    assert client.video(undisturbed.id, tmp_path / "ant.mp4").stat().st_size > 0
+
+
+def test_the_doctor_finds_nothing_wrong_in_the_worker(project: Project) -> None:
+    checks = json.loads(project.exec("worker", "gaitway", "doctor", "--json"))["checks"]
+    states = {check["name"]: check["state"] for check in checks}
+    assert {name for name, state in states.items() if state == "fail"} == set()
+    assert {states[name] for name in ("jax", "physics", "renderer", "redis", "object store", "clock")} == {
+        "pass"
+    }
+
+
+def test_a_port_in_use_is_said_before_anything_is_lost(project: Project, checkout: Path) -> None:
+    taken = Project(checkout, project.settings, port=project.port)
+    with removing(taken), pytest.raises(CommandFailed, match="port is already allocated"):
+        taken.compose("up", "--detach")
+
+
+def test_a_wrong_key_ends_in_a_sentence(project: Project, checkout: Path) -> None:
+    settings = {
+        **project.settings,
+        "GAITWAY_S3_ENDPOINT": "objects:8333",
+        "GAITWAY_S3_ACCESS_KEY": "wrong",
+        "GAITWAY_S3_SECRET_KEY": "wrong",
+        "GAITWAY_S3_SECURE": "false",
+    }
+    with removing(Project(checkout, settings)) as wrong:
+        wrong.compose("up", "--detach")
+        deadline = time.monotonic() + 60
+        while not (found := [line for line in wrong.logs("worker") if line.get("event") == "misconfigured"]):
+            assert time.monotonic() < deadline
+            time.sleep(0.5)  # The container's log cannot be awaited.
+        assert "GAITWAY_S3_ACCESS_KEY" in str(found[0]["detail"])
+
+
+def test_a_gpu_that_is_not_there_ends_in_a_sentence(images: str) -> None:
+    named = ("--env", "GAITWAY_DEVICE=gpu:0", "--env", "GAITWAY_REDIS_URL=unix:///none")
+    stores = [f"--env=GAITWAY_S3_{name}=x" for name in ("ENDPOINT", "ACCESS_KEY", "SECRET_KEY")]
+    with pytest.raises(CommandFailed, match=r"ended with 78.*GAITWAY_DEVICE") as failure:
+        run("docker", "run", "--rm", *named, *stores, f"gaitway-worker:{images}")
+    assert "--profile gpu" in str(failure.value)

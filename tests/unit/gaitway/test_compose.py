@@ -1,0 +1,154 @@
+import re
+import shlex
+import stat
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from core.configuration import PROCESSES, names, read, variable
+from core.other_variables import OTHERS
+from core.settings import ApiSettings, StoreSettings
+from gaitway import compose
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="module")
+def services() -> Mapping[str, Any]:
+    return yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
+
+
+@pytest.fixture
+def settings_from(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Reads what a folder holds, in an environment without settings."""
+
+    def settings_from(folder: Path, **environ: str) -> ApiSettings:
+        for name in names():
+            monkeypatch.delenv(name, raising=False)
+        for name, value in environ.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setenv("GAITWAY_SECRETS_DIR", str(folder))
+        return read(ApiSettings)
+
+    return settings_from
+
+
+def files(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def test_secrets_are_made_once_and_read_by_their_owner_alone(tmp_path: Path) -> None:
+    compose.setup(tmp_path, {})
+    first = files(tmp_path)
+    compose.setup(tmp_path, {})
+    assert files(tmp_path) == first
+    assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {0o600}
+
+
+def test_two_deployments_have_different_secrets(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        compose.setup(tmp_path / name, {})
+    assert (tmp_path / "one/keys.json").read_text() != (tmp_path / "two/keys.json").read_text()
+
+
+def test_the_files_are_settings(tmp_path: Path, settings_from: Any) -> None:
+    compose.setup(tmp_path, {})
+    settings = settings_from(tmp_path)
+    assert settings.s3_endpoint == "objects:8333"
+    assert not settings.s3_secure
+    password = (tmp_path / "valkey.password").read_text()
+    assert settings.redis_url.get_secret_value() == f"redis://:{password}@valkey:6379/0"
+    assert (tmp_path / "valkey.conf").read_text() == f"requirepass {password}\n"
+
+
+def test_a_store_of_the_users_own_is_not_mixed_with_ours(tmp_path: Path, settings_from: Any) -> None:
+    compose.setup(tmp_path, {})
+    own = {
+        "GAITWAY_S3_ENDPOINT": "s3.example:443",
+        "GAITWAY_S3_ACCESS_KEY": "theirs",
+        "GAITWAY_S3_SECRET_KEY": "theirs too",
+    }
+    compose.setup(tmp_path, own)
+    settings = settings_from(tmp_path, **own)
+    assert settings.s3_secure  # ours speaks no TLS, and says so in a file of the first start
+    assert settings.s3_region is None
+    assert settings.redis_url.get_secret_value().endswith("@valkey:6379/0")
+
+
+def test_weed_is_started_with_the_keys_that_the_settings_have(tmp_path: Path) -> None:
+    compose.setup(tmp_path, {})
+    shown = subprocess.check_output(["sh", str(tmp_path / "objects.sh"), "env"], text=True)
+    assert f"AWS_ACCESS_KEY_ID={(tmp_path / 'gaitway_s3_access_key').read_text()}\n" in shown
+    assert f"AWS_SECRET_ACCESS_KEY={(tmp_path / 'gaitway_s3_secret_key').read_text()}\n" in shown
+
+
+def test_a_worker_elsewhere_is_told_the_shared_address(tmp_path: Path) -> None:
+    compose.setup(tmp_path, {})
+    told = compose.join(tmp_path, {"GAITWAY_SHARE": "192.0.2.7"})
+    password = (tmp_path / "valkey.password").read_text()
+    assert told["GAITWAY_REDIS_URL"] == f"redis://:{password}@192.0.2.7:6379/0"
+    assert told["GAITWAY_S3_ENDPOINT"] == "192.0.2.7:8333"
+    assert set(told) <= names()
+
+
+def test_a_worker_elsewhere_is_told_of_stores_of_the_users_own(tmp_path: Path) -> None:
+    own = {"GAITWAY_REDIS_URL": "rediss://:word@records:6380", "GAITWAY_S3_ENDPOINT": "s3.example:443"}
+    assert compose.join(tmp_path, own) == own
+
+
+def test_without_an_address_there_is_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(compose, "SECRETS", tmp_path)
+    for name in (*names(), "GAITWAY_SHARE"):
+        monkeypatch.delenv(name, raising=False)
+    assert compose.main(["join"]) == 2
+    assert "GAITWAY_SHARE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("service", "process"), [("api", "API"), ("reconciler", "reconciler"), ("worker", "worker")]
+)
+def test_every_setting_of_a_process_is_handed_to_its_container(
+    service: str, process: str, services: Mapping[str, Any]
+) -> None:
+    # The image says these for its own file system and its own device.
+    in_the_image = {"GAITWAY_DATA_DIR", "GAITWAY_DEVICE", "GAITWAY_ALIVE_FILE"}
+    wanted = {variable(field) for field in PROCESSES[process].model_fields} - in_the_image
+    assert wanted - set(services[service]["environment"]) == set()
+
+
+def test_the_set_up_knows_every_setting_of_the_stores(services: Mapping[str, Any]) -> None:
+    stores = {variable(field) for field in StoreSettings.model_fields}
+    assert stores - set(services["setup"]["environment"]) == set()
+    own = compose.join(Path("unused"), dict.fromkeys(stores, "x"))
+    assert set(own) == stores
+
+
+def test_what_the_compose_file_asks_for_is_on_the_page_of_settings() -> None:
+    text = (ROOT / "docker-compose.yml").read_text() + (ROOT / "deploy/share.yml").read_text()
+    asked = set(re.findall(r"\$\{(\w+)", text))
+    assert asked <= names() | {other.name for other in OTHERS}
+
+
+def test_every_container_is_confined_and_keeps_its_log_small(services: Mapping[str, Any]) -> None:
+    for name, service in services.items():
+        assert service["read_only"], name
+        assert service["cap_drop"] == ["ALL"], name
+        assert service["security_opt"] == ["no-new-privileges:true"], name
+        assert service["logging"] == {"driver": "local"}, name
+
+
+def test_a_drain_has_more_time_than_the_grace(services: Mapping[str, Any]) -> None:
+    assert services["worker"]["stop_grace_period"] == "2m"  # GAITWAY_GRACE is 60 s
+
+
+def test_the_bucket_that_is_made_is_the_one_that_is_used(services: Mapping[str, Any]) -> None:
+    assert f"-bucket={StoreSettings.model_fields['s3_bucket'].default}" in shlex.split(
+        services["objects"]["command"]
+    )

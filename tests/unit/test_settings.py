@@ -1,0 +1,161 @@
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from pydantic_settings import BaseSettings
+
+from core.configuration import EXIT_STATUS, names, read, stopping_if_misconfigured, variable
+from core.errors import Misconfigured
+from core.other_variables import OTHERS
+from core.settings import ApiSettings, ReconcilerSettings, StoreSettings, WorkerSettings
+from core.settings_page import page
+
+ROOT = Path(__file__).parents[2]
+GOOD = {
+    "GAITWAY_REDIS_URL": "redis://:secret@records:6379/0",
+    "GAITWAY_S3_ENDPOINT": "objects:8333",
+    "GAITWAY_S3_ACCESS_KEY": "key",
+    "GAITWAY_S3_SECRET_KEY": "secret",
+    "GAITWAY_DATA_DIR": "/data",
+}
+
+
+@pytest.fixture(autouse=True)
+def environ(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """An environment with settings that are in order, and no others."""
+    for name in names() | {"GAITWAY_SECRETS_DIR"}:
+        monkeypatch.delenv(name, raising=False)
+    for name, value in GOOD.items():
+        monkeypatch.setenv(name, value)
+    return monkeypatch
+
+
+def refusal(kind: type[StoreSettings] = WorkerSettings) -> str:
+    with pytest.raises(Misconfigured) as refused:
+        read(kind)
+    return refused.value.detail
+
+
+def test_settings_in_order_are_read() -> None:
+    settings = read(WorkerSettings)
+    assert settings.s3_endpoint == "objects:8333"
+    assert settings.lease == timedelta(seconds=15)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_a_missing_one_is_named_with_its_meaning(name: str, environ: pytest.MonkeyPatch) -> None:
+    environ.delenv(name)
+    assert refusal().startswith(f"{name} is not set. ")
+
+
+def test_an_empty_variable_is_an_unset_one(environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_S3_ENDPOINT", "")
+    environ.setenv("GAITWAY_S3_REGION", "")
+    assert refusal().startswith("GAITWAY_S3_ENDPOINT is not set.")
+
+
+def test_all_that_is_wrong_is_said_at_once(environ: pytest.MonkeyPatch) -> None:
+    environ.delenv("GAITWAY_REDIS_URL")
+    environ.setenv("GAITWAY_GRACE", "soon")
+    sentence = refusal()
+    assert "GAITWAY_REDIS_URL is not set." in sentence
+    assert "GAITWAY_GRACE is wrong: " in sentence
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("GAITWAY_REDIS_URL", "http://records", "redis://, rediss:// (TLS) or unix://"),
+        ("GAITWAY_REDIS_URL", "redis://records:6379/0", "redis://:PASSWORD@HOST:PORT/0"),
+        ("GAITWAY_REDIS_URL", "redis://192.0.2.1", "GAITWAY_REDIS_WITHOUT_PASSWORD=true"),
+        ("GAITWAY_S3_ENDPOINT", "https://objects", "GAITWAY_S3_SECURE"),
+        ("GAITWAY_S3_SECURE", "perhaps", "GAITWAY_S3_SECURE is wrong"),
+        ("GAITWAY_S3_STYLE", "virtual", "'path' or 'host'"),
+        ("GAITWAY_DEVICE", "tpu", "GAITWAY_DEVICE is wrong"),
+        ("GAITWAY_GRACE", "-1", "GAITWAY_GRACE is wrong"),
+        ("GAITWAY_HEARTBEAT", "10", "GAITWAY_LEASE (15 s) has to be at least three times"),
+        ("GAITWAY_SECRETS_DIR", "/nowhere/at/all", "GAITWAY_SECRETS_DIR names /nowhere/at/all"),
+        ("GAITWAY_S3_BUKET", "walkers", "did you mean GAITWAY_S3_BUCKET?"),
+    ],
+)
+def test_a_wrong_one_is_refused_with_what_it_should_be(
+    name: str, value: str, says: str, environ: pytest.MonkeyPatch
+) -> None:
+    environ.setenv(name, value)
+    assert says in refusal()
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "unix:///run/valkey.sock",
+        "redis://127.0.0.1:6379/0",
+        "redis://[::1]:6379",
+        "redis://localhost",
+        "rediss://user:word@records:6380/0",
+    ],
+)
+def test_a_redis_with_a_password_or_on_this_machine_is_accepted(
+    url: str, environ: pytest.MonkeyPatch
+) -> None:
+    environ.setenv("GAITWAY_REDIS_URL", url)
+    assert read(ReconcilerSettings).redis_url.get_secret_value() == url
+
+
+def test_an_open_redis_can_be_accepted_knowingly(environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_REDIS_URL", "redis://records")
+    environ.setenv("GAITWAY_REDIS_WITHOUT_PASSWORD", "true")
+    assert read(ApiSettings).redis_without_password
+
+
+def test_names_that_others_use_are_let_be(environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_API_SERVICE_HOST", "10.0.0.1")  # what Kubernetes tells every container
+    environ.setenv("GAITWAY_PORT", "tcp://10.0.0.1:8000")
+    read(ApiSettings)
+
+
+@pytest.mark.parametrize(("value", "seconds"), [("90", 90), ("0.5", 0.5), ("PT1M30S", 90)])
+def test_a_duration_is_seconds_or_iso_8601(value: str, seconds: float, environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_RECONCILE_EVERY", value)
+    assert read(ReconcilerSettings).reconcile_every.total_seconds() == seconds
+
+
+def test_a_file_holds_a_setting_and_a_variable_wins(environ: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    environ.delenv("GAITWAY_S3_SECRET_KEY")
+    (tmp_path / "gaitway_s3_secret_key").write_text("from a file\n")
+    (tmp_path / "gaitway_s3_endpoint").write_text("elsewhere:1")
+    environ.setenv("GAITWAY_SECRETS_DIR", str(tmp_path))
+    settings = read(ApiSettings)
+    assert settings.s3_secret_key.get_secret_value() == "from a file"
+    assert settings.s3_endpoint == "objects:8333"
+
+
+def test_a_secret_is_in_no_sentence(environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_REDIS_URL", "http://:hunter2@records")
+    assert "hunter2" not in refusal()
+
+
+def test_a_misconfigured_process_ends_with_its_own_status(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end, stopping_if_misconfigured():
+        raise Misconfigured("GAITWAY_X is wrong.")
+    assert end.value.code == EXIT_STATUS
+    assert "GAITWAY_X is wrong." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", [ApiSettings, WorkerSettings, ReconcilerSettings])
+def test_every_setting_says_what_it_means(kind: type[BaseSettings]) -> None:
+    assert [name for name, field in kind.model_fields.items() if not field.description] == []
+
+
+def test_the_page_is_the_one_that_the_settings_make() -> None:
+    assert (ROOT / "docs" / "settings.md").read_text() == page(), (
+        "python -m core.settings_page > docs/settings.md"
+    )
+
+
+def test_the_page_names_every_variable() -> None:
+    assert [name for name in names() | {other.name for other in OTHERS} if f"`{name}`" not in page()] == []
+
+
+def test_a_variable_is_its_fields_name_in_capitals() -> None:
+    assert variable("s3_bucket") == "GAITWAY_S3_BUCKET"
