@@ -27,7 +27,9 @@ from core.jobs.queue import queue_names
 from core.jobs.store import JobStore, WorkerInfo
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
+from worker.alive import show_life
 from worker.device import device_of
+from worker.disk import check_folder
 from worker.lifeline import die_with_parent
 
 log = structlog.get_logger()
@@ -41,9 +43,10 @@ _PAUSE_S = 1.0
 class GaitwayWorker(rq.Worker):
     """RQ's forking worker, which tells the service about itself and passes a shutdown on to its job."""
 
-    def __init__(self, settings: WorkerSettings, store: JobStore) -> None:
+    def __init__(self, settings: WorkerSettings, device: str, store: JobStore) -> None:
         self._store = store
-        device = device_of(settings)
+        self._alive_file = settings.alive_file
+        self._alive_file = settings.alive_file
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
         now = utc_now()
         self._info = WorkerInfo(
@@ -81,10 +84,12 @@ class GaitwayWorker(rq.Worker):
 
     def announce(self) -> None:
         """Show in `GET /workers`. A missed one is made up for by the next."""
+        show_life(self._alive_file)
         job = self.get_current_job_id()
         info = self._info.model_copy(update={"seen_at": utc_now(), "job": job_of(job) if job else None})
         try:
             self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
+            show_life(self._alive_file)
         except Unavailable as error:
             log.warning("announcement_missed", error=error.detail)
 
@@ -102,9 +107,11 @@ def main() -> None:
     if parent := os.environ.get("GAITWAY_PARENT"):
         die_with_parent(int(parent), signal.SIGTERM)
     settings = read(WorkerSettings)
+    device = device_of(settings)
+    check_folder(settings.data_dir)
     check_stores(settings)
     store = job_store(settings)
-    worker = GaitwayWorker(settings, store)
+    worker = GaitwayWorker(settings, device, store)
     log.info("worker_started", worker=worker.name)
     try:
         worker.work(logging_level="WARNING")

@@ -1,5 +1,9 @@
-"""What the training process tells its supervisor: one JSON document a line, over a pipe of their own."""
+"""What a training process and its supervisor tell each other.
 
+The process: one JSON document a line, over a pipe of their own. The supervisor: a task, and two signals.
+"""
+
+import signal
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
@@ -8,6 +12,11 @@ from core.jobs.job import ArtifactRole
 from core.jobs.spec import SentSpec
 from core.jobs.status import Reason
 from core.model import Stored
+
+# Finish the epoch, keep the work, make the video of how far it came, and exit.
+SHOW_AND_GO = signal.SIGTERM
+# The job goes on elsewhere: a checkpoint, nothing else, and exit; at once where there is nothing new to keep.
+KEEP_AND_GO = signal.SIGUSR1
 
 
 class Hello(Stored):
@@ -81,7 +90,7 @@ class Failed(Stored):
 
 
 class Finished(Stored):
-    """Everything asked for is done; `stopped` where a SIGTERM cut it short."""
+    """Everything asked for is done; `stopped` where a signal cut it short."""
 
     type: Literal["finished"] = "finished"
     stopped: bool = False

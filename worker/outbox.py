@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from threading import Thread
 
-from core.errors import LeaseLost
 from core.jobs.attempts import Holding
 from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Entry
@@ -19,13 +18,10 @@ from worker.messages import Advanced, FileReady, Hello, Measured, Message, Noted
 
 
 class Outbox:
-    """A thread that stores messages and log lines. An outage makes it wait, never the training.
-
-    `lost` is true once the attempt no longer holds its job: nothing more is stored then.
-    """
+    """A thread that stores messages and log lines. An outage makes it wait, never the training."""
 
     def __init__(self, holding: Holding, spool: Path, keep_checkpoints: int) -> None:
-        self.lost = False
+        self._failure: Exception | None = None
         self._holding = holding
         self._spool = spool
         self._keep_checkpoints = keep_checkpoints
@@ -38,10 +34,16 @@ class Outbox:
         self._waiting.put(item)
 
     def close(self, patience_s: float) -> bool:
-        """Wait until all is stored, at most so long; whether it is."""
+        """Wait until all is stored, at most so long; whether it is. Raises what `check` raises."""
         self._waiting.put(None)
         self._thread.join(patience_s)
-        return not self._thread.is_alive() and not self.lost
+        self.check()
+        return not self._thread.is_alive()
+
+    def check(self) -> None:
+        """Raises what ended the storing before its time: LeaseLost, where the attempt's job is not ours."""
+        if self._failure is not None:
+            raise self._failure
 
     def _work(self) -> None:
         while True:
@@ -65,11 +67,11 @@ class Outbox:
         return items
 
     def _insist(self, step: Callable[[], None]) -> bool:
-        """Do it, through any outage; false when the job is not ours any more."""
+        """Do it, through any outage; whether it was possible at all."""
         try:
             through_outages(step)
-        except LeaseLost:
-            self.lost = True
+        except Exception as error:  # Whatever it is, the job must not seem done.
+            self._failure = error
             return False
         return True
 
@@ -106,35 +108,43 @@ class Outbox:
         path = self._spool / message.path
         published = [self._upload(message, path)]
         if message.role == "checkpoint":
-            published.append(self._upload(self._metrics_so_far(), self._spool / "metrics.jsonl"))
+            published.append(self._upload_metrics())
         self._holding.publish(tuple(published), self._keep_checkpoints)
         self._record("artifact", {"name": message.name, "role": message.role, "step": message.step})
         path.unlink(missing_ok=True)
 
     def _upload(self, message: FileReady, path: Path) -> Artifact:
-        key = keys.artifact(self._holding.job_id, self._holding.number, message.name)
         artifact = Artifact(
-            name=message.name,
-            role=message.role,
-            media_type=message.media_type,
+            **message.model_dump(exclude={"type", "path"}),
             size=path.stat().st_size,
             sha256=_sha256(path),
-            key=key,
-            step=message.step,
-            metadata=message.metadata,
+            key=self._key(message.name),
         )
-        self._holding.objects.put_file(key, path, media_type=message.media_type)
+        self._holding.objects.put_file(artifact.key, path, media_type=artifact.media_type)
         return artifact
 
-    def _metrics_so_far(self) -> FileReady:
+    def _upload_metrics(self) -> Artifact:
+        body = self._metrics_so_far()
+        artifact = Artifact(
+            name="metrics.jsonl",
+            role="metrics",
+            media_type="application/jsonl",
+            size=len(body),
+            sha256=hashlib.sha256(body).hexdigest(),
+            key=self._key("metrics.jsonl"),
+        )
+        self._holding.objects.put(artifact.key, body, media_type=artifact.media_type)
+        return artifact
+
+    def _key(self, name: str) -> str:
+        return keys.artifact(self._holding.job_id, self._holding.number, name)
+
+    def _metrics_so_far(self) -> bytes:
         """The job's metrics as JSON lines, a later row for the same step in the place of an earlier."""
         feed = self._holding.store.feed(self._holding.job_id, "events", kind="metrics", limit=1_000_000)
         rows = {(e.data["step"], tuple(sorted(e.data["values"]))): e for e in feed}
         lines = [json.dumps({"time": e.time.isoformat(), **e.data}, sort_keys=True) for e in rows.values()]
-        (self._spool / "metrics.jsonl").write_text("".join(f"{line}\n" for line in lines))
-        return FileReady(
-            name="metrics.jsonl", path="metrics.jsonl", role="metrics", media_type="application/jsonl"
-        )
+        return "".join(f"{line}\n" for line in lines).encode()
 
 
 def _sha256(path: Path) -> str:

@@ -4,8 +4,8 @@ import signal
 from dataclasses import dataclass
 from enum import StrEnum
 
-from core.jobs.status import JobStatus, Reason
-from worker.messages import Failed, Finished
+from core.jobs.status import LOSSES, JobStatus, Reason
+from worker.messages import KEEP_AND_GO, Failed, Finished
 
 
 class Stop(StrEnum):
@@ -33,12 +33,14 @@ def judge(
     exit_status: negative is the signal that ended it.
     """
     if isinstance(last_word, Failed):
+        if last_word.reason in LOSSES and stop is not Stop.TIMEOUT:
+            return Outcome(None, last_word.reason, last_word.message)
         return Outcome(JobStatus.FAILED, last_word.reason, last_word.message)
     if isinstance(last_word, Finished) and not last_word.stopped:
         return Outcome(JobStatus.SUCCEEDED, Reason.COMPLETED, "Everything asked for is done.")
     kept = (
         "The work up to then is kept."
-        if last_word is not None
+        if last_word is not None or exit_status == -KEEP_AND_GO
         else "It did not stop within the grace time and was killed; its last checkpoint is kept."
     )
     match stop:

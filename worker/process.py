@@ -12,33 +12,41 @@ from typing import IO, cast
 import structlog
 from pydantic import ValidationError
 
-from worker.messages import MESSAGE, Message
+from core.configuration import variable
+from worker.messages import KEEP_AND_GO, MESSAGE, SHOW_AND_GO, Message
+from worker.outcome import Stop
 
 log = structlog.get_logger()
 
 TRAINING = (sys.executable, "-m", "worker.training")
+_CODE = Path(__file__).resolve().parents[1]
 _LONGEST_LINE = 4000
-# Where the caches are; and whose process this is, for whoever looks for left-overs.
-_PASSED_ON = ("GAITWAY_DATA_DIR", "GAITWAY_STACK_ID")
+# Whose process this is, for whoever looks for left-overs.
+_PASSED_ON = ("GAITWAY_STACK_ID",)
 
 
 class TrainingProcess:
     """Started at once. `messages` and `lines` end when the process, and all it started, have ended.
 
     command: the program; it is given the spool, the descriptor to write messages to, and our process id.
+    spool, data_dir: absolute, for it starts in the spool.
     """
 
-    def __init__(self, command: Sequence[str], spool: Path, device: str, slot_fd: int) -> None:
+    def __init__(
+        self, command: Sequence[str], spool: Path, data_dir: Path, device: str, slot_fd: int
+    ) -> None:
         read_end, write_end = os.pipe()
         self._messages: IO[bytes] = os.fdopen(read_end, "rb")
         self._child = subprocess.Popen(
             [*command, str(spool), str(write_end), str(os.getpid())],
+            # MuJoCo writes its log where it stands; our own folder may be read-only.
+            cwd=spool,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,
             pass_fds=(write_end, slot_fd),
-            env=environment(device, os.environ),
+            env=environment(device, data_dir, os.environ),
         )
         os.close(write_end)
 
@@ -68,9 +76,9 @@ class TrainingProcess:
         except subprocess.TimeoutExpired:
             return None
 
-    def stop(self) -> None:
-        """Ask it to finish its update, keep what it has, and exit."""
-        self._signal_leader(signal.SIGTERM)
+    def stop(self, why: Stop) -> None:
+        """Ask it to keep what it has and exit; with a video, where the job will not go on."""
+        self._signal_leader(KEEP_AND_GO if why is Stop.DRAIN else SHOW_AND_GO)
 
     def kill(self) -> None:
         """End it and everything it started, and see that nothing is left."""
@@ -89,14 +97,23 @@ class TrainingProcess:
             self._child.send_signal(number)
 
 
-def environment(device: str, base: Mapping[str, str]) -> dict[str, str]:
+def environment(device: str, data_dir: Path, base: Mapping[str, str]) -> dict[str, str]:
     """The variables of a process on this device: it sees that device alone, and no secret of the service."""
     kept = {name: value for name, value in base.items() if not name.startswith("GAITWAY_")}
-    kept["PYTHONUNBUFFERED"] = "1"
+    kept |= {"PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1", variable("data_dir"): str(data_dir)}
+    kept |= _modules(base)
     kept |= {name: base[name] for name in _PASSED_ON if name in base}
     if device == "cpu":
         return {**kept, "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
-    return {**kept, "CUDA_VISIBLE_DEVICES": device.partition(":")[2] or "0"}
+    # In the order of their device files, which the slot's name stands on; CUDA's own is the fastest first.
+    return {**kept, "CUDA_VISIBLE_DEVICES": device.partition(":")[2], "CUDA_DEVICE_ORDER": "PCI_BUS_ID"}
+
+
+def _modules(base: Mapping[str, str]) -> dict[str, str]:
+    """Where Python finds these modules from any folder, also where they lie in a checkout."""
+    if _CODE.name in ("site-packages", "dist-packages"):
+        return {}
+    return {"PYTHONPATH": os.pathsep.join(filter(None, (str(_CODE), base.get("PYTHONPATH"))))}
 
 
 def _group_lives(group: int) -> bool:

@@ -35,7 +35,7 @@ def render(request: RenderRequest, *, timeout_s: float) -> RenderResult:
 
 def _attempt(request: RenderRequest, backend: Backend, timeout_s: float) -> RenderResult | RenderFailure:
     surroundings = {**os.environ, **backend.environ, "GAITWAY_PARENT_PID": str(os.getpid())}
-    with tempfile.TemporaryDirectory(prefix="gaitway-render-") as folder:
+    with tempfile.TemporaryDirectory(prefix=".render-", dir=request.video.parent) as folder:
         document = Path(folder, "request.json")
         document.write_text(request.model_dump_json())
         try:

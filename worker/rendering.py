@@ -12,6 +12,7 @@ from pathlib import Path
 from core.errors import Rejected
 from core.rendering.gl import context_works
 from core.rendering.request import RenderFailure, RenderRequest, RenderResult
+from worker.disk import is_full, what_to_do
 from worker.lifeline import die_with_parent
 
 NO_GL, BAD_REQUEST = 3, 4
@@ -32,7 +33,8 @@ def main(arguments: list[str]) -> int:
     try:
         return _answer(_draw(request), 0)
     except (Rejected, ValueError, OSError) as error:
-        return _answer(RenderFailure(reason="bad_request", message=str(error)), BAD_REQUEST)
+        message = what_to_do() if is_full(error) else str(error)
+        return _answer(RenderFailure(reason="bad_request", message=message), BAD_REQUEST)
 
 
 def _draw(request: RenderRequest) -> RenderResult:

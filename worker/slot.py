@@ -2,14 +2,33 @@
 
 import fcntl
 import os
+import socket
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from worker.device import DEV, visible_gpus
+
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+_PID_NAMESPACE = Path("/proc/self/ns/pid")
 
 
 class SlotTaken(Exception):
     """Another process still uses the device."""
+
+
+def slot_name(device: str, worker_pid: int, dev: Path = DEV) -> str:
+    """What a device is called by everybody who may share this data folder.
+
+    A GPU is one slot for its machine, a CPU worker is one by itself. Containers of one machine may all be
+    called otherwise, and machines may share a folder: the kernel's boot tells machines apart. GPU 0 of a
+    container need not be the host's first, but its device file has the host's number; and process ids
+    begin anew in each container, but not the numbers of what they are counted in.
+    """
+    if device == "cpu":
+        return f"cpu-{_machine()}-{_pid_namespace()}{worker_pid}"
+    return f"gpu-{_machine()}-{visible_gpus(dev)[int(device.partition(':')[2])]}"
 
 
 @contextmanager
@@ -17,24 +36,54 @@ def slot(path: Path, patience_s: float) -> Generator[int]:
     """The lock's file descriptor, to be inherited by the process that uses the device.
 
     Waits up to `patience_s` for an earlier user to die; raises SlotTaken after that. The lock belongs to
-    the open file, not to us: as long as an inheritor lives, nobody else gets it.
+    the open file, not to us: as long as an inheritor lives, nobody else gets it. Locks that nobody holds
+    any more, also those of workers long gone, are removed at the end.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    descriptor = _wait_for(path, time.monotonic() + patience_s)
     try:
-        _lock(descriptor, path, time.monotonic() + patience_s)
         yield descriptor
     finally:
         os.close(descriptor)
+        for file in path.parent.glob("*.lock"):
+            _remove_if_free(file)
 
 
-def _lock(descriptor: int, path: Path, deadline: float) -> None:
-    while True:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() > deadline:
-                raise SlotTaken(f"Another process still uses the device of {path.stem}.") from None
-            time.sleep(0.1)  # flock has no wait with a time limit.
-        else:
-            return
+def _wait_for(path: Path, deadline: float) -> int:
+    while (descriptor := _lock(path)) is None:
+        if time.monotonic() > deadline:
+            raise SlotTaken(f"Another process still uses the device; it holds {path}.")
+        time.sleep(0.1)  # flock has no wait with a time limit.
+    return descriptor
+
+
+def _lock(path: Path) -> int | None:
+    """The descriptor of the file under this name, locked; None where another has it, or just removed it."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    with suppress(BlockingIOError, FileNotFoundError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(descriptor), path.stat()):
+            return descriptor
+    os.close(descriptor)
+    return None
+
+
+def _remove_if_free(path: Path) -> None:
+    with suppress(OSError):  # A lock left behind does no harm.
+        if (descriptor := _lock(path)) is not None:
+            path.unlink()
+            os.close(descriptor)
+
+
+def _machine() -> str:
+    try:
+        return _BOOT_ID.read_text().strip()
+    except OSError:
+        return socket.gethostname()
+
+
+def _pid_namespace() -> str:
+    try:
+        return f"{_PID_NAMESPACE.stat().st_ino}-"
+    except OSError:
+        return ""

@@ -18,6 +18,7 @@ from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
 from core.jobs.status import JobStatus, Reason
 from core.patience import through_outages
 from core.settings import WorkerSettings
+from worker.disk import is_full, what_to_do
 from worker.heartbeat import Heartbeat
 from worker.messages import Failed, Finished, Task
 from worker.outbox import Outbox
@@ -49,37 +50,43 @@ class Supervisor:
     draining: threading.Event = field(default_factory=threading.Event)
 
     def run(self) -> None:
-        spool = self.settings.data_dir / "spool" / f"{self.holding.job_id}.{self.holding.number}"
-        spool.mkdir(parents=True, exist_ok=True)
+        folder = self.settings.data_dir.absolute()  # The training process stands elsewhere.
+        spool = folder / "spool" / f"{self.holding.job_id}.{self.holding.number}"
         try:
+            spool.mkdir(parents=True, exist_ok=True)
             with Heartbeat(self.holding, self.settings) as heartbeat:
-                self._attempt(heartbeat, spool)
+                self._attempt(heartbeat, folder, spool)
         except LeaseLost:
             log.warning("attempt_abandoned", job_id=self.holding.job_id, attempt=self.holding.number)
         except SlotTaken as error:
-            self.holding.give_back(Reason.WORKER_LOST, str(error), utc_now())
+            self._conclude(Outcome(None, Reason.WORKER_LOST, str(error)))
         except (NotFound, Rejected) as error:
-            self.holding.end(JobStatus.FAILED, Reason.BAD_CHECKPOINT, error.detail, utc_now())
+            self._conclude(Outcome(JobStatus.FAILED, Reason.BAD_CHECKPOINT, error.detail))
         except StorageUnavailable as error:
-            self.holding.give_back(Reason.WORKER_LOST, error.detail, utc_now())
+            self._conclude(Outcome(None, Reason.STORAGE_UNAVAILABLE, error.detail))
+        except OSError as error:
+            if not is_full(error):
+                raise
+            self._conclude(Outcome(None, Reason.STORAGE_UNAVAILABLE, what_to_do(folder)))
         finally:
             shutil.rmtree(spool, ignore_errors=True)
 
-    def _attempt(self, heartbeat: Heartbeat, spool: Path) -> None:
+    def _attempt(self, heartbeat: Heartbeat, folder: Path, spool: Path) -> None:
         job = through_outages(partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S)
         through_outages(partial(write_task, job, self.holding, self.device, spool), _STORAGE_PATIENCE_S)
-        lock = self.settings.data_dir / "locks" / f"{self.slot_name}.lock"
+        lock = folder / "locks" / f"{self.slot_name}.lock"
         with slot(lock, self.settings.grace.total_seconds()) as slot_fd:
             outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
-            process = TrainingProcess(self.command, spool, self.device, slot_fd)
+            process = TrainingProcess(self.command, spool, folder, self.device, slot_fd)
             try:
                 outcome = self._watch(process, outbox, heartbeat, job.spec.timeout_s)
             finally:
                 process.kill()
         if not outbox.close(_STORAGE_PATIENCE_S):
-            if outbox.lost:
-                raise LeaseLost(self.holding.job_id)
-            raise StorageUnavailable("The results could not be stored.")
+            raise StorageUnavailable(
+                f"The results could not be stored for {_STORAGE_PATIENCE_S / 60:.0f} minutes: Redis or the "
+                "object store was away, or refused; the worker's log says which."
+            )
         self._conclude(outcome)
 
     def _watch(
@@ -90,11 +97,12 @@ class Supervisor:
         stop: Stop | None = None
         kill_at = float("inf")
         while (status := process.poll(_GLANCE_S)) is None:
-            if heartbeat.lost.is_set() or outbox.lost:
+            if heartbeat.lost.is_set():
                 raise LeaseLost(self.holding.job_id)
+            outbox.check()
             if stop is None and (stop := self._wanted(heartbeat, deadline)) is not None:
                 log.info("training_stops", job_id=self.holding.job_id, why=stop)
-                process.stop()
+                process.stop(stop)
                 kill_at = time.monotonic() + self.settings.grace.total_seconds()
             if time.monotonic() > kill_at:
                 process.kill()
@@ -111,7 +119,9 @@ class Supervisor:
 
     def _conclude(self, outcome: Outcome) -> None:
         job = through_outages(partial(self._end, outcome), _STORAGE_PATIENCE_S)
-        log.info("attempt_ended", job_id=job.id, status=job.status, reason=outcome.reason)
+        log.info(
+            "attempt_ended", job_id=job.id, status=job.status, reason=outcome.reason, detail=outcome.message
+        )
 
     def _end(self, outcome: Outcome) -> Job:
         now = utc_now()

@@ -4,6 +4,7 @@ import os
 import signal
 import socket
 import threading
+import time
 
 import structlog
 
@@ -13,10 +14,15 @@ from core.jobs.attempts import claim
 from core.jobs.job import utc_now
 from core.settings import WorkerSettings
 from worker.device import device_of
+from worker.disk import has_room, what_to_do
 from worker.lifeline import die_with_parent
+from worker.slot import slot_name
 from worker.supervisor import Supervisor
 
 log = structlog.get_logger()
+
+# A worker without room leaves what is queued to others, before it looks again.
+_PAUSE_S = 5.0
 
 
 def run_attempt(job_id: str, attempt: int) -> None:
@@ -27,6 +33,11 @@ def run_attempt(job_id: str, attempt: int) -> None:
     die_with_parent(signal_number=signal.SIGTERM)
     structlog.contextvars.bind_contextvars(job_id=job_id, attempt=attempt)
     settings = read(WorkerSettings)
+    if not has_room(settings.data_dir):
+        # Nothing is claimed: the reconciler dispatches the job again, to whoever comes first.
+        log.error("no_job_begun", detail=what_to_do(settings.data_dir))
+        time.sleep(_PAUSE_S)
+        return
     device = device_of(settings)
     worker = f"{socket.gethostname()}:{device}"
     holding = claim(
@@ -41,6 +52,4 @@ def run_attempt(job_id: str, attempt: int) -> None:
     if holding is None:
         log.info("dispatch_ignored")
         return
-    # A GPU is one slot for the whole machine; CPU workers may share the cores, one job each.
-    slot_name = f"cpu-{os.getppid()}" if device == "cpu" else device.replace(":", "-")
-    Supervisor(holding, settings, device, slot_name, draining=draining).run()
+    Supervisor(holding, settings, device, slot_name(device, os.getppid()), draining=draining).run()

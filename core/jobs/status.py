@@ -57,5 +57,6 @@ class Reason(StrEnum):
     TRAINING_CRASHED = "training_crashed"
 
 
-# The ends of an attempt that count against a job's `max_attempts`; a drained worker is nobody's fault.
-LOSSES = frozenset({Reason.WORKER_LOST, Reason.TRAINING_KILLED})
+# The ends of an attempt that another may follow, and that count against a job's `max_attempts`. A drained
+# worker is nobody's fault; a full disk, or a store that stays away, may be this machine's alone.
+LOSSES = frozenset({Reason.WORKER_LOST, Reason.TRAINING_KILLED, Reason.STORAGE_UNAVAILABLE})

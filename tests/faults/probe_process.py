@@ -8,16 +8,15 @@ import sys
 import time
 from pathlib import Path
 
+from worker.messages import KEEP_AND_GO, SHOW_AND_GO
+
 behaviour, spool, events_fd = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
-stopped = False
+asked = set[int]()
 
-
-def on_sigterm(*_: object) -> None:
-    global stopped
-    stopped = True
-
-
-signal.signal(signal.SIGTERM, signal.SIG_IGN if behaviour == "ignores_sigterm" else on_sigterm)
+for wish in (SHOW_AND_GO, KEEP_AND_GO):
+    signal.signal(
+        wish, signal.SIG_IGN if behaviour == "ignores_signals" else lambda number, _: asked.add(number)
+    )
 
 
 def say(**message: object) -> None:
@@ -39,12 +38,18 @@ match behaviour:
             say(type="progress", step=step, total=20, steps_per_second=5.0, eta_s=0.0, metrics={"a": 1.0})
             keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", b"state %d" % step, step)
         say(type="finished")
-    case "waits" | "ignores_sigterm":
+    case "waits" | "ignores_signals":
         keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
-        while not stopped:
+        while not asked:
             time.sleep(0.01)
         keep("checkpoint-000000000020.msgpack", "checkpoint", b"state", 20)
+        if SHOW_AND_GO in asked:
+            keep("video.mp4", "video", b"film", 20)
         say(type="finished", stopped=True)
+    case "has_nothing_new_to_keep":
+        signal.signal(KEEP_AND_GO, signal.SIG_DFL)
+        keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
+        signal.pause()
     case "goes_on_from_a_checkpoint":
         task = json.loads((spool / "task.json").read_text())
         body = (spool / task["checkpoint"]).read_bytes() if task["checkpoint"] else b"nothing"

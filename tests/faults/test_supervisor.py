@@ -153,33 +153,45 @@ def test_attempts_run_out(bench: Bench) -> None:
     assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TRAINING_KILLED)
 
 
-def test_a_cancel_keeps_the_checkpoint_of_that_moment(bench: Bench) -> None:
+def test_a_cancel_keeps_the_checkpoint_and_the_video_of_that_moment(bench: Bench) -> None:
     job = bench.submit()
     with bench.running(job, "waits"):
         bench.cancel(job)
     ended = bench.store.get(job.id)
     assert (ended.status, ended.reason) == (JobStatus.CANCELLED, Reason.USER_CANCELLED)
     assert [a.step for a in ended.artifacts if a.role == "checkpoint"] == [10, 20]
+    assert ended.newest("video", 20) is not None
 
 
-def test_a_drain_gives_the_job_back_with_its_checkpoint(bench: Bench) -> None:
+def test_a_drain_gives_the_job_back_with_its_checkpoint_and_no_video(bench: Bench) -> None:
     job = bench.submit(max_attempts=1)
     with bench.running(job, "waits") as supervisor:
         supervisor.draining.set()
     ended = bench.store.get(job.id)
     assert (ended.status, ended.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
     assert [a.step for a in ended.artifacts if a.role == "checkpoint"] == [10, 20]
+    assert ended.newest("video") is None
+
+
+def test_a_drain_that_finds_nothing_new_to_keep_kills_nobody(bench: Bench) -> None:
+    job = bench.submit()
+    with bench.running(job, "has_nothing_new_to_keep") as supervisor:
+        supervisor.draining.set()
+    (attempt,) = bench.store.get(job.id).attempts
+    assert attempt.reason == Reason.WORKER_DRAINED
+    assert attempt.message == "The worker was shut down. The work up to then is kept."
 
 
 def test_a_timeout_is_a_failure_that_keeps_the_work(bench: Bench) -> None:
     job = bench.run("waits", timeout_s=0.5)
     assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TIMEOUT)
     assert job.newest("checkpoint", 20) is not None
+    assert job.newest("video", 20) is not None
 
 
 def test_who_does_not_listen_is_killed_after_the_grace_time(bench: Bench) -> None:
     job = bench.submit()
-    with bench.running(job, "ignores_sigterm"):
+    with bench.running(job, "ignores_signals"):
         bench.cancel(job)
     ended = bench.store.get(job.id)
     assert ended.status == JobStatus.CANCELLED

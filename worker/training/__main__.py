@@ -4,24 +4,22 @@ import json
 import os
 import signal
 import sys
-import threading
 from pathlib import Path
 
 from worker.lifeline import die_with_parent
+from worker.training.stopping import Stopping
 
 
 def main() -> None:
     spool, events_fd, parent = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     die_with_parent(parent)
-    os.chdir(spool)  # MuJoCo writes its log where it stands.
-    stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    stopping = Stopping()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Said before anything heavy is imported: from here on the job is seen to run.
     os.write(events_fd, json.dumps({"type": "hello", "pid": os.getpid()}).encode() + b"\n")
     from worker.training.run import run  # Imports JAX.
 
-    sys.exit(run(spool, events_fd, stop))
+    sys.exit(run(spool, events_fd, stopping))
 
 
 if __name__ == "__main__":

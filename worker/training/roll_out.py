@@ -1,7 +1,6 @@
 """A rollout job: episodes of a policy, their trajectory, a summary, a video."""
 
 import json
-import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,17 +22,21 @@ from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, Rollo
 from worker.messages import Advanced, Measured, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
+from worker.training.stopping import Stopping
 from worker.training.video import Film
 
 # Episodes that run side by side.
 _WORLDS = 64
 
 
-def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stop: threading.Event) -> bool:
-    """Act, write down, draw. Whether a stop cut it short: what there is by then is kept."""
+def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stopping: Stopping) -> bool:
+    """Act, write down, draw. Whether a stop cut it short: what there is by then is kept.
+
+    There is nothing to keep for an attempt elsewhere: that one begins anew.
+    """
     channel.send(body.started(policy=spec.policy.model_dump()))
     policy = _policy(task, spec, body, channel)
-    episodes = _act(spec, body, policy, channel, stop)
+    episodes = _act(spec, body, policy, channel, stopping)
     shown = trajectory_of(
         body.environment,
         episodes,
@@ -52,7 +55,7 @@ def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stop: 
 
 
 def _act(
-    spec: RolloutSpec, body: Body, policy: Policy, channel: Channel, stop: threading.Event
+    spec: RolloutSpec, body: Body, policy: Policy, channel: Channel, stopping: Stopping
 ) -> list[Episode]:
     """The episodes asked for; after a stop, those there are by then."""
     key = jax.random.PRNGKey(spec.seed)
@@ -64,7 +67,7 @@ def _act(
         if len(episodes) % worlds == 0:
             steps = sum(episode.num_steps for episode in episodes)
             channel.send(Advanced(step=steps, total=spec.num_steps * spec.num_episodes))
-        if stop.is_set():
+        if stopping.asked:
             break
     return episodes
 

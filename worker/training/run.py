@@ -2,7 +2,6 @@
 
 import io
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Generator
@@ -12,16 +11,18 @@ from pathlib import Path
 from core.errors import GaitwayError, JobFailed
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.jobs.status import Reason
+from worker.disk import is_full, what_to_do
 from worker.messages import Failed, Finished, PhaseEnded, Task
 from worker.training.channel import Channel
+from worker.training.stopping import Stopping
 
 
-def run(spool: Path, events_fd: int, stop: threading.Event) -> int:
+def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
     """Do the task in the spool; the process' exit status. The last message is Finished or Failed."""
     channel = Channel(spool, events_fd)
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
-        stopped = _dispatch(task, channel, stop)
+        stopped = _dispatch(task, channel, stopping)
     except JobFailed as error:
         channel.send(Failed(reason=Reason(error.reason), message=error.detail))
     except GaitwayError as error:
@@ -35,7 +36,7 @@ def run(spool: Path, events_fd: int, stop: threading.Event) -> int:
     return 1
 
 
-def _dispatch(task: Task, channel: Channel, stop: threading.Event) -> bool:
+def _dispatch(task: Task, channel: Channel, stopping: Stopping) -> bool:
     """Whether a stop cut it short."""
     began = time.perf_counter()
     with _without_warnings_of_warp():
@@ -47,9 +48,9 @@ def _dispatch(task: Task, channel: Channel, stop: threading.Event) -> bool:
     body = load_body(task)
     match task.spec:
         case TrainSpec():
-            return train(task, task.spec, body, channel, stop)
+            return train(task, task.spec, body, channel, stopping)
         case RolloutSpec():
-            return roll_out(task, task.spec, body, channel, stop)
+            return roll_out(task, task.spec, body, channel, stopping)
 
 
 @contextmanager
@@ -63,6 +64,8 @@ def _without_warnings_of_warp() -> Generator[None]:
 
 
 def _failure(error: Exception) -> Failed:
+    if is_full(error):
+        return Failed(reason=Reason.STORAGE_UNAVAILABLE, message=what_to_do())
     text = f"{type(error).__name__}: {error}".splitlines()[0][:500]
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return Failed(reason=Reason.OUT_OF_MEMORY, message=f"The device's memory ran out. {text}")

@@ -1,6 +1,5 @@
 """A training job: the trainer's events become messages and files."""
 
-import threading
 import time
 from dataclasses import dataclass, field
 
@@ -16,14 +15,18 @@ from core.jobs.spec import TrainSpec
 from worker.messages import Advanced, Measured, PhaseEnded, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
+from worker.training.stopping import Stopping
 from worker.training.video import Film
 
 # A tenth of the budget lies between checkpoints where the job does not say.
 _CHECKPOINTS = 10
 
 
-def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stop: threading.Event) -> bool:
-    """Train to the end or to a stop; keep a checkpoint, policy and video. Whether a stop cut it short."""
+def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: Stopping) -> bool:
+    """Train to the end or to a stop; whether a stop cut it short.
+
+    Keeps a checkpoint; and where the job does not go on elsewhere, its policy and a video.
+    """
     settings = resolve(spec.algorithm, body.info, body.device)
     channel.send(body.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     trainer = make_trainer(task, spec, settings, body, channel)
@@ -31,18 +34,22 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stop: threa
     film = Film(spec, body, _act, channel)
     try:
         for event in trainer.events():
+            if isinstance(event, Progress):
+                stopping.keep_before_leaving()
             report.tell(event)
-            if isinstance(event, CheckpointReady) and spec.video.every_checkpoint:
-                film.shoot(f"video-{event.step:012d}", _policy(trainer), event.step)
-            if stop.is_set():
+            if stopping.asked:
                 break
+            if isinstance(event, CheckpointReady) and spec.video.every_checkpoint:
+                with stopping.nothing_to_keep():
+                    film.shoot(f"video-{event.step:012d}", _policy(trainer), event.step)
     except JobFailed:
         report.keep_checkpoint()  # The last good one.
         raise
     report.keep_checkpoint()
-    channel.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
-    film.shoot("video", _policy(trainer), trainer.step)
-    return stop.is_set() and trainer.step < settings.num_timesteps
+    with stopping.nothing_to_keep():
+        channel.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
+        film.shoot("video", _policy(trainer), trainer.step)
+    return stopping.asked and trainer.step < settings.num_timesteps
 
 
 def _policy(trainer: Trainer) -> PolicyParams:

@@ -7,13 +7,15 @@ from typing import Any
 
 import jax
 import mujoco
+import numpy as np
 
 from core.environments import trajectory
 from core.environments.rollout import ParametricPolicy, Roller, footage, trajectory_of
-from core.environments.trajectory import Episode
+from core.environments.trajectory import Episode, Trajectory
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.rendering.gl import RenderingFailed
-from core.rendering.request import RenderRequest
+from core.rendering.request import RenderRequest, RenderResult
+from worker.disk import is_full, what_to_do
 from worker.messages import Noted
 from worker.render_client import render
 from worker.training.body import Body
@@ -42,21 +44,9 @@ class Film:
 
     def show(self, name: str, episodes: Sequence[Episode], step: int | None) -> None:
         """A video of these episodes. Where nothing can draw, the job goes on without one, and says why."""
-        spool, video = self.channel.spool, self.spec.video
         shown = trajectory_of(self.body.environment, episodes, environment=self.body.info.id)
-        trajectory.save(spool / "shown.npz", shown)
-        model = spool / "model.mjb"
-        mujoco.mj_saveModel(self.body.environment.model, str(model), None)
-        request = RenderRequest(
-            trajectory=spool / "shown.npz",
-            model=model,
-            tracked_body=self.body.environment.tracked_body,
-            video=spool / f"{name}.mp4",
-            poster=spool / f"{name}.png",
-            **video.model_dump(exclude={"every_checkpoint"}),
-        )
         try:
-            result = render(request, timeout_s=_START_UP_S + _SECONDS_PER_FRAME * video.fps * video.seconds)
+            result = self._drawn(name, shown)
         except RenderingFailed as error:
             self.channel.send(Noted(text=f"There is no video: {error.detail}"))
             return
@@ -64,6 +54,29 @@ class Film:
         facts = {**result.model_dump(), "forward_speed_m_s": speed, "episodes": len(episodes)}
         self.channel.hand_over(f"{name}.mp4", "video", "video/mp4", step=step, metadata=facts)
         self.channel.hand_over(f"{name}.png", "poster", "image/png", step=step, metadata=facts)
+
+    def _drawn(self, name: str, shown: Trajectory) -> RenderResult:
+        spool, video = self.channel.spool, self.spec.video
+        model = self.body.environment.model
+        compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, compiled)
+        try:
+            # By ourselves: MuJoCo says nothing where the disk has no room for all of it.
+            (spool / "model.mjb").write_bytes(compiled)
+            trajectory.save(spool / "shown.npz", shown)
+            request = RenderRequest(
+                trajectory=spool / "shown.npz",
+                model=spool / "model.mjb",
+                tracked_body=self.body.environment.tracked_body,
+                video=spool / f"{name}.mp4",
+                poster=spool / f"{name}.png",
+                **video.model_dump(exclude={"every_checkpoint"}),
+            )
+            return render(request, timeout_s=_START_UP_S + _SECONDS_PER_FRAME * video.fps * video.seconds)
+        except OSError as error:
+            if not is_full(error):
+                raise
+            raise RenderingFailed("disk_full", what_to_do()) from error
 
     @cached_property
     def _roller(self) -> Roller:

@@ -3,10 +3,11 @@
 import pytest
 
 from core.jobs.status import JobStatus, Reason
-from worker.messages import Failed, Finished
+from worker.messages import KEEP_AND_GO, Failed, Finished
 from worker.outcome import Stop, judge
 
 DIVERGED = Failed(reason=Reason.DIVERGED, message="The reward became non-finite.")
+FULL = Failed(reason=Reason.STORAGE_UNAVAILABLE, message="The disk of the worker is full.")
 
 
 @pytest.mark.parametrize(
@@ -22,6 +23,11 @@ DIVERGED = Failed(reason=Reason.DIVERGED, message="The reward became non-finite.
         (DIVERGED, 1, Stop.DRAIN, JobStatus.FAILED, Reason.DIVERGED),
         (None, -9, Stop.CANCEL, JobStatus.CANCELLED, Reason.USER_CANCELLED),
         (None, -9, Stop.DRAIN, None, Reason.WORKER_DRAINED),
+        (None, -KEEP_AND_GO, Stop.DRAIN, None, Reason.WORKER_DRAINED),
+        (FULL, 1, None, None, Reason.STORAGE_UNAVAILABLE),
+        (FULL, 1, Stop.CANCEL, None, Reason.STORAGE_UNAVAILABLE),
+        # Another attempt would have its time anew.
+        (FULL, 1, Stop.TIMEOUT, JobStatus.FAILED, Reason.STORAGE_UNAVAILABLE),
         (None, -9, None, None, Reason.TRAINING_KILLED),
         (None, -11, None, None, Reason.TRAINING_KILLED),
         (None, 3, None, JobStatus.FAILED, Reason.TRAINING_CRASHED),
@@ -43,3 +49,8 @@ def test_a_killed_process_names_the_signal_and_what_may_be_behind_it() -> None:
     message = judge(None, -9, None, timeout_s=60).message
     assert "SIGKILL" in message
     assert "memory" in message
+
+
+def test_who_had_nothing_new_to_keep_is_not_said_to_be_killed() -> None:
+    assert "killed" in judge(None, -9, Stop.DRAIN, timeout_s=60).message
+    assert "killed" not in judge(None, -KEEP_AND_GO, Stop.DRAIN, timeout_s=60).message

@@ -3,11 +3,12 @@
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from worker.slot import SlotTaken, slot
+from worker.slot import SlotTaken, slot, slot_name
 
 
 def test_a_slot_in_use_is_not_given_out(tmp_path: Path) -> None:
@@ -30,3 +31,59 @@ def test_an_orphan_keeps_the_slot_until_it_ends(tmp_path: Path) -> None:
     orphan.communicate(b"\n")
     with slot(path, 0) as descriptor:
         assert os.fstat(descriptor)
+
+
+def test_locks_that_nobody_holds_do_not_pile_up(tmp_path: Path) -> None:
+    (tmp_path / "cpu-of-a-worker-long-gone.lock").touch()
+    with slot(tmp_path / "cpu-1.lock", 0):
+        with slot(tmp_path / "cpu-2.lock", 0):
+            pass
+        assert [file.name for file in tmp_path.iterdir()] == ["cpu-1.lock"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_removing_locks_never_gives_a_slot_to_two(tmp_path: Path) -> None:
+    inside, most, turns = 0, 0, 200
+
+    def take_turns() -> None:
+        nonlocal inside, most
+        for _ in range(turns):
+            with slot(tmp_path / "gpu-0.lock", 60):
+                inside += 1
+                os.sched_yield()
+                most = max(most, inside)
+                inside -= 1
+
+    threads = [threading.Thread(target=take_turns) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (inside, most) == (0, 1)
+
+
+def test_a_gpu_is_called_by_the_hosts_number_in_every_container(tmp_path: Path) -> None:
+    for dev, present in (("whole", ("nvidia0", "nvidia1")), ("second", ("nvidia1",))):
+        for name in present:
+            (tmp_path / dev / name).mkdir(parents=True)
+    names = {slot_name(f"gpu:{index}", 1, tmp_path / "whole") for index in (0, 1)}
+    assert len(names) == 2
+    assert slot_name("gpu:0", 7, tmp_path / "second") == slot_name("gpu:1", 8, tmp_path / "whole")
+
+
+def test_every_cpu_worker_has_a_slot_of_its_own_and_keeps_it() -> None:
+    assert slot_name("cpu", 7) == slot_name("cpu", 7) != slot_name("cpu", 8)
+
+
+def test_equal_process_ids_of_two_containers_are_two_slots() -> None:
+    code = "from worker.slot import slot_name; print(slot_name('cpu', 7))"
+    contained = subprocess.run(
+        ["unshare", "--pid", "--fork", "--mount-proc", sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if "unshare" in contained.stderr:
+        pytest.skip(f"no new process ids here: {contained.stderr.strip()}")
+    assert contained.stdout.strip() != slot_name("cpu", 7)
+    assert contained.stdout[:40] == slot_name("cpu", 7)[:40]  # `cpu-` and the boot's id: the same machine.

@@ -1,0 +1,143 @@
+"""A fleet is a worker for each device: real processes, a real Valkey and object store."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+import redis
+
+from core.adapters.redis_jobs import RedisJobStore
+from core.configuration import EXIT_STATUS
+from core.jobs.store import WorkerInfo
+from core.settings import WorkerSettings
+from tests.unit.worker.environments import environment
+
+
+class Fleet:
+    """A fleet of two CPU workers, and what the service knows of it."""
+
+    def __init__(self, settings: WorkerSettings, client: redis.Redis, log: Path) -> None:
+        self._store = RedisJobStore(client)
+        with log.open("wb") as file:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "worker.fleet", "cpu", "cpu"],
+                env=environment(settings),
+                stdout=file,
+                stderr=subprocess.STDOUT,
+            )
+
+    def two_workers(self, without: int = 0) -> list[WorkerInfo]:
+        """The two that are announced, once there are two besides the one with this process id."""
+        found = list[WorkerInfo]()
+
+        def are_two() -> bool:
+            assert self.process.poll() is None
+            found[:] = [worker for worker in self._store.workers() if worker.pid != without]
+            return len(found) == 2
+
+        wait_until(are_two)
+        return found
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 30) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.02)
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "fleet.log"
+
+
+@pytest.fixture
+def fleet(settings: WorkerSettings, redis_client: redis.Redis, log: Path) -> Iterator[Fleet]:
+    fleet = Fleet(settings, redis_client, log)
+    yield fleet
+    children = psutil.Process(fleet.process.pid).children() if fleet.process.poll() is None else []
+    for process in (fleet.process, *children):
+        process.kill()
+    fleet.process.wait(10)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_to_the_fleet_ends_all_its_workers_and_it_waits_for_them(
+    fleet: Fleet, number: signal.Signals
+) -> None:
+    workers = fleet.two_workers()
+    assert [worker.device for worker in workers] == ["cpu", "cpu"]
+    fleet.process.send_signal(number)
+    assert fleet.process.wait(20) == 0
+    assert not any(psutil.pid_exists(worker.pid) for worker in workers)
+
+
+def test_a_worker_that_ends_by_itself_is_started_again(fleet: Fleet, log: Path) -> None:
+    victim, other = fleet.two_workers()
+    os.kill(victim.pid, signal.SIGKILL)
+    assert other.pid in {worker.pid for worker in fleet.two_workers(without=victim.pid)}
+    ended = [json.loads(line) for line in log.read_text().splitlines() if "worker_ended" in line]
+    assert [(line["device"], line["status"], line["again_in_s"]) for line in ended] == [
+        ("cpu", -signal.SIGKILL, 0.25)
+    ]
+
+
+def test_no_worker_outlives_a_fleet_that_is_killed(fleet: Fleet) -> None:
+    workers = fleet.two_workers()
+    fleet.process.kill()
+    wait_until(lambda: all(is_gone(worker.pid) for worker in workers))
+
+
+def run_fleet(*devices: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    outer = {name: value for name, value in os.environ.items() if not name.startswith("GAITWAY_")}
+    return subprocess.run(
+        [sys.executable, "-m", "worker.fleet", *devices],
+        env={**outer, **variables},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+def misconfigurations(said: str) -> list[str]:
+    lines = map(json.loads, said.splitlines())
+    return [line["detail"] for line in lines if line["event"] == "misconfigured"]
+
+
+def test_a_worker_that_is_misconfigured_ends_the_fleet_with_its_status_and_is_not_tried_again() -> None:
+    done = run_fleet("cpu", "cpu")  # Without a single setting.
+    said = misconfigurations(done.stdout)
+    assert done.returncode == EXIT_STATUS
+    assert 2 <= len(said) <= 3  # Of the fleet, and of the workers that came so far.
+    assert "GAITWAY_REDIS_URL is not set" in said[0]
+    assert "The worker on cpu cannot work as it is set up" in said[-1]
+
+
+@pytest.mark.skipif(any(Path("/dev").glob("nvidia[0-9]*")), reason="there is a GPU")
+def test_a_fleet_without_a_gpu_says_what_to_do() -> None:
+    done = run_fleet()
+    (said,) = misconfigurations(done.stdout)
+    assert done.returncode == EXIT_STATUS
+    for remedy in ("No NVIDIA GPU is visible here", "--profile gpu", "NVIDIA Container Toolkit"):
+        assert remedy in said
+
+
+def test_the_fleet_loads_no_numerical_stack() -> None:
+    code = "import sys, worker.fleet; print({'jax', 'mujoco', 'numpy'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -1,0 +1,56 @@
+"""What a training process finds around itself."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import worker
+from worker.process import environment
+
+ROOT = Path(worker.__file__).parents[1]
+
+# Its child prints where it stands, and where it found this package.
+_PARENT = """
+import os, sys
+from pathlib import Path
+from worker.process import TrainingProcess
+spool = Path(sys.argv[1])
+code = "import os, worker; print(os.getcwd()); print(worker.__file__)"
+with open(os.devnull) as lock:
+    process = TrainingProcess((sys.executable, "-c", code), spool, spool.parent, "cpu", lock.fileno())
+print(*process.lines(), sep="\\n")
+list(process.messages())
+process.poll(10)
+"""
+
+
+def test_it_stands_in_its_spool_and_finds_the_code_of_a_checkout_that_is_not_installed(
+    tmp_path: Path,
+) -> None:
+    checkout, spool = tmp_path / "checkout", tmp_path / "spool"
+    spool.mkdir()
+    for package in ("core", "worker"):
+        shutil.copytree(ROOT / package, checkout / package, ignore=shutil.ignore_patterns("__pycache__"))
+    done = subprocess.run(
+        [sys.executable, "-c", _PARENT, str(spool)], cwd=checkout, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [str(spool), str(checkout / "worker" / "__init__.py")]
+
+
+def test_it_gets_no_setting_of_the_service_but_where_its_data_are(tmp_path: Path) -> None:
+    base = {"GAITWAY_S3_SECRET_KEY": "secret", "GAITWAY_DATA_DIR": "elsewhere", "HOME": "/theirs"}
+    given = environment("cpu", tmp_path, base)
+    assert {name for name in given if name.startswith("GAITWAY_")} == {"GAITWAY_DATA_DIR"}
+    assert (given["GAITWAY_DATA_DIR"], given["HOME"]) == (str(tmp_path), "/theirs")
+
+
+def test_a_users_own_folder_of_modules_stays_after_ours(tmp_path: Path) -> None:
+    given = environment("cpu", tmp_path, {"PYTHONPATH": "/theirs"})
+    assert given["PYTHONPATH"].split(os.pathsep) == [str(ROOT), "/theirs"]
+
+
+def test_a_gpu_is_numbered_as_its_device_files_are(tmp_path: Path) -> None:
+    given = environment("gpu:1", tmp_path, {})
+    assert (given["CUDA_VISIBLE_DEVICES"], given["CUDA_DEVICE_ORDER"]) == ("1", "PCI_BUS_ID")

@@ -1,0 +1,97 @@
+"""One worker for each GPU of this machine: `python -m worker.fleet`, or `python -m worker.fleet cpu cpu`."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import structlog
+
+from core.configuration import EXIT_STATUS, stopping_if_misconfigured, variable
+from core.errors import Misconfigured
+from core.telemetry import configure_logging
+from worker.device import REMEDY, visible_gpus
+
+log = structlog.get_logger()
+
+_GLANCE_S = 0.1
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 30.0
+
+
+@dataclass
+class Member:
+    """A worker on one device. The pause grows with each time that it ends soon after its start."""
+
+    device: str
+    child: subprocess.Popen[bytes] | None = None
+    started_at: float = 0.0
+    start_at: float = 0.0
+    pause_s: float = _FIRST_PAUSE_S
+
+    def look_after(self) -> None:
+        """Start it if that is due. Raises Misconfigured where it has said that it cannot work."""
+        now = time.monotonic()
+        if self.child is None:
+            if now >= self.start_at:
+                self._start(now)
+            return
+        if (status := self.child.poll()) is None:
+            return
+        if status == EXIT_STATUS:
+            raise Misconfigured(f"The worker on {self.device} cannot work as it is set up; it has said why.")
+        if now - self.started_at > _LONGEST_PAUSE_S:
+            self.pause_s = _FIRST_PAUSE_S
+        log.warning("worker_ended", device=self.device, status=status, again_in_s=self.pause_s)
+        self.child, self.start_at = None, now + self.pause_s
+        self.pause_s = min(2 * self.pause_s, _LONGEST_PAUSE_S)
+
+    def _start(self, now: float) -> None:
+        self.started_at = now
+        self.child = subprocess.Popen(
+            [sys.executable, "-m", "worker.main"],
+            env={**os.environ, variable("device"): self.device, "GAITWAY_PARENT": str(os.getpid())},
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C in a terminal is ours to pass on, once.
+        )
+
+
+def serve(members: Sequence[Member]) -> None:
+    """Keep them running until a SIGTERM or SIGINT, then let them drain.
+
+    Call it from the main thread: the kernel tells the workers when the thread ends that started them.
+    """
+    told: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda number, _: told.append(number))
+    try:
+        while not told:
+            for member in members:
+                member.look_after()
+            time.sleep(_GLANCE_S)
+    finally:
+        running = [member.child for member in members if member.child is not None]
+        for child in running:
+            child.terminate()
+        for child in running:
+            child.wait()
+
+
+@stopping_if_misconfigured()
+def main(devices: Sequence[str]) -> None:
+    """Serve until a SIGTERM."""
+    configure_logging("fleet")
+    devices = devices or [f"gpu:{index}" for index in range(len(visible_gpus()))]
+    if not devices:
+        raise Misconfigured(
+            f"No NVIDIA GPU is visible here, and a fleet is one worker for each. {REMEDY}. "
+            "For a worker on the CPU run `python -m worker.main`."
+        )
+    log.info("fleet_started", devices=devices)
+    serve([Member(device) for device in devices])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,39 @@
+"""What the supervisor's signals have asked of the training process."""
+
+import os
+import signal
+from collections.abc import Generator
+from contextlib import contextmanager
+
+from worker.messages import KEEP_AND_GO, SHOW_AND_GO
+
+
+class Stopping:
+    """asked: to end after the epoch in progress. leaving: because the job goes on elsewhere.
+
+    As long as nothing would be lost, KEEP_AND_GO has its default action: it ends the process at once, also
+    in the middle of a compilation or of a video, and with the process its render process.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self.leaving = False
+        signal.signal(SHOW_AND_GO, self._note)
+        signal.signal(KEEP_AND_GO, signal.SIG_DFL)
+
+    def keep_before_leaving(self) -> None:
+        """From now on there is something to keep: who says KEEP_AND_GO waits for it."""
+        signal.signal(KEEP_AND_GO, self._note)
+
+    @contextmanager
+    def nothing_to_keep(self) -> Generator[None]:
+        """Inside, all that there is has been handed over."""
+        signal.signal(KEEP_AND_GO, signal.SIG_DFL)
+        if self.leaving:  # It was said a moment before.
+            os.kill(os.getpid(), KEEP_AND_GO)
+        yield
+        self.keep_before_leaving()
+
+    def _note(self, number: int, _: object) -> None:
+        self.asked = True
+        self.leaving |= number == KEEP_AND_GO
