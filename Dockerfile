@@ -33,7 +33,8 @@ RUN apt-get update \
 
 FROM python:${PYTHON} AS build
 RUN python -m pip install --no-cache-dir --disable-pip-version-check uv==0.9.30 hatchling==1.28.0
-ENV UV_COMPILE_BYTECODE=1 \
+ENV UV_CACHE_DIR=/var/cache/uv \
+    UV_COMPILE_BYTECODE=1 \
     UV_LINK_MODE=copy \
     UV_PYTHON_DOWNLOADS=never \
     UV_PROJECT_ENVIRONMENT=/opt/gaitway
@@ -44,15 +45,15 @@ COPY pyproject.toml uv.lock ./
 RUN python -m uv venv /opt/gaitway
 
 FROM dependencies AS dependencies-api
-RUN --mount=type=cache,target=/root/.cache/uv \
+RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups --extra api --extra cli
 
 FROM dependencies AS dependencies-worker
-RUN --mount=type=cache,target=/root/.cache/uv \
+RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups --extra worker --extra cli
 
 FROM dependencies AS dependencies-worker-cuda
-RUN --mount=type=cache,target=/root/.cache/uv \
+RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
     --extra worker --extra cuda --extra warp --extra cli
 

@@ -2,7 +2,8 @@
 
 import os
 import signal
-import threading
+import sys
+import time
 
 import structlog
 
@@ -23,16 +24,16 @@ log = structlog.get_logger()
 @stopping_if_misconfigured()
 def main() -> None:
     """Reconcile until a SIGTERM."""
-    over = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda number, frame: over.set())
+        # It may be left at any point: whoever looks next does what was left.
+        signal.signal(number, lambda number, frame: sys.exit(0))
     if parent := os.environ.get("GAITWAY_PARENT"):
         die_with_parent(int(parent))
     configure_logging("reconciler")
     settings = read(ReconcilerSettings)
     check_stores(settings)
     store, queue, objects = job_store(settings), job_queue(settings), object_store(settings)
-    while not over.is_set():
+    while True:
         try:
             reconcile(
                 store=store,
@@ -44,7 +45,7 @@ def main() -> None:
             show_life(settings.alive_file)
         except Unavailable as error:
             log.warning("reconciliation_missed", error=error.detail)
-        over.wait(settings.reconcile_every.total_seconds())
+        time.sleep(settings.reconcile_every.total_seconds())
 
 
 if __name__ == "__main__":

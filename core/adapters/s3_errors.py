@@ -1,37 +1,95 @@
-"""What an S3 server's refusals mean here."""
+"""What an S3 server's refusals mean here, in sentences that name the setting and the remedy."""
 
+import re
 from collections.abc import Generator
 from contextlib import contextmanager
 
-from minio.error import MinioException, S3Error
-from urllib3.exceptions import HTTPError
+from minio.error import InvalidResponseError, MinioException, S3Error
+from urllib3.exceptions import HTTPError, MaxRetryError
 
+from core.adapters.causes import reason, tls_refusal
 from core.errors import ObjectNotFound, StorageRefuses, StorageUnavailable
 
 _NOT_THERE = {"NoSuchKey", "NoSuchObject"}
-_LOOK_AT = {
-    "InvalidAccessKeyId": "GAITWAY_S3_ACCESS_KEY is not known there",
-    "SignatureDoesNotMatch": "GAITWAY_S3_SECRET_KEY does not belong to GAITWAY_S3_ACCESS_KEY",
-    "AccessDenied": "GAITWAY_S3_ACCESS_KEY may not do this in GAITWAY_S3_BUCKET",
-    "NoSuchBucket": "GAITWAY_S3_BUCKET names a bucket that does not exist",
-    "AuthorizationHeaderMalformed": "GAITWAY_S3_REGION is not the bucket's region",
-    "RequestTimeTooSkewed": "this machine's clock and the store's differ too much",
+_OTHER_REGION = (
+    "GAITWAY_S3_REGION is not the region of bucket '{bucket}': set it to that, or leave it out where the "
+    "store has no regions."
+)
+# Until a setting or something at the store is changed.
+_REFUSALS = {
+    "InvalidAccessKeyId": "GAITWAY_S3_ACCESS_KEY is not known there: set it to the id of a key that the "
+    "store has, or make it there.",
+    "SignatureDoesNotMatch": "GAITWAY_S3_SECRET_KEY does not belong to GAITWAY_S3_ACCESS_KEY: set both from "
+    "the same key.",
+    "AccessDenied": "GAITWAY_S3_ACCESS_KEY lacks a right in bucket '{bucket}': allow that key to list, read, "
+    "write and delete there, or set GAITWAY_S3_BUCKET to a bucket where it may.",
+    "NoSuchBucket": "there is no bucket '{bucket}': make it (`aws s3 mb s3://{bucket}` with --endpoint-url), "
+    "or set GAITWAY_S3_BUCKET to one that exists.",
+    "InvalidBucketName": "'{bucket}' cannot be a bucket's name: set GAITWAY_S3_BUCKET to one of small "
+    "letters, digits and hyphens.",
+    "AuthorizationHeaderMalformed": _OTHER_REGION,
+    "PermanentRedirect": _OTHER_REGION,
+    "RequestTimeTooSkewed": "this machine's clock and the store's are more than 15 minutes apart: let both "
+    "take their time from NTP (here: `timedatectl set-ntp true`).",
 }
+# They pass when somebody makes room. SeaweedFS says InternalError for a full disk, MinIO XMinioStorageFull.
+_NO_ROOM = {"InternalError", "XMinioStorageFull", "InsufficientStorage"}
 
 
 @contextmanager
-def reaching_s3(key: str = "") -> Generator[None]:
-    """Turn the SDK's errors into ObjectNotFound of `key`, or StorageUnavailable naming what to look at."""
+def reaching_s3(bucket: str, key: str = "") -> Generator[None]:
+    """Turn the SDK's errors into ObjectNotFound of `key`, StorageRefuses, or StorageUnavailable."""
     try:
         yield
     except S3Error as error:
         if error.code in _NOT_THERE:
             raise ObjectNotFound(key) from error
-        if remedy := _LOOK_AT.get(error.code or ""):
-            raise StorageRefuses(f"The object store refuses ({error.code}): {remedy}.") from error
-        reason = error.message or "no reason given"
-        raise StorageUnavailable(f"The object store cannot do it now ({error.code}): {reason}.") from error
+        raise meaning(error.code, error.message, bucket) from error
+    except InvalidResponseError as error:
+        raise _meaning_of_no_s3(str(error)) from error
     except (MinioException, HTTPError) as error:
-        raise StorageUnavailable(
-            f"The object store does not answer at GAITWAY_S3_ENDPOINT ({type(error).__name__})."
-        ) from error
+        raise _meaning_of_no_answer(error) from error
+
+
+def meaning(code: str | None, message: str | None, bucket: str) -> StorageUnavailable:
+    """What to raise for an S3 error code."""
+    if sentence := _REFUSALS.get(code or ""):
+        return StorageRefuses(f"The object store refuses ({code}): {sentence.format(bucket=bucket)}")
+    if code in _NO_ROOM:
+        return StorageUnavailable(
+            f"The object store failed ({code}). If it was to write, it most likely has no room or no volume "
+            "to write to: free or add disk space at the store; its own log says more."
+        )
+    return StorageUnavailable(f"The object store cannot do it now ({code}): {message or 'no reason given'}.")
+
+
+def no_s3(answer: str) -> StorageRefuses:
+    """What to raise where something else answers. answer: what that was, in a word."""
+    return StorageRefuses(
+        f"What answers at GAITWAY_S3_ENDPOINT is no S3 server ({answer}): set it to the host and port of the "
+        "store's S3 interface."
+    )
+
+
+def _meaning_of_no_s3(answer: str) -> StorageUnavailable:
+    """Of an answer that is not S3's XML: of some other server, or of a proxy whose server is away."""
+    if "HTTPS" in answer:
+        return StorageRefuses(
+            "The object store at GAITWAY_S3_ENDPOINT wants TLS: set GAITWAY_S3_SECURE=true, or leave it out."
+        )
+    found = re.search(r"Response code: (\d+)", answer)
+    status = int(found[1]) if found else 0
+    if status in (502, 503, 504):
+        return StorageUnavailable(f"Nobody behind GAITWAY_S3_ENDPOINT answers now (HTTP {status}).")
+    return no_s3(f"HTTP {status}")
+
+
+def _meaning_of_no_answer(error: MinioException | HTTPError) -> StorageUnavailable:
+    without = "set GAITWAY_S3_SECURE=false"
+    if refusal := tls_refusal(error, "the object store", "GAITWAY_S3_ENDPOINT", without):
+        return StorageRefuses(refusal)
+    pool = error.pool if isinstance(error, MaxRetryError) else None
+    where = f"{pool.host}:{pool.port} (GAITWAY_S3_ENDPOINT)" if pool else "GAITWAY_S3_ENDPOINT"
+    return StorageUnavailable(
+        f"The object store does not answer at {where}: {reason(error)}. Start it, or correct the setting."
+    )

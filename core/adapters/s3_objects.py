@@ -1,9 +1,10 @@
 """Objects on an S3 server, through the minio SDK."""
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from io import BytesIO
 from pathlib import Path
+from xml.etree.ElementTree import ParseError
 
 from minio import Minio
 from minio.deleteobjects import DeleteObject
@@ -11,8 +12,8 @@ from minio.error import S3Error
 from urllib3.response import BaseHTTPResponse
 
 from core.adapters.object_keys import PIECE_BYTES, check_readable, check_writable
-from core.adapters.s3_errors import reaching_s3
-from core.errors import StorageUnavailable
+from core.adapters.s3_errors import meaning, no_s3, reaching_s3
+from core.errors import ObjectNotFound, StorageRefuses
 from core.storage.objects import ObjectInfo
 
 _ANY = "application/octet-stream"
@@ -28,18 +29,18 @@ class S3ObjectStore:
 
     def ensure_bucket(self) -> None:
         """Make the bucket unless it is there. Raises StorageUnavailable."""
-        with reaching_s3():
+        with self._reaching():
             if not self._client.bucket_exists(self._bucket):
                 self._make_bucket()
 
     def put(self, key: str, body: bytes, *, media_type: str = _ANY) -> None:
         check_writable(key)
-        with reaching_s3(key):
+        with self._reaching(key):
             self._client.put_object(self._bucket, key, BytesIO(body), len(body), content_type=media_type)
 
     def put_file(self, key: str, path: Path, *, media_type: str = _ANY) -> None:
         check_writable(key)
-        with reaching_s3(key):
+        with self._reaching(key):
             self._client.fput_object(
                 self._bucket, key, str(path), content_type=media_type, part_size=_PART_BYTES
             )
@@ -55,36 +56,49 @@ class S3ObjectStore:
         if length == 0:
             self.info(key)
             return nullcontext(iter(()))
-        with reaching_s3(key):
+        with self._reaching(key):
             try:
                 response = self._client.get_object(self._bucket, key, offset=start, length=length or 0)
             except S3Error as error:
                 if error.code == "InvalidRange":  # begins at or after the end: nothing is there
                     return nullcontext(iter(()))
                 raise
-        return _streaming(key, response)
+        return _streaming(self._bucket, key, response)
 
     def info(self, key: str) -> ObjectInfo:
         check_readable(key)
-        with reaching_s3(key):
-            found = self._client.stat_object(self._bucket, key)
+        try:
+            with self._reaching(key):
+                found = self._client.stat_object(self._bucket, key)
+        except (ObjectNotFound, StorageRefuses):
+            # The answer to a HEAD has no body, so it cannot say that there is no bucket, or what is refused.
+            self.list(key)
+            raise
         return ObjectInfo(key, found.size or 0, found.content_type or _ANY)
 
     def list(self, prefix: str) -> Iterator[ObjectInfo]:
-        with reaching_s3(prefix):
-            listed = list(self._client.list_objects(self._bucket, prefix=prefix, recursive=True))
+        with self._reaching(prefix):
+            try:
+                listed = list(self._client.list_objects(self._bucket, prefix=prefix, recursive=True))
+            except (ValueError, ParseError) as error:  # Of the answer: a web server's page is no listing.
+                raise no_s3("its listing cannot be read") from error
         # Servers that keep objects in folders list them folder by folder, which is another order.
         found = [ObjectInfo(item.object_name, item.size or 0) for item in listed if item.object_name]
         return iter(sorted(found, key=lambda item: item.key))
 
     def delete_prefix(self, prefix: str) -> None:
-        keys = [DeleteObject(item.key) for item in self.list(prefix)]
-        with reaching_s3(prefix):
-            failures = list(self._client.remove_objects(self._bucket, keys))
+        self.delete([item.key for item in self.list(prefix)])
+
+    def delete(self, keys: Iterable[str]) -> None:
+        """Remove these objects; one that is not there is no error."""
+        with self._reaching():
+            named = [DeleteObject(key) for key in keys]
+            failures = list(self._client.remove_objects(self._bucket, named))
         if failures:
-            raise StorageUnavailable(
-                f"The object store kept {len(failures)} objects it was to delete: {failures[0].message}"
-            )
+            raise meaning(failures[0].code, failures[0].message, self._bucket)
+
+    def _reaching(self, key: str = "") -> AbstractContextManager[None]:
+        return reaching_s3(self._bucket, key)
 
     def _make_bucket(self) -> None:
         try:
@@ -96,14 +110,14 @@ class S3ObjectStore:
 
 
 @contextmanager
-def _streaming(key: str, response: BaseHTTPResponse) -> Generator[Iterator[bytes]]:
+def _streaming(bucket: str, key: str, response: BaseHTTPResponse) -> Generator[Iterator[bytes]]:
     try:
-        yield _pieces(key, response)
+        yield _pieces(bucket, key, response)
     finally:
         response.close()
         response.release_conn()
 
 
-def _pieces(key: str, response: BaseHTTPResponse) -> Iterator[bytes]:
-    with reaching_s3(key):
+def _pieces(bucket: str, key: str, response: BaseHTTPResponse) -> Iterator[bytes]:
+    with reaching_s3(bucket, key):
         yield from response.stream(PIECE_BYTES)

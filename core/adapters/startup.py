@@ -1,18 +1,32 @@
 """What a process makes sure of before it works: that both stores do what it will ask of them."""
 
 import secrets
+from contextlib import suppress
+from functools import partial
 
 import structlog
+from redis import Redis
 
-from core.adapters.connect import job_store, object_store
-from core.errors import Misconfigured, RecordsRefuse, StorageRefuses, Unavailable
+from core.adapters.connect import connect_redis, object_store
+from core.adapters.redis_errors import reaching_redis
+from core.adapters.s3_objects import S3ObjectStore
+from core.errors import (
+    Misconfigured,
+    ObjectNotFound,
+    RecordsRefuse,
+    StorageRefuses,
+    StorageUnavailable,
+    Unavailable,
+)
 from core.patience import through_outages
 from core.settings import StoreSettings
-from core.storage.objects import ObjectStore
 
 log = structlog.get_logger()
 
 _PATIENCE_S = 10.0
+
+# KEYS: a name that nobody else uses. It goes again, and would in a second if this were cut off.
+_WRITE = "redis.call('SET', KEYS[1], '', 'PX', 1000) return redis.call('DEL', KEYS[1])"
 
 
 def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> None:
@@ -20,8 +34,11 @@ def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> No
 
     Raises Misconfigured where one answers and refuses: time alone will not mend that.
     """
-    records, objects = job_store(settings), object_store(settings)
-    for name, look in (("redis", records.ping), ("object_store", lambda: exercise(objects))):
+    # Without tries of their own: what a first one finds is in the log at once.
+    records = connect_redis(settings.redis_url.get_secret_value(), retries=0)
+    objects = object_store(settings, retries=0)
+    looks = {"redis": partial(exercise_records, records), "object_store": partial(exercise_objects, objects)}
+    for name, look in looks.items():
         try:
             through_outages(look, patience_s, gives_up_on=(RecordsRefuse, StorageRefuses))
         except (RecordsRefuse, StorageRefuses) as error:
@@ -30,9 +47,52 @@ def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> No
             log.warning("store_away_at_start", store=name, error=error.detail)
 
 
-def exercise(objects: ObjectStore) -> None:
-    """Put, get and delete an object. Raises StorageUnavailable, or StorageRefuses naming a setting."""
-    key = f"probes/{secrets.token_hex(8)}"
-    objects.put(key, b"whether this bucket keeps what it is given")
-    objects.get(key)
-    objects.delete_prefix(key)
+@reaching_redis()
+def exercise_records(client: Redis) -> None:
+    """Let a script write and delete a key. Raises RecordsUnavailable, or RecordsRefuse naming a setting."""
+    client.eval(_WRITE, 1, f"gaitway:probe:{secrets.token_hex(8)}")  # pyright: ignore[reportUnknownMemberType]
+
+
+def exercise_objects(objects: S3ObjectStore) -> None:
+    """Use the store as the service does, and leave nothing there.
+
+    Raises StorageUnavailable, or StorageRefuses naming what to change.
+    """
+    prefix, body = f"probes/{secrets.token_hex(8)}/", secrets.token_bytes(4096)
+    key = f"{prefix}probe"
+    objects.list(prefix)  # First: some stores say of a put alone no more than that it is forbidden.
+    objects.delete([key])  # Before there is anything: what may not be deleted would stay.
+    try:
+        objects.put(key, body)
+        wrong = _wrong_with(objects, prefix, key, body)
+    except StorageUnavailable:
+        with suppress(StorageUnavailable):
+            objects.delete([key])
+        raise
+    objects.delete([key])
+    if not wrong and _get(objects, key) is not None:
+        wrong = "an object is still there after its delete"
+    if wrong:
+        raise StorageRefuses(
+            f"The object store at GAITWAY_S3_ENDPOINT does not work as S3 does: {wrong}. Set it to a store "
+            "with the whole S3 interface, and with no cache before it."
+        )
+
+
+def _wrong_with(objects: S3ObjectStore, prefix: str, key: str, body: bytes) -> str:
+    """What the store does wrong with an object that was put, or nothing."""
+    if _get(objects, key) != body:
+        return "a get does not give the bytes that were put"
+    with objects.open(key, 1000, 500) as pieces:
+        if b"".join(pieces) != body[1000:1500]:
+            return "a ranged get gives other bytes than were asked for"
+    if [found.key for found in objects.list(prefix)] != [key]:
+        return "a listing does not show what was put"
+    return ""
+
+
+def _get(objects: S3ObjectStore, key: str) -> bytes | None:
+    try:
+        return objects.get(key)
+    except ObjectNotFound:
+        return None

@@ -36,14 +36,12 @@ def demo(context: typer.Context) -> None:
 def api(context: typer.Context) -> None:
     """Run the HTTP service alone; settings come from GAITWAY_… (options: those of `python -m api`)."""
     _require("api", "fastapi", "uvicorn", "redis", "minio")
-    _require_settings()
     _become("api", context.args)
 
 
 def worker(context: typer.Context) -> None:
     """Run a worker; settings come from GAITWAY_…"""
     _require("worker", "rq", "redis", "minio", "jax", "mujoco")
-    _require_settings()
     _become("worker.main", context.args)
 
 
@@ -51,15 +49,6 @@ def _require(extra: str, *modules: str) -> None:
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
         raise wrong_usage(f"{missing[0]} is not installed; `pip install 'gaitway[{extra}]'` brings it.")
-
-
-def _require_settings() -> None:
-    needed = ("REDIS_URL", "S3_ENDPOINT", "S3_ACCESS_KEY", "S3_SECRET_KEY", "DATA_DIR")
-    missing = [f"GAITWAY_{name}" for name in needed if not os.environ.get(f"GAITWAY_{name}")]
-    if missing:
-        raise wrong_usage(
-            f"{', '.join(missing)} must be set; for everything on one machine use `gaitway up`."
-        )
 
 
 def _become(module: str, arguments: list[str]) -> None:

@@ -11,7 +11,7 @@ State = Literal["pass", "warn", "fail", "skip"]
 
 @dataclass(frozen=True)
 class Check:
-    """state: `skip` where there was nothing to look at. remedy: a sentence that says what to do."""
+    """state: `skip` where there was nothing to look at. remedy: what to do, unless the detail says it."""
 
     name: str
     state: State

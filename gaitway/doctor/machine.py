@@ -8,9 +8,15 @@ import shutil
 import sys
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from core.errors import Misconfigured
 from gaitway.doctor.check import Check, ProbeFailed, probe
 
+if TYPE_CHECKING:
+    from core.settings import WorkerSettings
+
+_OTHER_FOLDER = "Another folder: GAITWAY_DATA_DIR, or --data where that is not set."
 _WORKER = "Install the numerical part: `pip install 'gaitway[worker]'`."
 _JAX = """
 import json, jax, jax.numpy as jnp
@@ -114,6 +120,18 @@ def encoder() -> Check:
         )
 
 
+def device(settings: "WorkerSettings | None") -> Check:
+    """Whether what a worker shall run on is there."""
+    if settings is None:
+        return Check("device", "skip", "no settings of a worker")
+    from worker.device import device_of
+
+    try:
+        return Check("device", "pass", f"{device_of(settings)}, for GAITWAY_DEVICE={settings.device}")
+    except Misconfigured as error:
+        return Check("device", "fail", error.detail)
+
+
 def disk(data: Path) -> Check:
     """Room where the service keeps its data."""
     place = data.absolute()
@@ -122,9 +140,9 @@ def disk(data: Path) -> Check:
     free_gb = shutil.disk_usage(place).free / 1e9
     detail = f"{free_gb:.1f} GB free at {place}"
     if not os.access(place, os.W_OK):
-        return Check("disk", "fail", f"{place} may not be written to", "Choose another folder with --data.")
+        return Check("disk", "fail", f"{place} may not be written to", _OTHER_FOLDER)
     if free_gb < 1:
-        return Check("disk", "fail", detail, "Free at least 1 GB, or choose another folder with --data.")
+        return Check("disk", "fail", detail, f"Free at least 1 GB. {_OTHER_FOLDER}")
     if free_gb < 10:
         return Check(
             "disk", "warn", detail, "Long trainings keep several checkpoints: 10 GB are comfortable."

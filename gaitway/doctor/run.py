@@ -2,29 +2,33 @@
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
-from gaitway.doctor import machine, services
+from gaitway.doctor import machine, services, settings
 from gaitway.doctor.check import Check
 
-_SERVICES = {"redis": services.redis, "object store": services.object_store, "clock": services.clock}
+Checks = Mapping[str, Callable[[], Check]]
 
 
 def examine(data: Path, *, embedded: bool = False) -> Iterator[Check]:
     """Each check's finding as soon as it is made. embedded: with servers started for this."""
-    checks: dict[str, Callable[[], Check]] = {
-        "interpreter": machine.interpreter,
-        "jax": machine.jax_devices,
-        "physics": machine.physics,
-        "renderer": machine.renderer,
-        "encoder": machine.encoder,
-        "disk": lambda: machine.disk(data),
-        "embedded servers": machine.embedded_servers,
-    }
-    for name, check in checks.items():
-        yield guarded(name, check)
-    yield from _embedded() if embedded else _services(os.environ)
+    worker = settings.of_a_worker()
+    yield from _made(
+        {
+            "interpreter": machine.interpreter,
+            "jax": machine.jax_devices,
+            "physics": machine.physics,
+            "renderer": machine.renderer,
+            "encoder": machine.encoder,
+            "disk": lambda: machine.disk(worker.data_dir if worker else data),
+            "device": lambda: machine.device(worker),
+            "embedded servers": machine.embedded_servers,
+        }
+    )
+    yield from _embedded() if embedded else _services()
+    yield from _made({"api": services.api})
 
 
 def guarded(name: str, check: Callable[[], Check]) -> Check:
@@ -37,9 +41,21 @@ def guarded(name: str, check: Callable[[], Check]) -> Check:
         )
 
 
-def _services(environ: Mapping[str, str]) -> Iterator[Check]:
-    for name, check in _SERVICES.items():
-        yield guarded(name, lambda check=check: check(environ))
+def _made(checks: Checks) -> Iterator[Check]:
+    for name, check in checks.items():
+        yield guarded(name, check)
+
+
+def _services() -> Iterator[Check]:
+    stores = settings.of_the_stores()
+    return _made(
+        {
+            "settings": settings.settings,
+            "redis": lambda: services.redis(stores),
+            "object store": lambda: services.object_store(stores),
+            "clock": lambda: services.clock(stores),
+        }
+    )
 
 
 def _embedded() -> Iterator[Check]:
@@ -54,6 +70,23 @@ def _embedded() -> Iterator[Check]:
             )
             return
         try:
-            yield from _services(servers.environment())
+            with _environment(servers.environment()):
+                yield from _services()
         finally:
             servers.stop()
+
+
+@contextmanager
+def _environment(variables: Mapping[str, str]) -> Generator[None]:
+    """With these settings and no others."""
+    from core.configuration import SECRETS_DIR, names
+
+    before = dict(os.environ)
+    for name in names() | {SECRETS_DIR}:
+        os.environ.pop(name, None)
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)

@@ -1,34 +1,38 @@
-"""What the service leans on: Redis and the object store."""
+"""What the service leans on: Redis and the object store; and the service itself."""
 
-import secrets
-from collections.abc import Mapping
+import os
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 
+from core.errors import GaitwayError
+from gaitway import errors
+from gaitway.client import Client
 from gaitway.doctor.check import Check
+from gaitway.transport import Retry
 
-_S3 = ("GAITWAY_S3_ENDPOINT", "GAITWAY_S3_ACCESS_KEY", "GAITWAY_S3_SECRET_KEY")
-_NOT_CONFIGURED = "not configured (the embedded stack will start its own)"
+if TYPE_CHECKING:
+    from core.settings import StoreSettings
+
+_NO_SETTINGS = "no settings that lead to one"
 
 
-def redis(environ: Mapping[str, str]) -> Check:
-    """Whether the job records answer, and survive a restart."""
-    url = environ.get("GAITWAY_REDIS_URL")
-    if not url:
-        return Check("redis", "skip", _NOT_CONFIGURED)
+def redis(settings: "StoreSettings | None") -> Check:
+    """Whether the job records can be written, and survive a restart."""
+    if settings is None:
+        return Check("redis", "skip", _NO_SETTINGS)
     from core.adapters.connect import connect_redis
+    from core.adapters.redis_errors import reaching_redis
+    from core.adapters.startup import exercise_records
 
     try:
-        with connect_redis(url, retries=0) as client:
-            client.ping()  # pyright: ignore[reportUnknownMemberType]
+        with connect_redis(settings.redis_url.get_secret_value(), retries=0) as client, reaching_redis():
+            exercise_records(client)
             facts: Any = client.info()  # pyright: ignore[reportUnknownMemberType]
-    except Exception as error:  # a bad address, a refusal, a wrong password: all are findings
-        return Check(
-            "redis", "fail", f"{type(error).__name__}: {error}", "Start it, or correct GAITWAY_REDIS_URL."
-        )
+    except GaitwayError as error:
+        return Check("redis", "fail", error.detail)
     number = facts.get("valkey_version") or facts.get("redis_version", "?")
     detail = f"{facts.get('server_name', 'redis')} {number}"
     if not facts.get("aof_enabled"):
@@ -39,38 +43,32 @@ def redis(environ: Mapping[str, str]) -> Check:
     return Check("redis", "pass", f"{detail}, append-only file on")
 
 
-def object_store(environ: Mapping[str, str]) -> Check:
+def object_store(settings: "StoreSettings | None") -> Check:
     """Whether a put, a get, a ranged get, a listing and a delete do what they should."""
-    missing = [name for name in _S3 if not environ.get(name)]
-    if len(missing) == len(_S3):
-        return Check("object store", "skip", _NOT_CONFIGURED)
-    if missing:
-        return Check("object store", "fail", f"{', '.join(missing)} is not set", f"Set {', '.join(missing)}.")
+    if settings is None:
+        return Check("object store", "skip", _NO_SETTINGS)
+    from core.adapters.connect import object_store
+    from core.adapters.startup import exercise_objects
+
     try:
-        wrong = _exercise(environ)
-    except Exception as error:  # whatever it is, it is the finding
-        remedy = (
-            "Start it, or correct GAITWAY_S3_ENDPOINT, its keys, GAITWAY_S3_BUCKET and GAITWAY_S3_SECURE."
-        )
-        return Check("object store", "fail", f"{type(error).__name__}: {error}", remedy)
-    where = f"{environ['GAITWAY_S3_ENDPOINT']}, bucket {environ.get('GAITWAY_S3_BUCKET', 'gaitway')}"
-    if wrong:
-        remedy = "Use a store with the whole S3 interface, and no cache before it."
-        return Check("object store", "fail", f"{where}: {wrong}", remedy)
+        exercise_objects(object_store(settings, retries=0))
+    except GaitwayError as error:
+        return Check("object store", "fail", error.detail)
+    where = f"{settings.s3_endpoint}, bucket {settings.s3_bucket}"
     return Check("object store", "pass", f"{where}: put, get, range, list and delete work")
 
 
-def clock(environ: Mapping[str, str]) -> Check:
+def clock(settings: "StoreSettings | None") -> Check:
     """Whether this clock agrees with the object store's: S3 refuses signatures that are 15 minutes off."""
-    if not environ.get("GAITWAY_S3_ENDPOINT"):
-        return Check("clock", "skip", _NOT_CONFIGURED)
-    scheme = "http" if _is_plain(environ) else "https"
+    if settings is None:
+        return Check("clock", "skip", _NO_SETTINGS)
+    scheme = "https" if settings.s3_secure else "http"
     try:
-        answer = httpx.get(f"{scheme}://{environ['GAITWAY_S3_ENDPOINT']}/", timeout=5)
+        answer = httpx.get(f"{scheme}://{settings.s3_endpoint}/", timeout=5)
         skew_s = abs((datetime.now(UTC) - parsedate_to_datetime(answer.headers["Date"])).total_seconds())
     except (httpx.HTTPError, KeyError, ValueError, TypeError):
         return Check("clock", "skip", "the object store does not tell the time")
-    remedy = "Let both machines take their time from NTP."
+    remedy = "Let both machines take their time from NTP (here: `timedatectl set-ntp true`)."
     # The header has whole seconds, and the answer takes its time.
     if skew_s > 300:
         return Check("clock", "fail", f"{skew_s:.0f} s away from the object store's", remedy)
@@ -79,37 +77,19 @@ def clock(environ: Mapping[str, str]) -> Check:
     return Check("clock", "pass", "agrees with the object store's")
 
 
-def _exercise(environ: Mapping[str, str]) -> str:
-    """Use the store for real; what it did wrong, or nothing."""
-    from core.adapters.connect import connect_s3
-    from core.adapters.s3_objects import S3ObjectStore
-    from core.errors import ObjectNotFound
-
-    endpoint, access_key, secret_key = (environ[name] for name in _S3)
-    region = environ.get("GAITWAY_S3_REGION")
-    client = connect_s3(
-        endpoint, access_key, secret_key, secure=not _is_plain(environ), region=region, retries=0
-    )
-    store = S3ObjectStore(client, environ.get("GAITWAY_S3_BUCKET", "gaitway"))
-    prefix, body = f"doctor/{secrets.token_hex(8)}/", secrets.token_bytes(4096)
-    key = f"{prefix}probe"
+def api() -> Check:
+    """Whether the service that the command line would talk to is ready."""
+    url = os.environ.get("GAITWAY_URL")
+    if not url:
+        return Check("api", "skip", "GAITWAY_URL is not set")
+    remedy = "Start the service there, or correct GAITWAY_URL."
     try:
-        store.put(key, body)
-        if store.get(key) != body:
-            return "a get gives other bytes than were put"
-        with store.open(key, 1000, 500) as pieces:
-            if b"".join(pieces) != body[1000:1500]:
-                return "a ranged get gives other bytes than were asked for"
-        if [found.key for found in store.list(prefix)] != [key]:
-            return "a listing does not show what was put"
-    finally:
-        store.delete_prefix(prefix)
-    try:
-        store.get(key)
-    except ObjectNotFound:
-        return ""
-    return "an object is still there after its delete"
-
-
-def _is_plain(environ: Mapping[str, str]) -> bool:
-    return environ.get("GAITWAY_S3_SECURE", "true").lower() in ("false", "0", "no", "off", "f", "n")
+        with Client(url, timeout_s=5, retry=Retry(attempts=1)) as client:
+            client.health()
+    except errors.ApiError as error:
+        return Check("api", "fail", f"{url} is not ready: {error}", "Run `gaitway doctor` where it runs.")
+    except errors.Unreachable as error:
+        return Check("api", "fail", str(error), remedy)
+    except ValueError:
+        return Check("api", "fail", f"What answers at {url} is no Gaitway service.", remedy)
+    return Check("api", "pass", f"{url} is ready")

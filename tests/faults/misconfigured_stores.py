@@ -1,0 +1,152 @@
+"""Real stores that refuse in every way that a wrong setting or a full disk can bring about."""
+
+import json
+import os
+import secrets
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from core.adapters.connect import connect_redis, connect_s3
+from core.adapters.s3_objects import S3ObjectStore
+from core.errors import StorageUnavailable
+from gaitway.embedded import weed as weed_module
+from gaitway.embedded.processes import free_ports
+from gaitway.embedded.valkey import Valkey
+from gaitway.embedded.weed import REGION, Weed
+
+SECRET = "correct-horse"
+
+
+@dataclass(frozen=True)
+class Stores:
+    """A Valkey with a password, and a SeaweedFS with two ports, one for TLS. Settings that fit both."""
+
+    environment: dict[str, str]
+    socket: str
+    redis_port: int
+    https_port: int
+    authority: Path
+
+    def redis(self, login: str) -> str:
+        return f"unix://{login}{self.socket}"
+
+
+@contextmanager
+def serving(folder: Path) -> Iterator[Stores]:
+    """Both, with users that may do everything (`all`), or only read (`reader`)."""
+    https_port, redis_port = free_ports(2)
+    folder.mkdir()
+    certify(folder)
+    identities = folder / "identities.json"
+    identities.write_text(
+        json.dumps(
+            {
+                "identities": [
+                    _identity("all", "Admin"),
+                    _identity("writer", "Read", "Write", "List"),
+                    _identity("reader", "Read", "List"),
+                ]
+            }
+        )
+    )
+    options = (
+        f"-s3.config={identities}",
+        f"-s3.port.https={https_port}",
+        f"-s3.cert.file={folder / 'server.pem'}",
+        f"-s3.key.file={folder / 'server.key'}",
+    )
+    with store_with(folder / "objects", *options) as weed, Valkey(folder / "valkey") as valkey:
+        with connect_redis(valkey.url) as client:
+            client.acl_setuser(
+                "reader", enabled=True, passwords=[f"+{SECRET}"], keys="*", categories=["+@read"]
+            )
+            client.config_set("bind", "0.0.0.0")  # noqa: S104 # Its protected mode is what is looked at.
+            client.config_set("port", redis_port)
+            client.config_set("requirepass", SECRET)
+        socket = valkey.url.removeprefix("unix://")
+        environment = {
+            **weed.environment(),
+            "GAITWAY_REDIS_URL": f"unix://:{SECRET}@{socket}",
+            "GAITWAY_S3_ACCESS_KEY": "all",
+            "GAITWAY_S3_SECRET_KEY": SECRET,
+        }
+        yield Stores(environment, socket, redis_port, https_port, folder / "authority.pem")
+
+
+@contextmanager
+def store_with(folder: Path, *options: str) -> Iterator[Weed]:
+    """A SeaweedFS started with these options, too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(weed_module, "_OPTIONS", (*weed_module._OPTIONS, *options))
+        weed = Weed(folder)
+        if options:
+            weed.access_key, weed.secret_key = "all", SECRET
+        weed.start()
+    try:
+        yield weed
+    finally:
+        weed.stop()
+
+
+def certify(folder: Path) -> None:
+    """An authority of one's own (authority.pem), and what it signed for 127.0.0.1 (server.pem)."""
+    key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
+    (folder / "names").write_text("subjectAltName=IP:127.0.0.1\n")
+    ca = ("-keyout", "authority.key", "-out", "authority.pem", "-subj", "/CN=authority", "-days", "2")
+    _openssl(folder, "req", "-x509", *key, *ca, "-addext", "keyUsage=critical,keyCertSign")
+    _openssl(folder, "req", *key, "-keyout", "server.key", "-out", "server.csr", "-subj", "/CN=127.0.0.1")
+    signed = ("-CA", "authority.pem", "-CAkey", "authority.key", "-CAcreateserial", "-days", "2")
+    _openssl(folder, "x509", "-req", "-in", "server.csr", *signed, "-extfile", "names", "-out", "server.pem")
+
+
+@contextmanager
+def volume(folder: Path, size: str) -> Iterator[Path]:
+    """A small volume of its own at this folder; skips where none may be mounted."""
+    folder.mkdir(parents=True)
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+    if os.getuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("only root may mount the small volume that this test fills")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@contextmanager
+def full_object_store(folder: Path) -> Iterator[dict[str, str]]:
+    """Settings that lead to a SeaweedFS on a volume without room for a byte more."""
+    folder.mkdir()
+    with volume(folder / "data", "6m"), store_with(folder) as weed:
+        client = connect_s3(
+            weed.endpoint, weed.access_key, weed.secret_key, secure=False, region=REGION, retries=0
+        )
+        store = S3ObjectStore(client, weed.bucket)
+        for size in (2**20, 2**16, 2**12, 2**8):
+            with suppress(StorageUnavailable):
+                while True:
+                    store.put(f"filling/{secrets.token_hex(8)}", secrets.token_bytes(size))
+        yield weed.environment()
+
+
+@contextmanager
+def full_redis(folder: Path) -> Iterator[str]:
+    """The address of a Valkey whose append-only file has no room for a byte more."""
+    with volume(folder, "256k"), Valkey(folder) as valkey:
+        with connect_redis(valkey.url) as client, suppress(Exception):
+            while True:
+                client.rpush("filling", secrets.token_bytes(2**12))
+        yield valkey.url
+
+
+def _identity(name: str, *actions: str) -> dict[str, object]:
+    key = {"accessKey": name, "secretKey": SECRET}
+    return {"name": name, "credentials": [key], "actions": list(actions)}
+
+
+def _openssl(folder: Path, *arguments: str) -> None:
+    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
