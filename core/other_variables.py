@@ -32,10 +32,6 @@ OTHERS = (
         "Address of this host at which workers elsewhere reach its stores; with deploy/share.yml.",
     ),
     Other("GAITWAY_GPUS", "Docker Compose", "`all`", "How many GPUs the profile `gpu` takes."),
-    Other(
-        "GAITWAY_OWN_REDIS", "Docker Compose", "`1`", "`0` where GAITWAY_REDIS_URL names a Redis of yours."
-    ),
-    Other("GAITWAY_OWN_S3", "Docker Compose", "`1`", "`0` where GAITWAY_S3_ENDPOINT names a store of yours."),
     Other("GAITWAY_IMAGE", "Docker Compose", "`gaitway`", "What the images' names begin with."),
     Other("GAITWAY_TAG", "Docker Compose", "`latest`", "The images' tag."),
     Other(

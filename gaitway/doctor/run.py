@@ -24,7 +24,7 @@ def examine(data: Path, *, embedded: bool = False) -> Iterator[Check]:
             "encoder": machine.encoder,
             "disk": lambda: machine.disk(worker.data_dir if worker else data),
             "device": lambda: machine.device(worker),
-            "embedded servers": machine.embedded_servers,
+            "embedded servers": lambda: machine.embedded_servers(needed=not settings.of_the_stores()),
         }
     )
     yield from _embedded() if embedded else _services()

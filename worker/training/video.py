@@ -62,7 +62,7 @@ class Film:
         mujoco.mj_saveModel(model, None, compiled)
         try:
             # By ourselves: MuJoCo says nothing where the disk has no room for all of it.
-            (spool / "model.mjb").write_bytes(compiled)
+            (spool / "model.mjb").write_bytes(compiled.tobytes())
             trajectory.save(spool / "shown.npz", shown)
             request = RenderRequest(
                 trajectory=spool / "shown.npz",

@@ -25,6 +25,7 @@ ANT: dict[str, Any] = {
     "video": {"width": 320, "height": 240, "seconds": 2},
     "seed": 7,
 }
+OWN_STORES = ("docker-compose.yml", "deploy/own-redis.yml", "deploy/own-s3.yml")
 SERVICES = ("valkey", "objects", "api", "reconciler", "worker")
 ROLLOUT = {"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}, "num_steps": 20}
 
@@ -219,8 +220,8 @@ def test_a_second_machine_joins_by_one_command(project: Project, checkout: Path,
         (container,) = second.containers("worker")
         assert (job.attempts[0].worker or "").startswith(container[:12])
         # The same settings, with an API and a reconciler of its own and no stores.
-        other = {**second.settings, "GAITWAY_OWN_REDIS": "0", "GAITWAY_OWN_S3": "0"}
-        third = Project(checkout, other, second.name, second.port)
+        own = ":".join(str(checkout / name) for name in OWN_STORES)
+        third = Project(checkout, {**second.settings, "COMPOSE_FILE": own}, second.name, second.port)
         third.compose("up", "--detach")
         assert not third.containers("valkey") and not third.containers("objects")  # noqa: PT018
         reached_again(third.client(), job)
