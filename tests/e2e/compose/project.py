@@ -90,7 +90,9 @@ class Project:
     def logs(self, service: str) -> list[dict[str, object]]:
         """What a service's containers have logged, one document a line."""
         lines = self.compose("logs", "--no-color", "--no-log-prefix", service).splitlines()
-        return [json.loads(line) for line in lines if line.startswith("{")]
+        # Some versions of Compose begin a line by erasing it, terminal or not.
+        documents = (line.removeprefix("\x1b[2K") for line in lines)
+        return [json.loads(document) for document in documents if document.startswith("{")]
 
     def wait_until_it_accepts(self, spec: dict[str, object], deadline_s: float) -> str:
         """Submit until there is a 202; the job's id."""
