@@ -72,7 +72,7 @@ COPY --from=project /opt/gaitway /opt/gaitway
 USER gaitway
 EXPOSE 8000
 CMD ["python", "-m", "api", "--host", "0.0.0.0", "--port", "8000"]
-HEALTHCHECK --interval=5s --timeout=5s --start-period=20s \
+HEALTHCHECK --interval=10s --timeout=5s --start-period=20s \
     CMD ["python", "-c", "from urllib.request import urlopen; urlopen('http://127.0.0.1:8000/readyz', timeout=4)"]
 LABEL org.opencontainers.image.title="Gaitway API" \
       org.opencontainers.image.description="The HTTP service and the reconciler of Gaitway" \
@@ -83,7 +83,7 @@ FROM drawing AS worker
 ENV GAITWAY_DATA_DIR=/var/lib/gaitway \
     GAITWAY_ALIVE_FILE=/tmp/gaitway-alive \
     GAITWAY_DEVICE=cpu \
-    MESA_SHADER_CACHE_DIR=/var/lib/gaitway/cache/mesa
+    XDG_CACHE_HOME=/var/lib/gaitway/cache
 COPY --from=dependencies-worker /opt/gaitway /opt/gaitway
 COPY --from=project /opt/gaitway /opt/gaitway
 USER gaitway
@@ -96,10 +96,17 @@ LABEL org.opencontainers.image.title="Gaitway worker" \
       org.opencontainers.image.licenses="Apache-2.0"
 
 FROM drawing AS worker-cuda
-# The NVIDIA runtime brings the driver's libraries, those for graphics only where they are asked for.
+# The NVIDIA runtime brings the driver's libraries, those for graphics only where they are asked for, and
+# not always the file by which EGL finds its driver among several.
+RUN install -d /usr/share/glvnd/egl_vendor.d \
+    && echo '{"file_format_version": "1.0.0", "ICD": {"library_path": "libEGL_nvidia.so.0"}}' \
+    > /usr/share/glvnd/egl_vendor.d/10_nvidia.json
 ENV GAITWAY_DATA_DIR=/var/lib/gaitway \
     GAITWAY_ALIVE_FILE=/tmp/gaitway-alive \
-    MESA_SHADER_CACHE_DIR=/var/lib/gaitway/cache/mesa \
+    GAITWAY_DEVICE=gpu \
+    XDG_CACHE_HOME=/var/lib/gaitway/cache \
+    CUDA_CACHE_PATH=/var/lib/gaitway/cache/cuda \
+    WARP_CACHE_PATH=/var/lib/gaitway/cache/warp \
     NVIDIA_VISIBLE_DEVICES=all \
     NVIDIA_DRIVER_CAPABILITIES=compute,utility,graphics
 COPY --from=dependencies-worker-cuda /opt/gaitway /opt/gaitway

@@ -13,7 +13,6 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from core.errors import Misconfigured
-from core.other_variables import OTHERS, SECRETS_DIR
 from core.settings import PREFIX, ApiSettings, ReconcilerSettings, StoreSettings, WorkerSettings
 
 log = structlog.get_logger()
@@ -23,8 +22,7 @@ PROCESSES: dict[str, type[StoreSettings]] = {
     "worker": WorkerSettings,
     "reconciler": ReconcilerSettings,
 }
-# What processes of ours tell each other.
-_BETWEEN_US = {f"{PREFIX}{name}" for name in ("PARENT", "PARENT_PID", "STACK_ID")}
+SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
 # What sysexits.h calls EX_CONFIG; a supervisor may know that trying again does not help.
 EXIT_STATUS = 78
 
@@ -64,7 +62,7 @@ def variable(field: str) -> str:
 
 def _refuse_typing_errors() -> None:
     """A name that almost is a setting was meant to be one; others belong to somebody else."""
-    known = names() | {other.name for other in OTHERS} | _BETWEEN_US
+    known = names() | {SECRETS_DIR}
     for name in os.environ:
         if name.startswith(PREFIX) and name not in known:
             meant = get_close_matches(name, known, n=1, cutoff=0.9)

@@ -35,7 +35,12 @@ def _address(value: str) -> str:
 
 
 def _redis_address(value: SecretStr) -> SecretStr:
-    scheme = value.get_secret_value().partition("://")[0]
+    try:
+        scheme = urlsplit(value.get_secret_value()).scheme
+    except ValueError:  # Its message may hold a part of the password.
+        raise ValueError(
+            "it is not an address; percent-encode signs like @ / : [ ] % # in the password"
+        ) from None
     if scheme not in _REDIS_SCHEMES:
         raise ValueError("begin it with redis://, rediss:// (TLS) or unix://")
     return value

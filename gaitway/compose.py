@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from gaitway.embedded.folders import remembered
+from gaitway.embedded.folders import remembered, write_private
 
 SECRETS = Path("/run/gaitway")
 REGION = "us-east-1"
@@ -27,24 +27,24 @@ _PASSED_ON = (
 def setup(folder: Path, environ: Mapping[str, str]) -> None:
     """Fill the secrets' folder: keys made once, and settings for stores that the user has not named."""
     keys = _keys(folder)
-    _write(folder / "valkey.password", keys["redis_password"])
-    _write(folder / "valkey.conf", f"requirepass {keys['redis_password']}\n")
-    _write(folder / "objects.sh", _starting_weed(keys))
+    write_private(folder / "valkey.password", keys["redis_password"])
+    write_private(folder / "valkey.conf", f"requirepass {keys['redis_password']}\n")
+    write_private(folder / "objects.sh", _starting_weed(keys))
     wanted = own_stores(keys, environ, redis_host="valkey", s3_host="objects")
     for name in _PASSED_ON:
         file = folder / name.lower()
         if name in wanted:
-            _write(file, wanted[name])
+            write_private(file, wanted[name])
         else:  # What the user has named since then must not be mixed with what we had.
             file.unlink(missing_ok=True)
 
 
 def join(folder: Path, environ: Mapping[str, str]) -> dict[str, str]:
-    """The settings of a worker elsewhere. Raises KeyError where GAITWAY_SHARE is missing but needed."""
+    """The settings of a worker elsewhere. Raises ValueError where it could not find our stores by them."""
     named = {name: environ[name] for name in _PASSED_ON if environ.get(name)}
     if _REDIS in named and _S3 in named:
         return named
-    shared = environ["GAITWAY_SHARE"]
+    shared = _shared_address(environ.get("GAITWAY_SHARE", ""))
     return {**own_stores(_keys(folder), environ, redis_host=shared, s3_host=shared), **named}
 
 
@@ -66,6 +66,14 @@ def own_stores(
     return found
 
 
+def _shared_address(address: str) -> str:
+    if not address:
+        raise ValueError("GAITWAY_SHARE is not set: deploy/share.yml says what it is.")
+    if address in ("0.0.0.0", "::", "[::]", "127.0.0.1", "localhost"):  # noqa: S104
+        raise ValueError(f"GAITWAY_SHARE={address} is no address at which other machines reach this one.")
+    return f"[{address}]" if ":" in address and not address.startswith("[") else address
+
+
 def _keys(folder: Path) -> dict[str, str]:
     def make() -> dict[str, str]:
         return {
@@ -80,7 +88,7 @@ def _keys(folder: Path) -> dict[str, str]:
 
 def _starting_weed(keys: Mapping[str, str]) -> str:
     """A script that starts what it is given, with keys that no list of processes shows."""
-    # SeaweedFS's inner ports are open to every container of the network; these shut them to all but itself.
+    # Its inner ports are open to every container of the network; these shut the HTTP ones to all but itself.
     doors = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
     variables = {
         "AWS_ACCESS_KEY_ID": keys["s3_access_key"],
@@ -91,13 +99,6 @@ def _starting_weed(keys: Mapping[str, str]) -> str:
     return "".join([*lines, 'exec "$@"\n'])
 
 
-def _write(path: Path, text: str) -> None:
-    partial = path.with_suffix(".partial")
-    with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-        file.write(text)
-    partial.replace(path)
-
-
 def main(arguments: Sequence[str]) -> int:
     match arguments:
         case ["setup"]:
@@ -105,10 +106,11 @@ def main(arguments: Sequence[str]) -> int:
         case ["join"]:
             try:
                 settings = join(SECRETS, os.environ)
-            except KeyError:
-                sys.stderr.write("GAITWAY_SHARE is not set: see deploy/share.yml.\n")
+            except ValueError as error:
+                sys.stderr.write(f"{error}\n")
                 return 2
-            sys.stdout.writelines(f"{name}={value}\n" for name, value in settings.items())
+            # In quotes, or Compose would look for variables and comments in them.
+            sys.stdout.writelines(f"{name}='{value}'\n" for name, value in settings.items())
         case _:
             sys.stderr.write(f"{__doc__}\n")
             return 2

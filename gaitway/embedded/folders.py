@@ -22,8 +22,13 @@ def remembered(path: Path, make: Callable[[], _T]) -> _T:
     if path.exists():
         return json.loads(path.read_text())
     value = make()
+    write_private(path, json.dumps(value))
+    return value
+
+
+def write_private(path: Path, text: str) -> None:
+    """Make or replace the file as a whole, readable by its owner alone."""
     partial = path.with_suffix(".partial")
     with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-        json.dump(value, file)
+        file.write(text)
     partial.replace(path)
-    return value

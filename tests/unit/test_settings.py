@@ -6,9 +6,8 @@ from pydantic_settings import BaseSettings
 
 from core.configuration import EXIT_STATUS, names, read, stopping_if_misconfigured, variable
 from core.errors import Misconfigured
-from core.other_variables import OTHERS
 from core.settings import ApiSettings, ReconcilerSettings, StoreSettings, WorkerSettings
-from core.settings_page import page
+from gaitway.settings_page import OTHERS, page
 
 ROOT = Path(__file__).parents[2]
 GOOD = {
@@ -109,6 +108,9 @@ def test_an_open_redis_can_be_accepted_knowingly(environ: pytest.MonkeyPatch) ->
 
 
 def test_names_that_others_use_are_let_be(environ: pytest.MonkeyPatch) -> None:
+    for name in (*(other.name for other in OTHERS), "GAITWAY_PARENT", "GAITWAY_STACK_ID"):
+        if name != "GAITWAY_SECRETS_DIR":
+            environ.setenv(name, "1")
     environ.setenv("GAITWAY_API_SERVICE_HOST", "10.0.0.1")  # what Kubernetes tells every container
     environ.setenv("GAITWAY_PORT", "tcp://10.0.0.1:8000")
     read(ApiSettings)
@@ -130,8 +132,12 @@ def test_a_file_holds_a_setting_and_a_variable_wins(environ: pytest.MonkeyPatch,
     assert settings.s3_endpoint == "objects:8333"
 
 
-def test_a_secret_is_in_no_sentence(environ: pytest.MonkeyPatch) -> None:
-    environ.setenv("GAITWAY_REDIS_URL", "http://:hunter2@records")
+@pytest.mark.parametrize(
+    "url", ["http://:hunter2@records", "redis://:a[hunter2]b@records", "redis://:hunter2]@x"]
+)
+def test_a_secret_is_in_no_sentence(url: str, environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_REDIS_URL", url)
+    assert "GAITWAY_REDIS_URL" in refusal()
     assert "hunter2" not in refusal()
 
 
@@ -149,7 +155,7 @@ def test_every_setting_says_what_it_means(kind: type[BaseSettings]) -> None:
 
 def test_the_page_is_the_one_that_the_settings_make() -> None:
     assert (ROOT / "docs" / "settings.md").read_text() == page(), (
-        "python -m core.settings_page > docs/settings.md"
+        "python -m gaitway.settings_page > docs/settings.md"
     )
 
 

@@ -1,4 +1,4 @@
-"""A Compose project of the test's own: its name, its port, its volumes; nothing of it stays."""
+"""A Compose project of the test's own: its name, its port, its volumes; its images alone stay, as a cache."""
 
 import json
 import os
@@ -16,6 +16,9 @@ from gaitway.client import Client
 from gaitway.embedded.processes import free_ports
 
 LONGEST_S = 500
+
+
+BASE = "python:3.12-slim-bookworm"
 
 
 class CommandFailed(Exception):
@@ -41,6 +44,10 @@ def run_for_bytes(*command: str, stdin: bytes | None = None, **settings: str) ->
         said = (done.stdout + done.stderr).decode(errors="replace")
         raise CommandFailed(f"{' '.join(command)} ended with {done.returncode}:\n{said[-4000:]}")
     return done.stdout
+
+
+def size_mb(image: str) -> float:
+    return int(run("docker", "image", "inspect", "--format", "{{.Size}}", image)) / 1e6
 
 
 def surroundings() -> dict[str, str]:

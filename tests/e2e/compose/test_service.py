@@ -1,6 +1,7 @@
 """`docker compose up` as its users live with it: jobs, disturbances, a second machine, a back-up."""
 
 import json
+import shutil
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -14,7 +15,7 @@ import pytest
 from gaitway.client import Client
 from gaitway.views import Event, JobView
 from tests.e2e.compose.conftest import Figure
-from tests.e2e.compose.project import CommandFailed, Project, removing, run, run_for_bytes
+from tests.e2e.compose.project import BASE, CommandFailed, Project, removing, run, run_for_bytes, size_mb
 
 # Ten checkpoints in some twenty seconds of training, so that it can be disturbed in the middle.
 ANT: dict[str, Any] = {
@@ -25,7 +26,6 @@ ANT: dict[str, Any] = {
     "video": {"width": 320, "height": 240, "seconds": 2},
     "seed": 7,
 }
-OWN_STORES = ("docker-compose.yml", "deploy/own-redis.yml", "deploy/own-s3.yml")
 SERVICES = ("valkey", "objects", "api", "reconciler", "worker")
 ROLLOUT = {"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}, "num_steps": 20}
 
@@ -158,15 +158,18 @@ def test_a_restarted_store_changes_nothing(
 
 
 def test_two_workers_work_at_once(project: Project, client: Client) -> None:
-    project.compose("up", "--detach", "--scale", "worker=2", "--no-recreate")
-    jobs = [client.submit({**ANT, "seed": seed}) for seed in (1, 2)]
-    for job in jobs:
-        until_checkpoint(client, job)
-    assert {client.get(job.id).status for job in jobs} == {"running"}
-    ended = [client.wait(job.id, timeout=300) for job in jobs]
+    project.compose("up", "--detach", "--wait", "--scale", "worker=2", "--no-recreate")
+    try:
+        jobs = [client.submit({**ANT, "seed": seed}) for seed in (1, 2)]
+        ended = [client.wait(job.id, timeout=300) for job in jobs]
+    finally:
+        project.compose("up", "--detach", "--no-recreate")
     assert all(job.succeeded for job in ended)
-    assert len({job.attempts[0].worker for job in ended}) == 2
-    project.compose("up", "--detach", "--scale", "worker=1", "--no-recreate")
+    first, second = (job.attempts[0] for job in ended)
+    assert first.worker != second.worker
+    assert second.started_at is not None
+    assert first.ended_at is not None
+    assert second.started_at < first.ended_at
 
 
 def progress(events: list[Event]) -> list[int]:
@@ -195,37 +198,44 @@ def test_stop_drains_and_start_goes_on(
     assert lost <= 0
 
 
-def test_a_second_machine_joins_by_one_command(project: Project, checkout: Path, client: Client) -> None:
+@pytest.fixture
+def second_machine(checkout: Path, tmp_path: Path, project: Project) -> Iterator[Project]:
+    """A clone of its own; its user writes `.env` there."""
+    clone = shutil.copytree(checkout, tmp_path / "clone")
+    with removing(Project(clone, project.settings)) as found:
+        yield found
+
+
+def test_a_second_machine_joins_by_one_command(
+    project: Project, checkout: Path, second_machine: Project, client: Client
+) -> None:
     # Where this host is reached from any container: the near end of the project's network.
     network = json.loads(run("docker", "network", "inspect", f"{project.name}_default"))[0]
     gateway = network["IPAM"]["Config"][0]["Gateway"]
-    shared = Project(
-        checkout,
-        {
-            **project.settings,
-            "COMPOSE_FILE": f"{checkout}/docker-compose.yml:{checkout}/deploy/share.yml",
-            "GAITWAY_SHARE": gateway,
-        },
-        project.name,
-        project.port,
-    )
-    shared.compose("up", "--detach", "--scale", "worker=0")
-    printed = shared.compose("run", "--rm", "-T", "setup", "python", "-m", "gaitway.compose", "join")
-    settings = dict(line.split("=", 1) for line in printed.splitlines())
-    assert settings["GAITWAY_S3_ENDPOINT"] == f"{gateway}:8333"
-    with removing(Project(checkout, {**project.settings, **settings})) as second:
-        second.compose("up", "--detach", "--no-deps", "worker")
+    sharing = {
+        "COMPOSE_FILE": f"{checkout}/docker-compose.yml:{checkout}/deploy/share.yml",
+        "GAITWAY_SHARE": gateway,
+        "GAITWAY_WORKERS": "0",
+    }
+    shared = Project(checkout, {**project.settings, **sharing}, project.name, project.port)
+    shared.compose("up", "--detach")
+    try:
+        told = shared.compose("run", "--rm", "-T", "setup", "python", "-m", "gaitway.compose", "join")
+        (second_machine.checkout / ".env").write_text(told)
+        second_machine.compose("up", "--detach", "--no-deps", "worker")
         job = client.wait(client.submit(ROLLOUT).id, timeout=120)
         assert job.succeeded, job.message
-        (container,) = second.containers("worker")
+        (container,) = second_machine.containers("worker")
         assert (job.attempts[0].worker or "").startswith(container[:12])
-        # The same settings, with an API and a reconciler of its own and no stores.
-        own = ":".join(str(checkout / name) for name in OWN_STORES)
-        third = Project(checkout, {**second.settings, "COMPOSE_FILE": own}, second.name, second.port)
-        third.compose("up", "--detach")
-        assert not third.containers("valkey") and not third.containers("objects")  # noqa: PT018
-        reached_again(third.client(), job)
-    project.compose("up", "--detach")
+        # The same stores, with an API and a reconciler of its own.
+        own = "COMPOSE_FILE=docker-compose.yml:deploy/own-redis.yml:deploy/own-s3.yml\n"
+        (second_machine.checkout / ".env").write_text(told + own)
+        second_machine.compose("up", "--detach")
+        assert set(second_machine.compose("ps", "--services").split()) == {"api", "reconciler", "worker"}
+        with second_machine.client() as elsewhere:
+            reached_again(elsewhere, job)
+    finally:
+        project.compose("up", "--detach")
 
 
 def test_a_backup_is_restored_elsewhere(
@@ -233,9 +243,11 @@ def test_a_backup_is_restored_elsewhere(
 ) -> None:
     """The two commands of docs/operations.md; of the objects alone, so that the records are made anew."""
     project.compose("stop")
-    archiving = project.command("run", "--rm", "-T", "setup", "tar", "-C", "/volumes", "-c", "objects")
-    backup = run_for_bytes(*archiving, **project.environment())
-    project.compose("start")
+    try:
+        archiving = project.command("run", "--rm", "-T", "setup", "tar", "-C", "/volumes", "-c", "objects")
+        backup = run_for_bytes(*archiving, **project.environment())
+    finally:
+        project.compose("start")
     with removing(Project(checkout, project.settings)) as other:
         other.compose("run", "--rm", "-T", "setup", "tar", "-C", "/volumes", "-x", stdin=backup)
         other.compose("up", "--detach")
@@ -260,6 +272,34 @@ def test_down_and_up_keep_everything(
     assert client.video(undisturbed.id, tmp_path / "ant.mp4").stat().st_size > 0
 
 
+# Ends with 0 where a store still lets the secrets in that its arguments name.
+OLD_SECRETS_WORK = """
+import sys
+from core.adapters.connect import connect_redis, connect_s3
+redis_url, access_key, secret_key = sys.argv[1:]
+try:
+    connect_s3("objects:8333", access_key, secret_key, secure=False, region="us-east-1").list_buckets()
+except Exception:
+    connect_redis(redis_url).ping()
+"""
+
+
+def test_a_changed_secret_shuts_the_old_one_out(
+    project: Project, client: Client, undisturbed: JobView
+) -> None:
+    """The commands of docs/operations.md."""
+    names = ("redis_url", "s3_access_key", "s3_secret_key")
+    old = [project.exec("api", "cat", f"/run/gaitway/gaitway_{name}") for name in names]
+    project.exec("api", "python", "-c", OLD_SECRETS_WORK, *old)
+    project.compose("down")
+    project.compose("run", "--rm", "-T", "setup", "rm", "/run/gaitway/keys.json")
+    project.compose("up", "--detach")
+    reached_again(client, undisturbed)
+    with pytest.raises(CommandFailed, match="AuthenticationError"):
+        project.exec("api", "python", "-c", OLD_SECRETS_WORK, *old)
+    assert client.wait(client.submit(ROLLOUT).id, timeout=120).succeeded
+
+
 def test_the_doctor_finds_nothing_wrong_in_the_worker(project: Project) -> None:
     checks = json.loads(project.exec("worker", "gaitway", "doctor", "--json"))["checks"]
     states = {check["name"]: check["state"] for check in checks}
@@ -269,10 +309,13 @@ def test_the_doctor_finds_nothing_wrong_in_the_worker(project: Project) -> None:
     }
 
 
-def test_a_port_in_use_is_said_before_anything_is_lost(project: Project, checkout: Path) -> None:
+def test_a_port_in_use_is_said_and_its_owner_goes_on(
+    project: Project, checkout: Path, client: Client
+) -> None:
     taken = Project(checkout, project.settings, port=project.port)
     with removing(taken), pytest.raises(CommandFailed, match="port is already allocated"):
         taken.compose("up", "--detach")
+    assert client.health() == {"status": "ok"}
 
 
 def test_a_wrong_key_ends_in_a_sentence(project: Project, checkout: Path) -> None:
@@ -290,11 +333,38 @@ def test_a_wrong_key_ends_in_a_sentence(project: Project, checkout: Path) -> Non
             assert time.monotonic() < deadline
             time.sleep(0.5)  # The container's log cannot be awaited.
         assert "GAITWAY_S3_ACCESS_KEY" in str(found[0]["detail"])
+        with pytest.raises(CommandFailed) as failure:  # a worker that restarts cannot be entered
+            wrong.compose("run", "--rm", "--no-deps", "-T", "worker", "gaitway", "doctor", "--json")
+        assert str(found[0]["detail"]) in str(failure.value)
+
+
+STORES = (
+    "--env=GAITWAY_REDIS_URL=unix:///none",
+    *(f"--env=GAITWAY_S3_{name}=x" for name in ("ENDPOINT", "ACCESS_KEY", "SECRET_KEY")),
+)
 
 
 def test_a_gpu_that_is_not_there_ends_in_a_sentence(images: str) -> None:
-    named = ("--env", "GAITWAY_DEVICE=gpu:0", "--env", "GAITWAY_REDIS_URL=unix:///none")
-    stores = [f"--env=GAITWAY_S3_{name}=x" for name in ("ENDPOINT", "ACCESS_KEY", "SECRET_KEY")]
     with pytest.raises(CommandFailed, match=r"(?s)ended with 78.*GAITWAY_DEVICE") as failure:
-        run("docker", "run", "--rm", *named, *stores, f"gaitway-worker:{images}")
+        run("docker", "run", "--rm", "--env=GAITWAY_DEVICE=gpu:0", *STORES, f"gaitway-worker:{images}")
     assert "--profile gpu" in str(failure.value)
+
+
+@pytest.mark.slow
+def test_the_image_for_gpus_has_what_it_needs_and_says_that_there_is_none(
+    checkout: Path, images: str, report: list[Figure]
+) -> None:
+    """7 GB, and minutes to build: `./run test compose -m compose` includes it."""
+    started = time.monotonic()
+    Project(checkout, {"GAITWAY_TAG": images}).compose("--profile", "gpu", "build", "worker-gpu")
+    report.append(Figure("build of worker-cuda", time.monotonic() - started, "s"))
+    image = f"gaitway-worker-cuda:{images}"
+    report.append(Figure("worker-cuda image, over its base", size_mb(image) - size_mb(BASE), "MB"))
+    run("docker", "run", "--rm", image, "python", "-c", "import jax_cuda12_plugin, mujoco.mjx, warp")
+    assert "10_nvidia.json" in run("docker", "run", "--rm", image, "ls", "/usr/share/glvnd/egl_vendor.d")
+    with pytest.raises(CommandFailed, match=r"(?s)ended with 78.*No NVIDIA GPU is visible here"):
+        run("docker", "run", "--rm", *STORES, image)
+    with pytest.raises(CommandFailed) as failure:
+        run("docker", "run", "--rm", *STORES, image, "gaitway", "doctor", "--json")
+    checks = json.loads(str(failure.value).partition("\n")[2])["checks"]
+    assert {check["name"]: check["state"] for check in checks}["device"] == "fail"

@@ -3,6 +3,7 @@ import shlex
 import stat
 import subprocess
 from collections.abc import Mapping
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,9 @@ import pytest
 import yaml
 
 from core.configuration import PROCESSES, names, read, variable
-from core.other_variables import OTHERS
-from core.settings import ApiSettings, StoreSettings
+from core.settings import ApiSettings, StoreSettings, WorkerSettings
 from gaitway import compose
+from gaitway.settings_page import OTHERS
 
 ROOT = Path(__file__).parents[3]
 
@@ -101,12 +102,14 @@ def test_a_worker_elsewhere_is_told_of_stores_of_the_users_own(tmp_path: Path) -
     assert compose.join(tmp_path, own) == own
 
 
-def test_without_an_address_there_is_a_sentence(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("address", ["", "0.0.0.0", "127.0.0.1"])  # noqa: S104
+def test_without_an_address_that_others_reach_there_is_a_sentence(
+    address: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(compose, "SECRETS", tmp_path)
-    for name in (*names(), "GAITWAY_SHARE"):
+    for name in names():
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("GAITWAY_SHARE", address)
     assert compose.main(["join"]) == 2
     assert "GAITWAY_SHARE" in capsys.readouterr().err
 
@@ -145,7 +148,16 @@ def test_every_container_is_confined_and_keeps_its_log_small(services: Mapping[s
 
 
 def test_a_drain_has_more_time_than_the_grace(services: Mapping[str, Any]) -> None:
-    assert services["worker"]["stop_grace_period"] == "2m"  # GAITWAY_GRACE is 60 s
+    minutes = re.fullmatch(r"\$\{GAITWAY_STOP_WITHIN:-(\d+)m\}", services["worker"]["stop_grace_period"])
+    assert minutes is not None
+    assert timedelta(minutes=int(minutes[1])) > WorkerSettings.model_fields["grace"].default
+
+
+def test_the_image_says_what_a_gpu_is_used_for(services: Mapping[str, Any]) -> None:
+    """A capability here would take the place of the image's own list, CUDA's among them."""
+    (device,) = services["worker-gpu"]["deploy"]["resources"]["reservations"]["devices"]
+    assert device["capabilities"] == ["gpu"]
+    assert "NVIDIA_DRIVER_CAPABILITIES=compute,utility,graphics" in (ROOT / "Dockerfile").read_text()
 
 
 def test_the_bucket_that_is_made_is_the_one_that_is_used(services: Mapping[str, Any]) -> None:
