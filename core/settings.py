@@ -50,7 +50,11 @@ Seconds = Annotated[timedelta, BeforeValidator(_number_of_seconds), Field(gt=tim
 Address = Annotated[str, Field(min_length=1), AfterValidator(_address)]
 RedisAddress = Annotated[SecretStr, AfterValidator(_redis_address)]
 AliveFile = Annotated[
-    Path | None, Field(description="Touched at each sign of life, for the health check of a container.")
+    Path | None,
+    Field(
+        description="Touched at each sign of life, for the health check of a container; a fleet's workers "
+        "add .0, .1, … to the name."
+    ),
 ]
 Lease = Annotated[Seconds, Field(description="How long a silent worker keeps its job.")]
 

@@ -3,9 +3,7 @@
 import re
 from pathlib import Path
 
-from core.configuration import variable
 from core.errors import Misconfigured
-from core.settings import WorkerSettings
 
 DEV = Path("/dev")
 REMEDY = (
@@ -14,26 +12,28 @@ REMEDY = (
 )
 
 
-def device_of(settings: WorkerSettings, dev: Path = DEV) -> str:
-    """`cpu`, or `gpu:<index>`; `auto` is the first GPU if there is one.
+def device_of(wanted: str, dev: Path = DEV) -> str:
+    """`cpu`, or `gpu:<index>`, for what GAITWAY_DEVICE says; `auto` is the first GPU if there is one.
 
     Raises Misconfigured where there is no such GPU.
     """
-    num_gpus = len(visible_gpus(dev))
-    match settings.device:
-        case "cpu":
-            return "cpu"
-        case "auto":
-            return "gpu:0" if num_gpus else "cpu"
-        case wanted:
-            index = int(wanted.partition(":")[2] or 0)
-    if index >= num_gpus:
-        seen = f"only {num_gpus}" if num_gpus else "no NVIDIA GPU"
-        raise Misconfigured(
-            f"{variable('device')}={wanted}, but {seen} {'are' if num_gpus > 1 else 'is'} visible here. "
-            f"{REMEDY}; or set {variable('device')}=cpu."
-        )
-    return f"gpu:{index}"
+    if wanted == "cpu" or (wanted == "auto" and not visible_gpus(dev)):
+        return "cpu"
+    if wanted != "auto":
+        gpu_file(wanted, dev)
+    return f"gpu:{_index(wanted)}"
+
+
+def gpu_file(wanted: str, dev: Path = DEV) -> str:
+    """The device file of `gpu` or `gpu:<index>`. Raises Misconfigured where there is none."""
+    gpus, index = visible_gpus(dev), _index(wanted)
+    if index < len(gpus):
+        return gpus[index]
+    seen = f"only {len(gpus)}" if gpus else "no NVIDIA GPU"
+    raise Misconfigured(
+        f"GAITWAY_DEVICE={wanted}, but {seen} {'are' if len(gpus) > 1 else 'is'} visible here. "
+        f"{REMEDY}; or set GAITWAY_DEVICE=cpu."
+    )
 
 
 def visible_gpus(dev: Path = DEV) -> list[str]:
@@ -45,6 +45,10 @@ def visible_gpus(dev: Path = DEV) -> list[str]:
     if numbers:
         return [f"nvidia{number}" for number in sorted(numbers)]
     return ["dxg"] if (dev / "dxg").exists() else []  # Windows shows its GPU to Linux under this name.
+
+
+def _index(wanted: str) -> int:
+    return int(wanted.partition(":")[2] or 0)
 
 
 def _is_gpu(file: Path) -> bool:

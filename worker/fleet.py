@@ -7,12 +7,14 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import structlog
 
 from core.configuration import EXIT_STATUS, stopping_if_misconfigured, variable
 from core.errors import Misconfigured
 from core.telemetry import configure_logging
+from worker.alive import begin_fleet
 from worker.device import REMEDY, visible_gpus
 
 log = structlog.get_logger()
@@ -23,16 +25,25 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 30.0
 
 @dataclass
 class Member:
-    """A worker on one device. The pause grows with each time that it ends soon after its start."""
+    """A worker on one device. The pause grows with each time that it ends soon after its start.
+
+    alive_file: what it touches, if anybody watches. has_lived: whether it ever ran for long.
+    """
 
     device: str
+    alive_file: Path | None = None
+    has_lived: bool = False
     child: subprocess.Popen[bytes] | None = None
     started_at: float = 0.0
     start_at: float = 0.0
     pause_s: float = _FIRST_PAUSE_S
 
     def look_after(self) -> None:
-        """Start it if that is due. Raises Misconfigured where it has said that it cannot work."""
+        """Start it if that is due.
+
+        Raises Misconfigured where it has said from the first that it cannot work. If it could, something has
+        changed, perhaps for this device alone: the others' jobs go on, and it is tried again.
+        """
         now = time.monotonic()
         if self.child is None:
             if now >= self.start_at:
@@ -40,10 +51,10 @@ class Member:
             return
         if (status := self.child.poll()) is None:
             return
-        if status == EXIT_STATUS:
-            raise Misconfigured(f"The worker on {self.device} cannot work as it is set up; it has said why.")
         if now - self.started_at > _LONGEST_PAUSE_S:
-            self.pause_s = _FIRST_PAUSE_S
+            self.has_lived, self.pause_s = True, _FIRST_PAUSE_S
+        if status == EXIT_STATUS and not self.has_lived:
+            raise Misconfigured(f"The worker on {self.device} cannot work as it is set up; it has said why.")
         log.warning("worker_ended", device=self.device, status=status, again_in_s=self.pause_s)
         self.child, self.start_at = None, now + self.pause_s
         self.pause_s = min(2 * self.pause_s, _LONGEST_PAUSE_S)
@@ -52,10 +63,21 @@ class Member:
         self.started_at = now
         self.child = subprocess.Popen(
             [sys.executable, "-m", "worker.main"],
-            env={**os.environ, variable("device"): self.device, "GAITWAY_PARENT": str(os.getpid())},
+            env={**os.environ, **self._settings(), "GAITWAY_PARENT": str(os.getpid())},
             stdin=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C in a terminal is ours to pass on, once.
         )
+
+    def _settings(self) -> dict[str, str]:
+        alive = {} if self.alive_file is None else {variable("alive_file"): str(self.alive_file)}
+        return {variable("device"): self.device, **alive}
+
+
+def members_on(devices: Sequence[str]) -> list[Member]:
+    """One for each device, with a sign of life of its own where GAITWAY_ALIVE_FILE is set."""
+    file = os.environ.get(variable("alive_file"))
+    signs = begin_fleet(Path(file), len(devices)) if file else [None] * len(devices)
+    return [Member(device, sign) for device, sign in zip(devices, signs, strict=True)]
 
 
 def serve(members: Sequence[Member]) -> None:
@@ -90,7 +112,7 @@ def main(devices: Sequence[str]) -> None:
             "For a worker on the CPU run `python -m worker.main`."
         )
     log.info("fleet_started", devices=devices)
-    serve([Member(device) for device in devices])
+    serve(members_on(devices))
 
 
 if __name__ == "__main__":

@@ -46,7 +46,6 @@ class GaitwayWorker(rq.Worker):
     def __init__(self, settings: WorkerSettings, device: str, store: JobStore) -> None:
         self._store = store
         self._alive_file = settings.alive_file
-        self._alive_file = settings.alive_file
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
         now = utc_now()
         self._info = WorkerInfo(
@@ -89,7 +88,6 @@ class GaitwayWorker(rq.Worker):
         info = self._info.model_copy(update={"seen_at": utc_now(), "job": job_of(job) if job else None})
         try:
             self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
-            show_life(self._alive_file)
         except Unavailable as error:
             log.warning("announcement_missed", error=error.detail)
 
@@ -107,7 +105,7 @@ def main() -> None:
     if parent := os.environ.get("GAITWAY_PARENT"):
         die_with_parent(int(parent), signal.SIGTERM)
     settings = read(WorkerSettings)
-    device = device_of(settings)
+    device = device_of(settings.device)
     check_folder(settings.data_dir)
     check_stores(settings)
     store = job_store(settings)

@@ -16,6 +16,7 @@ from core.model import Stored
 # Finish the epoch, keep the work, make the video of how far it came, and exit.
 SHOW_AND_GO = signal.SIGTERM
 # The job goes on elsewhere: a checkpoint, nothing else, and exit; at once where there is nothing new to keep.
+# Said again and again until the process ends.
 KEEP_AND_GO = signal.SIGUSR1
 
 

@@ -77,7 +77,10 @@ class TrainingProcess:
             return None
 
     def stop(self, why: Stop) -> None:
-        """Ask it to keep what it has and exit; with a video, where the job will not go on."""
+        """Ask it, perhaps not for the first time, to keep what it has and exit.
+
+        With a video, where the job will not go on.
+        """
         self._signal_leader(KEEP_AND_GO if why is Stop.DRAIN else SHOW_AND_GO)
 
     def kill(self) -> None:

@@ -1,14 +1,15 @@
 """One device, one job: a lock that is held by whoever uses the device, even when its supervisor is gone."""
 
-import fcntl
 import os
 import socket
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from worker.device import DEV, visible_gpus
+from core.patience import pause
+from worker import locks
+from worker.device import DEV, gpu_file
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _PID_NAMESPACE = Path("/proc/self/ns/pid")
@@ -25,22 +26,25 @@ def slot_name(device: str, worker_pid: int, dev: Path = DEV) -> str:
     called otherwise, and machines may share a folder: the kernel's boot tells machines apart. GPU 0 of a
     container need not be the host's first, but its device file has the host's number; and process ids
     begin anew in each container, but not the numbers of what they are counted in.
+
+    Raises Misconfigured where the GPU is not there.
     """
     if device == "cpu":
         return f"cpu-{_machine()}-{_pid_namespace()}{worker_pid}"
-    return f"gpu-{_machine()}-{visible_gpus(dev)[int(device.partition(':')[2])]}"
+    return f"gpu-{_machine()}-{gpu_file(device, dev)}"
 
 
 @contextmanager
-def slot(path: Path, patience_s: float) -> Generator[int]:
+def slot(path: Path, patience_s: float, called_off: Callable[[], bool] = lambda: False) -> Generator[int]:
     """The lock's file descriptor, to be inherited by the process that uses the device.
 
-    Waits up to `patience_s` for an earlier user to die; raises SlotTaken after that. The lock belongs to
-    the open file, not to us: as long as an inheritor lives, nobody else gets it. Locks that nobody holds
-    any more, also those of workers long gone, are removed at the end.
+    Waits up to `patience_s` for an earlier user to die; raises SlotTaken after that, and CalledOff as
+    soon as that is so meanwhile. The lock belongs to the open file, not to us: as long as an inheritor
+    lives, nobody else gets it. Locks that nobody holds any more, also those of workers long gone, are
+    removed at the end.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = _wait_for(path, time.monotonic() + patience_s)
+    descriptor = _wait_for(path, time.monotonic() + patience_s, called_off)
     try:
         yield descriptor
     finally:
@@ -49,30 +53,18 @@ def slot(path: Path, patience_s: float) -> Generator[int]:
             _remove_if_free(file)
 
 
-def _wait_for(path: Path, deadline: float) -> int:
-    while (descriptor := _lock(path)) is None:
+def _wait_for(path: Path, deadline: float, called_off: Callable[[], bool]) -> int:
+    while (descriptor := locks.take(path)) is None:
         if time.monotonic() > deadline:
             raise SlotTaken(f"Another process still uses the device; it holds {path}.")
-        time.sleep(0.1)  # flock has no wait with a time limit.
+        pause(0.1, called_off)  # flock has no wait with a time limit.
     return descriptor
-
-
-def _lock(path: Path) -> int | None:
-    """The descriptor of the file under this name, locked; None where another has it, or just removed it."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    with suppress(BlockingIOError, FileNotFoundError):
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.path.samestat(os.fstat(descriptor), path.stat()):
-            return descriptor
-    os.close(descriptor)
-    return None
 
 
 def _remove_if_free(path: Path) -> None:
     with suppress(OSError):  # A lock left behind does no harm.
-        if (descriptor := _lock(path)) is not None:
-            path.unlink()
-            os.close(descriptor)
+        if (descriptor := locks.take(path)) is not None:
+            locks.remove(path, descriptor)
 
 
 def _machine() -> str:

@@ -1,6 +1,5 @@
 """One attempt at one job: start the training process, watch it, store what it says, end it for certain."""
 
-import shutil
 import threading
 import time
 from collections.abc import Sequence
@@ -16,15 +15,17 @@ from core.jobs.checks import source_checkpoint
 from core.jobs.job import Artifact, Job, utc_now
 from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
 from core.jobs.status import JobStatus, Reason
-from core.patience import through_outages
+from core.patience import CalledOff, through_outages
 from core.settings import WorkerSettings
 from worker.disk import is_full, what_to_do
+from worker.draining import Draining
 from worker.heartbeat import Heartbeat
 from worker.messages import Failed, Finished, Task
 from worker.outbox import Outbox
 from worker.outcome import Outcome, Stop, judge
 from worker.process import TRAINING, TrainingProcess
 from worker.slot import SlotTaken, slot
+from worker.spool import spool
 
 log = structlog.get_logger()
 
@@ -32,6 +33,8 @@ log = structlog.get_logger()
 _GLANCE_S = 0.1
 # How long finished work waits for a store that is away, before the attempt is given up.
 _STORAGE_PATIENCE_S = 900.0
+# The folder of all attempts' spools, in GAITWAY_DATA_DIR.
+SPOOLS = "spool"
 
 
 @dataclass
@@ -47,17 +50,19 @@ class Supervisor:
     device: str
     slot_name: str
     command: Sequence[str] = TRAINING
-    draining: threading.Event = field(default_factory=threading.Event)
+    draining: Draining = field(default_factory=Draining)
 
     def run(self) -> None:
         folder = self.settings.data_dir.absolute()  # The training process stands elsewhere.
-        spool = folder / "spool" / f"{self.holding.job_id}.{self.holding.number}"
+        own = folder / SPOOLS / f"{self.holding.job_id}.{self.holding.number}"
         try:
-            spool.mkdir(parents=True, exist_ok=True)
-            with Heartbeat(self.holding, self.settings) as heartbeat:
-                self._attempt(heartbeat, folder, spool)
+            with spool(own), Heartbeat(self.holding, self.settings) as heartbeat:
+                self._attempt(heartbeat, folder, own)
         except LeaseLost:
             log.warning("attempt_abandoned", job_id=self.holding.job_id, attempt=self.holding.number)
+        except CalledOff:
+            message = "The worker was shut down before it had begun with the job."
+            self._conclude(Outcome(None, Reason.WORKER_DRAINED, message))
         except SlotTaken as error:
             self._conclude(Outcome(None, Reason.WORKER_LOST, str(error)))
         except (NotFound, Rejected) as error:
@@ -68,14 +73,19 @@ class Supervisor:
             if not is_full(error):
                 raise
             self._conclude(Outcome(None, Reason.STORAGE_UNAVAILABLE, what_to_do(folder)))
-        finally:
-            shutil.rmtree(spool, ignore_errors=True)
 
     def _attempt(self, heartbeat: Heartbeat, folder: Path, spool: Path) -> None:
-        job = through_outages(partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S)
-        through_outages(partial(write_task, job, self.holding, self.device, spool), _STORAGE_PATIENCE_S)
+        leaving = self.draining.is_set
+        job = through_outages(
+            partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S, called_off=leaving
+        )
+        through_outages(
+            partial(write_task, job, self.holding, self.device, spool),
+            _STORAGE_PATIENCE_S,
+            called_off=leaving,
+        )
         lock = folder / "locks" / f"{self.slot_name}.lock"
-        with slot(lock, self.settings.grace.total_seconds()) as slot_fd:
+        with slot(lock, self.settings.grace.total_seconds(), leaving) as slot_fd:
             outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fd)
             try:
@@ -104,6 +114,8 @@ class Supervisor:
                 log.info("training_stops", job_id=self.holding.job_id, why=stop)
                 process.stop(stop)
                 kill_at = time.monotonic() + self.settings.grace.total_seconds()
+            elif stop is Stop.DRAIN:
+                process.stop(stop)  # It may have been deaf for a moment: see worker/training/stopping.py.
             if time.monotonic() > kill_at:
                 process.kill()
         process.kill()

@@ -3,47 +3,53 @@
 import os
 import signal
 import socket
-import threading
-import time
+from contextlib import suppress
 
 import structlog
 
 from core.adapters.connect import job_store, object_store
 from core.configuration import read
+from core.errors import Misconfigured
 from core.jobs.attempts import claim
 from core.jobs.job import utc_now
+from core.patience import CalledOff, pause
 from core.settings import WorkerSettings
 from worker.device import device_of
 from worker.disk import has_room, what_to_do
+from worker.draining import Draining
 from worker.lifeline import die_with_parent
 from worker.slot import slot_name
-from worker.supervisor import Supervisor
+from worker.spool import remove_left_over
+from worker.supervisor import SPOOLS, Supervisor
 
 log = structlog.get_logger()
 
-# A worker without room leaves what is queued to others, before it looks again.
+# A worker that cannot begin leaves what is queued to others, before it looks again.
 _PAUSE_S = 5.0
 
 
 def run_attempt(job_id: str, attempt: int) -> None:
     """Claim the attempt and see it to its end; a dispatch that is no longer true does nothing."""
-    draining = threading.Event()
-    signal.signal(signal.SIGTERM, lambda number, frame: draining.set())
+    draining = Draining()
+    signal.signal(signal.SIGTERM, draining.set)
     # A worker that is killed takes its work-horse along, and that one drains: SIGTERM, not SIGKILL.
     die_with_parent(signal_number=signal.SIGTERM)
     structlog.contextvars.bind_contextvars(job_id=job_id, attempt=attempt)
     settings = read(WorkerSettings)
+    remove_left_over(settings.data_dir / SPOOLS)  # They may be what fills the disk.
     if not has_room(settings.data_dir):
-        # Nothing is claimed: the reconciler dispatches the job again, to whoever comes first.
-        log.error("no_job_begun", detail=what_to_do(settings.data_dir))
-        time.sleep(_PAUSE_S)
+        _leave_to_others(what_to_do(settings.data_dir), draining)
         return
-    device = device_of(settings)
-    worker = f"{socket.gethostname()}:{device}"
+    try:
+        device = device_of(settings.device)
+        place = slot_name(device, os.getppid())
+    except Misconfigured as error:  # A GPU has gone since the worker started.
+        _leave_to_others(error.detail, draining)
+        return
     holding = claim(
         job_id,
         attempt,
-        worker,
+        f"{socket.gethostname()}:{device}",
         store=job_store(settings),
         objects=object_store(settings),
         lease=settings.lease,
@@ -52,4 +58,11 @@ def run_attempt(job_id: str, attempt: int) -> None:
     if holding is None:
         log.info("dispatch_ignored")
         return
-    Supervisor(holding, settings, device, slot_name(device, os.getppid()), draining=draining).run()
+    Supervisor(holding, settings, device, place, draining=draining).run()
+
+
+def _leave_to_others(reason: str, draining: Draining) -> None:
+    """Claim nothing: the reconciler dispatches the job again, to whoever comes first."""
+    log.error("no_job_begun", detail=reason)
+    with suppress(CalledOff):
+        pause(_PAUSE_S, draining.is_set)

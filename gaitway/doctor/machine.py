@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING
 
 from core.errors import Misconfigured
 from gaitway.doctor.check import Check, ProbeFailed, probe
+from worker.device import device_of, visible_gpus
 
 if TYPE_CHECKING:
     from core.settings import WorkerSettings
 
+_DEVICE = "GAITWAY_DEVICE"
 _OTHER_FOLDER = "Another folder: GAITWAY_DATA_DIR, or --data where that is not set."
 _WORKER = "Install the numerical part: `pip install 'gaitway[worker]'`."
 _JAX = """
@@ -63,13 +65,9 @@ def jax_devices() -> Check:
             "jax", "fail", str(error), "Reinstall JAX, or set JAX_PLATFORMS=cpu to do without the GPU."
         )
     detail = f"JAX {found['version']} on {found['platform']}: {', '.join(found['devices'])}"
-    if found["platform"] == "cpu" and has_gpu():
-        return Check(
-            "jax",
-            "warn",
-            f"{detail}, although there is a GPU",
-            "Install JAX for it: `pip install 'jax[cuda12]'`.",
-        )
+    if found["platform"] == "cpu" and has_gpu() and os.environ.get(_DEVICE) != "cpu":
+        remedy = f"Install JAX for it: `pip install 'gaitway[worker,cuda]'`; or set {_DEVICE}=cpu."
+        return Check("jax", "fail", f"{detail}, although there is a GPU", remedy)
     return Check("jax", "pass", detail)
 
 
@@ -121,13 +119,12 @@ def encoder() -> Check:
 
 
 def device(settings: "WorkerSettings | None") -> Check:
-    """Whether what a worker shall run on is there."""
-    if settings is None:
+    """Whether what a worker shall run on is there, also where its other settings are missing or wrong."""
+    wanted = settings.device if settings is not None else os.environ.get(_DEVICE, "")
+    if settings is None and not re.fullmatch(r"gpu(:\d+)?", wanted):
         return Check("device", "skip", "no settings of a worker")
-    from worker.device import device_of
-
     try:
-        return Check("device", "pass", f"{device_of(settings)}, for GAITWAY_DEVICE={settings.device}")
+        return Check("device", "pass", f"{device_of(wanted)}, for {_DEVICE}={wanted}")
     except Misconfigured as error:
         return Check("device", "fail", error.detail)
 
@@ -166,8 +163,8 @@ def embedded_servers(*, needed: bool = True) -> Check:
 
 
 def has_gpu() -> bool:
-    """Whether an NVIDIA driver is there."""
-    return Path("/dev/nvidiactl").exists() or Path("/dev/dxg").exists()
+    """Whether a worker could run on an NVIDIA GPU."""
+    return bool(visible_gpus())
 
 
 def _has(module: str) -> bool:

@@ -50,6 +50,11 @@ match behaviour:
         signal.signal(KEEP_AND_GO, signal.SIG_DFL)
         keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
         signal.pause()
+    case "misses_the_first_word_to_go":
+        signal.signal(KEEP_AND_GO, lambda number, _: signal.signal(number, signal.SIG_DFL))
+        keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
+        while True:
+            signal.pause()
     case "goes_on_from_a_checkpoint":
         task = json.loads((spool / "task.json").read_text())
         body = (spool / task["checkpoint"]).read_bytes() if task["checkpoint"] else b"nothing"

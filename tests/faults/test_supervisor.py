@@ -1,92 +1,18 @@
 """The supervisor against processes that do well, badly, and worse; the stores are the in-memory twins."""
 
 import os
-import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import SecretStr
 
-from core.adapters.memory_jobs import MemoryJobStore
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
-from core.errors import RecordsUnavailable
-from core.jobs.attempts import claim
-from core.jobs.cancellation import cancel
-from core.jobs.job import Job, utc_now
-from core.jobs.spec import JOB_SPEC
+from core.errors import RecordsUnavailable, StorageUnavailable
+from core.jobs.job import utc_now
 from core.jobs.status import JobStatus, Reason
-from core.jobs.submission import submit
-from core.settings import WorkerSettings
-from worker.supervisor import Supervisor
-
-PROBE = Path(__file__).with_name("probe_process.py")
-
-
-class Bench:
-    """A service of in-memory parts, and supervisors for the probe process."""
-
-    def __init__(self, data_dir: Path) -> None:
-        self.store, self.queue, self.objects = MemoryJobStore(), MemoryJobQueue(), MemoryObjectStore()
-        self.settings = WorkerSettings(
-            redis_url=SecretStr("unix:///unused"),
-            s3_endpoint="unused",
-            s3_access_key="unused",
-            s3_secret_key=SecretStr("unused"),
-            data_dir=data_dir,
-            heartbeat=timedelta(seconds=0.02),
-            grace=timedelta(seconds=1),
-        )
-
-    def submit(self, **fields: Any) -> Job:
-        spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
-        return submit(spec, store=self.store, queue=self.queue, objects=self.objects, now=utc_now())
-
-    def supervisor(self, job: Job, behaviour: str) -> Supervisor:
-        number = self.store.get(job.id).next_attempt
-        holding = claim(
-            job.id,
-            number,
-            "w",
-            store=self.store,
-            objects=self.objects,
-            lease=self.settings.lease,
-            now=utc_now(),
-        )
-        assert holding is not None
-        return Supervisor(holding, self.settings, "cpu", "slot", (sys.executable, str(PROBE), behaviour))
-
-    def run(self, behaviour: str, **fields: Any) -> Job:
-        job = self.submit(**fields)
-        self.supervisor(job, behaviour).run()
-        return self.store.get(job.id)
-
-    def cancel(self, job: Job) -> None:
-        cancel(job.id, store=self.store, queue=self.queue, objects=self.objects, now=utc_now())
-
-    @contextmanager
-    def running(self, job: Job, behaviour: str) -> Iterator[Supervisor]:
-        """Its supervisor in a thread; inside the block, the first checkpoint is there."""
-        supervisor = self.supervisor(job, behaviour)
-        thread = threading.Thread(target=supervisor.run)
-        thread.start()
-        wait_until(lambda: self.store.get(job.id).newest("checkpoint") is not None)
-        yield supervisor
-        thread.join(20)
-        assert not thread.is_alive()
-
-
-def wait_until(condition: Callable[[], bool], timeout_s: float = 10) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.01)
+from tests.faults.bench import Bench
+from worker.slot import slot
 
 
 @pytest.fixture
@@ -180,6 +106,41 @@ def test_a_drain_that_finds_nothing_new_to_keep_kills_nobody(bench: Bench) -> No
     (attempt,) = bench.store.get(job.id).attempts
     assert attempt.reason == Reason.WORKER_DRAINED
     assert attempt.message == "The worker was shut down. The work up to then is kept."
+
+
+def test_a_drain_is_said_again_to_who_missed_it(bench: Bench) -> None:
+    job = bench.submit()
+    with bench.running(job, "misses_the_first_word_to_go") as supervisor:
+        supervisor.draining.set()
+    (attempt,) = bench.store.get(job.id).attempts
+    assert attempt.message == "The worker was shut down. The work up to then is kept."
+
+
+def test_a_drain_is_heard_by_who_waits_for_the_device(bench: Bench) -> None:
+    bench.settings = bench.settings.model_copy(update={"grace": timedelta(seconds=30)})
+    job = bench.submit(max_attempts=1)
+    supervisor = bench.supervisor(job, "succeeds")
+    threading.Timer(0.2, supervisor.draining.set).start()
+    with slot(bench.settings.data_dir / "locks" / "slot.lock", 0):
+        supervisor.run()
+    ended = bench.store.get(job.id)
+    assert (ended.status, ended.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
+    assert ended.attempts[0].message == "The worker was shut down before it had begun with the job."
+
+
+def test_a_drain_is_heard_by_who_waits_for_a_store(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = bench.run("is_killed", max_attempts=2)  # It leaves a checkpoint to go on from.
+
+    def away(*_: Any) -> None:
+        raise StorageUnavailable("The test switched it off.")
+
+    monkeypatch.setattr(bench.objects, "open", away)
+    supervisor = bench.supervisor(job, "succeeds")
+    threading.Timer(0.2, supervisor.draining.set).start()
+    supervisor.run()
+    ended = bench.store.get(job.id)
+    assert (ended.status, ended.attempts[1].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
+    assert list((bench.settings.data_dir / "spool").iterdir()) == []
 
 
 def test_a_timeout_is_a_failure_that_keeps_the_work(bench: Bench) -> None:

@@ -19,8 +19,7 @@ from core.jobs.status import JobStatus, Reason
 from core.jobs.submission import submit
 from core.rendering.gl import RenderingFailed
 from core.settings import WorkerSettings
-from tests.faults.test_supervisor import Bench
-from tests.faults.test_supervisor_stops_training import SPEC
+from tests.faults.bench import SPEC, Bench
 from tests.unit.rendering.conftest import ball_request, rolling_ball, why_no_gl
 from tests.unit.worker.environments import environment
 from worker import supervisor as supervisor_module

@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from core.jobs.spec import JOB_SPEC
+from tests.faults.bench import SPEC
 from worker.messages import KEEP_AND_GO, FileReady, Message, Task
 from worker.outcome import Stop
 from worker.process import TRAINING, TrainingProcess
@@ -19,24 +20,6 @@ from worker.process import TRAINING, TrainingProcess
 LONG_FILM = {"width": 640, "height": 480, "fps": 30, "seconds": 60, "every_checkpoint": True}
 SOON_S = 10.0
 
-SPEC: dict[str, Any] = {
-    "kind": "train",
-    "environment": "inverted_pendulum",
-    "algorithm": {
-        "num_timesteps": 10_000_000,
-        "num_envs": 64,
-        "unroll_length": 10,
-        "batch_size": 16,
-        "num_minibatches": 4,
-        "num_evals": 0,
-        "episode_length": 100,
-        "policy_hidden_layer_sizes": [16],
-        "value_hidden_layer_sizes": [16],
-    },
-    "checkpoints": {"every_steps": 64_000},
-    "video": LONG_FILM,
-}
-
 
 class Training:
     """A training process, and the messages that it has sent since somebody asked for them."""
@@ -44,7 +27,7 @@ class Training:
     def __init__(self, folder: Path, data_dir: Path, **fields: Any) -> None:
         spool = folder / "spool"
         spool.mkdir()
-        spec = JOB_SPEC.validate_python({**SPEC, **fields})
+        spec = JOB_SPEC.validate_python({**SPEC, "video": LONG_FILM, **fields})
         task = Task(job_id="0" * 12 + "-" + "0" * 10, attempt=1, spec=spec, device="cpu")
         (spool / "task.json").write_text(task.model_dump_json())
         lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT)

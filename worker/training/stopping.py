@@ -13,6 +13,9 @@ class Stopping:
 
     As long as nothing would be lost, KEEP_AND_GO has its default action: it ends the process at once, also
     in the middle of a compilation or of a video, and with the process its render process.
+
+    A signal that comes in the very moment of a switch may be lost, and no mask holds it back: it would go
+    to one of the numerical stack's threads. That is why the supervisor says KEEP_AND_GO again and again.
     """
 
     def __init__(self) -> None:
@@ -31,8 +34,10 @@ class Stopping:
         signal.signal(KEEP_AND_GO, signal.SIG_DFL)
         if self.leaving:  # It was said a moment before.
             os.kill(os.getpid(), KEEP_AND_GO)
-        yield
-        self.keep_before_leaving()
+        try:
+            yield
+        finally:
+            self.keep_before_leaving()
 
     def _note(self, number: int, _: object) -> None:
         self.asked = True

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from core.errors import Misconfigured
-from core.settings import WorkerSettings
 from worker.device import device_of, visible_gpus
 
 
@@ -18,10 +17,6 @@ def dev(tmp_path: Path) -> Path:
         (folder / name).touch()
     (folder / "nvidia-caps").mkdir()
     return folder
-
-
-def asking(device: str) -> WorkerSettings:
-    return WorkerSettings.model_construct(device=device)
 
 
 def add(dev: Path, *names: str) -> None:
@@ -47,7 +42,7 @@ def test_a_worker_serves_what_it_is_told_or_what_it_finds(
     dev: Path, present: list[str], wanted: str, device: str
 ) -> None:
     add(dev, *present)
-    assert device_of(asking(wanted), dev) == device
+    assert device_of(wanted, dev) == device
 
 
 @pytest.mark.parametrize(
@@ -65,7 +60,7 @@ def test_a_gpu_that_is_not_there_is_refused_with_the_setting_and_the_remedy(
 ) -> None:
     add(dev, *present)
     with pytest.raises(Misconfigured) as refusal:
-        device_of(asking(wanted), dev)
+        device_of(wanted, dev)
     assert refusal.value.detail.startswith(seen)
     for remedy in ("NVIDIA Container Toolkit", "--profile gpu", "GAITWAY_DEVICE=cpu"):
         assert remedy in refusal.value.detail

@@ -15,9 +15,11 @@ import redis
 
 from core.adapters.redis_jobs import RedisJobStore
 from core.configuration import EXIT_STATUS
+from core.errors import Misconfigured
 from core.jobs.store import WorkerInfo
 from core.settings import WorkerSettings
 from tests.unit.worker.environments import environment
+from worker.fleet import Member
 
 
 class Fleet:
@@ -28,7 +30,7 @@ class Fleet:
         with log.open("wb") as file:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "worker.fleet", "cpu", "cpu"],
-                env=environment(settings),
+                env=environment(settings, GAITWAY_ALIVE_FILE=str(log.with_name("alive"))),
                 stdout=file,
                 stderr=subprocess.STDOUT,
             )
@@ -96,6 +98,13 @@ def test_a_worker_that_ends_by_itself_is_started_again(fleet: Fleet, log: Path) 
     ]
 
 
+def test_every_worker_of_a_fleet_shows_life_in_a_file_of_its_own(fleet: Fleet, log: Path) -> None:
+    began = min(worker.started_at.timestamp() for worker in fleet.two_workers())
+    # The fleet made the files before it started the workers.
+    assert all(log.with_name(f"alive.{number}").stat().st_mtime > began for number in (0, 1))
+    assert not log.with_name("alive").exists()
+
+
 def test_no_worker_outlives_a_fleet_that_is_killed(fleet: Fleet) -> None:
     workers = fleet.two_workers()
     fleet.process.kill()
@@ -126,6 +135,38 @@ def test_a_worker_that_is_misconfigured_ends_the_fleet_with_its_status_and_is_no
     assert 2 <= len(said) <= 3  # Of the fleet, and of the workers that came so far.
     assert "GAITWAY_REDIS_URL is not set" in said[0]
     assert "The worker on cpu cannot work as it is set up" in said[-1]
+
+
+@pytest.fixture
+def nothing_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No setting in the environment: every worker ends with the status of a misconfigured one."""
+    for name in os.environ:
+        if name.startswith("GAITWAY_"):
+            monkeypatch.delenv(name)
+
+
+def ended(member: Member) -> Member:
+    member.look_after()
+    assert member.child is not None
+    assert member.child.wait(30) == EXIT_STATUS
+    return member
+
+
+@pytest.mark.usefixtures("nothing_set")
+def test_a_worker_that_could_never_work_ends_the_fleet() -> None:
+    with pytest.raises(Misconfigured, match="The worker on cpu cannot work"):
+        ended(Member("cpu")).look_after()
+
+
+@pytest.mark.usefixtures("nothing_set")
+def test_a_worker_that_worked_before_is_tried_again_and_leaves_the_others_alone() -> None:
+    member = ended(Member("cpu"))
+    member.started_at -= 31  # It ran for so long.
+    member.look_after()
+    assert (member.child, member.pause_s) == (None, 0.5)
+    member.start_at = 0  # The pause is over; now it ends at once.
+    ended(member).look_after()
+    assert (member.child, member.pause_s) == (None, 1.0)
 
 
 @pytest.mark.skipif(any(Path("/dev").glob("nvidia[0-9]*")), reason="there is a GPU")

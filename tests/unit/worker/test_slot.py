@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from core.errors import Misconfigured
+from core.patience import CalledOff
+from worker.draining import Draining
 from worker.slot import SlotTaken, slot, slot_name
 
 
@@ -18,6 +21,14 @@ def test_a_slot_in_use_is_not_given_out(tmp_path: Path) -> None:
         slot(tmp_path / "gpu-0.lock", 0),
     ):
         pass
+
+
+def test_who_waits_for_a_slot_hears_that_it_is_called_off(tmp_path: Path) -> None:
+    draining = Draining()
+    with slot(tmp_path / "gpu-0.lock", 0):
+        threading.Timer(0.1, draining.set).start()
+        with pytest.raises(CalledOff), slot(tmp_path / "gpu-0.lock", float("inf"), draining.is_set):
+            pass
 
 
 def test_an_orphan_keeps_the_slot_until_it_ends(tmp_path: Path) -> None:
@@ -69,6 +80,11 @@ def test_a_gpu_is_called_by_the_hosts_number_in_every_container(tmp_path: Path) 
     names = {slot_name(f"gpu:{index}", 1, tmp_path / "whole") for index in (0, 1)}
     assert len(names) == 2
     assert slot_name("gpu:0", 7, tmp_path / "second") == slot_name("gpu:1", 8, tmp_path / "whole")
+
+
+def test_a_gpu_that_has_gone_is_refused_with_the_setting(tmp_path: Path) -> None:
+    with pytest.raises(Misconfigured, match=r"^GAITWAY_DEVICE=gpu:0, but no NVIDIA GPU is visible here"):
+        slot_name("gpu:0", 7, tmp_path)
 
 
 def test_every_cpu_worker_has_a_slot_of_its_own_and_keeps_it() -> None:

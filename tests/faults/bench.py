@@ -1,0 +1,103 @@
+"""What tests of the supervisor share: a service without servers, and a training of the smallest size."""
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+from pydantic import SecretStr
+
+from core.adapters.memory_jobs import MemoryJobStore
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory_queue import MemoryJobQueue
+from core.jobs.attempts import claim
+from core.jobs.cancellation import cancel
+from core.jobs.job import Job, utc_now
+from core.jobs.spec import JOB_SPEC
+from core.jobs.submission import submit
+from core.settings import WorkerSettings
+from worker.supervisor import Supervisor
+
+PROBE = Path(__file__).with_name("probe_process.py")
+
+# A real training process; ten million steps last longer than any test.
+SPEC: dict[str, Any] = {
+    "kind": "train",
+    "environment": "inverted_pendulum",
+    "algorithm": {
+        "num_timesteps": 10_000_000,
+        "num_envs": 64,
+        "unroll_length": 10,
+        "batch_size": 16,
+        "num_minibatches": 4,
+        "num_evals": 0,
+        "episode_length": 100,
+        "policy_hidden_layer_sizes": [16],
+        "value_hidden_layer_sizes": [16],
+    },
+    "checkpoints": {"every_steps": 64_000},
+}
+
+
+class Bench:
+    """A service of in-memory parts, and supervisors for the probe process."""
+
+    def __init__(self, data_dir: Path) -> None:
+        self.store, self.queue, self.objects = MemoryJobStore(), MemoryJobQueue(), MemoryObjectStore()
+        self.settings = WorkerSettings(
+            redis_url=SecretStr("unix:///unused"),
+            s3_endpoint="unused",
+            s3_access_key="unused",
+            s3_secret_key=SecretStr("unused"),
+            data_dir=data_dir,
+            heartbeat=timedelta(seconds=0.02),
+            grace=timedelta(seconds=1),
+        )
+
+    def submit(self, **fields: Any) -> Job:
+        spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
+        return submit(spec, store=self.store, queue=self.queue, objects=self.objects, now=utc_now())
+
+    def supervisor(self, job: Job, behaviour: str) -> Supervisor:
+        number = self.store.get(job.id).next_attempt
+        holding = claim(
+            job.id,
+            number,
+            "w",
+            store=self.store,
+            objects=self.objects,
+            lease=self.settings.lease,
+            now=utc_now(),
+        )
+        assert holding is not None
+        return Supervisor(holding, self.settings, "cpu", "slot", (sys.executable, str(PROBE), behaviour))
+
+    def run(self, behaviour: str, **fields: Any) -> Job:
+        job = self.submit(**fields)
+        self.supervisor(job, behaviour).run()
+        return self.store.get(job.id)
+
+    def cancel(self, job: Job) -> None:
+        cancel(job.id, store=self.store, queue=self.queue, objects=self.objects, now=utc_now())
+
+    @contextmanager
+    def running(self, job: Job, behaviour: str) -> Iterator[Supervisor]:
+        """Its supervisor in a thread; inside the block, the first checkpoint is there."""
+        supervisor = self.supervisor(job, behaviour)
+        thread = threading.Thread(target=supervisor.run)
+        thread.start()
+        wait_until(lambda: self.store.get(job.id).newest("checkpoint") is not None)
+        yield supervisor
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 10) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.01)

@@ -1,0 +1,26 @@
+"""Locks that end with their holder, however it ends: files, and the kernel's word on who holds them."""
+
+import fcntl
+import os
+from contextlib import suppress
+from pathlib import Path
+
+
+def take(path: Path) -> int | None:
+    """The descriptor of the file under this name, locked; None where another has it, or just removed it.
+
+    Whoever inherits the descriptor holds the lock, too.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    with suppress(BlockingIOError, FileNotFoundError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(descriptor), path.stat()):
+            return descriptor
+    os.close(descriptor)
+    return None
+
+
+def remove(path: Path, descriptor: int) -> None:
+    """Let go of a lock that nobody else holds, and leave no file behind."""
+    path.unlink(missing_ok=True)
+    os.close(descriptor)
