@@ -12,6 +12,7 @@ from bench import report
 from bench.result import Options, Result
 
 NAMES = ("physics", "training", "service", "video", "demo")
+ON_A_GPU = ("gpu_ant", "gpu_humanoid")
 PAGE = Path("docs/performance.md")
 
 
@@ -38,14 +39,19 @@ def main() -> int:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="bench", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}; or `report` alone")
+    parser.add_argument(
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help=f"of {', '.join(NAMES)}; on a GPU {' and '.join(ON_A_GPU)}; or `report` alone",
+    )
     parser.add_argument("--quick", action="store_true", help="only show that the bench works")
     parser.add_argument("--fresh-clone", action="store_true", help="demo: also from a clone, venv empty")
     parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR")
     given = parser.parse_args()
-    unknown = [name for name in given.names if name not in NAMES]
+    unknown = [name for name in given.names if name not in (*NAMES, *ON_A_GPU)]
     if unknown and given.names != ["report"]:
-        parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join(NAMES)}.")
+        parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join((*NAMES, *ON_A_GPU))}.")
     return given
 
 

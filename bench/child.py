@@ -14,6 +14,8 @@ from typing import Any
 def run_child(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
     """What `python -m module` answers to the request, and `process_s`: seconds from its start to its end.
 
+    It sees no GPU unless the request's `device` is one.
+
     Raises RuntimeError with the end of what it printed where it fails or takes longer than `timeout_s`.
     """
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
@@ -23,7 +25,9 @@ def run_child(module: str, request: Mapping[str, Any], *, timeout_s: float) -> d
         try:
             done = subprocess.run(
                 command,
-                env={**os.environ, "JAX_PLATFORMS": "cpu"},
+                env=dict(os.environ)
+                if request.get("device") == "gpu"
+                else {**os.environ, "JAX_PLATFORMS": "cpu"},
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,

@@ -20,6 +20,7 @@ class Machine(BaseModel):
 
     processor: str
     cores: int
+    accelerator: str | None = None
     memory_gib: float
     system: str
     python: str
@@ -34,6 +35,7 @@ def this_machine() -> Machine:
     return Machine(
         processor=_processor(),
         cores=num_cores(),
+        accelerator=_accelerator(),
         memory_gib=round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         system=f"{platform.system()} {platform.machine()}",
         python=platform.python_version(),
@@ -42,6 +44,17 @@ def this_machine() -> Machine:
         load_before=round(os.getloadavg()[0], 2),
         measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
     )
+
+
+def _accelerator() -> str | None:
+    """The NVIDIA GPUs, as their driver calls them."""
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return None
+    command = [program, "--query-gpu=name", "--format=csv,noheader"]
+    names = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split("\n")
+    found = [name.strip() for name in names if name.strip()]
+    return f"{len(found)} × {found[0]}" if found else None
 
 
 def num_cores() -> int:

@@ -1,7 +1,8 @@
 """One run of the peer, `brax.training.agents.ppo.train`: `python -m bench.train_brax ANSWER REQUEST`.
 
-Request: environment, engine, settings, seed; epochs (it reports after each); evaluate. The engine
-`mjx_equal` is MJX-JAX with the solver settings that `native` has.
+Request: environment, engine, settings, seed; epochs (it reports after each); evaluate; device (`cpu`, which
+it is without one, or `gpu`); cache (a folder for compiled programs, or null). The engine `mjx_equal` is
+MJX-JAX with the solver settings that `native` has.
 """
 
 import time
@@ -15,9 +16,15 @@ _NOT_BRAX = {"kind", "policy_hidden_layer_sizes", "value_hidden_layer_sizes", "n
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """training: [[steps, seconds of training until then], …]; wall_s: from the call to its return."""
+    """training: [[steps, seconds of training until then], …]; wall_s: from the call to its return;
+    peak_bytes: the most device memory in use, where the device counts it."""
     import jax
     import jax.numpy as jnp
+
+    from bench.device_memory import peak_bytes
+
+    if request.get("cache"):
+        jax.config.update("jax_compilation_cache_dir", request["cache"])
 
     # Brax 0.14.2 calls a function that JAX has removed; these two lines are what it did.
     if not hasattr(jax, "device_put_replicated"):
@@ -38,7 +45,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
     info = catalog.find(request["environment"])
     ours = catalog.make(info, catalog.parse_options(info, {}), builder(request["engine"]))
-    settings = resolve(PPOSpec.model_validate(request["settings"]), info, "cpu")
+    settings = resolve(PPOSpec.model_validate(request["settings"]), info, request.get("device", "cpu"))
     training, rewards = list[tuple[int, float]](), list[tuple[int, float]]()
 
     def report(step: int, metrics: dict[str, Any]) -> None:
@@ -61,7 +68,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         seed=request["seed"],
         progress_fn=report,
     )
-    return {"training": training, "rewards": rewards, "wall_s": time.perf_counter() - began}
+    wall_s = time.perf_counter() - began
+    return {"training": training, "rewards": rewards, "wall_s": wall_s, "peak_bytes": peak_bytes()}
 
 
 if __name__ == "__main__":

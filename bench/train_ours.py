@@ -1,7 +1,7 @@
 """One run of this project's PPO trainer, called directly: `python -m bench.train_ours ANSWER REQUEST`.
 
-Request: environment, engine, settings (hyperparameters), seed; cache (a folder for compiled programs, or
-null); checkpoint_every_steps (or null).
+Request: environment, engine, settings (hyperparameters), seed; device (`cpu`, which it is without one, or
+`gpu`); cache (a folder for compiled programs, or null); checkpoint_every_steps (or null).
 """
 
 import time
@@ -13,9 +13,11 @@ from bench.child import answer
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[steps, seconds of training until then], …]; wall_s: from the call to its return;
-    first_update_at, evaluated_at: the hour of the first update's end and of the last evaluation's."""
+    first_update_at, evaluated_at: the hour of the first update's end and of the last evaluation's;
+    peak_bytes: the most device memory in use, where the device counts it."""
     import jax
 
+    from bench.device_memory import peak_bytes
     from core.algorithms.ppo.spec import PPOSpec, resolve
     from core.algorithms.ppo.trainer import PPOTrainer
     from core.algorithms.trainer import CheckpointReady, Evaluated, Phase, Progress
@@ -27,7 +29,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     info = catalog.find(request["environment"])
     build = engine_builder(request["engine"])
     environment = catalog.make(info, catalog.parse_options(info, {}), build)
-    settings = resolve(PPOSpec.model_validate(request["settings"]), info, "cpu")
+    settings = resolve(PPOSpec.model_validate(request["settings"]), info, request.get("device", "cpu"))
     began = time.perf_counter()
     trainer = PPOTrainer(
         environment,
@@ -58,6 +60,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         "wall_s": time.perf_counter() - began,
         "first_update_at": first_update_at,
         "evaluated_at": evaluated_at,
+        "peak_bytes": peak_bytes(),
     }
 
 
