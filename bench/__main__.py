@@ -12,7 +12,7 @@ from bench import report
 from bench.result import Options, Result
 
 NAMES = ("physics", "training", "service", "video", "demo")
-ON_A_GPU = ("gpu_ant", "gpu_humanoid")
+ON_A_GPU = ("gpu_ant", "gpu_humanoid", "gpu_scaling")
 PAGE = Path("docs/performance.md")
 
 

@@ -11,8 +11,13 @@ from typing import Any
 
 from bench.child import answer
 
-# What `ppo.train` calls by other names, or not at all.
-_NOT_BRAX = {"kind", "policy_hidden_layer_sizes", "value_hidden_layer_sizes", "num_evals"}
+# What `ppo.train` calls by other names, or not at all; and options that the benches leave as they are.
+_NOT_BRAX = {
+    *("kind", "policy_hidden_layer_sizes", "value_hidden_layer_sizes", "num_evals", "reset_pool_size"),
+    *("activation", "policy_obs_key", "value_obs_key", "action_repeat", "bootstrap_on_timeout"),
+    *("clipping_epsilon_value", "desired_kl", "learning_rate_schedule"),
+    *("learning_rate_schedule_min_lr", "learning_rate_schedule_max_lr"),
+}
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:

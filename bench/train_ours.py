@@ -1,7 +1,8 @@
 """One run of this project's PPO trainer, called directly: `python -m bench.train_ours ANSWER REQUEST`.
 
 Request: environment, engine, settings (hyperparameters), seed; device (`cpu`, which it is without one, or
-`gpu`); cache (a folder for compiled programs, or null); checkpoint_every_steps (or null).
+`gpu`), devices (how many, 1 without); cache (a folder for compiled programs, or null);
+checkpoint_every_steps (or null).
 """
 
 import time
@@ -23,9 +24,12 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from core.algorithms.trainer import CheckpointReady, Evaluated, Phase, Progress
     from core.environments import catalog
     from core.physics.choose import engine_builder
+    from core.physics.kernels import keep_kernels
 
     if request["cache"]:
         jax.config.update("jax_compilation_cache_dir", request["cache"])
+        if request["engine"] == "warp":
+            keep_kernels(Path(request["cache"], "warp"))
     info = catalog.find(request["environment"])
     build = engine_builder(request["engine"])
     environment = catalog.make(info, catalog.parse_options(info, {}), build)
@@ -36,6 +40,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         settings,
         seed=request["seed"],
         checkpoint_every_steps=request["checkpoint_every_steps"],
+        devices=request.get("devices", 1),
     )
     training, phases, rewards = list[tuple[int, float]](), dict[str, float](), list[tuple[int, float]]()
     first_update_at = evaluated_at = 0.0

@@ -24,7 +24,7 @@ def measure(options: Options) -> Result:
     rounds, updates = (1, 4) if options.quick else (2, 24)
     small = {"num_eval_envs": 2, "episode_length": 20} if options.quick else {}
     # Brax evaluates once before it begins; the number of evaluations is the same.
-    settings = {"num_timesteps": updates * _UPDATE, "num_evals": _EPOCHS + 1, **small}
+    settings = {"num_timesteps": updates * _UPDATE, "num_evals": _EPOCHS + 1, "reset_pool_size": 0, **small}
     request = {"environment": "ant", "engine": "native", "settings": settings, "seed": 0}
     ours = {**request, "cache": None, "checkpoint_every_steps": None}
     brax = {**request, "epochs": _EPOCHS, "evaluate": True}

@@ -1,6 +1,7 @@
 """What a process makes sure of before it works: that both stores do what it will ask of them."""
 
 import secrets
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
@@ -24,6 +25,9 @@ from core.settings import StoreSettings
 log = structlog.get_logger()
 
 _PATIENCE_S = 10.0
+# A store that has only just begun may not know its bucket and its keys yet.
+_BELIEVED_AFTER_S = 3.0
+_REFUSALS = (RecordsRefuse, StorageRefuses)
 
 # KEYS: a name that nobody else uses. It goes again, and would in a second if this were cut off.
 _WRITE = "redis.call('SET', KEYS[1], '', 'PX', 1000) return redis.call('DEL', KEYS[1])"
@@ -32,7 +36,7 @@ _WRITE = "redis.call('SET', KEYS[1], '', 'PX', 1000) return redis.call('DEL', KE
 def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> None:
     """Return when both stores serve, or have been away for so long: what is away may come back.
 
-    Raises Misconfigured where one answers and refuses: time alone will not mend that.
+    Raises Misconfigured where one answers, and refuses for some seconds: time alone will not mend that.
     """
     # Without tries of their own: what a first one finds is in the log at once.
     records = connect_redis(settings.redis_url.get_secret_value(), retries=0)
@@ -40,11 +44,18 @@ def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> No
     looks = {"redis": partial(exercise_records, records), "object_store": partial(exercise_objects, objects)}
     for name, look in looks.items():
         try:
-            through_outages(look, patience_s, gives_up_on=(RecordsRefuse, StorageRefuses))
-        except (RecordsRefuse, StorageRefuses) as error:
+            _try(look, patience_s)
+        except _REFUSALS as error:
             raise Misconfigured(error.detail) from error
         except Unavailable as error:
             log.warning("store_away_at_start", store=name, error=error.detail)
+
+
+def _try(look: Callable[[], None], patience_s: float) -> None:
+    try:
+        through_outages(look, patience_s, gives_up_on=_REFUSALS)
+    except _REFUSALS:
+        through_outages(look, _BELIEVED_AFTER_S)
 
 
 @reaching_redis()

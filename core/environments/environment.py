@@ -1,7 +1,7 @@
 """What an algorithm asks of a body in its world."""
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import jax
 import mujoco
@@ -9,18 +9,22 @@ from flax import struct
 
 from core.physics.engine import PhysicsState
 
+# One array [size], or arrays by name: `state` is what a policy sees unless a run says otherwise.
+Observation = Any
+ObservationSize = int | Mapping[str, int]
+
 
 @struct.dataclass
 class State:
     """One environment after a step; a leading batch axis appears under `jax.vmap`.
 
-    obs: [observation_size]; reward, done: [] float32. `done` is 1 where the episode *terminated*;
-    truncation by length is the wrapper's business. metrics: named scalars, the same names at every
-    step. info: arrays that a wrapper or the environment carries from step to step.
+    obs: [observation_size], or arrays by name. reward, done: [] float32; `done` is 1 where the episode
+    *terminated*: truncation by length is the wrapper's business. metrics: named scalars, the same names
+    at every step. info: arrays that a wrapper or the environment carries from step to step.
     """
 
     physics: PhysicsState
-    obs: jax.Array
+    obs: Observation
     reward: jax.Array
     done: jax.Array
     metrics: Mapping[str, jax.Array]
@@ -36,7 +40,9 @@ class Environment(Protocol):
         ...
 
     @property
-    def observation_size(self) -> int: ...
+    def observation_size(self) -> ObservationSize:
+        """Of the one observation, or of each of them by name."""
+        ...
 
     @property
     def action_size(self) -> int: ...

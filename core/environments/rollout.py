@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from core.environments.environment import Environment, State
 from core.environments.trajectory import Episode, Trajectory, describe
 
-# (observation [observation_size], key) -> action [action_size]
-Policy = Callable[[jax.Array, jax.Array], jax.Array]
+# (observation [observation_size], or several by name, key) -> action [action_size]
+Policy = Callable[[Any, jax.Array], jax.Array]
 # (parameters, observation, key) -> action: parameters may change without another compilation.
-ParametricPolicy = Callable[[Any, jax.Array, jax.Array], jax.Array]
+ParametricPolicy = Callable[[Any, Any, jax.Array], jax.Array]
 
 _STEPS_PER_CALL = 200
 _MOST_WORLDS = 64
@@ -171,7 +171,10 @@ def _advance(
 
 
 def _observed(state: State) -> dict[str, jax.Array]:
-    return {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": state.obs}
+    obs = state.obs
+    if isinstance(obs, Mapping):  # one after the other, by their names' order
+        obs = jnp.concatenate([obs[name] for name in sorted(obs)], axis=-1)
+    return {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": obs}
 
 
 def _episode(

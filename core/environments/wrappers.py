@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from core.environments.environment import Environment, State
+from core.environments.environment import State
+from core.environments.worlds import Worlds
 
 Tree = TypeVar("Tree")
 
@@ -16,16 +17,16 @@ Tree = TypeVar("Tree")
 class Episodes:
     """`num_envs` environments, each somewhere in an episode.
 
-    state: after the last step, already set back to the first one where an episode ended; its `done`
-    says so (1 for a termination or a truncation). first: every environment's own first state.
-    truncated: [num_envs], 1 where the last step cut an episode off that had not terminated.
-    length: [num_envs] int32, actions taken in the running episode. score: [num_envs], rewards summed
-    over it. ended_length, ended_score: [num_envs], those of the episode that the last step ended, and
-    0 elsewhere.
+    state: after the last step, already a fresh start where an episode ended; its `done` says so (1 for
+    a termination or a truncation). first: every environment's own first state, where it goes back to
+    that; None where fresh starts come from a pool. truncated: [num_envs], 1 where the last step cut an
+    episode off that had not terminated. length: [num_envs] int32, actions taken in the running episode.
+    score: [num_envs], rewards summed over it. ended_length, ended_score: [num_envs], those of the
+    episode that the last step ended, and 0 elsewhere.
     """
 
     state: State
-    first: State
+    first: State | None
     truncated: jax.Array
     length: jax.Array
     score: jax.Array
@@ -33,14 +34,14 @@ class Episodes:
     ended_score: jax.Array
 
 
-def start_episodes(environment: Environment, key: jax.Array, num_envs: int) -> Episodes:
-    """`num_envs` fresh episodes."""
-    state = jax.vmap(environment.reset)(jax.random.split(key, num_envs))
+def start_episodes(worlds: Worlds, key: jax.Array, num_envs: int, *, keep_first: bool = False) -> Episodes:
+    """`num_envs` fresh episodes; keep_first: remember their first states, to go back to them."""
+    state = fresh_states(worlds, key, num_envs)
     zeros = jnp.zeros(num_envs)
     count = jnp.zeros(num_envs, jnp.int32)
     return Episodes(
         state=state,
-        first=state,
+        first=state if keep_first else None,
         truncated=zeros,
         length=count,
         score=zeros,
@@ -49,32 +50,49 @@ def start_episodes(environment: Environment, key: jax.Array, num_envs: int) -> E
     )
 
 
+def fresh_states(worlds: Worlds, key: jax.Array, num_states: int) -> State:
+    """Initial states [num_states, ...], each from a key of its own."""
+    return worlds.reset(jax.random.split(key, num_states))
+
+
+def draw(pool: State, chosen: jax.Array) -> State:
+    """The states [num_envs, ...] with the numbers `chosen` [num_envs] of a pool."""
+    return jax.tree.map(lambda x: jnp.take(x, chosen, axis=0, mode="clip"), pool)
+
+
 def step_episodes(
-    environment: Environment, episodes: Episodes, action: jax.Array, *, episode_length: int
+    worlds: Worlds,
+    episodes: Episodes,
+    action: jax.Array,
+    starts: State | None = None,
+    *,
+    episode_length: int,
 ) -> Episodes:
     """Every episode one action [num_envs, action_size] later.
 
-    Where one ends, physics, observation and info go back to that environment's own first state, as in
-    Brax: a reset in every step would cost as much as the step. Reward, done and metrics stay those of
-    the step.
+    Where one ends, physics, observation and info become those of `starts` [num_envs, ...]: a reset in
+    every step would cost as much as the step. None: those of the environment's own first state, as in
+    Brax; raises ValueError where these were not kept. Reward, done and metrics stay those of the step.
     """
-    state = jax.vmap(environment.step)(episodes.state, action)
+    fresh = episodes.first if starts is None else starts
+    if fresh is None:
+        raise ValueError("Where do ended episodes begin anew? Their first states were not kept.")
+    state = worlds.step(episodes.state, action)
     length = episodes.length + 1
     score = episodes.score + state.reward
     cut_off = jnp.where(length >= episode_length, 1.0, 0.0)
     done = jnp.maximum(state.done, cut_off)
     ended = done > 0
-    first = episodes.first
     restarted = replace(
         state,
-        physics=select(ended, first.physics, state.physics),
-        obs=select(ended, first.obs, state.obs),
-        info=select(ended, first.info, state.info),
+        physics=select(ended, fresh.physics, state.physics),
+        obs=select(ended, fresh.obs, state.obs),
+        info=select(ended, fresh.info, state.info),
         done=done,
     )
     return Episodes(
         state=restarted,
-        first=first,
+        first=episodes.first,
         truncated=cut_off * (1 - state.done),
         length=jnp.where(ended, 0, length),
         score=jnp.where(ended, 0.0, score),

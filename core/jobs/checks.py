@@ -22,7 +22,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     """Raises Rejected with every problem of the first group that has one."""
     info = _environment(spec)
     catalog.parse_options(info, spec.environment.options)
-    check_physics(spec.physics)
+    check_physics(spec.physics, spec.environment.id)
     check_camera(spec.video.camera, info.cameras)
     match spec:
         case TrainSpec():

@@ -4,15 +4,17 @@ from typing import assert_never
 
 import mujoco
 
-from core.physics.availability import EngineChoice, EngineName, check_physics, choose
+from core.physics.availability import EngineChoice, EngineName, choose
 from core.physics.engine import DERIVED_FIELDS, Engine, EngineBuilder, SolverSettings
 
 __all__ = ["EngineChoice", "choose", "engine_builder"]
 
 
 def engine_builder(name: EngineName) -> EngineBuilder:
-    """What an environment calls to get its engine. Raises Rejected where there is no such engine."""
-    check_physics(name)
+    """What an environment calls to get its engine.
+
+    Building raises JobFailed where the worker has not got the engine, or the engine cannot run the model.
+    """
 
     def build(
         model: mujoco.MjModel,
@@ -35,7 +37,13 @@ def engine_builder(name: EngineName) -> EngineBuilder:
 
                 return MjxEngine(with_solver(model, accelerated), num_substeps, derived)
             case "warp":
-                raise AssertionError("check_physics refuses warp")
+                from core.physics.kernels import check_warp
+                from core.physics.model import with_solver
+
+                check_warp()
+                from core.physics.warp_engine import WarpEngine
+
+                return WarpEngine(with_solver(model, accelerated), num_substeps, derived)
             case _:
                 assert_never(name)
 

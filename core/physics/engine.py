@@ -24,6 +24,9 @@ DERIVED_FIELDS = (
     "xpos",
     "xquat",
 )
+# What the engine `warp` adds to them by itself: [] float32, 1 where the step lost contacts or constraint
+# rows because its buffers were full. The other engines' worlds come back as NaN, or cannot overflow.
+OVERFLOW = "overflow"
 
 
 @struct.dataclass
@@ -31,7 +34,7 @@ class PhysicsState:
     """The integration state of one world, and the fields that its environment reads.
 
     qpos: [nq], qvel: [nv], act: [na], qacc_warmstart: [nv], time: [] in seconds; all float32.
-    derived: the fields the engine was built for, by MuJoCo's names and shapes.
+    derived: the fields the engine was built for, by MuJoCo's names and shapes; and `OVERFLOW` of `warp`.
     """
 
     qpos: jax.Array
@@ -84,7 +87,7 @@ class EngineBuilder(Protocol):
     ) -> Engine:
         """An engine that computes these derived fields.
 
-        accelerated: the solver settings for engines on an accelerator (`mjx`), where each iteration is
-        dear; `native` always keeps the model's own, and so does every engine when it is None.
+        accelerated: the solver settings for engines on an accelerator (`mjx`, `warp`), where each iteration
+        is dear; `native` always keeps the model's own, and so does every engine when it is None.
         """
         ...

@@ -12,9 +12,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from core.environments import catalog
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
-from core.physics.engine import DERIVED_FIELDS, Engine, PhysicsState
+from core.physics.engine import DERIVED_FIELDS, Engine, PhysicsState, SolverSettings
 from core.physics.model import brax_model, initial_qpos
 
 NUM_SUBSTEPS = 3
@@ -58,9 +59,11 @@ class Bench:
     tolerance: float
 
 
-@pytest.fixture(scope="module", params=["native", "mjx"])
+@pytest.fixture(scope="module", params=["native", "mjx", "warp"])
 def bench(request: pytest.FixtureRequest) -> Bench:
     name: EngineName = request.param
+    if name == "warp":
+        request.getfixturevalue("warp_kernels")
     model = mujoco.MjModel.from_xml_string(BODY)
     engine = engine_builder(name)(model, NUM_SUBSTEPS, DERIVED_FIELDS)
     return Bench(
@@ -70,7 +73,7 @@ def bench(request: pytest.FixtureRequest) -> Bench:
         jax.jit(engine.step),
         jax.jit(jax.vmap(engine.reset)),
         jax.jit(jax.vmap(engine.step)),
-        # Native computes in float64 and rounds; MJX computes in float32.
+        # Native computes in float64 and rounds; the others compute in float32.
         tolerance=1e-5 if name == "native" else 2e-3,
     )
 
@@ -169,10 +172,13 @@ def test_many_worlds_move_as_each_would_alone(bench: Bench) -> None:
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=bench.tolerance * 0.1)
 
 
-def test_worlds_may_lie_on_two_axes() -> None:
-    # JAX itself sees to it for MJX; the native engine's callback is given both axes.
+@pytest.mark.parametrize("name", ["native", "warp"])
+def test_worlds_may_lie_on_two_axes(name: EngineName, request: pytest.FixtureRequest) -> None:
+    # JAX itself sees to it for MJX; the other engines' callbacks are given both axes.
+    if name == "warp":
+        request.getfixturevalue("warp_kernels")
     model = mujoco.MjModel.from_xml_string(BODY)
-    engine = engine_builder("native")(model, NUM_SUBSTEPS, ("xpos",))
+    engine = engine_builder(name)(model, NUM_SUBSTEPS, ("xpos",))
     qpos, qvel, ctrl = start(model, 3)
     flat = jax.vmap(engine.step)(jax.vmap(engine.reset)(qpos, qvel), ctrl)
     qpos, qvel, ctrl = (jnp.stack([array, array]) for array in (qpos, qvel, ctrl))
@@ -212,9 +218,12 @@ def test_a_world_that_breaks_is_not_a_number_and_its_neighbours_do_not_mind(
         np.testing.assert_array_equal(after.qpos[index], fine.qpos[index])
 
 
-def test_several_threads_may_use_one_engine() -> None:
+@pytest.mark.parametrize("name", ["native", "warp"])
+def test_several_threads_may_use_one_engine(name: EngineName, request: pytest.FixtureRequest) -> None:
+    if name == "warp":
+        request.getfixturevalue("warp_kernels")
     model = mujoco.MjModel.from_xml_string(BODY)
-    engine = engine_builder("native")(model, NUM_SUBSTEPS, ("xpos",))
+    engine = engine_builder(name)(model, NUM_SUBSTEPS, ("xpos",))
     step = jax.jit(jax.vmap(engine.step))
     qpos, qvel, ctrl = start(model, 3)
     states = [jax.vmap(engine.reset)(qpos, factor * qvel) for factor in (1.0, -1.0)]
@@ -246,22 +255,60 @@ def ant() -> mujoco.MjModel:
     return model
 
 
-def test_native_and_mjx_walk_the_ant_alike(ant: mujoco.MjModel) -> None:
-    # Under equal solver settings, converged. 0.25 s: landing and four feet on the floor.
-    ctrl = jnp.linspace(-0.5, 0.5, 8)
-    ends: dict[str, PhysicsState] = {}
-    for name in ("native", "mjx"):
-        engine = engine_builder(name)(ant, 5, ())
-        state = jax.jit(engine.reset)(jnp.asarray(initial_qpos(ant), jnp.float32), jnp.zeros(ant.nv))
-        ends[name], _ = jax.jit(
-            lambda state, engine=engine: jax.lax.scan(
-                lambda state, _: (engine.step(state, ctrl), None), state, length=5
-            )
-        )(state)
-    moved = np.abs(ends["native"].qpos - initial_qpos(ant)).max()
-    assert moved > 0.1
-    np.testing.assert_allclose(ends["mjx"].qpos, ends["native"].qpos, atol=2e-4)
-    np.testing.assert_allclose(ends["mjx"].qvel, ends["native"].qvel, atol=5e-3)
+# MJX takes up to a minute to compile a body.
+SLOW = [
+    pytest.param("mjx", body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
+    for body in catalog.ENVIRONMENTS
+    if body != "ant"
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "environment"), [("mjx", "ant"), *(("warp", body) for body in catalog.ENVIRONMENTS), *SLOW]
+)
+def test_the_engines_move_every_body_alike(
+    name: EngineName, environment: str, request: pytest.FixtureRequest
+) -> None:
+    # Under equal solver settings, converged, for ten control steps: long enough to land on the floor.
+    if name == "warp":
+        request.getfixturevalue("warp_kernels")
+    ends = [_end_of_a_walk(engine, environment) for engine in ("native", name)]
+    moved = np.abs(ends[0].qpos - ends[0].qpos[0]).max()
+    assert moved > 0.05
+    np.testing.assert_allclose(ends[1].qpos, ends[0].qpos, atol=2e-4)
+    np.testing.assert_allclose(ends[1].qvel, ends[0].qvel, atol=5e-3)
+    for field, values in ends[0].derived.items():
+        np.testing.assert_allclose(ends[1].derived[field], values, rtol=1e-3, atol=5e-3, err_msg=field)
+
+
+def _end_of_a_walk(name: EngineName, environment: str) -> PhysicsState:
+    """The environment's own model and fields on this engine, two worlds, under controls of their own."""
+    made: list[tuple[Engine, mujoco.MjModel]] = []
+
+    def build(
+        model: mujoco.MjModel,
+        num_substeps: int,
+        derived: tuple[str, ...],
+        *,
+        accelerated: SolverSettings | None = None,
+    ) -> Engine:
+        model.opt.iterations, model.opt.ls_iterations = 30, 30
+        made.append((engine_builder(name)(model, num_substeps, derived), model))
+        return made[0][0]
+
+    info = catalog.find(environment)
+    catalog.make(info, info.options(), build)
+    engine, model = made[0]
+    keys = jax.random.split(jax.random.key(3), 3)
+    qpos = jnp.asarray(initial_qpos(model), jnp.float32) + 0.05 * jax.random.uniform(keys[0], (2, model.nq))
+    qvel = 0.1 * jax.random.normal(keys[1], (2, model.nv))
+    ctrl = jax.random.uniform(keys[2], (2, model.nu), minval=-0.3, maxval=0.3)
+
+    def step(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
+        return jax.vmap(engine.step)(state, ctrl), None
+
+    state = jax.jit(jax.vmap(engine.reset))(qpos, qvel)
+    return jax.jit(lambda state: jax.lax.scan(step, state, length=10))(state)[0]
 
 
 def test_the_ant_settles_when_nothing_moves_it(ant: mujoco.MjModel) -> None:

@@ -103,7 +103,7 @@ def test_the_stack_serves_has_its_workers_and_ends_with_nothing_left(launch: Lau
     assert httpx.get(f"{url}/readyz").status_code == 200
     assert eventually(lambda: len(httpx.get(f"{url}/workers").json()["items"]) == 2, 20)
     # Launcher, valkey, weed, API, two workers and the reconciler, at least.
-    assert len(stack.family()) >= 7
+    assert eventually(lambda: len(stack.family()) >= 7, 5)
     stack.process.send_signal(signal.SIGINT)
     _, told = stack.process.communicate(timeout=30)
     assert stack.process.returncode == 0, told

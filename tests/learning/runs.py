@@ -40,6 +40,7 @@ def small_trainer(
     seed: int = 0,
     checkpoint_every_steps: int | None = None,
     resume: bytes | None = None,
+    devices: int = 1,
     epoch_s: float = 1.0,
     **changes: Any,
 ) -> PPOTrainer:
@@ -49,6 +50,7 @@ def small_trainer(
         seed=seed,
         checkpoint_every_steps=checkpoint_every_steps,
         resume=resume,
+        devices=devices,
         epoch_s=epoch_s,
     )
 

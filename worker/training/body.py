@@ -9,11 +9,14 @@ from typing import Any
 
 import jax
 
+from core.algorithms.ppo.spec import resolve
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import JobFailed
+from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
 from core.physics.choose import choose, engine_builder
+from core.physics.kernels import keep_kernels
 from worker.messages import Started, Task
 
 
@@ -30,7 +33,8 @@ class Body:
 
     def started(self, **details: Any) -> Started:
         """What the job's record shall say about this attempt."""
-        versions = {name: version(name) for name in ("jax", "brax", "mujoco", "mujoco-mjx")}
+        packages = ("jax", "brax", "mujoco", "mujoco-mjx", *(["warp-lang"] if self.engine == "warp" else []))
+        versions = {name: version(name) for name in packages}
         return Started(
             device=self.device_name,
             engine=self.engine,
@@ -53,12 +57,23 @@ def load_body(task: Task) -> Body:
         raise JobFailed(
             "no_device", f"The worker serves {task.device}, but JAX finds only {found.device_kind}."
         )
-    choice = choose(task.spec.physics, device)
     info = catalog.find(task.spec.environment.id)
+    choice = choose(task.spec.physics, device, info.id, _num_worlds(task.spec, info, device))
+    if choice.name == "warp" and (data_dir := os.environ.get("GAITWAY_DATA_DIR")):
+        keep_kernels(Path(data_dir) / "cache" / "warp")
     options = catalog.parse_options(info, task.spec.environment.options)
     environment = catalog.make(info, options, engine_builder(choice.name))
     name = found.device_kind if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
     return Body(info, environment, device, name, choice.name, choice.reason)
+
+
+def _num_worlds(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
+    """How many worlds the job steps side by side for most of its time."""
+    match spec:
+        case TrainSpec():
+            return resolve(spec.algorithm, info, device).num_envs
+        case RolloutSpec():
+            return spec.num_episodes
 
 
 def _keep_compilations() -> None:

@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
 
 from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint
 from core.environments import trajectory
+from core.environments.action_repeat import repeat_action
 from core.environments.rollout import (
     Policy,
     Roller,
@@ -35,7 +37,8 @@ def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stoppi
     There is nothing to keep for an attempt elsewhere: that one begins anew.
     """
     channel.send(body.started(policy=spec.policy.model_dump()))
-    policy = _policy(task, spec, body, channel)
+    policy, action_repeat = _policy(task, spec, body, channel)
+    body = replace(body, environment=repeat_action(body.environment, action_repeat))
     episodes = _act(spec, body, policy, channel, stopping)
     shown = trajectory_of(
         body.environment,
@@ -72,18 +75,20 @@ def _act(
     return episodes
 
 
-def _policy(task: Task, spec: RolloutSpec, body: Body, channel: Channel) -> Policy:
+def _policy(task: Task, spec: RolloutSpec, body: Body, channel: Channel) -> tuple[Policy, int]:
+    """The policy, and how many times it takes each action."""
     size = body.environment.action_size
     match spec.policy:
         case CheckpointPolicy():
-            content = (channel.spool / str(task.checkpoint)).read_bytes()
-            return make_inference(policy_from_checkpoint(content), deterministic=spec.deterministic)
+            params = policy_from_checkpoint((channel.spool / str(task.checkpoint)).read_bytes())
+            policy = make_inference(params, deterministic=spec.deterministic)
+            return policy, params.design.action_repeat
         case RandomPolicy():
-            return random_policy(size)
+            return random_policy(size), 1
         case ZeroPolicy():
-            return zero_policy(size)
+            return zero_policy(size), 1
         case ConstantPolicy(action=action):
-            return constant_policy(action)
+            return constant_policy(action), 1
 
 
 def _report(summary: dict[str, Any], channel: Channel) -> None:

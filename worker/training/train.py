@@ -1,7 +1,8 @@
 """A training job: the trainer's events become messages and files."""
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import jax
 
@@ -10,9 +11,10 @@ from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint
 from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.algorithms.ppo.trainer import PPOTrainer
 from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, Trainer
+from core.environments.action_repeat import repeat_action
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
-from worker.messages import Advanced, Measured, PhaseEnded, Task
+from worker.messages import Advanced, Measured, Noted, PhaseEnded, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
 from worker.training.stopping import Stopping
@@ -31,7 +33,8 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
     channel.send(body.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     trainer = make_trainer(task, spec, settings, body, channel)
     report = Report(channel, trainer, settings)
-    film = Film(spec, body, _act, channel)
+    shown = replace(body, environment=repeat_action(body.environment, settings.action_repeat))
+    film = Film(spec, shown, _act, channel)
     try:
         for event in trainer.events():
             if isinstance(event, Progress):
@@ -78,6 +81,7 @@ class Report:
     settings: PPOSpec
     _metrics: dict[str, float] = field(default_factory=dict[str, float])
     _kept_step: int | None = None
+    _warned: bool = False
     _started: tuple[float, int] = (0.0, 0)
 
     def tell(self, event: Event) -> None:
@@ -86,6 +90,7 @@ class Report:
                 self.channel.send(PhaseEnded(name=name, seconds=seconds))
             case Progress(step=step, total=total, metrics=metrics):
                 self._metrics.update(metrics)
+                self._warn_of_overflow(step, metrics)
                 self.channel.send(Measured(step=step, values=dict(metrics)))
                 self.channel.send(self._advanced(step, total))
             case Evaluated(step=step, metrics=metrics):
@@ -104,6 +109,18 @@ class Report:
             name = f"checkpoint-{step:012d}.msgpack"
             self.channel.keep(name, self.trainer.checkpoint(), "checkpoint", "application/msgpack", step=step)
             self._kept_step = step
+
+    def _warn_of_overflow(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Once; how often it happens from then on is a metric."""
+        if metrics.get("training/physics_overflow", 0.0) > 0 and not self._warned:
+            self._warned = True
+            self.channel.send(
+                Noted(
+                    text=f"By step {step}, the engine's buffers were too small for some worlds, and contacts "
+                    "were lost (training/physics_overflow is the share of steps). Ask for another engine "
+                    "by `physics` if that matters."
+                )
+            )
 
     def _advanced(self, step: int, total: int) -> Advanced:
         now = time.monotonic()

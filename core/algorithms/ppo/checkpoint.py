@@ -15,7 +15,7 @@ from core.algorithms.ppo.spec import FIXED_BY_CHECKPOINT, PPOSpec
 from core.environments.environment import Environment
 from core.errors import JobFailed
 
-FORMAT = "gaitway-ppo-1"
+FORMAT = "gaitway-ppo-2"
 
 
 def describe(environment: Environment, settings: PPOSpec) -> dict[str, Any]:

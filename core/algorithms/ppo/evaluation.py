@@ -62,11 +62,14 @@ def run_episodes(
     return jax.lax.while_loop(going, act, trial).totals
 
 
-def evaluation_metrics(totals: EpisodeTotals) -> dict[str, float]:
-    """Means over the episodes, by Brax's names; totals: arrays on the host."""
+def evaluation_metrics(totals: EpisodeTotals, action_repeat: int = 1) -> dict[str, float]:
+    """Means over the episodes, by Brax's names; totals: arrays on the host.
+
+    action_repeat: environment steps for each action; the totals count actions, the mean length steps.
+    """
     metrics = {f"eval/episode_{name}": float(np.mean(value)) for name, value in totals.metrics.items()}
     metrics["eval/episode_reward_std"] = float(np.std(totals.metrics["reward"]))
-    metrics["eval/avg_episode_length"] = float(np.mean(totals.length))
+    metrics["eval/avg_episode_length"] = float(np.mean(totals.length)) * action_repeat
     if "x_velocity" in totals.metrics:
         metrics["eval/forward_speed"] = float(np.sum(totals.metrics["x_velocity"]) / np.sum(totals.length))
     return metrics

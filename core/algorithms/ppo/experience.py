@@ -7,36 +7,59 @@ import jax.numpy as jnp
 from brax.training.types import Transition
 from flax import struct
 
-from core.environments.environment import Environment
-from core.environments.wrappers import Episodes, step_episodes
+from core.environments.environment import State
+from core.environments.worlds import Worlds
+from core.environments.wrappers import Episodes, draw, step_episodes
+from core.physics.engine import OVERFLOW
 
-Policy = Any  # (observations [B, obs], key) -> (actions [B, act], extras)
+Policy = Any  # (observations [B, obs], or several by name, key) -> (actions [B, act], extras)
+
+
+@struct.dataclass
+class Starts:
+    """Where an episode that ends begins anew.
+
+    pool: fresh initial states [K, ...]. chosen: [num_steps, num_envs] int32, which of them an
+    environment gets if its episode ends at that step.
+    """
+
+    pool: State
+    chosen: jax.Array
 
 
 @struct.dataclass
 class Outcome:
-    """What happened at each of T steps in N environments; arrays [T, N]."""
+    """What happened at each of T steps in N environments; arrays [T, N].
+
+    overflow: 1 where the engine lost contacts; None where it cannot. Not told of an episode's last step.
+    """
 
     reward: jax.Array
     ended_length: jax.Array
     ended_score: jax.Array
     x_velocity: jax.Array | None
+    overflow: jax.Array | None
 
 
 def collect(
-    environment: Environment,
+    worlds: Worlds,
     policy: Policy,
     episodes: Episodes,
-    key: jax.Array,
+    keys: jax.Array,
     *,
-    num_steps: int,
     episode_length: int,
+    starts: Starts | None = None,
 ) -> tuple[Episodes, tuple[Transition, Outcome]]:
-    """Act for `num_steps`; the transitions and outcomes lead with [num_steps, num_envs]."""
+    """Act once with each of the keys [num_steps, ...]; what comes out leads with [num_steps, num_envs].
 
-    def act(episodes: Episodes, key: jax.Array) -> tuple[Episodes, tuple[Transition, Outcome]]:
+    starts: None where every environment goes back to its own first state, which `episodes` then holds.
+    """
+
+    def act(episodes: Episodes, given: Any) -> tuple[Episodes, tuple[Transition, Outcome]]:
+        key, chosen = given
         action, extras = policy(episodes.state.obs, key)
-        after = step_episodes(environment, episodes, action, episode_length=episode_length)
+        fresh = None if starts is None else draw(starts.pool, chosen)
+        after = step_episodes(worlds, episodes, action, fresh, episode_length=episode_length)
         transition = Transition(
             observation=episodes.state.obs,
             action=(),  # pyright: ignore[reportArgumentType]
@@ -50,10 +73,12 @@ def collect(
             ended_length=after.ended_length,
             ended_score=after.ended_score,
             x_velocity=after.state.metrics.get("x_velocity"),
+            overflow=after.state.physics.derived.get(OVERFLOW),
         )
         return after, (transition, outcome)
 
-    return jax.lax.scan(act, episodes, jax.random.split(key, num_steps))
+    chosen = None if starts is None else starts.chosen
+    return jax.lax.scan(act, episodes, (keys, chosen))
 
 
 def cut_into_unrolls(transitions: Transition, unroll_length: int) -> Transition:
@@ -67,14 +92,37 @@ def cut_into_unrolls(transitions: Transition, unroll_length: int) -> Transition:
         return unrolls.reshape((-1, unroll_length, *x.shape[2:]))
 
     batch: Transition = jax.tree.map(cut, transitions)
-    return batch._replace(next_observation=batch.next_observation[:, -1:])
+    last = jax.tree.map(lambda x: x[:, -1:], batch.next_observation)
+    return batch._replace(next_observation=last)
+
+
+def bootstrap_timeouts(
+    transitions: Transition, discounting: jax.Array, reward_scaling: jax.Array
+) -> Transition:
+    """The transitions with those that cut an episode off turned into ends that are worth γ V(s) more.
+
+    The value of the step's own observation stands in for that of the one it led to, as in RSL-RL. Values
+    are in units of scaled reward; the loss scales all rewards, so it is taken out here.
+    Source: Rudin et al., Learning to Walk in Minutes (2022), section 3.2; Brax's `bootstrap_on_timeout`.
+    """
+    extras = cast("dict[str, Any]", transitions.extras)
+    timeout = extras["state_extras"]["truncation"]
+    worth = discounting * extras["policy_extras"]["value"] / reward_scaling
+    return transitions._replace(
+        reward=transitions.reward + timeout * worth,
+        extras=cast("Any", {**extras, "state_extras": {"truncation": jnp.zeros_like(timeout)}}),
+    )
 
 
 def summarise(outcome: Outcome) -> dict[str, jax.Array]:
-    """Sums over one update, [] float32: finished episodes, their scores and lengths, and the mean speed."""
+    """Sums over one update, [] float32: finished episodes, their scores and lengths.
+
+    And means: the speed, and the share of steps in which the engine lost contacts, where there are such.
+    """
     sums = {
         "episodes": jnp.sum(outcome.ended_length > 0).astype(jnp.float32),
         "score": jnp.sum(outcome.ended_score),
         "length": jnp.sum(outcome.ended_length).astype(jnp.float32),
     }
-    return sums if outcome.x_velocity is None else sums | {"forward_speed": jnp.mean(outcome.x_velocity)}
+    means = {"forward_speed": outcome.x_velocity, "physics_overflow": outcome.overflow}
+    return sums | {name: jnp.mean(values) for name, values in means.items() if values is not None}

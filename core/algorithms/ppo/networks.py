@@ -1,32 +1,75 @@
 """Brax's networks for this project's settings."""
 
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
+from brax.training import networks as brax_networks
 from brax.training.acme import running_statistics, specs
 from brax.training.acme.running_statistics import RunningStatisticsState
 from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks, make_ppo_networks
 from brax.training.types import identity_observation_preprocessor
+from flax import struct
 
 from core.algorithms.ppo.spec import PPOSpec
+from core.environments.environment import ObservationSize
 
-# (normaliser, policy, value): what Brax saves, and what its inference functions take.
-PolicyParams = tuple[RunningStatisticsState, Any, Any]
+
+@dataclass(frozen=True)
+class Design:
+    """What must be known of a policy besides its parameters; the hyperparameters of these names."""
+
+    activation: str = "swish"
+    policy_obs_key: str = "state"
+    value_obs_key: str = "state"
+    action_repeat: int = 1
+
+    @classmethod
+    def of(cls, facts: Mapping[str, Any]) -> "Design":
+        """From more facts than these."""
+        return cls(**{name: facts[name] for name in asdict(cls())})
+
+
+@struct.dataclass
+class PolicyParams:
+    """What Brax saves and its inference functions take, (normaliser, policy, value), and their design.
+
+    It is taken apart like that triple; where one is asked for, a bare triple does for the default design.
+    """
+
+    normalizer: RunningStatisticsState
+    policy: Any
+    value: Any
+    design: Design = struct.field(pytree_node=False, default=Design())
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.normalizer, self.policy, self.value))
 
 
 def make_networks(
-    observation_size: int, action_size: int, settings: PPOSpec, *, normalize: bool = True
+    observation_size: ObservationSize, action_size: int, settings: PPOSpec, *, normalize: bool = True
 ) -> PPONetworks:
-    """The policy and value networks. normalize: whether they take raw observations, or normalised ones."""
+    """The policy and value networks. normalize: whether they take raw observations, or normalised ones.
+
+    Raises ValueError where the observations have names, and none is the one the settings speak of.
+    """
     preprocess: Any = running_statistics.normalize if normalize else identity_observation_preprocessor
+    if isinstance(observation_size, Mapping):
+        for key in (settings.policy_obs_key, settings.value_obs_key):
+            if key not in observation_size:
+                raise ValueError(f"There is no observation {key!r}; there are {sorted(observation_size)}.")
     return make_ppo_networks(
-        observation_size,
+        observation_size,  # pyright: ignore[reportArgumentType] - sizes do as well as shapes
         action_size,
         preprocess_observations_fn=preprocess,
         policy_hidden_layer_sizes=tuple(settings.policy_hidden_layer_sizes),
         value_hidden_layer_sizes=tuple(settings.value_hidden_layer_sizes),
+        activation=cast("Any", brax_networks.ACTIVATION[settings.activation]),
+        policy_obs_key=settings.policy_obs_key,
+        value_obs_key=settings.value_obs_key,
     )
 
 
@@ -39,7 +82,9 @@ def init_params(networks: PPONetworks, key: jax.Array) -> PPONetworkParams:
     )
 
 
-def init_normalizer(observation_size: int) -> RunningStatisticsState:
+def init_normalizer(observation_size: ObservationSize) -> RunningStatisticsState:
     """Mean 0 and deviation 1: the identity, until it is updated."""
-    state = running_statistics.init_state(specs.Array((observation_size,), jnp.dtype("float32")))
+    sizes = dict(observation_size) if isinstance(observation_size, Mapping) else observation_size
+    shapes: Any = jax.tree.map(lambda size: specs.Array((size,), jnp.dtype("float32")), sizes)
+    state = running_statistics.init_state(shapes)
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, getattr(leaf, "dtype", jnp.float32)), state)

@@ -1,8 +1,10 @@
 """A trained policy on its own: out of a checkpoint, into a file that Brax reads, and as a function."""
 
 import io
+import json
 import pickle
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any, cast
 
 import jax
@@ -11,11 +13,14 @@ from brax.training.agents.ppo.networks import make_inference_fn
 from flax import serialization
 
 from core.algorithms.ppo import checkpoint
-from core.algorithms.ppo.networks import PolicyParams, init_normalizer, make_networks
+from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, make_networks
 from core.algorithms.ppo.spec import PPOSpec
+from core.environments.environment import ObservationSize
 from core.errors import JobFailed
 
-Inference = Callable[[jax.Array, jax.Array], jax.Array]
+Inference = Callable[[Any, jax.Array], jax.Array]
+# (normaliser, policy, value), of the default design
+Triple = tuple[Any, Any, Any]
 
 # All that a policy file names besides plain containers.
 _ALLOWED = {
@@ -30,37 +35,43 @@ _ALLOWED = {
 }
 
 
-def make_inference(params: PolicyParams, *, deterministic: bool = True) -> Inference:
+def make_inference(params: PolicyParams | Triple, *, deterministic: bool = True) -> Inference:
     """(observations [..., obs], key) -> actions [..., act] in [-1, 1]; pure, to be jitted by the caller.
 
+    Where the policy was trained on several observations, it takes them by name, and looks at its own.
     The networks' sizes are read from the parameters. deterministic: the mode of the action's
     distribution instead of a sample; the key is then not used.
     """
     observation_size, action_size, settings = _sizes(params)
     policy = make_inference_fn(make_networks(observation_size, action_size, settings))(
-        params, deterministic=deterministic
+        tuple(params), deterministic=deterministic
     )
 
-    def act(observation: jax.Array, key: jax.Array) -> jax.Array:
+    def act(observation: Any, key: jax.Array) -> jax.Array:
         return policy(observation, key)[0]
 
     return act
 
 
 def policy_from_checkpoint(content: bytes) -> PolicyParams:
-    """(normaliser, policy, value) of a checkpoint, arrays on the host. Raises JobFailed if it is damaged."""
+    """The policy of a checkpoint, arrays on the host. Raises JobFailed if it is damaged."""
     header, state = checkpoint.read(content)
     template = jax.device_get(init_normalizer(header["observation_size"]))
     normalizer: Any = serialization.from_state_dict(template, state["normalizer"])
-    return normalizer, state["params"]["policy"], state["params"]["value"]
+    return PolicyParams(normalizer, state["params"]["policy"], state["params"]["value"], Design.of(header))
 
 
-def write_policy(params: PolicyParams) -> bytes:
-    """The file that `brax.io.model.load_params` reads: equal parameters give equal bytes."""
+def write_policy(params: PolicyParams | Triple) -> bytes:
+    """The file that `brax.io.model.load_params` reads: equal parameters give equal bytes.
+
+    A design that is not the default follows as JSON, where Brax does not look.
+    """
     file = io.BytesIO()
     pickler = _PolicyPickler(file, protocol=4)
     pickler.fast = True  # otherwise the bytes tell which equal strings are one object
-    pickler.dump(jax.tree.map(np.asarray, params))  # the map also brings dicts into one order
+    pickler.dump(jax.tree.map(np.asarray, tuple(params)))  # the map also brings dicts into one order
+    if (design := _design(params)) != Design():
+        file.write(json.dumps(asdict(design)).encode())
     return file.getvalue()
 
 
@@ -70,10 +81,13 @@ def read_policy(content: bytes) -> PolicyParams:
     Raises JobFailed("bad_checkpoint") for anything else than a policy.
     """
     try:
-        normalizer, policy, value = _PolicyUnpickler(io.BytesIO(content)).load()
+        file = io.BytesIO(content)
+        normalizer, policy, value = _PolicyUnpickler(file).load()
+        rest = file.read()
+        design = Design.of(json.loads(rest)) if rest else Design()
     except Exception as error:  # whatever a decoder makes of damaged bytes
         raise JobFailed("bad_checkpoint", "This is not a policy file, or it is damaged.") from error
-    return normalizer, policy, value
+    return PolicyParams(normalizer, policy, value, design)
 
 
 class _PolicyPickler(pickle.Pickler):
@@ -89,17 +103,22 @@ class _PolicyUnpickler(pickle.Unpickler):
         return super().find_class(module_name, global_name)
 
 
-def _sizes(params: PolicyParams) -> tuple[int, int, PPOSpec]:
-    """Observation size, action size, and settings with the layers that these parameters were made for."""
-    _, policy, value = params
+def _design(params: PolicyParams | Triple) -> Design:
+    return params.design if isinstance(params, PolicyParams) else Design()
+
+
+def _sizes(params: PolicyParams | Triple) -> tuple[ObservationSize, int, PPOSpec]:
+    """Observation size, action size, and settings with the networks that these parameters were made for."""
+    normalizer, policy, value = params
     policy_layers, value_layers = _layers(policy), _layers(value)
     hidden = {
         "policy_hidden_layer_sizes": policy_layers[1:-1],
         "value_hidden_layer_sizes": value_layers[1:-1],
     }
-    settings = PPOSpec.model_validate(hidden)
+    settings = PPOSpec.model_validate(hidden | asdict(_design(params)))
+    sizes: Any = jax.tree.map(lambda mean: mean.shape[-1], normalizer.mean)
     # The last layer gives a location and a scale for each component of an action.
-    return policy_layers[0], policy_layers[-1] // 2, settings
+    return sizes, policy_layers[-1] // 2, settings
 
 
 def _layers(network: Any) -> list[int]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -11,8 +11,10 @@ import numpy as np
 from brax.training.agents.ppo.networks import make_inference_fn
 
 from core.algorithms.ppo.evaluation import EpisodeTotals, run_episodes
-from core.algorithms.ppo.networks import PolicyParams, make_networks
+from core.algorithms.ppo.layout import Layout
+from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.update import Failure, Hyperparameters, Learner, TrainingState
+from core.environments.worlds import ENVS
 
 
 @dataclass(frozen=True)
@@ -20,43 +22,79 @@ class Programs:
     """Functions that can only run, never compile again: other shapes are an error.
 
     init: the state before the first update, from a seed. epoch: see Learner.epoch; it consumes the state
-    it is given. evaluate: totals of the evaluation's episodes, from a policy, a key and an update count.
+    it is given. evaluate: totals of the evaluation's episodes, from (normaliser, policy, value), a key and
+    an update count.
     """
 
     init: Callable[[jax.Array], TrainingState]
     epoch: Callable[[TrainingState, Hyperparameters, np.int32], tuple[TrainingState, Any, Failure]]
-    evaluate: Callable[[PolicyParams, jax.Array, jax.Array], EpisodeTotals]
+    evaluate: Callable[[tuple[Any, ...], jax.Array, jax.Array], EpisodeTotals]
 
 
 def trace(learner: Learner, hyperparameters: Hyperparameters) -> Callable[[], Programs]:
-    """Trace every program; calling the result compiles them, side by side."""
+    """Trace every program; calling the result compiles them, side by side.
+
+    Evaluations have few environments: the first device makes them, with a copy of the policy.
+    """
     seed, count = jax.ShapeDtypeStruct((), jnp.uint32), jax.ShapeDtypeStruct((), jnp.int32)
     state = jax.eval_shape(learner.init, seed)
     params = (state.normalizer, state.params.policy, state.params.value)
     lowered = (
-        jax.jit(learner.init).lower(seed),
-        jax.jit(learner.epoch, donate_argnums=0).lower(state, hyperparameters, count),
+        _init(learner, state).lower(seed),
+        _epoch(learner, state).lower(state, hyperparameters, count),
         jax.jit(_evaluate(learner)).lower(params, state.eval_key, count),
     )
 
     def compile_all() -> Programs:
         with ThreadPoolExecutor() as pool:
-            return Programs(*pool.map(lambda program: program.compile(), lowered))
+            init, epoch, evaluate = pool.map(lambda program: program.compile(), lowered)
+        return Programs(init, epoch, learner.layout.on_the_first(evaluate))
 
     return compile_all
 
 
-def _evaluate(learner: Learner) -> Callable[[PolicyParams, jax.Array, jax.Array], EpisodeTotals]:
+def place(layout: Layout, state: TrainingState) -> TrainingState:
+    """A state's arrays on the devices that share the run."""
+    if layout.mesh is None:
+        return jax.tree.map(jnp.asarray, state)
+    return jax.device_put(state, _shardings(layout, state))
+
+
+def _shardings(layout: Layout, state: TrainingState) -> Any:
+    """Where each array of a state lies: environments are split, all else is everywhere."""
+    everywhere = jax.tree.map(lambda _: layout.sharding(), state)
+    return replace(everywhere, episodes=jax.tree.map(lambda _: layout.sharding(ENVS), state.episodes))
+
+
+def _init(learner: Learner, state: TrainingState) -> Any:
+    if learner.layout.mesh is None:
+        return jax.jit(learner.init)
+    return jax.jit(learner.init, out_shardings=_shardings(learner.layout, state))
+
+
+def _epoch(learner: Learner, state: TrainingState) -> Any:
+    if learner.layout.mesh is None:
+        return jax.jit(learner.epoch, donate_argnums=0)
+    shardings, everywhere = _shardings(learner.layout, state), learner.layout.sharding()
+    return jax.jit(
+        learner.epoch,
+        donate_argnums=0,
+        in_shardings=(shardings, everywhere, everywhere),
+        out_shardings=(shardings, everywhere, everywhere),
+    )
+
+
+def _evaluate(learner: Learner) -> Callable[[tuple[Any, ...], jax.Array, jax.Array], EpisodeTotals]:
     environment, settings = learner.environment, learner.settings
 
-    def evaluate(params: PolicyParams, key: jax.Array, update: jax.Array) -> EpisodeTotals:
+    def evaluate(params: tuple[Any, ...], key: jax.Array, update: jax.Array) -> EpisodeTotals:
         networks = make_networks(environment.observation_size, environment.action_size, settings)
         return run_episodes(
             environment,
             make_inference_fn(networks)(params, deterministic=settings.deterministic_eval),
             jax.random.fold_in(key, update),
             num_envs=settings.num_eval_envs,
-            episode_length=settings.episode_length,
+            episode_length=settings.actions_per_episode,
         )
 
     return evaluate

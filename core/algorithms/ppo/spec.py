@@ -12,11 +12,18 @@ from core.model import Strict
 FIXED_BY_CHECKPOINT = (
     "num_envs",
     "env_steps_per_update",
+    "action_repeat",
     "policy_hidden_layer_sizes",
     "value_hidden_layer_sizes",
+    "activation",
+    "policy_obs_key",
+    "value_obs_key",
     "normalize_observations",
+    "returns_to_first_state",
 )
 
+Activation = Literal["swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus"]
+ObservationName = Annotated[str, Field(min_length=1, max_length=64)]
 LayerSizes = Annotated[list[Annotated[int, Field(ge=1, le=8192)]], Field(min_length=1, max_length=16)]
 
 
@@ -33,7 +40,24 @@ class PPOSpec(Strict):
     )
     num_envs: int = Field(default=256, ge=1, le=2**20, description="Environments that run side by side.")
     episode_length: int = Field(
-        default=1000, ge=1, le=10**6, description="Actions after which an episode is cut off."
+        default=1000,
+        ge=1,
+        le=10**6,
+        description="Steps after which an episode is cut off, rounded up to whole actions.",
+    )
+    action_repeat: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="Environment steps for which an action is held; their rewards add up. Every number "
+        "of steps here still counts environment steps, except in unroll_length.",
+    )
+    reset_pool_size: int = Field(
+        default=128,
+        ge=0,
+        le=2**16,
+        description="Fresh initial states drawn for each update, from which the episodes that begin in it "
+        "take theirs at random. 0: every environment goes back to its own first state, as in Brax.",
     )
     unroll_length: int = Field(
         default=10, ge=1, le=10_000, description="Actions between two looks at the value function."
@@ -41,17 +65,47 @@ class PPOSpec(Strict):
     batch_size: int = Field(default=256, ge=1, le=2**20, description="Unrolls in a minibatch.")
     num_minibatches: int = Field(default=8, ge=1, le=10_000)
     num_updates_per_batch: int = Field(default=4, ge=1, le=1000, description="Passes over each batch.")
-    learning_rate: float = Field(default=3e-4, gt=0, le=1)
+    learning_rate: float = Field(
+        default=3e-4, gt=0, le=1, description="Adam's; with ADAPTIVE_KL the one to begin with."
+    )
+    learning_rate_schedule: Literal["NONE", "ADAPTIVE_KL"] = Field(
+        default="NONE",
+        description="ADAPTIVE_KL: after each minibatch, lower the learning rate where the policy has moved "
+        "further than desired_kl, and raise it where it has hardly moved.",
+    )
+    desired_kl: float = Field(
+        default=0.01, gt=0, le=100, description="ADAPTIVE_KL: how far the policy may move in an update."
+    )
+    learning_rate_schedule_min_lr: float = Field(
+        default=1e-5, gt=0, le=1, description="ADAPTIVE_KL: never lower than this."
+    )
+    learning_rate_schedule_max_lr: float = Field(
+        default=1e-2, gt=0, le=1, description="ADAPTIVE_KL: never higher than this."
+    )
     entropy_cost: float = Field(default=1e-3, ge=0, le=10)
     discounting: float = Field(default=0.97, gt=0, le=1)
     gae_lambda: float = Field(default=0.95, ge=0, le=1)
     reward_scaling: float = Field(default=1.0, gt=0, le=1e6)
     clipping_epsilon: float = Field(default=0.3, gt=0, lt=1)
+    clipping_epsilon_value: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="How far a value may move in an update, in units of scaled reward, before the loss stops "
+        "rewarding it. null: no bound.",
+    )
     vf_loss_coefficient: float = Field(default=0.5, ge=0, le=100)
     max_grad_norm: float | None = Field(
         default=None, gt=0, le=1e6, description="Bound on the gradient's global norm."
     )
-    normalize_observations: bool = True
+    bootstrap_on_timeout: bool = Field(
+        default=False,
+        description="Learn from the step that cuts an episode off, with the value of its observation as "
+        "what would have followed. false: that step is left out.",
+    )
+    normalize_observations: bool = Field(
+        default=True, description="Show the networks observations with mean 0 and deviation 1."
+    )
     normalize_advantage: bool = True
     num_evals: int = Field(
         default=10, ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end."
@@ -60,11 +114,38 @@ class PPOSpec(Strict):
     deterministic_eval: bool = True
     policy_hidden_layer_sizes: LayerSizes = [32, 32, 32, 32]
     value_hidden_layer_sizes: LayerSizes = [256, 256, 256, 256, 256]
+    activation: Activation = Field(
+        default="swish", description="Between the layers of both networks; by Brax's names."
+    )
+    policy_obs_key: ObservationName = Field(
+        default="state",
+        description="What the policy sees, where an environment has several observations by name.",
+    )
+    value_obs_key: ObservationName = Field(
+        default="state",
+        description="What the value function sees, where an environment has several: more than the policy, "
+        "say (`privileged_state`).",
+    )
 
     @property
     def env_steps_per_update(self) -> int:
         """Environment steps that one update consumes."""
-        return self.batch_size * self.num_minibatches * self.unroll_length
+        return self.batch_size * self.num_minibatches * self.unroll_length * self.action_repeat
+
+    @property
+    def actions_per_update(self) -> int:
+        """Actions of each environment in one update."""
+        return self.env_steps_per_update // (self.num_envs * self.action_repeat)
+
+    @property
+    def actions_per_episode(self) -> int:
+        """Actions after which an episode is cut off."""
+        return -(-self.episode_length // self.action_repeat)
+
+    @property
+    def returns_to_first_state(self) -> bool:
+        """Whether every environment goes back to its own first state, which its checkpoints then hold."""
+        return self.reset_pool_size == 0
 
     @property
     def num_updates(self) -> int:
@@ -79,20 +160,52 @@ def resolve(spec: PPOSpec, environment: EnvironmentInfo, device: Device) -> PPOS
     """
     tuned = environment.tuned.get("ppo", {}).get(device, {})
     settings = PPOSpec.model_validate({**tuned, **spec.model_dump(exclude_unset=True)})
-    unrolls = settings.batch_size * settings.num_minibatches
-    if unrolls % settings.num_envs:
-        raise Rejected(
-            f"On a {device.upper()}, batch_size × num_minibatches = {settings.batch_size} × "
-            f"{settings.num_minibatches} = {unrolls} is not a multiple of num_envs = {settings.num_envs}; "
-            f"every environment must contribute the same number of unrolls to a batch.",
-            [
-                Problem(
-                    f"/algorithm/{name}", f"{getattr(settings, name)} does not go together with the others."
-                )
-                for name in ("batch_size", "num_minibatches", "num_envs")
-            ],
-        )
+    if refusal := (
+        _uneven_batch(settings, device)
+        or _crossed_learning_rates(settings)
+        or _unknown_observation(settings, environment)
+    ):
+        raise refusal
     return settings
+
+
+def _uneven_batch(settings: PPOSpec, device: Device) -> Rejected | None:
+    unrolls = settings.batch_size * settings.num_minibatches
+    if unrolls % settings.num_envs == 0:
+        return None
+    return Rejected(
+        f"On a {device.upper()}, batch_size × num_minibatches = {settings.batch_size} × "
+        f"{settings.num_minibatches} = {unrolls} is not a multiple of num_envs = {settings.num_envs}; "
+        f"every environment must contribute the same number of unrolls to a batch.",
+        [
+            Problem(f"/algorithm/{name}", f"{getattr(settings, name)} does not go together with the others.")
+            for name in ("batch_size", "num_minibatches", "num_envs")
+        ],
+    )
+
+
+def _crossed_learning_rates(settings: PPOSpec) -> Rejected | None:
+    lowest, highest = settings.learning_rate_schedule_min_lr, settings.learning_rate_schedule_max_lr
+    if lowest <= highest:
+        return None
+    detail = (
+        f"learning_rate_schedule_min_lr = {lowest:g} is above learning_rate_schedule_max_lr = {highest:g}."
+    )
+    names = ("learning_rate_schedule_min_lr", "learning_rate_schedule_max_lr")
+    return Rejected(detail, [Problem(f"/algorithm/{name}", detail) for name in names])
+
+
+def _unknown_observation(settings: PPOSpec, environment: EnvironmentInfo) -> Rejected | None:
+    """The catalog's environments have one observation each, which goes by Brax's name for it."""
+    problems = [
+        Problem(
+            f"/algorithm/{name}",
+            f"{environment.id} has one observation, 'state', and none that is called {key!r}.",
+        )
+        for name in ("policy_obs_key", "value_obs_key")
+        if (key := getattr(settings, name)) != "state"
+    ]
+    return Rejected(problems[0].detail, problems) if problems else None
 
 
 def check_resumption(wanted: PPOSpec, made_with: PPOSpec) -> None:

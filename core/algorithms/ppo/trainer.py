@@ -11,13 +11,15 @@ import numpy as np
 
 from core.algorithms.ppo import checkpoint
 from core.algorithms.ppo.evaluation import evaluation_metrics
-from core.algorithms.ppo.networks import PolicyParams
+from core.algorithms.ppo.layout import Layout
+from core.algorithms.ppo.networks import Design, PolicyParams
 from core.algorithms.ppo.policy import write_policy
-from core.algorithms.ppo.programs import Programs, trace
+from core.algorithms.ppo.programs import Programs, place, trace
 from core.algorithms.ppo.schedule import Schedule
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import QUANTITIES, Failure, Hyperparameters, Learner, TrainingState
 from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.environments.action_repeat import repeat_action
 from core.environments.environment import Environment
 from core.errors import JobFailed
 
@@ -28,13 +30,16 @@ class PPOTrainer:
     environment: one world, stepped side by side in `settings.num_envs`. settings: resolved, see
     `spec.resolve`. checkpoint_every_steps: environment steps between CheckpointReady events; the last is
     at the end in any case. resume: a checkpoint; the run goes on from it, with its random keys (`seed`
-    is not used) and under these settings. epoch_s: seconds that an epoch aims at; it changes how often
-    Progress comes, and nothing else.
+    is not used), under these settings, and on any number of devices. devices: how many of JAX's share the
+    run; environments and each minibatch are dealt out in equal parts, and the result is that of one
+    device but for rounding. epoch_s: seconds that an epoch aims at; it changes how often Progress comes,
+    and nothing else.
 
-    Raises JobFailed("bad_checkpoint") when `resume` is damaged or belongs to a run of another shape.
+    Raises Rejected when the devices cannot have equal parts; JobFailed("bad_checkpoint") when `resume` is
+    damaged or belongs to a run of another shape.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - all of them are named
         self,
         environment: Environment,
         settings: PPOSpec,
@@ -42,12 +47,14 @@ class PPOTrainer:
         seed: int,
         checkpoint_every_steps: int | None,
         resume: bytes | None = None,
+        devices: int = 1,
         epoch_s: float = 1.0,
     ) -> None:
         self._seed = jnp.uint32(seed)
         self._epoch_s = epoch_s
-        self._learner = Learner(environment, settings)
-        self._hyperparameters = Hyperparameters.of(settings)
+        layout = Layout.over(devices, settings)
+        self._learner = Learner(repeat_action(environment, settings.action_repeat), settings, layout)
+        self._hyperparameters = jax.device_put(Hyperparameters.of(settings), layout.sharding())
         self._description = checkpoint.describe(environment, settings)
         self._schedule = Schedule(
             settings.num_updates, settings.env_steps_per_update, settings.num_evals, checkpoint_every_steps
@@ -118,12 +125,13 @@ class PPOTrainer:
     @property
     def _params(self) -> PolicyParams:
         state = self._begun
-        return state.normalizer, state.params.policy, state.params.value
+        design = Design.of(self._learner.settings.model_dump())
+        return PolicyParams(state.normalizer, state.params.policy, state.params.value, design)
 
     def _restore(self, content: bytes) -> None:
         template = jax.eval_shape(self._learner.init, self._seed)
         progress, state = checkpoint.unpack(content, self._description, template)
-        self._state = jax.tree.map(jnp.asarray, state)
+        self._state = place(self._learner.layout, state)
         self._updates, self._evaluated = progress["updates"], progress["evaluated"]
 
     def _prepare(self) -> Generator[Event, None, Programs]:
@@ -146,14 +154,16 @@ class PPOTrainer:
         before, self._updates = self._updates, int(state.num_updates)
         if failure.quantities.any():
             raise self._diverged(failure)
-        return _training_metrics(jax.device_get(sums), self._updates - before)
+        return _training_metrics(
+            jax.device_get(sums), self._updates - before, self._learner.settings.action_repeat
+        )
 
     def _evaluate_if_due(self, programs: Programs) -> Iterator[Event]:
         if self._evaluated == self._updates or not self._schedule.evaluation_due(self._updates):
             return
         started = time.perf_counter()
-        totals = programs.evaluate(self._params, self._begun.eval_key, self._begun.num_updates)
-        metrics = evaluation_metrics(jax.device_get(totals))
+        totals = programs.evaluate(tuple(self._params), self._begun.eval_key, self._begun.num_updates)
+        metrics = evaluation_metrics(jax.device_get(totals), self._learner.settings.action_repeat)
         metrics["eval/epoch_eval_time"] = time.perf_counter() - started
         bad = [name for name, value in metrics.items() if not math.isfinite(value)]
         if bad:
@@ -170,7 +180,9 @@ class PPOTrainer:
         """What to tell of a failure in the update that follows the present state."""
         settings = self._learner.settings
         quantity = QUANTITIES[int(np.argmax(failure.quantities))]
-        within = min(int(failure.time_step) * settings.num_envs, settings.env_steps_per_update)
+        within = min(
+            int(failure.time_step) * settings.num_envs * settings.action_repeat, settings.env_steps_per_update
+        )
         step = self.step + within
         return JobFailed(
             "diverged",
@@ -181,12 +193,12 @@ class PPOTrainer:
         )
 
 
-def _training_metrics(sums: Mapping[str, Any], updates: int) -> dict[str, float]:
-    """An epoch's metrics by Brax's names, from sums over its updates."""
+def _training_metrics(sums: Mapping[str, Any], updates: int, action_repeat: int) -> dict[str, float]:
+    """An epoch's metrics by Brax's names, from sums over its updates; lengths are in environment steps."""
     values = {name: float(value) for name, value in sums.items()}
     episodes, score, length = (values.pop(name) for name in ("episodes", "score", "length"))
     metrics = {f"training/{name}": value / updates for name, value in values.items()}
     if episodes:
         metrics["training/episode_reward"] = score / episodes
-        metrics["training/episode_length"] = length / episodes
+        metrics["training/episode_length"] = length / episodes * action_repeat
     return metrics

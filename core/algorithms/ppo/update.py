@@ -14,11 +14,21 @@ from brax.training.agents.ppo.networks import make_inference_fn
 from brax.training.types import Transition
 from flax import struct
 
-from core.algorithms.ppo.experience import Outcome, collect, cut_into_unrolls, summarise
+from core.algorithms.ppo.experience import (
+    Outcome,
+    Starts,
+    bootstrap_timeouts,
+    collect,
+    cut_into_unrolls,
+    summarise,
+)
+from core.algorithms.ppo.layout import ONE_DEVICE, Layout
+from core.algorithms.ppo.learning_rate import adapt_to_kl
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment
-from core.environments.wrappers import Episodes, start_episodes
+from core.environments.worlds import Worlds
+from core.environments.wrappers import Episodes, fresh_states, start_episodes
 
 ADAM = optax.scale_by_adam()
 
@@ -36,35 +46,44 @@ QUANTITIES = (
 
 @struct.dataclass
 class Hyperparameters:
-    """What may change without recompiling; [] float32 each."""
+    """What may change without recompiling; [] float32 each, infinite where a bound is not set.
+
+    Whether values are clipped at all, and whether the learning rate adapts, is compiled in.
+    """
 
     learning_rate: jax.Array
     entropy_cost: jax.Array
+    desired_kl: jax.Array
+    learning_rate_schedule_min_lr: jax.Array
+    learning_rate_schedule_max_lr: jax.Array
     discounting: jax.Array
     gae_lambda: jax.Array
     reward_scaling: jax.Array
     clipping_epsilon: jax.Array
+    clipping_epsilon_value: jax.Array
     vf_loss_coefficient: jax.Array
     max_grad_norm: jax.Array
 
     @classmethod
     def of(cls, settings: PPOSpec) -> "Hyperparameters":
-        names = set(cls.__dataclass_fields__) - {"max_grad_norm"}
-        bound = float("inf") if settings.max_grad_norm is None else settings.max_grad_norm
-        values = {name: getattr(settings, name) for name in names} | {"max_grad_norm": bound}
-        return cls(**{name: jnp.float32(value) for name, value in values.items()})
+        given = {name: getattr(settings, name) for name in cls.__dataclass_fields__}
+        return cls(
+            **{name: jnp.float32(jnp.inf if value is None else value) for name, value in given.items()}
+        )
 
 
 @struct.dataclass
 class TrainingState:
     """Everything that a run's future depends on, besides its settings.
 
-    num_updates: [] int32, updates made so far. key: the next update's randomness. eval_key: the
+    learning_rate: [] float32, that of the last minibatch, from which an adaptive one goes on; 0 before the
+    first. num_updates: [] int32, updates made so far. key: the next update's randomness. eval_key: the
     evaluations' randomness, the same throughout.
     """
 
     params: PPONetworkParams
     optimizer: optax.ScaleByAdamState
+    learning_rate: jax.Array
     normalizer: RunningStatisticsState
     episodes: Episodes
     key: jax.Array
@@ -85,10 +104,15 @@ class Failure(NamedTuple):
 
 @dataclass(frozen=True)
 class Learner:
-    """The pure functions of a run, for one environment and the settings that fix shapes."""
+    """The pure functions of a run, for one environment and the settings that fix shapes.
+
+    layout: the devices that share it. What a run computes does not depend on them but for rounding: random
+    numbers and minibatches are drawn for all environments at once, and then shared out.
+    """
 
     environment: Environment
     settings: PPOSpec
+    layout: Layout = ONE_DEVICE
 
     def init(self, seed: jax.Array) -> TrainingState:
         """The state before the first update; seed: [] uint32."""
@@ -97,8 +121,14 @@ class Learner:
         return TrainingState(
             params=params,
             optimizer=cast("optax.ScaleByAdamState", ADAM.init(cast("Any", params))),
+            learning_rate=jnp.float32(0),
             normalizer=init_normalizer(self.environment.observation_size),
-            episodes=start_episodes(self.environment, env_key, self.settings.num_envs),
+            episodes=start_episodes(
+                self._worlds,
+                env_key,
+                self.settings.num_envs,
+                keep_first=self.settings.returns_to_first_state,
+            ),
             key=key,
             eval_key=eval_key,
             num_updates=jnp.int32(0),
@@ -133,30 +163,40 @@ class Learner:
     ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
         """Act, update the normaliser, pass over the batch `num_updates_per_batch` times: Brax's order."""
         settings = self.settings
-        act_key, learn_key, next_key = jax.random.split(state.key, 3)
-        policy = make_inference_fn(self._networks(normalize=settings.normalize_observations))(
+        act_key, learn_key, next_key, starts_key = jax.random.split(state.key, 4)
+        networks = self._networks(normalize=settings.normalize_observations)
+        policy = make_inference_fn(networks, compute_value=self._values_are_kept)(
             (state.normalizer, state.params.policy, state.params.value)
         )
         episodes, (transitions, outcome) = collect(
-            self.environment,
+            self._worlds,
             policy,
             state.episodes,
-            act_key,
-            num_steps=settings.env_steps_per_update // settings.num_envs,
-            episode_length=settings.episode_length,
+            jax.random.split(act_key, settings.actions_per_update),
+            episode_length=settings.actions_per_episode,
+            starts=self._starts(starts_key),
         )
-        batch = cut_into_unrolls(transitions, settings.unroll_length)
+        learnt_from = transitions
+        if settings.bootstrap_on_timeout:
+            learnt_from = bootstrap_timeouts(
+                transitions, hyperparameters.discounting, hyperparameters.reward_scaling
+            )
+        batch = cut_into_unrolls(learnt_from, settings.unroll_length)
         normalizer = state.normalizer
         if settings.normalize_observations:
             normalizer = running_statistics.update(normalizer, batch.observation)
+            # What the policy said is comparable with what it says now only under the same normaliser.
+            seen_by = state.normalizer if self._adapts_to_kl else normalizer
             batch = batch._replace(
-                observation=running_statistics.normalize(batch.observation, normalizer),
-                next_observation=running_statistics.normalize(batch.next_observation, normalizer),
+                observation=running_statistics.normalize(batch.observation, seen_by),
+                next_observation=running_statistics.normalize(batch.next_observation, seen_by),
             )
-        params, optimizer, metrics = self._learn(state, batch, hyperparameters, learn_key)
+        batch = self.layout.everywhere(batch)  # so that any device can take any part of a minibatch
+        (params, optimizer, learning_rate), metrics = self._learn(state, batch, hyperparameters, learn_key)
         new = TrainingState(
             params=params,
             optimizer=optimizer,
+            learning_rate=learning_rate,
             normalizer=normalizer,
             episodes=episodes,
             key=next_key,
@@ -165,13 +205,43 @@ class Learner:
         )
         return new, metrics | summarise(outcome), _failure(transitions, outcome, metrics, params)
 
+    @property
+    def _worlds(self) -> Worlds:
+        return Worlds(self.environment, self.layout.mesh)
+
+    @property
+    def _adapts_to_kl(self) -> bool:
+        return self.settings.learning_rate_schedule == "ADAPTIVE_KL"
+
+    @property
+    def _values_are_kept(self) -> bool:
+        """Whether the loss needs the values at the time of acting."""
+        return self.settings.bootstrap_on_timeout or self.settings.clipping_epsilon_value is not None
+
+    def _starts(self, key: jax.Array) -> Starts | None:
+        """Where the episodes of one update begin: made anew from its key, so that no state need hold them."""
+        settings = self.settings
+        if settings.returns_to_first_state:
+            return None
+        pool_key, choose_key = jax.random.split(key)
+        shape = (settings.actions_per_update, settings.num_envs)
+        return Starts(
+            pool=self.layout.everywhere(fresh_states(self._worlds, pool_key, settings.reset_pool_size)),
+            chosen=self.layout.split(
+                jax.random.randint(choose_key, shape, 0, settings.reset_pool_size), axis=1
+            ),
+        )
+
     def _learn(
         self, state: TrainingState, batch: Transition, hyperparameters: Hyperparameters, key: jax.Array
-    ) -> tuple[PPONetworkParams, optax.ScaleByAdamState, dict[str, jax.Array]]:
-        """Several passes over a batch [unrolls, unroll_length, ...] of normalised observations."""
+    ) -> tuple[tuple[PPONetworkParams, optax.ScaleByAdamState, jax.Array], dict[str, jax.Array]]:
+        """Several passes over a batch [unrolls, unroll_length, ...] of normalised observations.
+
+        Returns (parameters, optimiser, learning rate) and means of the losses.
+        """
         settings = self.settings
         num_unrolls = settings.batch_size * settings.num_minibatches
-        loss = self._loss(hyperparameters)
+        loss = self._loss(state.normalizer, hyperparameters)
 
         def learn_pass(carry: Any, key: jax.Array) -> tuple[Any, Any]:
             order_key, loss_key = jax.random.split(key)
@@ -179,31 +249,47 @@ class Learner:
             return jax.lax.scan(learn_minibatch, carry, (order, jax.random.split(loss_key, len(order))))
 
         def learn_minibatch(carry: Any, given: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
-            params, optimizer = carry
+            params, optimizer, learning_rate = carry
             chosen, key = given
-            minibatch = jax.tree.map(lambda x: jnp.take(x, chosen, axis=0), batch)
+            minibatch = self.layout.split(jax.tree.map(lambda x: jnp.take(x, chosen, axis=0), batch))
             gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch, key)
             norm = optax.tree.norm(gradient)
             bound = hyperparameters.max_grad_norm
             gradient = jax.tree.map(lambda g: jnp.where(norm < bound, g, g / norm * bound), gradient)
+            metrics = metrics | {"grad_norm": norm}
+            if self._adapts_to_kl:
+                learning_rate = adapt_to_kl(
+                    learning_rate,
+                    metrics["kl_mean"],
+                    hyperparameters.desired_kl,
+                    (
+                        hyperparameters.learning_rate_schedule_min_lr,
+                        hyperparameters.learning_rate_schedule_max_lr,
+                    ),
+                )
+                metrics = metrics | {"learning_rate": learning_rate}
             direction, optimizer = ADAM.update(gradient, optimizer)
-            params = jax.tree.map(lambda p, d: p - hyperparameters.learning_rate * d, params, direction)
-            return (params, optimizer), metrics | {"grad_norm": norm}
+            params = jax.tree.map(lambda p, d: p - learning_rate * d, params, direction)
+            return (params, optimizer, learning_rate), metrics
 
-        (params, optimizer), metrics = jax.lax.scan(
+        learning_rate = hyperparameters.learning_rate
+        if self._adapts_to_kl:
+            learning_rate = jnp.where(state.num_updates == 0, learning_rate, state.learning_rate)
+        learnt, metrics = jax.lax.scan(
             learn_pass,
-            (state.params, state.optimizer),
+            (state.params, state.optimizer, learning_rate),
             jax.random.split(key, settings.num_updates_per_batch),
         )
-        return params, optimizer, jax.tree.map(jnp.mean, metrics)
+        return learnt, jax.tree.map(jnp.mean, metrics)
 
-    def _loss(self, hyperparameters: Hyperparameters) -> Any:
+    def _loss(self, normalizer: RunningStatisticsState, hyperparameters: Hyperparameters) -> Any:
+        clipped = self.settings.clipping_epsilon_value is not None
         networks = self._networks(normalize=False)  # once for the batch, not in every minibatch
 
         def loss(params: PPONetworkParams, minibatch: Transition, key: jax.Array) -> Any:
             return compute_ppo_loss(
                 params,
-                (),
+                normalizer,  # not used: these networks do not normalise
                 minibatch,
                 key,
                 networks,
@@ -214,6 +300,7 @@ class Learner:
                 clipping_epsilon=hyperparameters.clipping_epsilon,  # pyright: ignore[reportArgumentType]
                 normalize_advantage=self.settings.normalize_advantage,
                 vf_coefficient=hyperparameters.vf_loss_coefficient,  # pyright: ignore[reportArgumentType]
+                clipping_epsilon_value=hyperparameters.clipping_epsilon_value if clipped else None,  # pyright: ignore[reportArgumentType]
             )
 
         return loss
@@ -229,7 +316,8 @@ def _failure(
     transitions: Transition, outcome: Outcome, metrics: dict[str, jax.Array], params: PPONetworkParams
 ) -> Failure:
     """transitions, outcome: [T, N, ...]."""
-    bad_obs = ~jnp.all(jnp.isfinite(transitions.next_observation), axis=(1, 2))
+    seen = jax.tree.leaves(transitions.next_observation)
+    bad_obs = ~jnp.all(jnp.stack([jnp.all(jnp.isfinite(x), axis=(1, 2)) for x in seen]), axis=0)
     bad_reward = ~jnp.all(jnp.isfinite(outcome.reward), axis=1)
     bad_params = [~jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(params)]
     losses = [metrics[name] for name in ("policy_loss", "v_loss", "entropy_loss", "grad_norm")]

@@ -90,6 +90,6 @@ def test_a_state_of_another_shape_is_told_where() -> None:
 
 def test_the_header_says_what_was_trained() -> None:
     header, state = read(pack(description(), PROGRESS, STATE))
-    assert header["format"] == "gaitway-ppo-1"
+    assert header["format"] == "gaitway-ppo-2"
     assert header["observation_size"] == 1
     assert sorted(state) == ["key", "weights"]

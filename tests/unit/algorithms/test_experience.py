@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,9 @@ from brax.training.types import Transition
 from core.algorithms.ppo.experience import cut_into_unrolls
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.ppo.update import Hyperparameters, Learner, TrainingState
+from core.environments.environment import State
+from core.environments.probes import Probe
 
 SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8], "value_hidden_layer_sizes": [8]})
 
@@ -63,3 +68,45 @@ def test_the_loss_is_brax_s_though_less_is_kept_and_normalisation_comes_first() 
     )
     brax, _ = compute_ppo_loss(params, normalizer, whole, key, make_networks(3, 2, SETTINGS))
     assert float(ours) == pytest.approx(float(brax), rel=1e-6)
+
+
+class Marked(Probe):
+    """Shows the random number that its episode began with, at every step."""
+
+    def reset(self, key: jax.Array) -> State:
+        return replace(super().reset(key), obs=jax.random.uniform(key)[None])
+
+
+def starts_seen(learner: Learner, state: TrainingState) -> tuple[TrainingState, set[float]]:
+    """The state after one more update, and the starts of the episodes that then run."""
+    hyperparameters = Hyperparameters.of(learner.settings)
+    after, _, _ = learner.update(state, hyperparameters)
+    return after, set(np.asarray(after.episodes.state.obs[:, 0]).tolist())
+
+
+def learner_of_short_episodes(**changes: object) -> Learner:
+    # 64 environments act 4 times in an update, and every second action ends an episode.
+    sizes = {"num_envs": 64, "batch_size": 64, "num_minibatches": 1, "unroll_length": 4, "episode_length": 2}
+    layers = {"policy_hidden_layer_sizes": [4], "value_hidden_layer_sizes": [4]}
+    world = Marked(lambda obs, time, action: (action, jnp.zeros(())))
+    return Learner(world, PPOSpec.model_validate({**sizes, **layers, **changes}))
+
+
+def test_episodes_begin_in_fresh_states_of_their_update() -> None:
+    learner = learner_of_short_episodes(reset_pool_size=5)
+    state = learner.init(jnp.uint32(0))
+    first = set(np.asarray(state.episodes.state.obs[:, 0]).tolist())
+    state, second = starts_seen(learner, state)
+    state, third = starts_seen(learner, state)
+    assert len(first) == 64
+    # 64 draws among five miss one of them with probability below 5 · 0.8**64 < 1e-5.
+    assert (len(second), len(third)) == (5, 5)
+    assert not first & second
+    assert not second & third
+
+
+def test_without_a_pool_every_environment_goes_back_to_its_own_start() -> None:
+    learner = learner_of_short_episodes(reset_pool_size=0)
+    state = learner.init(jnp.uint32(0))
+    after, _ = starts_seen(learner, state)
+    np.testing.assert_array_equal(after.episodes.state.obs, state.episodes.state.obs)

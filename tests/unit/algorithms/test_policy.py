@@ -11,7 +11,7 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.networks import make_inference_fn, make_ppo_networks
 
 from core.algorithms.ppo.checkpoint import describe, pack
-from core.algorithms.ppo.networks import PolicyParams, init_normalizer, init_params, make_networks
+from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, init_params, make_networks
 from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint, read_policy, write_policy
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments import probes
@@ -26,7 +26,8 @@ KEY = jax.random.PRNGKey(5)
 def params() -> PolicyParams:
     """A policy that sees 3 numbers and acts with 2, with a normaliser that has seen something."""
     trained = init_params(make_networks(3, 2, SETTINGS), jax.random.PRNGKey(0))
-    return running_statistics.update(init_normalizer(3), OBSERVATIONS), trained.policy, trained.value
+    normalizer = running_statistics.update(init_normalizer(3), OBSERVATIONS)
+    return PolicyParams(normalizer, trained.policy, trained.value)
 
 
 @pytest.mark.parametrize("deterministic", [True, False])
@@ -60,6 +61,59 @@ def test_a_policy_comes_out_of_a_checkpoint_as_it_went_in(params: PolicyParams) 
     got = policy_from_checkpoint(pack(description, {}, state))
     jax.tree.map(np.testing.assert_array_equal, got, jax.device_get(params))
     assert write_policy(got) == write_policy(params)
+
+
+def test_a_bare_triple_is_a_policy_of_the_default_design(params: PolicyParams) -> None:
+    triple = tuple(params)
+    assert write_policy(triple) == write_policy(params)
+    np.testing.assert_array_equal(
+        make_inference(triple)(OBSERVATIONS, KEY), make_inference(params)(OBSERVATIONS, KEY)
+    )
+
+
+def test_a_policy_of_another_design_keeps_it_and_brax_still_reads_the_file(tmp_path: Path) -> None:
+    settings = PPOSpec.model_validate(
+        {**SETTINGS.model_dump(exclude_unset=True), "activation": "relu", "action_repeat": 3}
+    )
+    networks = make_networks(3, 2, settings)
+    trained = init_params(networks, jax.random.PRNGKey(0))
+    state = {
+        "normalizer": running_statistics.update(init_normalizer(3), OBSERVATIONS),
+        "params": {"policy": trained.policy, "value": trained.value},
+    }
+    sizes = {"observation_size": 3, "action_size": 2}
+    kept = policy_from_checkpoint(pack(describe(probes.endless(), settings) | sizes, {}, state))
+    assert kept.design == Design(activation="relu", action_repeat=3)
+    (path := tmp_path / "policy").write_bytes(write_policy(kept))
+    assert read_policy(path.read_bytes()).design == kept.design
+    with pytest.raises(JobFailed, match="not a policy file"):
+        read_policy(path.read_bytes()[:-1])
+
+    brax = make_inference_fn(networks)(model.load_params(str(path)), deterministic=True)(OBSERVATIONS, KEY)
+    np.testing.assert_array_equal(make_inference(kept)(OBSERVATIONS, KEY), brax[0])
+    # The same numbers under the default activation act otherwise.
+    assert not np.allclose(make_inference(tuple(kept))(OBSERVATIONS, KEY), brax[0])
+
+
+def test_a_policy_looks_at_its_own_of_several_observations() -> None:
+    settings = PPOSpec.model_validate({**SETTINGS.model_dump(), "policy_obs_key": "eyes"})
+    sizes = {"eyes": 3, "state": 5}
+    trained = init_params(make_networks(sizes, 2, settings), jax.random.PRNGKey(0))
+    params = PolicyParams(
+        init_normalizer(sizes), trained.policy, trained.value, Design(policy_obs_key="eyes")
+    )
+    back = read_policy(write_policy(params))
+    alone = PolicyParams(init_normalizer(3), trained.policy, trained.value)
+    np.testing.assert_array_equal(
+        make_inference(back)({"eyes": OBSERVATIONS, "state": jnp.ones((2, 5))}, KEY),
+        make_inference(alone)(OBSERVATIONS, KEY),
+    )
+
+
+def test_an_observation_that_is_not_there_is_named() -> None:
+    settings = PPOSpec.model_validate({"value_obs_key": "privileged_state"})
+    with pytest.raises(ValueError, match=r"no observation 'privileged_state'; there are \['state'\]"):
+        make_networks({"state": 3}, 2, settings)
 
 
 class Command:

@@ -1,21 +1,40 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from core.environments.environment import State
 from core.environments.probes import Probe
-from core.environments.wrappers import Episodes, start_episodes, step_episodes
+from core.environments.worlds import Worlds
+from core.environments.wrappers import Episodes, draw, fresh_states, start_episodes, step_episodes
 
 # The observation is the time, the reward the action; an action above 0.9 terminates.
 WORLD = Probe(lambda obs, time, action: (action, jnp.where(action > 0.9, 1.0, 0.0)), shows_time=True)
+WORLDS = Worlds(WORLD)
+
+
+class Remembering(Probe):
+    """Starts at a random number, which it shows and counts up from, in `info` too."""
+
+    def reset(self, key: jax.Array) -> State:
+        state = super().reset(key)
+        start = jax.random.uniform(key)
+        return State(state.physics, start[None], state.reward, state.done, {}, {"count": start})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        count = state.info["count"] + 1
+        return State(state.physics, count[None], action[0], jnp.zeros(()), {}, {"count": count})
+
+
+REMEMBERINGS = Worlds(Remembering(WORLD.rule))
 
 
 def act(episodes: Episodes, *actions: float) -> Episodes:
-    return step_episodes(WORLD, episodes, jnp.array(actions)[:, None], episode_length=3)
+    return step_episodes(WORLDS, episodes, jnp.array(actions)[:, None], episode_length=3)
 
 
 def test_an_episode_is_cut_off_by_length_or_terminates_and_starts_anew() -> None:
-    episodes = start_episodes(WORLD, jax.random.PRNGKey(0), 2)
+    episodes = start_episodes(WORLDS, jax.random.PRNGKey(0), 2, keep_first=True)
     episodes = act(episodes, 0.25, 0.5)
     np.testing.assert_array_equal(episodes.state.done, [0, 0])
     np.testing.assert_array_equal(episodes.state.obs, [[1], [1]])
@@ -42,7 +61,7 @@ def test_an_episode_is_cut_off_by_length_or_terminates_and_starts_anew() -> None
 
 
 def test_an_episode_that_terminates_with_its_last_step_is_not_truncated() -> None:
-    episodes = start_episodes(WORLD, jax.random.PRNGKey(0), 1)
+    episodes = start_episodes(WORLDS, jax.random.PRNGKey(0), 1, keep_first=True)
     for action in (0.0, 0.0, 1.0):
         episodes = act(episodes, action)
     np.testing.assert_array_equal(episodes.state.done, [1])
@@ -50,22 +69,30 @@ def test_an_episode_that_terminates_with_its_last_step_is_not_truncated() -> Non
     np.testing.assert_array_equal(episodes.ended_length, [3])
 
 
-def test_each_world_goes_back_to_its_own_first_state_and_info() -> None:
-    class Remembering(Probe):
-        def reset(self, key: jax.Array) -> State:
-            state = super().reset(key)
-            start = jax.random.uniform(key)
-            return State(state.physics, start[None], state.reward, state.done, {}, {"count": start})
-
-        def step(self, state: State, action: jax.Array) -> State:
-            count = state.info["count"] + 1
-            return State(state.physics, count[None], action[0], jnp.zeros(()), {}, {"count": count})
-
-    world = Remembering(WORLD.rule)
-    first = start_episodes(world, jax.random.PRNGKey(0), 2)
+def test_each_world_goes_back_to_its_own_first_state_and_info_where_that_was_kept() -> None:
+    first = start_episodes(REMEMBERINGS, jax.random.PRNGKey(0), 2, keep_first=True)
     assert first.state.obs[0] != first.state.obs[1]
-    once = step_episodes(world, first, jnp.zeros((2, 1)), episode_length=2)
+    once = step_episodes(REMEMBERINGS, first, jnp.zeros((2, 1)), episode_length=2)
     np.testing.assert_array_equal(once.state.obs, first.state.obs + 1)
-    twice = step_episodes(world, once, jnp.zeros((2, 1)), episode_length=2)
+    twice = step_episodes(REMEMBERINGS, once, jnp.zeros((2, 1)), episode_length=2)
     np.testing.assert_array_equal(twice.state.obs, first.state.obs)
     np.testing.assert_array_equal(twice.state.info["count"], first.state.info["count"])
+
+
+def test_a_world_whose_episode_ends_starts_anew_from_what_was_drawn_for_it() -> None:
+    episodes = start_episodes(REMEMBERINGS, jax.random.PRNGKey(0), 3)
+    pool = fresh_states(REMEMBERINGS, jax.random.PRNGKey(1), 2)
+    assert len(np.unique(pool.obs)) == 2
+    starts = draw(pool, jnp.array([1, 0, 1]))
+    once = step_episodes(REMEMBERINGS, episodes, jnp.zeros((3, 1)), starts, episode_length=2)
+    np.testing.assert_array_equal(once.state.obs, episodes.state.obs + 1)
+    twice = step_episodes(REMEMBERINGS, once, jnp.zeros((3, 1)), starts, episode_length=2)
+    np.testing.assert_array_equal(twice.state.obs, pool.obs[np.array([1, 0, 1])])
+    np.testing.assert_array_equal(twice.state.info["count"], pool.info["count"][np.array([1, 0, 1])])
+    np.testing.assert_array_equal(twice.ended_length, [2, 2, 2])
+
+
+def test_without_a_start_to_go_to_it_is_a_mistake() -> None:
+    episodes = start_episodes(WORLDS, jax.random.PRNGKey(0), 1)
+    with pytest.raises(ValueError, match="first states were not kept"):
+        step_episodes(WORLDS, episodes, jnp.zeros((1, 1)), episode_length=3)

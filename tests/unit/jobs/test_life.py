@@ -92,7 +92,6 @@ def test_a_submission_is_durable_recorded_and_dispatched(service: Service) -> No
     [
         ({"environment": "aunt"}, "/environment"),
         ({"environment": {"id": "ant", "options": {"legs": 5}}}, "/environment/options/legs"),
-        ({"physics": "warp"}, "/physics"),
         ({"video": {"camera": "moon"}}, "/video/camera"),
         ({"algorithm": {"batch_size": 7}}, "/algorithm/batch_size"),
         ({"resume_from": {"job": "000000000000-0000000000"}}, "/resume_from/job"),

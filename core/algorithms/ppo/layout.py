@@ -1,0 +1,66 @@
+"""Where a run's arrays lie when several devices share it: environments are split, all else is everywhere."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import jax
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from core.algorithms.ppo.spec import PPOSpec
+from core.environments.worlds import ENVS
+from core.errors import Rejected
+
+Tree = TypeVar("Tree")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How arrays lie on the devices of a mesh; None: there is one device, and nothing to say."""
+
+    mesh: Mesh | None = None
+
+    @classmethod
+    def over(cls, num_devices: int, settings: PPOSpec) -> "Layout":
+        """Over JAX's first devices.
+
+        Raises Rejected where there are fewer, or environments or a minibatch cannot be shared out evenly.
+        """
+        if num_devices == 1:
+            return cls()
+        found = jax.local_devices()
+        if len(found) < num_devices:
+            raise Rejected(f"{num_devices} devices were asked for, and JAX finds {len(found)}.")
+        for name in ("num_envs", "batch_size"):
+            if (number := getattr(settings, name)) % num_devices:
+                raise Rejected(
+                    f"{name} = {number} is not a multiple of the {num_devices} devices that share the run."
+                )
+        return cls(Mesh(found[:num_devices], (ENVS,)))
+
+    def everywhere(self, tree: Tree) -> Tree:
+        """Inside a program: the same arrays, whole on every device."""
+        return self._constrained(tree, PartitionSpec())
+
+    def split(self, tree: Tree, axis: int = 0) -> Tree:
+        """Inside a program: the same arrays, each device with its part of an axis."""
+        return self._constrained(tree, PartitionSpec(*[None] * axis, ENVS))
+
+    def sharding(self, *axes: str | None) -> NamedSharding | None:
+        """For the inputs and outputs of programs; no axes: whole on every device."""
+        return None if self.mesh is None else NamedSharding(self.mesh, PartitionSpec(*axes))
+
+    def on_the_first(self, program: Callable[..., Tree]) -> Callable[..., Tree]:
+        """A program that was compiled for one device, for arrays that lie on all of them."""
+        if self.mesh is None:
+            return program
+        return lambda *arrays: program(*jax.device_put(arrays, jax.local_devices()[0]))
+
+    def _constrained(self, tree: Tree, spec: PartitionSpec) -> Tree:
+        if self.mesh is None:
+            return tree
+        sharding: Any = NamedSharding(self.mesh, spec)
+        return jax.tree.map(lambda x: jax.lax.with_sharding_constraint(x, sharding), tree)
+
+
+ONE_DEVICE = Layout()

@@ -1,0 +1,21 @@
+"""A learning rate that follows how far the policy has moved."""
+
+import jax
+import jax.numpy as jnp
+
+
+def adapt_to_kl(
+    learning_rate: jax.Array, kl_mean: jax.Array, desired_kl: jax.Array, bounds: tuple[jax.Array, jax.Array]
+) -> jax.Array:
+    """The next learning rate []: a 1.5th where the policy moved too far, 1.5 times where it hardly moved.
+
+    kl_mean: [], the mean divergence of the policy from the one that acted. Too far is more than twice
+    `desired_kl`; hardly is less than half of it, and more than nothing. bounds: lowest and highest rate.
+    Source: brax.training.agents.ppo.optimizer.adaptive_kl_learning_rate, after RSL-RL (Rudin et al., 2022).
+    """
+    lowest, highest = bounds
+    slower = jnp.maximum(lowest, learning_rate / 1.5)
+    faster = jnp.minimum(highest, learning_rate * 1.5)
+    moved_too_far = kl_mean > 2 * desired_kl
+    hardly_moved = (kl_mean > 0) & (kl_mean < desired_kl / 2)
+    return jnp.where(moved_too_far, slower, jnp.where(hardly_moved, faster, learning_rate))

@@ -1,0 +1,64 @@
+"""Acting more slowly than the world steps: one action, held for several steps."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from core.environments.environment import Environment, ObservationSize, State
+from core.environments.wrappers import select
+
+
+@dataclass(frozen=True)
+class RepeatedAction:
+    """An environment in which every action is taken `num_repeats` times, and rewards add up.
+
+    A step that ends the episode is the last one taken; metrics are those of the last one, as in Brax.
+    """
+
+    environment: Environment
+    num_repeats: int
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        return self.environment.model
+
+    @property
+    def observation_size(self) -> ObservationSize:
+        return self.environment.observation_size
+
+    @property
+    def action_size(self) -> int:
+        return self.environment.action_size
+
+    @property
+    def dt(self) -> float:
+        return self.environment.dt * self.num_repeats
+
+    @property
+    def episode_length(self) -> int:
+        return -(-self.environment.episode_length // self.num_repeats)
+
+    @property
+    def tracked_body(self) -> int:
+        return self.environment.tracked_body
+
+    def reset(self, key: jax.Array) -> State:
+        return self.environment.reset(key)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        def again(state: State, _: None) -> tuple[State, jax.Array]:
+            after = self.environment.step(state, action)
+            ended = state.done > 0
+            return select(ended, state, after), jnp.where(ended, 0.0, after.reward)
+
+        # `done` may still tell of the episode before this one.
+        running = replace(state, done=jnp.zeros_like(state.done))
+        last, rewards = jax.lax.scan(again, running, length=self.num_repeats)
+        return replace(last, reward=jnp.sum(rewards))
+
+
+def repeat_action(environment: Environment, num_repeats: int) -> Environment:
+    """The environment with every action taken `num_repeats` times; itself where that is once."""
+    return environment if num_repeats == 1 else RepeatedAction(environment, num_repeats)

@@ -1,0 +1,85 @@
+"""How much room MuJoCo Warp's buffers need: they are allocated once, and what does not fit is lost."""
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from core.physics.model import initial_qpos
+
+# A short trial of a few worlds stands for a long training of thousands, so they get twice its most; a
+# body that touched nothing in it may still fall over later.
+_ROOM = 2.0
+_LEAST_CONTACTS, _LEAST_ROWS = 8, 24
+_NUM_TRIALS, _TRIAL_S, _MOST_STEPS, _STEPS_PER_CONTROL = 8, 2.0, 1000, 20
+
+
+@dataclass(frozen=True)
+class Demand:
+    """The most that one world asked for at any step.
+
+    contacts: contacts, or pairs of geoms near enough to be looked at, whichever are more: MuJoCo Warp
+    keeps both in buffers of one size. rows: constraint rows (contacts, joint limits, friction, equalities).
+    """
+
+    contacts: int
+    rows: int
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """MuJoCo Warp's sizes. naconmax: contacts of all worlds together; njmax: constraint rows of each."""
+
+    naconmax: int
+    njmax: int
+
+
+def capacity(demand: Demand, num_worlds: int) -> Capacity:
+    """Room for `num_worlds` worlds that may ask for twice the demand, and for a little in any case."""
+    contacts = max(_LEAST_CONTACTS, math.ceil(_ROOM * demand.contacts))
+    return Capacity(num_worlds * contacts, max(_LEAST_ROWS, math.ceil(_ROOM * demand.rows)))
+
+
+def measure(model: mujoco.MjModel, pairs: NDArray[np.integer], *, seed: int = 0) -> Demand:
+    """What a few worlds ask for while random controls move them from the start of an episode.
+
+    pairs: [P, 2], the geoms that may touch. C MuJoCo steps the worlds, on the host: some seconds of their
+    time, a fraction of one of ours.
+    """
+    random = np.random.default_rng(seed)
+    limited = model.actuator_ctrllimited.astype(bool)
+    low, high = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]])
+    num_steps = min(_MOST_STEPS, round(_TRIAL_S / model.opt.timestep))
+    contacts, rows = 0, 0
+    data = mujoco.MjData(model)
+    for _ in range(_NUM_TRIALS):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = initial_qpos(model), 0.1 * random.standard_normal(model.nv)
+        for step in range(num_steps):
+            if step % _STEPS_PER_CONTROL == 0:
+                data.ctrl[:] = random.uniform(low, high)
+            mujoco.mj_step(model, data)
+            contacts = max(contacts, int(data.ncon), num_near(model, data, pairs))
+            rows = max(rows, int(data.nefc))
+    return Demand(contacts, rows)
+
+
+def num_near(model: mujoco.MjModel, data: mujoco.MjData, pairs: NDArray[np.integer]) -> int:
+    """How many of these pairs [P, 2] of geoms are so near that their bounding spheres touch.
+
+    A plane, and whatever else has no bounding sphere, reaches as far as it is wide. MuJoCo Warp looks at
+    these pairs or at fewer, because it asks for bounding boxes, too.
+    """
+    if len(pairs) == 0:
+        return 0
+    reach = model.geom_rbound + model.geom_margin
+    first, second = pairs[:, 0], pairs[:, 1]
+    between = data.geom_xpos[second] - data.geom_xpos[first]
+    distance = np.linalg.norm(between, axis=1)
+    normals = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
+    for one, sign in ((first, 1.0), (second, -1.0)):
+        is_plane = model.geom_type[one] == mujoco.mjtGeom.mjGEOM_PLANE
+        distance = np.where(is_plane, sign * np.sum(between * normals[one], axis=1), distance)
+    return int(np.count_nonzero(distance <= reach[first] + reach[second]))

@@ -1,0 +1,29 @@
+"""Whether this worker can build the engine `warp`, and where it keeps the kernels that Warp compiles."""
+
+import os
+from pathlib import Path
+
+from core.errors import JobFailed
+from core.physics.availability import has_warp
+
+
+def check_warp() -> None:
+    """Raises JobFailed("no_device") where this worker cannot build the engine `warp`."""
+    if not has_warp():
+        raise JobFailed(
+            "no_device",
+            "The job asks for the engine 'warp', and this worker does not have it. Install it there with "
+            "`pip install 'gaitway[warp]'`, or ask for 'auto', 'native' or 'mjx'.",
+        )
+
+
+def keep_kernels(folder: Path) -> None:
+    """Kernels that Warp compiles are kept in this folder, unless WARP_CACHE_PATH names another.
+
+    To be called before the first engine is built: Warp looks once. Raises JobFailed without Warp.
+    """
+    check_warp()
+    import warp
+
+    if "WARP_CACHE_PATH" not in os.environ:
+        warp.config.kernel_cache_dir = str(folder)

@@ -1,0 +1,98 @@
+"""MuJoCo Warp: MuJoCo written in CUDA kernels, for bodies with many contacts on a GPU."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from core.errors import JobFailed
+from core.physics.engine import OVERFLOW, PhysicsState
+from core.physics.warp_worlds import LOST, Worlds, program
+
+_CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
+
+
+class WarpEngine:
+    """All worlds of a batch in one call of MuJoCo Warp's own Data, a whole control step at a time.
+
+    A state holds nothing but its few arrays: they go in as one row [K] and come back as another, so no
+    contact or constraint ever passes through JAX. `jax.vmap` puts rows together; how many worlds there
+    are, and so how large the buffers must be, is learnt from the first call's batch.
+
+    A world that is not finite, or past MuJoCo's own bound, comes back as NaN. `derived["overflow"]` is 1
+    where contacts or constraint rows had no room in this step, and were lost: a full buffer of contacts,
+    which all worlds share, marks every world. Their numbers are finite, and a little wrong.
+    """
+
+    name = "warp"
+
+    def __init__(self, model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> None:
+        blank = mujoco.MjData(model)
+        self._num_ctrl, self._num_act = model.nu, model.na
+        self._shapes = {name: np.shape(getattr(blank, name)) for name in (*_CARRIED, *derived)}
+        given = {name: np.asarray(getattr(blank, name), np.float32).ravel() for name in (*_CARRIED, "ctrl")}
+        self._blank = np.concatenate(list(given.values()))
+        # Fields without elements are not copied: there is nothing in them.
+        inputs = {name: values.size for name, values in given.items() if values.size}
+        outputs = {name: size for name, shape in self._shapes.items() if (size := int(np.prod(shape)))}
+        try:
+            worlds = Worlds(model, num_substeps, inputs, outputs, derived)
+        except (NotImplementedError, ValueError) as error:
+            raise JobFailed("bad_model", f"MuJoCo Warp cannot run this model: {error}") from error
+        self._num_outputs = sum(outputs.values())
+        self._num_carried = sum(outputs.get(name, 0) for name in _CARRIED)
+        self._derived = derived
+        self._forward, self._step = program(worlds, "forward"), program(worlds, "step")
+
+    def reset(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
+        at_rest = PhysicsState(
+            qpos=qpos,
+            qvel=qvel,
+            act=jnp.zeros(self._num_act, jnp.float32),
+            qacc_warmstart=jnp.zeros_like(qvel),
+            time=jnp.zeros((), jnp.float32),
+            derived={OVERFLOW: jnp.zeros((), jnp.float32)},
+        )
+        if not self._derived:
+            return at_rest
+        after = self._moved(self._forward, at_rest, jnp.zeros(self._num_ctrl, jnp.float32))
+        return replace(at_rest, derived=after.derived)
+
+    def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+        return self._moved(self._step, state, ctrl)
+
+    def _moved(self, move: Callable[..., Any], state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+        fields = [getattr(state, name) for name in _CARRIED]
+        given = jnp.concatenate([jnp.ravel(field) for field in (*fields, ctrl)])
+        # A broken world could take its neighbours' room: one at the model's qpos0 is moved in its place.
+        was_sound = _is_sound(given)
+        rows, bits = move(
+            jnp.where(was_sound, given, self._blank)[None],
+            output_dims={"after": (1, self._num_outputs), "overflow": (1,)},
+        )
+        is_sound = was_sound & _is_sound(rows[0, : self._num_carried])
+        values = self._unpacked(jnp.where(is_sound, rows[0], jnp.nan))
+        derived = {name: values[name] for name in self._derived}
+        lost = is_sound & ((bits[0] & LOST) != 0)
+        return PhysicsState(
+            **{name: values[name] for name in _CARRIED},
+            derived={**derived, OVERFLOW: jnp.where(lost, 1.0, 0.0).astype(jnp.float32)},
+        )
+
+    def _unpacked(self, row: jax.Array) -> Mapping[str, jax.Array]:
+        """The row [sum of outputs] as fields in MuJoCo's shapes."""
+        ends = np.cumsum([int(np.prod(shape)) for shape in self._shapes.values()])
+        pieces = jnp.split(row, ends[:-1].tolist())
+        return {
+            name: piece.reshape(shape)
+            for (name, shape), piece in zip(self._shapes.items(), pieces, strict=True)
+        }
+
+
+def _is_sound(values: jax.Array) -> jax.Array:
+    """Whether all are finite and within MuJoCo's bound, past which it calls a state unstable; []."""
+    return jnp.all(jnp.abs(values) <= mujoco.mjMAXVAL)

@@ -1,0 +1,159 @@
+"""MuJoCo Warp's side of the engine `warp`: buffers on the device, and the graphs that move them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+import warp as wp
+
+# Says what it compiles and where, line by line, otherwise.
+wp.config.log_level = wp.LOG_WARNING
+
+from mujoco.mjx.third_party import mujoco_warp as mjw  # noqa: E402
+
+from core.physics.capacity import capacity, measure  # noqa: E402
+
+Move = Literal["forward", "step"]
+
+# Bits of `overflow` that tell of a solver which stopped at its limit, as it is meant to, not of lost rows.
+_NOT_LOST = mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS
+LOST = int(mjw.OverflowType.ALL & ~_NOT_LOST)
+
+
+class Worlds:
+    """One batch of buffers for each device and each number of worlds that was ever asked for.
+
+    inputs, outputs: the fields that a call brings and fetches, by MuJoCo's names, with their sizes.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_substeps: int,
+        inputs: Mapping[str, int],
+        outputs: Mapping[str, int],
+        derived: Sequence[str],
+    ) -> None:
+        self._model, self._num_substeps = model, num_substeps
+        self._inputs, self._outputs, self._derived = inputs, outputs, tuple(derived)
+        with wp.ScopedDevice("cpu"):
+            pairs = mjw.put_model(model).nxn_geom_pair_filtered.numpy()
+        self._demand = measure(model, pairs)
+        self._batches: dict[tuple[str, int], _Batch] = {}
+
+    def move(self, move: Move, given: Any, after: Any, overflow: Any) -> None:
+        """given: [N, sum of inputs]; after: [N, sum of outputs]; overflow: [N], bits of OverflowType."""
+        key = (given.device.alias, given.shape[0])
+        if key not in self._batches:
+            self._batches[key] = self._batch(given.shape[0])
+        batch = self._batches[key]
+        wp.copy(batch.given, given)
+        batch.run(move)
+        wp.copy(after, batch.after)
+        wp.copy(overflow, batch.data.overflow)
+
+    def _batch(self, num_worlds: int) -> "_Batch":
+        model = mjw.put_model(self._model)
+        model.opt.warn_overflow = 0  # it would print a line from the kernel for every world and step
+        room = capacity(self._demand, num_worlds)
+        data = mjw.make_data(self._model, num_worlds, naconmax=room.naconmax, njmax=room.njmax)
+        return _Batch(model, data, self._num_substeps, self._inputs, self._outputs, self._derived)
+
+
+class _Batch:
+    """Buffers for so many worlds, and the programs over them: on a GPU, each one CUDA graph.
+
+    A call copies into `given` and out of `after`, so the graphs hold whatever buffers JAX hands in.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        num_substeps: int,
+        inputs: Mapping[str, int],
+        outputs: Mapping[str, int],
+        derived: tuple[str, ...],
+    ) -> None:
+        self.data = data
+        self._model, self._num_substeps, self._derived = model, num_substeps, derived
+        self.given = wp.zeros((data.nworld, sum(inputs.values())), dtype=wp.float32)
+        self.after = wp.zeros((data.nworld, sum(outputs.values())), dtype=wp.float32)
+        self._loads = self._columns(self.given, inputs)
+        self._stores = self._columns(self.after, outputs)
+        self._graphs: dict[Move, Any] = {}
+
+    def run(self, move: Move) -> None:
+        """From `given` to `after`."""
+        program = self._forward if move == "forward" else self._step
+        if not self.data.qpos.device.is_cuda:
+            program()
+        elif move in self._graphs:
+            wp.capture_launch(self._graphs[move])
+        else:
+            program()  # loads the kernels and allocates, which a graph's capture should not
+            with wp.ScopedCapture() as capture:
+                program()
+            self._graphs[move] = capture.graph
+
+    def _forward(self) -> None:
+        self._load()
+        mjw.forward(self._model, self.data)
+        self._store()
+
+    def _step(self) -> None:
+        self._load()
+        for _ in range(self._num_substeps):
+            mjw.step(self._model, self.data)
+        if self._derived:
+            self._refresh(self._model, self.data)
+        self._store()
+
+    def _refresh(self, model: Any, data: Any) -> None:
+        """The fields that follow from position and velocity, for the state that is returned."""
+        if "sensordata" in self._derived:  # a sensor may read anything
+            mjw.fwd_position(model, data)
+            mjw.sensor_pos(model, data)
+            mjw.fwd_velocity(model, data)
+            mjw.sensor_vel(model, data)
+        else:
+            mjw.kinematics(model, data)
+            mjw.com_pos(model, data)
+            mjw.tendon(model, data)
+            mjw.com_vel(model, data)
+
+    def _load(self) -> None:
+        self.data.overflow.zero_()
+        for column, field in self._loads:
+            wp.copy(field, column)
+
+    def _store(self) -> None:
+        for column, field in self._stores:
+            wp.copy(column, field)
+
+    def _columns(self, packed: Any, sizes: Mapping[str, int]) -> list[tuple[Any, Any]]:
+        """Each field's columns of the packed array, and the field itself as [N, size] of numbers."""
+        ends = np.cumsum(list(sizes.values()))
+        pairs: list[tuple[Any, Any]] = []
+        for (name, size), end in zip(sizes.items(), ends.tolist(), strict=True):
+            field = getattr(self.data, name)
+            flat = wp.array(
+                ptr=field.ptr, dtype=wp.float32, shape=(self.data.nworld, size), device=field.device
+            )
+            pairs.append((packed[:, end - size : end], flat))
+        return pairs
+
+
+def program(worlds: Worlds, move: Move) -> Callable[..., Any]:
+    """The move as a function of JAX arrays: [1, inputs] to ([1, outputs], [1] int32); `vmap` makes 1 many."""
+
+    def call(
+        given: wp.array2d[wp.float32], after: wp.array2d[wp.float32], overflow: wp.array[wp.int32]
+    ) -> None:
+        worlds.move(move, given, after, overflow)
+
+    # Graphs are ours: Warp's own would be captured anew for each pair of buffers that JAX comes with.
+    return wp.jax_callable(
+        call, num_outputs=2, graph_mode=wp.JaxCallableGraphMode.NONE, vmap_method="broadcast_all"
+    )

@@ -1,0 +1,73 @@
+from typing import Any, get_args
+
+import pytest
+from brax.training.networks import ACTIVATION
+
+from core.algorithms.ppo.spec import Activation, PPOSpec, check_resumption, resolve
+from core.environments import catalog
+from core.errors import Rejected
+
+
+def refusal(**changes: Any) -> Rejected:
+    """Why the ant is not trained with this on a CPU."""
+    with pytest.raises(Rejected) as refused:
+        resolve(PPOSpec.model_validate(changes), catalog.find("ant"), "cpu")
+    return refused.value
+
+
+def pointers(refused: Rejected) -> list[str]:
+    return [problem.pointer for problem in refused.problems]
+
+
+def test_a_lowest_learning_rate_above_the_highest_is_refused() -> None:
+    refused = refusal(learning_rate_schedule_min_lr=0.1, learning_rate_schedule_max_lr=0.01)
+    assert (
+        "learning_rate_schedule_min_lr = 0.1 is above learning_rate_schedule_max_lr = 0.01" in refused.detail
+    )
+    assert pointers(refused) == [
+        "/algorithm/learning_rate_schedule_min_lr",
+        "/algorithm/learning_rate_schedule_max_lr",
+    ]
+
+
+def test_an_observation_that_the_environment_does_not_have_is_refused() -> None:
+    refused = refusal(value_obs_key="privileged_state")
+    assert refused.detail == "ant has one observation, 'state', and none that is called 'privileged_state'."
+    assert pointers(refused) == ["/algorithm/value_obs_key"]
+
+
+def test_a_held_action_counts_as_the_steps_it_is_held_for() -> None:
+    spec = PPOSpec.model_validate(
+        {"num_envs": 8, "batch_size": 8, "num_minibatches": 2, "unroll_length": 5, "action_repeat": 3}
+    )
+    # Sixteen unrolls of five actions: 80 actions, ten of each environment, and three steps for each.
+    assert (spec.env_steps_per_update, spec.actions_per_update) == (240, 10)
+    assert spec.actions_per_episode == 334  # 1000 steps, and two more
+
+
+def test_every_activation_is_one_of_brax_s() -> None:
+    assert set(get_args(Activation)) <= set(ACTIVATION)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"activation": "tanh"}, "activation = swish; this job has tanh"),
+        ({"action_repeat": 2}, "action_repeat = 1; this job has 2"),
+        ({"reset_pool_size": 0}, "returns_to_first_state = False; this job has True"),
+    ],
+)
+def test_what_a_checkpoint_fixes_is_told_where_it_differs(change: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(Rejected, match=sentence):
+        check_resumption(PPOSpec.model_validate(change), PPOSpec())
+
+
+def test_what_does_not_change_the_state_may_change_on_the_way() -> None:
+    free = {
+        "learning_rate_schedule": "ADAPTIVE_KL",
+        "desired_kl": 0.02,
+        "clipping_epsilon_value": 0.2,
+        "bootstrap_on_timeout": True,
+        "reset_pool_size": 7,
+    }
+    check_resumption(PPOSpec.model_validate(free), PPOSpec())

@@ -1,0 +1,35 @@
+"""Whether this worker has Warp, and where it keeps its kernels."""
+
+from pathlib import Path
+
+import pytest
+
+from core.errors import JobFailed
+from core.physics import availability
+from core.physics.choose import engine_builder
+from core.physics.kernels import keep_kernels
+from core.physics.model import brax_model
+
+
+def test_a_worker_without_the_extra_ends_the_job_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(availability, "find_spec", lambda name: None)
+    for attempt in (
+        lambda: engine_builder("warp")(brax_model("ant"), 1, ()),
+        lambda: keep_kernels(Path("kernels")),
+    ):
+        with pytest.raises(JobFailed, match=r"pip install 'gaitway\[warp\]'") as failure:
+            attempt()
+        assert failure.value.reason == "no_device"
+
+
+def test_kernels_are_kept_where_they_are_told_or_where_the_environment_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    warp = pytest.importorskip("warp")
+    monkeypatch.setattr(warp.config, "kernel_cache_dir", None)
+    monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "elsewhere"))
+    keep_kernels(tmp_path / "here")
+    assert warp.config.kernel_cache_dir is None  # Warp reads the variable itself
+    monkeypatch.delenv("WARP_CACHE_PATH")
+    keep_kernels(tmp_path / "here")
+    assert warp.config.kernel_cache_dir == str(tmp_path / "here")
