@@ -62,8 +62,8 @@ def markdown(result: Result) -> str:
         _row("---" for _ in HEADINGS),
         *(_row(cells(figure)) for figure in result.figures),
         "",
-        f"`{result.command}` on {machine.measured_at[:10]}, commit {machine.commit}: {machine.processor}, "
-        f"{machine.cores} cores, {machine.memory_gib:g} GiB, Python {machine.python}, {packages}; "
+        f"`{result.command}` on {machine.measured_at[:10]}, commit {machine.commit}: "
+        f"{f'{machine.accelerator}, ' if machine.accelerator else ''}{machine.processor}, {machine.cores} cores, {machine.memory_gib:g} GiB, Python {machine.python}, {packages}; "
         f"load {machine.load_before:g} before it began.",
     ]
     if result.notes:
