@@ -56,6 +56,7 @@ def show(result: Result, console: Console) -> None:
 def markdown(result: Result) -> str:
     """The same as Markdown, with where and when it was measured."""
     machine = result.machine
+    accelerator = f"{machine.accelerator}, " if machine.accelerator else ""
     packages = ", ".join(f"{name} {version}" for name, version in machine.packages.items())
     lines = [
         _row(HEADINGS),
@@ -63,7 +64,8 @@ def markdown(result: Result) -> str:
         *(_row(cells(figure)) for figure in result.figures),
         "",
         f"`{result.command}` on {machine.measured_at[:10]}, commit {machine.commit}: "
-        f"{f'{machine.accelerator}, ' if machine.accelerator else ''}{machine.processor}, {machine.cores} cores, {machine.memory_gib:g} GiB, Python {machine.python}, {packages}; "
+        f"{accelerator}{machine.processor}, {machine.cores} cores, {machine.memory_gib:g} GiB, "
+        f"Python {machine.python}, {packages}; "
         f"load {machine.load_before:g} before it began.",
     ]
     if result.notes:

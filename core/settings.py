@@ -119,7 +119,8 @@ class WorkerSettings(StoreSettings):
     device: str = Field(
         "auto",
         pattern=r"^(auto|cpu|gpu(:\d+)?)$",
-        description="What the worker runs on: cpu, gpu:INDEX, or auto for the first GPU if there is one.",
+        description="What the worker runs on: cpu, gpu:INDEX, or auto for the first GPU if there is one and "
+        "JAX can use it.",
     )
     alive_file: AliveFile = None
     lease: Lease = timedelta(seconds=15)

@@ -1,6 +1,7 @@
 """Which device a worker serves; found without loading the numerical stack."""
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 from core.errors import Misconfigured
@@ -12,16 +13,24 @@ REMEDY = (
 )
 
 
-def device_of(wanted: str, dev: Path = DEV) -> str:
-    """`cpu`, or `gpu:<index>`, for what GAITWAY_DEVICE says; `auto` is the first GPU if there is one.
+def device_of(wanted: str, dev: Path = DEV, *, has_cuda: bool | None = None) -> str:
+    """`cpu`, or `gpu:<index>`, for what GAITWAY_DEVICE says.
 
-    Raises Misconfigured where there is no such GPU.
+    `auto` is the first GPU if there is one and JAX can use it. has_cuda: whether it can; looked for where
+    None. Raises Misconfigured where there is no such GPU.
     """
-    if wanted == "cpu" or (wanted == "auto" and not visible_gpus(dev)):
+    if wanted == "auto" and not (visible_gpus(dev) and (jax_has_cuda() if has_cuda is None else has_cuda)):
+        return "cpu"
+    if wanted == "cpu":
         return "cpu"
     if wanted != "auto":
         gpu_file(wanted, dev)
     return f"gpu:{_index(wanted)}"
+
+
+def jax_has_cuda() -> bool:
+    """Whether JAX's part for NVIDIA GPUs is installed; loads nothing of it."""
+    return any(find_spec(name) for name in ("jax_cuda12_plugin", "jax_cuda13_plugin"))
 
 
 def gpu_file(wanted: str, dev: Path = DEV) -> str:

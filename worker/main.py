@@ -28,7 +28,7 @@ from core.jobs.store import JobStore, WorkerInfo
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
 from worker.alive import show_life
-from worker.device import device_of
+from worker.device import device_of, visible_gpus
 from worker.disk import check_folder
 from worker.lifeline import die_with_parent
 
@@ -106,6 +106,8 @@ def main() -> None:
         die_with_parent(int(parent), signal.SIGTERM)
     settings = read(WorkerSettings)
     device = device_of(settings.device)
+    if settings.device == "auto" and device == "cpu" and visible_gpus():
+        log.warning("gpu_not_used", remedy="JAX cannot use it: pip install 'gaitway[worker,cuda]'.")
     check_folder(settings.data_dir)
     check_stores(settings)
     store = job_store(settings)

@@ -42,7 +42,13 @@ def test_a_worker_serves_what_it_is_told_or_what_it_finds(
     dev: Path, present: list[str], wanted: str, device: str
 ) -> None:
     add(dev, *present)
-    assert device_of(wanted, dev) == device
+    assert device_of(wanted, dev, has_cuda=True) == device
+
+
+def test_a_gpu_that_jax_cannot_use_is_left_alone_unless_it_is_asked_for(dev: Path) -> None:
+    add(dev, "nvidia0")
+    assert device_of("auto", dev, has_cuda=False) == "cpu"
+    assert device_of("gpu", dev, has_cuda=False) == "gpu:0"
 
 
 @pytest.mark.parametrize(
