@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Any, Literal, Self
 
 from core.errors import IllegalTransition, JobNotFound
-from core.jobs.spec import SentSpec
+from core.jobs.spec import Accelerator, SentSpec
 from core.jobs.status import LOSSES, NEXT, JobStatus, Reason
 from core.model import Stored
 
@@ -101,6 +101,18 @@ class Job(Stored):
     def next_attempt(self) -> int:
         """The number of the attempt that a queued job waits for."""
         return len(self.attempts) + 1
+
+    @property
+    def accelerator(self) -> Accelerator:
+        """What its next attempt needs: once it has a checkpoint, the kind of device that this was made on.
+
+        Tuned settings differ by device, and a checkpoint fits those alone under which it was made.
+        """
+        wanted = self.spec.resources.accelerator
+        made_on = next((a.device for a in reversed(self.attempts) if a.device), None)
+        if wanted != "any" or made_on is None or self.newest("checkpoint") is None:
+            return wanted
+        return "cpu" if made_on.startswith("cpu") else "gpu"
 
     def next(self, **changes: Any) -> Self:
         """The same job, one version on."""

@@ -27,7 +27,7 @@ from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Idempotency
 from core.jobs.submission import submit
 from core.storage import keys
-from tests.unit.jobs.making import NOON
+from tests.unit.jobs.making import NOON, make_job
 
 LEASE = timedelta(seconds=10)
 
@@ -276,3 +276,24 @@ def test_a_job_of_another_shape_cannot_go_on_from_a_checkpoint(service: Service)
     with pytest.raises(Rejected, match="made with num_envs = 64; this job has 256") as caught:
         service.submit(resume_from={"job": job.id}, resources={"accelerator": "cpu"})
     assert "/algorithm/num_envs" in [problem.pointer for problem in caught.value.problems]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "device", "has_checkpoint", "needs"),
+    [
+        ("any", "NVIDIA H200", True, "gpu"),
+        ("any", "cpu × 2", True, "cpu"),
+        ("any", "NVIDIA H200", False, "any"),
+        ("gpu", "NVIDIA H200", True, "gpu"),
+    ],
+)
+def test_a_job_goes_on_where_its_checkpoint_fits(
+    wanted: str, device: str, has_checkpoint: bool, needs: str
+) -> None:
+    job = make_job(resources={"accelerator": wanted}).claimed("w", NOON).running(device=device)
+    if has_checkpoint:
+        checkpoint = Artifact(
+            name="c", role="checkpoint", media_type="x", key="k", size=1, sha256="0" * 64, step=1
+        )
+        job = job.next(artifacts=(checkpoint,))
+    assert job.accelerator == needs
