@@ -149,7 +149,7 @@ def _notes(settings: dict[str, Any], engine: str) -> list[str]:
         f"environment with Brax's published settings for {settings['num_timesteps']:,} steps, with "
         f"{settings['num_evals']} evaluations of {_NUM_EVAL_ENVS} episodes. Brax runs with a shim for a JAX "
         "function that has been removed, over this project's environments, which carry less through MJX than "
-        "Brax's own do: the same call over those took 122 s (ant) and 186 s (humanoid) on such a card.",
+        "Brax's own do.",
         "The wall is from the call to its return, with tracing, compiling and evaluating, without the import "
         "of JAX. The cold cache is an empty folder, also for Warp's kernels; the warm one is what the same "
         "trainer's cold run left.",

@@ -22,9 +22,9 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
 
     began = time.perf_counter()
     info = catalog.find(request["environment"])
-    choice = choose("auto", request["device"])
-    environment = catalog.make(info, catalog.parse_options(info, {}), engine_builder(choice.name))
     settings = resolve(PPOSpec(**request.get("settings", {})), info, request["device"])
+    choice = choose("auto", request["device"], info.id, settings.num_envs)
+    environment = catalog.make(info, catalog.parse_options(info, {}), engine_builder(choice.name))
     trainer = PPOTrainer(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
     curve: list[dict[str, float]] = []
     rates: list[float] = []

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gaitway.embedded.folders import remembered, write_private
+from gaitway.embedded.weed_environment import REGION, weed_environment
 
 SECRETS = Path("/run/gaitway")
-REGION = "us-east-1"
 
 _REDIS, _S3 = "GAITWAY_REDIS_URL", "GAITWAY_S3_ENDPOINT"
 _PASSED_ON = (
@@ -88,13 +88,7 @@ def _keys(folder: Path) -> dict[str, str]:
 
 def _starting_weed(keys: Mapping[str, str]) -> str:
     """A script that starts what it is given, with keys that no list of processes shows."""
-    # Its inner ports are open to every container of the network; these shut the HTTP ones to all but itself.
-    doors = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
-    variables = {
-        "AWS_ACCESS_KEY_ID": keys["s3_access_key"],
-        "AWS_SECRET_ACCESS_KEY": keys["s3_secret_key"],
-        **{f"WEED_{door}_KEY": keys["s3_inner_key"] for door in doors},
-    }
+    variables = weed_environment(keys["s3_access_key"], keys["s3_secret_key"], lambda: keys["s3_inner_key"])
     lines = [f"export {name}='{value}'\n" for name, value in variables.items()]
     return "".join([*lines, 'exec "$@"\n'])
 

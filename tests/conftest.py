@@ -18,7 +18,8 @@ from core.jobs.store import JobStore
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
 from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import REGION, Weed
+from gaitway.embedded.weed import Weed
+from gaitway.embedded.weed_environment import REGION
 
 pytest_plugins = ["tests.hypothesis_profiles"]
 

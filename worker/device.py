@@ -19,12 +19,12 @@ def device_of(wanted: str, dev: Path = DEV, *, has_cuda: bool | None = None) -> 
     `auto` is the first GPU if there is one and JAX can use it. has_cuda: whether it can; looked for where
     None. Raises Misconfigured where there is no such GPU.
     """
-    if wanted == "auto" and not (visible_gpus(dev) and (jax_has_cuda() if has_cuda is None else has_cuda)):
-        return "cpu"
     if wanted == "cpu":
         return "cpu"
-    if wanted != "auto":
-        gpu_file(wanted, dev)
+    if wanted == "auto":
+        usable = jax_has_cuda() if has_cuda is None else has_cuda
+        return "gpu:0" if usable and visible_gpus(dev) else "cpu"
+    gpu_file(wanted, dev)
     return f"gpu:{_index(wanted)}"
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from core.patience import pause
 from worker import locks
 
+# The folder of all attempts' spools, in GAITWAY_DATA_DIR.
+SPOOLS = "spool"
 _PAUSE_S = 0.01
 _LOCK = ".lock"
 

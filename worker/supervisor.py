@@ -25,7 +25,7 @@ from worker.outbox import Outbox
 from worker.outcome import Outcome, Stop, judge
 from worker.process import TRAINING, TrainingProcess
 from worker.slot import SlotTaken, slot
-from worker.spool import spool
+from worker.spool import SPOOLS, spool
 
 log = structlog.get_logger()
 
@@ -33,8 +33,6 @@ log = structlog.get_logger()
 _GLANCE_S = 0.1
 # How long finished work waits for a store that is away, before the attempt is given up.
 _STORAGE_PATIENCE_S = 900.0
-# The folder of all attempts' spools, in GAITWAY_DATA_DIR.
-SPOOLS = "spool"
 
 
 @dataclass

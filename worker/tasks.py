@@ -19,8 +19,8 @@ from worker.disk import has_room, what_to_do
 from worker.draining import Draining
 from worker.lifeline import die_with_parent
 from worker.slot import slot_name
-from worker.spool import remove_left_over
-from worker.supervisor import SPOOLS, Supervisor
+from worker.spool import SPOOLS, remove_left_over
+from worker.supervisor import Supervisor
 
 log = structlog.get_logger()
 

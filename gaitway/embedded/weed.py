@@ -12,8 +12,7 @@ from core.adapters.connect import connect_s3
 from core.adapters.s3_objects import S3ObjectStore
 from gaitway.embedded.folders import private_folder, remembered
 from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
-
-REGION = "us-east-1"
+from gaitway.embedded.weed_environment import REGION, weed_environment
 
 _LISTENERS = ("s3", "master", "volume", "filer", "admin")
 _OPTIONS = (
@@ -129,15 +128,11 @@ class Weed:
 
     def _process_environment(self) -> dict[str, str]:
         """Nothing of the user's own AWS or SeaweedFS settings; keys that no list of processes shows."""
-        # The inner ports are open to every user of the machine; these keys shut them to all but the gateway.
-        doors = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
         return {
             "PATH": os.environ.get("PATH", ""),
             "HOME": str(self._folder),
-            "AWS_ACCESS_KEY_ID": self.access_key,
-            "AWS_SECRET_ACCESS_KEY": self.secret_key,
             "GOGC": "50",
-            **{f"WEED_{door}_KEY": secrets.token_hex(16) for door in doors},
+            **weed_environment(self.access_key, self.secret_key, lambda: secrets.token_hex(16)),
         }
 
 

@@ -12,7 +12,8 @@ from core.adapters.connect import connect_s3
 from core.adapters.s3_objects import S3ObjectStore
 from core.errors import ObjectNotFound, Rejected, StorageUnavailable
 from core.storage.objects import ObjectInfo, ObjectStore
-from gaitway.embedded.weed import REGION, Weed
+from gaitway.embedded.weed import Weed
+from gaitway.embedded.weed_environment import REGION
 
 MIB = 2**20
 BAD_KEYS = [

@@ -17,7 +17,8 @@ from core.errors import StorageUnavailable
 from gaitway.embedded import weed as weed_module
 from gaitway.embedded.processes import free_ports
 from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import REGION, Weed
+from gaitway.embedded.weed import Weed
+from gaitway.embedded.weed_environment import REGION
 
 SECRET = "correct-horse"
 

@@ -13,7 +13,8 @@ from core.adapters.s3_objects import S3ObjectStore
 from core.adapters.startup import exercise_objects
 from core.errors import Misconfigured, ObjectNotFound, StorageRefuses, StorageUnavailable
 from core.settings import StoreSettings, WorkerSettings
-from gaitway.embedded.weed import REGION, Weed
+from gaitway.embedded.weed import Weed
+from gaitway.embedded.weed_environment import REGION
 
 
 @pytest.fixture
