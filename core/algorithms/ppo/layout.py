@@ -36,6 +36,7 @@ class Layout:
                 raise Rejected(
                     f"{name} = {number} is not a multiple of the {num_devices} devices that share the run."
                 )
+        _avoid_a_crash()
         return cls(Mesh(found[:num_devices], (ENVS,)))
 
     def everywhere(self, tree: Tree) -> Tree:
@@ -61,6 +62,13 @@ class Layout:
             return tree
         sharding: Any = NamedSharding(self.mesh, spec)
         return jax.tree.map(lambda x: jax.lax.with_sharding_constraint(x, sharding), tree)
+
+
+def _avoid_a_crash() -> None:
+    """jaxlib 0.11 dies of a segmentation fault where its newer partitioner (Shardy) meets an array without
+    elements in a `shard_map`, and MuJoCo's models are full of them; 0.10 and 0.12 do not."""
+    if jax.__version_info__[:2] == (0, 11):
+        jax.config.update("jax_use_shardy_partitioner", False)
 
 
 ONE_DEVICE = Layout()
