@@ -13,6 +13,8 @@ wp.config.log_level = wp.LOG_WARNING
 from mujoco.mjx.third_party import mujoco_warp as mjw  # noqa: E402
 
 from core.physics.capacity import capacity, measure  # noqa: E402
+from core.physics.warp_kernels import load_kernels  # noqa: E402
+from core.physics.warp_step import Substep  # noqa: E402
 
 Move = Literal["forward", "step"]
 
@@ -55,6 +57,8 @@ class Worlds:
 
     def _batch(self, num_worlds: int) -> "_Batch":
         model = mjw.put_model(self._model)
+        # A loop in a graph asks after each iteration whether another is needed: dearer than the only one.
+        model.opt.graph_conditional = self._model.opt.iterations > 1
         model.opt.warn_overflow = 0  # it would print a line from the kernel for every world and step
         room = capacity(self._demand, num_worlds)
         data = mjw.make_data(self._model, num_worlds, naconmax=room.naconmax, njmax=room.njmax)
@@ -82,7 +86,12 @@ class _Batch:
         self.after = wp.zeros((data.nworld, sum(outputs.values())), dtype=wp.float32)
         self._loads = self._columns(self.given, inputs)
         self._stores = self._columns(self.after, outputs)
+        device = self.data.qpos.device
+        self._substep = Substep(model, device, reads_sensors="sensordata" in derived)
         self._graphs: dict[Move, Any] = {}
+        if device.is_cuda:
+            load_kernels(self._forward, device)
+            load_kernels(self._step, device)
 
     def run(self, move: Move) -> None:
         """From `given` to `after`."""
@@ -105,7 +114,7 @@ class _Batch:
     def _step(self) -> None:
         self._load()
         for _ in range(self._num_substeps):
-            mjw.step(self._model, self.data)
+            self._substep(self.data)
         if self._derived:
             self._refresh(self._model, self.data)
         self._store()

@@ -1,0 +1,57 @@
+"""Warp's kernels, compiled on all cores at once."""
+
+import os
+import threading
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import warp as wp
+
+_BLOCK_DIM = 256  # Warp's own, where a launch does not say
+
+
+def load_kernels(program: Callable[[], None], device: Any) -> None:
+    """Compile and load the kernels that a program of launches needs, without running it.
+
+    Warp compiles a module at its first launch, one after the other: half a minute for the forty modules of
+    a substep. Compilers run side by side, though: 12 s on 16 cores. What is in Warp's cache is only loaded.
+
+    program: must launch the same kernels whatever the arrays hold.
+    """
+    with _launches_noted() as needed:
+        program()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(lambda one: one[0].load(device, one[1] if device.is_cuda else 1), needed))
+
+
+@contextmanager
+def _launches_noted() -> Generator[dict[tuple[Any, int], None]]:
+    """The (module, size of thread blocks) of launches, which do not happen; loops are entered once.
+
+    Only for this thread. Warp has no dry run of its own.
+    """
+    needed, thread = dict[tuple[Any, int], None](), threading.get_ident()
+    launch, launch_tiled, capture_while = wp.launch, wp.launch_tiled, wp.capture_while
+
+    def noting(real: Callable[..., Any]) -> Callable[..., Any]:
+        def note(kernel: Any, *arguments: Any, block_dim: int = _BLOCK_DIM, **named: Any) -> Any:
+            if threading.get_ident() != thread:
+                return real(kernel, *arguments, block_dim=block_dim, **named)
+            needed[kernel.module, block_dim] = None
+            return None
+
+        return note
+
+    def enter(condition: Any, while_body: Callable[..., None], **named: Any) -> None:
+        if threading.get_ident() == thread:
+            while_body(**named)
+        else:
+            capture_while(condition, while_body, **named)
+
+    wp.launch, wp.launch_tiled, wp.capture_while = noting(launch), noting(launch_tiled), enter
+    try:
+        yield needed
+    finally:
+        wp.launch, wp.launch_tiled, wp.capture_while = launch, launch_tiled, capture_while

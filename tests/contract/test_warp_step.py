@@ -1,0 +1,64 @@
+"""A substep in another order, and kernels compiled before they run: neither changes what comes out."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import warp as wp
+from mujoco.mjx.third_party import mujoco_warp as mjw
+
+from core.physics.warp_kernels import load_kernels
+from core.physics.warp_step import Substep
+from tests.contract.test_warp import BALL
+
+pytestmark = pytest.mark.usefixtures("warp_kernels")
+
+
+def balls() -> tuple[Any, Any]:
+    """A model, and three worlds of it that are pushed with different forces."""
+    model = mujoco.MjModel.from_xml_string(BALL)
+    device_model = mjw.put_model(model)
+    device_model.opt.warn_overflow = 0
+    data = mjw.make_data(model, 3, naconmax=24, njmax=24)
+    data.qfrc_applied.assign([[-1.0] * 6, [0.0] * 6, [1.0] * 6])
+    return device_model, data
+
+
+def test_the_order_of_a_substep_changes_no_bit() -> None:
+    model, data = balls()
+    _, reference = balls()
+    substep = Substep(model, data.qpos.device, reads_sensors=False)
+    for _ in range(250):  # 0.5 s: the balls have fallen 0.9 m to the floor
+        substep(data)
+        mjw.step(model, reference)
+    assert reference.nacon.numpy()[0] == 3
+    for name in ("qpos", "qvel", "qacc_warmstart", "qfrc_actuator", "cinert"):
+        np.testing.assert_array_equal(getattr(data, name).numpy(), getattr(reference, name).numpy())
+
+
+def test_a_model_whose_sensors_are_read_takes_the_librarys_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, data = balls()
+    stepped: list[Any] = []
+    monkeypatch.setattr(mjw, "step", lambda model, data: stepped.append(data))
+    Substep(model, data.qpos.device, reads_sensors=True)(data)
+    assert stepped == [data]
+
+
+@wp.kernel
+def count(number: wp.array[wp.float32]) -> None:
+    number[wp.tid()] += 1.0
+
+
+def test_loading_the_kernels_of_a_program_runs_none_of_them() -> None:
+    number, device, launch = wp.zeros(1, dtype=wp.float32), wp.get_device("cpu"), wp.launch
+
+    def program() -> None:
+        wp.launch(count, dim=1, inputs=[number])
+
+    load_kernels(program, device)
+    assert number.numpy()[0] == 0
+    assert wp.launch is launch
+    assert count.module.execs  # it is loaded,
+    program()
+    assert number.numpy()[0] == 1  # and runs when it is asked to
