@@ -58,7 +58,7 @@ def _is_registered() -> bool:
     """Whether XLA takes the handler; a version of XLA with another interface refuses it."""
     try:
         jax.ffi.register_ffi_target(_TARGET, jax.ffi.pycapsule(_handle), platform="cpu")
-    except jax.errors.JaxRuntimeError as error:
+    except RuntimeError as error:
         warnings.warn(f"Compiled programs are not kept between jobs: {error}", stacklevel=2)
         return False
     return True

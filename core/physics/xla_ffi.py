@@ -122,8 +122,10 @@ def _array(buffer: _Buffer) -> NDArray[np.float32]:
     if buffer.dtype != _FLOAT32:
         raise TypeError(f"A buffer has XLA's type {buffer.dtype}, and only float32 ({_FLOAT32}) is taken.")
     shape = tuple(buffer.dims[: buffer.rank])
+    if not buffer.data:  # nothing is in it
+        return np.empty(shape, np.float32)
     memory = (ctypes.c_float * int(np.prod(shape))).from_address(buffer.data)
-    return np.ndarray(shape, np.float32, memory)
+    return np.ndarray(shape, np.float32, memory)  # pyright: ignore[reportArgumentType] - numpy takes it
 
 
 def string_of(attributes: _Attributes) -> str:

@@ -7,13 +7,16 @@ from typing import Any, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import optax
-from brax.training.acme import running_statistics
-from brax.training.acme.running_statistics import RunningStatisticsState
-from brax.training.agents.ppo.losses import PPONetworkParams, compute_ppo_loss
-from brax.training.agents.ppo.networks import make_inference_fn
-from brax.training.types import Transition
 from flax import struct
 
+from core.algorithms.ppo.brax_training import (
+    PPONetworkParams,
+    RunningStatisticsState,
+    Transition,
+    compute_ppo_loss,
+    make_inference_fn,
+    running_statistics,
+)
 from core.algorithms.ppo.experience import (
     Outcome,
     Starts,
