@@ -1,6 +1,7 @@
 """C MuJoCo on the CPU's cores, called from compiled JAX programs."""
 
 import copy
+import hashlib
 import os
 import sys
 import threading
@@ -11,18 +12,17 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jax.typing import ArrayLike
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from core.physics.engine import PhysicsState
+from core.physics.host_call import Floats, host_call
 
-_Floats = NDArray[np.float32]
 _Move = Callable[[Batch, NDArray[np.intp] | None], None]
 
 
 class NativeEngine:
-    """`mujoco.batch` behind `jax.pure_callback`; under `jax.vmap` one call moves all worlds on all cores.
+    """`mujoco.batch` behind a call to the host; under `jax.vmap` one call moves all worlds on all cores.
 
     Worlds are float64 inside and float32 outside. A world that is not finite, or of which MuJoCo reports
     an error or a warning (an unstable state, a full contact buffer), comes back as NaN.
@@ -34,6 +34,7 @@ class NativeEngine:
         self._worlds = _Worlds(model)
         self._num_substeps = num_substeps
         self._num_act, self._num_ctrl = model.na, model.nu
+        self._fingerprint = _fingerprint(model, num_substeps, derived)
         blank = mujoco.MjData(model)
         carried = ("time", "qpos", "qvel", "act", "qacc_warmstart")
         # A callback is not given fields without elements: there is nothing in them to bring or fetch.
@@ -73,13 +74,12 @@ class NativeEngine:
         if self._num_ctrl:
             inputs["ctrl"] = ctrl
 
-        def on_the_host(*arrays: ArrayLike) -> tuple[_Floats, ...]:
-            # These are JAX's arrays, and JAX must not be called in here: they become NumPy's at once.
-            given = dict(zip(inputs, map(np.asarray, arrays), strict=True))
-            return self._worlds.move(move, given, wanted)
+        def on_the_host(*arrays: Floats) -> tuple[Floats, ...]:
+            return self._worlds.move(move, dict(zip(inputs, arrays, strict=True)), wanted)
 
-        results = tuple(jax.ShapeDtypeStruct(self._shapes[name], jnp.float32) for name in wanted)
-        values = jax.pure_callback(on_the_host, results, *inputs.values(), vmap_method="broadcast_all")
+        name = f"{self._fingerprint} {move.__name__} {','.join(inputs)} to {','.join(wanted)}"
+        shapes = [self._shapes[field] for field in wanted]
+        values = host_call(on_the_host, name, shapes, *inputs.values())
         return dict(zip(wanted, values, strict=True))
 
 
@@ -94,7 +94,7 @@ class _Worlds:
         # A Batch must not be used by two threads at once, and JAX may call back from any of its own.
         self._lock = threading.Lock()
 
-    def move(self, move: _Move, given: Mapping[str, _Floats], wanted: tuple[str, ...]) -> tuple[_Floats, ...]:
+    def move(self, move: _Move, given: Mapping[str, Floats], wanted: tuple[str, ...]) -> tuple[Floats, ...]:
         """The wanted fields after the move, NaN for a world that broke; leading axes as those of `given`."""
         worlds = given["time"].shape
         with self._lock:
@@ -136,3 +136,12 @@ def _num_cores() -> int:
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _fingerprint(model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> str:
+    """Equal for engines that do the same, in any process."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    digest = hashlib.sha256(content.tobytes())
+    digest.update(f"{num_substeps} {derived}".encode())
+    return digest.hexdigest()

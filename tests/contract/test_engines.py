@@ -248,6 +248,36 @@ def _after_steps(step: Callable[..., PhysicsState], state: PhysicsState, ctrl: j
     return jax.block_until_ready(state)
 
 
+def test_a_program_with_native_physics_tells_its_model_and_nothing_of_its_process() -> None:
+    # JAX finds a kept program by its text: equal engines share it, engines that differ must not.
+    def text(
+        derived: tuple[str, ...] = ("xpos",), num_substeps: int = NUM_SUBSTEPS, mass: float = 1.0
+    ) -> str:
+        model = mujoco.MjModel.from_xml_string(BODY)
+        model.body_mass[1] *= mass
+        engine = engine_builder("native")(model, num_substeps, derived)
+        qpos, qvel, ctrl = start(model, 3)
+        step = jax.vmap(lambda qpos, qvel, ctrl: engine.step(engine.reset(qpos, qvel), ctrl))
+        return jax.jit(step).lower(qpos, qvel, ctrl).as_text()
+
+    assert text() == text()
+    others = [text(mass=1.01), text(num_substeps=4), text(("xquat",)), text(())]
+    assert len({text(), *others}) == 5
+
+
+def test_engines_that_are_equal_or_not_may_live_side_by_side_and_die() -> None:
+    def stepped(mass: float) -> jax.Array:
+        model = mujoco.MjModel.from_xml_string(BODY)
+        model.body_mass[1] *= mass
+        engine = engine_builder("native")(model, NUM_SUBSTEPS, ())
+        qpos, qvel, ctrl = start(model, 3)
+        return jax.jit(jax.vmap(engine.step))(jax.vmap(engine.reset)(qpos, qvel), ctrl).qvel
+
+    light, heavy, again = stepped(1.0), stepped(5.0), stepped(1.0)
+    np.testing.assert_array_equal(light, again)
+    assert np.abs(light - heavy).max() > 1e-3
+
+
 @pytest.fixture(scope="module")
 def ant() -> mujoco.MjModel:
     model = brax_model("ant")

@@ -4,9 +4,9 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
-from brax.training.types import Transition
 from flax import struct
 
+from core.algorithms.ppo.brax_training import Transition
 from core.environments.environment import State
 from core.environments.worlds import Worlds
 from core.environments.wrappers import Episodes, draw, step_episodes

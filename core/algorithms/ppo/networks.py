@@ -6,14 +6,18 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
-from brax.training import networks as brax_networks
-from brax.training.acme import running_statistics, specs
-from brax.training.acme.running_statistics import RunningStatisticsState
-from brax.training.agents.ppo.losses import PPONetworkParams
-from brax.training.agents.ppo.networks import PPONetworks, make_ppo_networks
-from brax.training.types import identity_observation_preprocessor
 from flax import struct
 
+from core.algorithms.ppo.brax_training import (
+    PPONetworkParams,
+    PPONetworks,
+    RunningStatisticsState,
+    identity_observation_preprocessor,
+    make_ppo_networks,
+    running_statistics,
+    specs,
+)
+from core.algorithms.ppo.brax_training import networks as brax_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import ObservationSize
 

@@ -9,10 +9,10 @@ from typing import Any, cast
 
 import jax
 import numpy as np
-from brax.training.agents.ppo.networks import make_inference_fn
 from flax import serialization
 
 from core.algorithms.ppo import checkpoint
+from core.algorithms.ppo.brax_training import make_inference_fn
 from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import ObservationSize

@@ -8,8 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.agents.ppo.networks import make_inference_fn
 
+from core.algorithms.ppo.brax_training import make_inference_fn
 from core.algorithms.ppo.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.ppo.layout import Layout
 from core.algorithms.ppo.networks import make_networks

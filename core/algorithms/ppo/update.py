@@ -7,13 +7,16 @@ from typing import Any, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import optax
-from brax.training.acme import running_statistics
-from brax.training.acme.running_statistics import RunningStatisticsState
-from brax.training.agents.ppo.losses import PPONetworkParams, compute_ppo_loss
-from brax.training.agents.ppo.networks import make_inference_fn
-from brax.training.types import Transition
 from flax import struct
 
+from core.algorithms.ppo.brax_training import (
+    PPONetworkParams,
+    RunningStatisticsState,
+    Transition,
+    compute_ppo_loss,
+    make_inference_fn,
+    running_statistics,
+)
 from core.algorithms.ppo.experience import (
     Outcome,
     Starts,
@@ -142,6 +145,8 @@ class Learner:
         Returns the state after the last good update, metrics summed over the good ones, and what went
         wrong in the bad one. How a run is cut into epochs changes nothing in it.
         """
+        # Traced once for both places below, and copied into the second as if it had been traced there.
+        update = jax.jit(self.update, inline=True)
 
         def going(carry: tuple[TrainingState, Any, Failure]) -> jax.Array:
             state, _, failure = carry
@@ -149,12 +154,12 @@ class Learner:
 
         def advance(carry: tuple[TrainingState, Any, Failure]) -> tuple[TrainingState, Any, Failure]:
             state, sums, _ = carry
-            new, metrics, failure = self.update(state, hyperparameters)
+            new, metrics, failure = update(state, hyperparameters)
             good = ~jnp.any(failure.quantities)
             keep = partial(jax.tree.map, lambda a, b: jnp.where(good, a, b))
             return keep(new, state), keep(jax.tree.map(jnp.add, sums, metrics), sums), failure
 
-        shapes = jax.eval_shape(self.update, state, hyperparameters)[1:]
+        shapes = jax.eval_shape(update, state, hyperparameters)[1:]
         sums, failure = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
         return jax.lax.while_loop(going, advance, (state, sums, failure))
 

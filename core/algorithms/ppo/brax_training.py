@@ -1,0 +1,55 @@
+"""What is taken from Brax's training code, loaded without Brax's physics.
+
+`import brax` loads its bodies, these MJX, and MJX Warp and trimesh: half of the time that a job's imports
+take, for nothing that training needs. The package's own names are loaded when somebody asks for one.
+"""
+
+import importlib.util
+import sys
+from typing import Any
+
+
+def put_off(name: str) -> None:
+    """Let a package's parts be imported without running its `__init__`, until a name of its own is wanted."""
+    spec = importlib.util.find_spec(name) if name not in sys.modules else None
+    if spec is None or spec.loader is None:
+        return
+    package, loader = importlib.util.module_from_spec(spec), spec.loader
+
+    def load(wanted: str) -> Any:
+        if wanted.startswith("__"):  # those that Python itself looks for, and a package may lack
+            raise AttributeError(wanted)
+        if package.__dict__.pop("__getattr__", None) is not None:
+            loader.exec_module(package)
+        return getattr(package, wanted)
+
+    package.__dict__["__getattr__"] = load
+    sys.modules[name] = package
+
+
+put_off("brax")
+
+from brax.training import networks  # noqa: E402
+from brax.training.acme import running_statistics, specs  # noqa: E402
+from brax.training.acme.running_statistics import RunningStatisticsState  # noqa: E402
+from brax.training.agents.ppo.losses import PPONetworkParams, compute_ppo_loss  # noqa: E402
+from brax.training.agents.ppo.networks import (  # noqa: E402
+    PPONetworks,
+    make_inference_fn,
+    make_ppo_networks,
+)
+from brax.training.types import Transition, identity_observation_preprocessor  # noqa: E402
+
+__all__ = [
+    "PPONetworkParams",
+    "PPONetworks",
+    "RunningStatisticsState",
+    "Transition",
+    "compute_ppo_loss",
+    "identity_observation_preprocessor",
+    "make_inference_fn",
+    "make_ppo_networks",
+    "networks",
+    "running_statistics",
+    "specs",
+]

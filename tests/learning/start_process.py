@@ -1,0 +1,42 @@
+"""A process that trains for one update on native physics: `python -m tests.learning.start_process CACHE`.
+
+Prints, as one line of JSON, how often JAX's cache had a program and had not, and which libraries of physics
+for accelerators were loaded.
+"""
+
+import json
+import sys
+from collections import Counter
+
+import jax
+
+from core.environments import catalog
+from core.physics.choose import engine_builder
+from tests.learning.runs import STEPS_PER_UPDATE, small_trainer
+
+
+def run(*, learning_rate: float) -> None:
+    """Train for one update."""
+    info = catalog.find("inverted_pendulum")
+    environment = catalog.make(info, info.options(), engine_builder("native"))
+    budget = {"num_timesteps": STEPS_PER_UPDATE, "learning_rate": learning_rate}
+    for _ in small_trainer(environment, **budget).events():
+        pass
+
+
+def main(cache: str) -> None:
+    jax.config.update("jax_compilation_cache_dir", cache)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    events = Counter[str]()
+    jax.monitoring.register_event_listener(lambda event, **_: events.update([event.rpartition("/")[2]]))
+    run(learning_rate=2e-3)
+    answer = {
+        "hits": events["cache_hits"],
+        "misses": events["cache_misses"],
+        "physics": sorted({"mujoco.mjx", "trimesh", "warp"} & set(sys.modules)),
+    }
+    print(json.dumps(answer))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,56 @@
+"""Brax's training code is loaded without Brax's physics: a package that is put off, and then wanted."""
+
+import importlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from core.algorithms.ppo.brax_training import put_off
+
+PACKAGE = """
+import os
+os.environ["HEAVY_LOADED"] = os.environ.get("HEAVY_LOADED", "") + "once"
+from heavy.body import Body
+"""
+
+
+@pytest.fixture
+def heavy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A package that tells when its `__init__` runs; it uses its part `body`, and not `mind`."""
+    (tmp_path / "heavy").mkdir()
+    (tmp_path / "heavy/__init__.py").write_text(PACKAGE)
+    (tmp_path / "heavy/body.py").write_text("class Body: ...")
+    (tmp_path / "heavy/mind.py").write_text("thought = 42")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("HEAVY_LOADED", "")
+    yield
+    for name in ("heavy", "heavy.body", "heavy.mind"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.usefixtures("heavy")
+def test_parts_are_loaded_without_the_package_and_the_package_when_it_is_asked_for() -> None:
+    put_off("heavy")
+    assert importlib.import_module("heavy.mind").thought == 42
+    package = importlib.import_module("heavy")
+    assert not hasattr(package, "__wrapped__")  # what inspect asks of everything
+    assert os.environ["HEAVY_LOADED"] == ""
+    assert package.Body is importlib.import_module("heavy.body").Body
+    assert not hasattr(package, "nothing")
+    assert package.Body.__name__ == "Body"
+    assert os.environ["HEAVY_LOADED"] == "once"
+
+
+@pytest.mark.usefixtures("heavy")
+def test_a_package_that_is_loaded_already_stays_as_it_is() -> None:
+    package = importlib.import_module("heavy")
+    put_off("heavy")
+    assert importlib.import_module("heavy") is package
+
+
+def test_a_package_that_is_not_there_is_no_matter() -> None:
+    put_off("no_such_package_at_all")
+    assert "no_such_package_at_all" not in sys.modules
