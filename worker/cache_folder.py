@@ -42,6 +42,7 @@ def take_over(own: Path, kept: Path) -> list[str]:
     for name in new:
         with suppress(FileNotFoundError, FileExistsError):
             if is_whole(own / name):
+                write_out(own / name)
                 _link(own / name, kept / name)
                 taken.append(name)
     return taken
@@ -57,6 +58,12 @@ def is_whole(path: Path) -> bool:
     except Exception:  # Each library has its own words for it.
         return False
     return True
+
+
+def write_out(path: Path) -> None:
+    """Have the disk hold all of it, before it gets a name under which a power cut would leave half."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
 
 
 def keep_within(folder: Path, max_bytes: int) -> None:

@@ -5,7 +5,7 @@ no index that two writers could spoil, and nothing here that may not be lost.
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,10 +13,12 @@ from pathlib import Path
 from core.errors import ObjectNotFound
 from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
-from worker.cache_folder import is_whole, names
+from worker.cache_folder import is_whole, names, write_out
 
 # What one job brings at most, the newest first: a large store is no reason to fill a laptop.
 _MOST_FETCHED_BYTES = 2**28
+# Warp makes a hundred small files for a body, and a store may be far away.
+_AT_ONCE = 8
 
 
 @dataclass(frozen=True)
@@ -32,27 +34,33 @@ class SharedCache:
 
     def fetch(self, kept: Path, room: Path) -> int:
         """Bring into `kept` what it lacks; how many files. room: a folder of that disk to write them in."""
-        here = names(kept)
-        left, fetched = _MOST_FETCHED_BYTES, 0
+        here, left = names(kept), _MOST_FETCHED_BYTES
+        lacking: list[tuple[str, ObjectInfo]] = []
         for name, info in self._newest_first().items():
-            left -= 0 if name in here else info.size
-            if left < 0:
-                break
-            if name not in here:
-                with suppress(ObjectNotFound, FileExistsError):
-                    fetched += self._fetch(info, room / Path(name).name, kept / name)
-        return fetched
+            if name not in here and (left := left - info.size) >= 0:
+                lacking.append((name, info))
+
+        def fetch(number: int) -> bool:
+            name, info = lacking[number]
+            return self._fetch(info, room / f"fetched-{number}", kept / name)
+
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            return sum(pool.map(fetch, range(len(lacking))))
 
     def store(self, kept: Path, new: Sequence[str], now: datetime) -> int:
         """Show others these files of `kept`, unless somebody already has; how many that were."""
-        there, stored = self._newest_first(), 0
-        for name in new:
-            if name not in there:
-                key = keys.cached(self.machine, self.environment, f"{now:%Y%m%dT%H%M%SZ}", name)
-                with suppress(FileNotFoundError):  # Gone already, to make room.
-                    self.objects.put_file(key, kept / name)
-                    stored += 1
-        return stored
+        there = self._newest_first()
+
+        def store(name: str) -> bool:
+            key = keys.cached(self.machine, self.environment, f"{now:%Y%m%dT%H%M%SZ}", name)
+            try:
+                self.objects.put_file(key, kept / name)
+            except FileNotFoundError:  # Gone already, to make room.
+                return False
+            return True
+
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            return sum(pool.map(store, [name for name in new if name not in there]))
 
     def keep_within(self, max_bytes: int) -> None:
         """Remove the oldest, whatever it is of, until the rest has no more than so many bytes."""
@@ -79,9 +87,12 @@ class SharedCache:
                 file.writelines(pieces)
             if beside.stat().st_size != info.size or not is_whole(beside):
                 return False
+            write_out(beside)
             target.parent.mkdir(parents=True, exist_ok=True)
             beside.replace(target)
             return True
+        except ObjectNotFound:  # Somebody made room.
+            return False
         finally:
             beside.unlink(missing_ok=True)
 
