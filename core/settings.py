@@ -128,6 +128,18 @@ class WorkerSettings(StoreSettings):
         timedelta(seconds=1), description="How often a worker renews its lease and looks for a cancel."
     )
     grace: Seconds = Field(timedelta(seconds=60), description="From a cancel, timeout or drain to SIGKILL.")
+    cache_max_bytes: int = Field(
+        2**31,
+        ge=0,
+        description="How much of what jobs compiled is kept in GAITWAY_DATA_DIR; what was not used for "
+        "longest goes first.",
+    )
+    shared_cache_max_bytes: int = Field(
+        2**31,
+        ge=0,
+        description="How much of it the object store keeps for other machines, the oldest going first; 0 "
+        "shares nothing and takes nothing. The same for all workers of a bucket.",
+    )
 
     @model_validator(mode="after")
     def _outlives_a_missed_beat(self) -> Self:

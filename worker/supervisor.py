@@ -17,10 +17,11 @@ from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
 from core.jobs.status import JobStatus, Reason
 from core.patience import CalledOff, through_outages
 from core.settings import WorkerSettings
+from worker.caches import Caches
 from worker.disk import is_full, what_to_do
 from worker.draining import Draining
 from worker.heartbeat import Heartbeat
-from worker.messages import Failed, Finished, Task
+from worker.messages import Failed, Finished, PhaseEnded, Task
 from worker.outbox import Outbox
 from worker.outcome import Outcome, Stop, judge
 from worker.process import TRAINING, TrainingProcess
@@ -31,6 +32,8 @@ log = structlog.get_logger()
 
 # How often the supervisor looks up from waiting for the process to end.
 _GLANCE_S = 0.1
+# The phases after which there are new programs, and new kernels.
+_COMPILED = ("compile", "first_update")
 # How long finished work waits for a store that is away, before the attempt is given up.
 _STORAGE_PATIENCE_S = 900.0
 
@@ -53,9 +56,10 @@ class Supervisor:
     def run(self) -> None:
         folder = self.settings.data_dir.absolute()  # The training process stands elsewhere.
         own = folder / SPOOLS / f"{self.holding.job_id}.{self.holding.number}"
+        caches = Caches(self.holding.objects, self.settings, self.device, own)
         try:
             with spool(own), Heartbeat(self.holding, self.settings) as heartbeat:
-                self._attempt(heartbeat, folder, own)
+                self._attempt(heartbeat, caches, folder, own)
         except LeaseLost:
             log.warning("attempt_abandoned", job_id=self.holding.job_id, attempt=self.holding.number)
         except CalledOff:
@@ -71,8 +75,9 @@ class Supervisor:
             if not is_full(error):
                 raise
             self._conclude(Outcome(None, Reason.STORAGE_UNAVAILABLE, what_to_do(folder)))
+        caches.close(self.draining.is_set)  # The job has ended: nobody waits for this.
 
-    def _attempt(self, heartbeat: Heartbeat, folder: Path, spool: Path) -> None:
+    def _attempt(self, heartbeat: Heartbeat, caches: Caches, folder: Path, spool: Path) -> None:
         leaving = self.draining.is_set
         job = through_outages(
             partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S, called_off=leaving
@@ -84,10 +89,11 @@ class Supervisor:
         )
         lock = folder / "locks" / f"{self.slot_name}.lock"
         with slot(lock, self.settings.grace.total_seconds(), leaving) as slot_fd:
+            caches.open(job.spec.environment.id, leaving)
             outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fd)
             try:
-                outcome = self._watch(process, outbox, heartbeat, job.spec.timeout_s)
+                outcome = self._watch(process, outbox, caches, heartbeat, job.spec.timeout_s)
             finally:
                 process.kill()
         if not outbox.close(_STORAGE_PATIENCE_S):
@@ -98,9 +104,14 @@ class Supervisor:
         self._conclude(outcome)
 
     def _watch(
-        self, process: TrainingProcess, outbox: Outbox, heartbeat: Heartbeat, timeout_s: float
+        self,
+        process: TrainingProcess,
+        outbox: Outbox,
+        caches: Caches,
+        heartbeat: Heartbeat,
+        timeout_s: float,
     ) -> Outcome:
-        ear = _Ear(process, outbox)
+        ear = _Ear(process, outbox, caches)
         deadline = time.monotonic() + timeout_s
         stop: Stop | None = None
         kill_at = float("inf")
@@ -118,6 +129,8 @@ class Supervisor:
                 process.kill()
         process.kill()
         ear.join()
+        if status == 0:  # A process that crashed may have left kernels that would crash the next.
+            caches.keep()
         return judge(ear.last_word, status, stop, timeout_s)
 
     def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
@@ -143,10 +156,11 @@ class Supervisor:
 class _Ear:
     """Two threads that hear what the process says, so that no pipe ever fills up and halts it."""
 
-    def __init__(self, process: TrainingProcess, outbox: Outbox) -> None:
+    def __init__(self, process: TrainingProcess, outbox: Outbox, caches: Caches) -> None:
         self.last_word: Failed | Finished | None = None
         self._process = process
         self._outbox = outbox
+        self._caches = caches
         self._threads = [
             threading.Thread(target=target, name=target.__name__, daemon=True)
             for target in (self._hear_messages, self._hear_lines)
@@ -164,6 +178,8 @@ class _Ear:
             if isinstance(message, Failed | Finished):
                 self.last_word = message
             self._outbox.put(message)
+            if isinstance(message, PhaseEnded) and message.name in _COMPILED:
+                self._caches.keep()
 
     def _hear_lines(self) -> None:
         for line in self._process.lines():

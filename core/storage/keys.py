@@ -4,6 +4,7 @@ jobs/<id>/spec.json                            the submission, before it is answ
 jobs/<id>/record.json                          the job as it was after its newest transition that mattered
 jobs/<id>/attempts/<n>/manifest.json           what readers may see of an attempt, written after its files
 jobs/<id>/attempts/<n>/<name>                  its files
+caches/<machine>/<environment>/<when>/<name>   what machines of a kind compiled for it; all of it may be lost
 """
 
 
@@ -25,3 +26,15 @@ def manifest(job_id: str, attempt: int) -> str:
 
 def artifact(job_id: str, attempt: int, name: str) -> str:
     return f"jobs/{job_id}/attempts/{attempt}/{name}"
+
+
+def caches() -> str:
+    return "caches/"
+
+
+def cache_of(machine: str, environment: str) -> str:
+    return f"caches/{machine}/{environment}/"
+
+
+def cached(machine: str, environment: str, when: str, name: str) -> str:
+    return f"caches/{machine}/{environment}/{when}/{name}"

@@ -38,6 +38,13 @@ match behaviour:
             say(type="progress", step=step, total=20, steps_per_second=5.0, eta_s=0.0, metrics={"a": 1.0})
             keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", b"state %d" % step, step)
         say(type="finished")
+    case "compiles" | "compiles_and_crashes":
+        Path("cache/jax").mkdir(parents=True, exist_ok=True)
+        Path("cache/jax/compiled").write_bytes(b"another program")
+        if behaviour == "compiles_and_crashes":
+            sys.exit(3)
+        say(type="phase", name="compile", seconds=0.1)
+        say(type="finished")
     case "waits" | "ignores_signals":
         keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
         while not asked:

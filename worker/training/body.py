@@ -4,7 +4,6 @@ import os
 import platform
 from dataclasses import dataclass
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,8 +15,8 @@ from core.environments.info import Device, EnvironmentInfo
 from core.errors import JobFailed
 from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
 from core.physics.choose import choose, engine_builder
-from core.physics.kernels import keep_kernels
 from worker.messages import Started, Task
+from worker.training.compilations import keep_programs, keep_warp_kernels
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Body:
 
 def load_body(task: Task) -> Body:
     """Raises JobFailed("no_device") where a GPU was promised and JAX finds none."""
-    _keep_compilations()
+    keep_programs()
     device: Device = "cpu" if task.device == "cpu" else "gpu"
     found = jax.devices()[0]
     if device == "gpu" and found.platform != "gpu":
@@ -59,8 +58,8 @@ def load_body(task: Task) -> Body:
         )
     info = catalog.find(task.spec.environment.id)
     choice = choose(task.spec.physics, device, info.id, _num_worlds(task.spec, info, device))
-    if choice.name == "warp" and (data_dir := os.environ.get("GAITWAY_DATA_DIR")):
-        keep_kernels(Path(data_dir) / "cache" / "warp")
+    if choice.name == "warp":
+        keep_warp_kernels()
     options = catalog.parse_options(info, task.spec.environment.options)
     environment = catalog.make(info, options, engine_builder(choice.name))
     name = found.device_kind if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
@@ -74,9 +73,3 @@ def _num_worlds(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
             return resolve(spec.algorithm, info, device).num_envs
         case RolloutSpec():
             return spec.num_episodes
-
-
-def _keep_compilations() -> None:
-    """Compiled programs are kept between jobs, beside the worker's other data."""
-    if data_dir := os.environ.get("GAITWAY_DATA_DIR"):
-        jax.config.update("jax_compilation_cache_dir", str(Path(data_dir) / "cache" / "jax"))
