@@ -129,14 +129,16 @@ def fields_of(models: list[mujoco.MjModel]) -> dict[str, Any]:
     }
 
 
-@pytest.fixture(scope="module", params=["native", "mjx", "warp"])
+# MJX takes half a minute to compile a body with contacts.
+SLOW_MJX = pytest.param("mjx", marks=[pytest.mark.slow, pytest.mark.timeout(300)])
+
+
+@pytest.fixture(scope="module", params=["native", SLOW_MJX, "warp"])
 def bench(request: pytest.FixtureRequest) -> Bench:
     name: EngineName = request.param
     if name == "warp":
         request.getfixturevalue("warp_kernels")
-    # MJX takes half a minute to compile them.
-    derived = () if name == "mjx" else DERIVED
-    engine = engine_builder(name)(NOMINAL, NUM_SUBSTEPS, derived)
+    engine = engine_builder(name)(NOMINAL, NUM_SUBSTEPS, ())
     step_many = jax.jit(jax.vmap(engine.step))
     fields = fields_of(list(MODELS.values()))
     start = jax.jit(jax.vmap(engine.reset, (None, None, 0)))(QPOS, QVEL, fields)
@@ -164,9 +166,7 @@ def test_a_world_moves_as_plain_mujoco_with_its_model_does(bench: Bench, name: s
     np.testing.assert_allclose(bench.end.act[world], data.act, atol=bench.tolerance)
 
 
-@pytest.mark.parametrize(
-    "name", ["native", "warp", pytest.param("mjx", marks=[pytest.mark.slow, pytest.mark.timeout(300)])]
-)
+@pytest.mark.parametrize("name", ["native", SLOW_MJX, "warp"])
 def test_derived_fields_are_those_of_each_worlds_own_model(
     name: EngineName, request: pytest.FixtureRequest
 ) -> None:
@@ -190,8 +190,6 @@ def test_a_worlds_fields_stay_as_they_are(bench: Bench) -> None:
 
 
 def test_worlds_without_fields_of_their_own_come_and_go_between_those_that_have_some(bench: Bench) -> None:
-    if bench.engine.name == "mjx":
-        pytest.skip("MJX keeps nothing from call to call, and would take a minute to compile this.")
     # As many worlds as there are with fields of their own: nothing of theirs may stay behind.
     num_worlds = len(MODELS)
     plain = jax.vmap(bench.engine.reset)(np.tile(QPOS, (num_worlds, 1)), np.tile(QVEL, (num_worlds, 1)))
@@ -206,8 +204,6 @@ def test_worlds_without_fields_of_their_own_come_and_go_between_those_that_have_
 
 
 def test_one_field_alone_is_enough(bench: Bench) -> None:
-    if bench.engine.name == "mjx":
-        pytest.skip("It would take a minute to compile another step.")
     state = jax.vmap(bench.engine.reset, (None, None, 0))(
         QPOS, QVEL, {"opt.gravity": jnp.asarray([[0.0, 0, -9.81], [0, 0, 0]])}
     )
@@ -218,6 +214,28 @@ def test_one_field_alone_is_enough(bench: Bench) -> None:
 def test_a_field_that_no_world_can_have_to_itself_is_refused(bench: Bench) -> None:
     with pytest.raises(ValueError, match="geom_size"):
         bench.engine.reset(jnp.asarray(QPOS), jnp.asarray(QVEL), {"geom_size": jnp.zeros(3)})
+
+
+def test_pendulums_of_different_mass_and_damping_swing_apart_on_mjx() -> None:
+    # What of the above MJX compiles in seconds.
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.1"/>
+        <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03" mass="1"/></body></worldbody></mujoco>"""
+    )
+    engine = engine_builder("mjx")(model, NUM_SUBSTEPS, ())
+    masses, dampings = np.array([[0, 1], [0, 2], [0, 1]]), np.array([[0.1], [0.1], [0.5]])
+    fields = {"body_mass": jnp.float32(masses), "dof_damping": jnp.float32(dampings)}
+    state = jax.vmap(engine.reset, (None, None, 0))(jnp.zeros(1), jnp.zeros(1), fields)
+    step = jax.jit(jax.vmap(engine.step, (0, None)))
+    for _ in range(NUM_STEPS):
+        state = step(state, jnp.zeros(0))
+    for world in range(3):
+        own = copy.copy(model)
+        own.body_mass[:], own.dof_damping[:] = masses[world], dampings[world]
+        data = mujoco.MjData(own)
+        mujoco.mj_step(own, data, NUM_STEPS * NUM_SUBSTEPS)
+        np.testing.assert_allclose(state.qpos[world], data.qpos, atol=1e-5)
+    assert len({round(float(angle), 3) for angle in state.qpos[:, 0]}) == 3
 
 
 def test_every_field_is_tried_here() -> None:
