@@ -8,6 +8,7 @@ import mujoco
 
 from core.environments.environment import Environment, ObservationSize, State
 from core.environments.wrappers import select
+from core.physics.engine import NOMINAL, ModelFields
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class RepeatedAction:
     def tracked_body(self) -> int:
         return self.environment.tracked_body
 
-    def reset(self, key: jax.Array) -> State:
-        return self.environment.reset(key)
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        return self.environment.reset(key, model)
 
     def step(self, state: State, action: jax.Array) -> State:
         def again(state: State, _: None) -> tuple[State, jax.Array]:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from core.environments.environment import State
-from core.physics.engine import Engine, PhysicsState
+from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 
 
@@ -35,13 +35,15 @@ class Body(ABC):
         self.initial_qpos = jnp.asarray(initial_qpos(model), jnp.float32)
 
     @abstractmethod
-    def reset(self, key: jax.Array) -> State: ...
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State: ...
 
     @abstractmethod
     def step(self, state: State, action: jax.Array) -> State: ...
 
 
-def noisy_start(body: Body, key: jax.Array, scale: float, *, normal_velocity: bool) -> PhysicsState:
+def noisy_start(
+    body: Body, key: jax.Array, model: ModelFields, scale: float, *, normal_velocity: bool
+) -> PhysicsState:
     """The model's initial state with uniform noise in ±scale on the positions, and noise on the velocities.
 
     normal_velocity: velocities are normal with deviation `scale`; otherwise uniform in ±scale.
@@ -52,7 +54,7 @@ def noisy_start(body: Body, key: jax.Array, scale: float, *, normal_velocity: bo
         qvel = scale * jax.random.normal(key_velocity, (body.model.nv,))
     else:
         qvel = jax.random.uniform(key_velocity, (body.model.nv,), minval=-scale, maxval=scale)
-    return body.engine.reset(qpos, qvel)
+    return body.engine.reset(qpos, qvel, model)
 
 
 def height_is_healthy(height: jax.Array, healthy_range: tuple[float, float]) -> jax.Array:

@@ -7,7 +7,7 @@ import jax
 import mujoco
 from flax import struct
 
-from core.physics.engine import PhysicsState
+from core.physics.engine import NOMINAL, ModelFields, PhysicsState
 
 # One array [size], or arrays by name: `state` is what a policy sees unless a run says otherwise.
 Observation = Any
@@ -62,8 +62,8 @@ class Environment(Protocol):
         """Id of the body whose walk is measured and which the default camera follows."""
         ...
 
-    def reset(self, key: jax.Array) -> State:
-        """A fresh initial state."""
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        """A fresh initial state, in a world that differs from the model in these fields; see PhysicsState."""
         ...
 
     def step(self, state: State, action: jax.Array) -> State:

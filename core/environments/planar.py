@@ -10,7 +10,7 @@ from core.environments.body import Body, noisy_start
 from core.environments.environment import State
 from core.environments.hopper.info import HopperOptions
 from core.environments.walker2d.info import Walker2dOptions
-from core.physics.engine import EngineBuilder, PhysicsState
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 
 _NUM_SUBSTEPS = 4
 _MAX_OBSERVED_SPEED = 10.0
@@ -48,8 +48,8 @@ class PlanarWalker(Body):
         # The joint `rootz` counts from here.
         self._height_at_zero = float(model.body("torso").pos[2])
 
-    def reset(self, key: jax.Array) -> State:
-        physics = noisy_start(self, key, self._options.reset_noise_scale, normal_velocity=False)
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
         zero = jnp.zeros(())
         return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
 

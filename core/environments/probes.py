@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import mujoco
 
 from core.environments.environment import State
-from core.physics.engine import PhysicsState
+from core.physics.engine import NOMINAL, ModelFields, PhysicsState
 
 # (observation, time, action) -> (reward, done)
 Rule = Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
@@ -39,13 +39,19 @@ class Probe:
     def model(self) -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_string("<mujoco/>")
 
-    def reset(self, key: jax.Array) -> State:
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         sign = jnp.where(jax.random.bernoulli(key), 1.0, -1.0)
         obs = jnp.where(self.random_sign, sign, 0.0)[None]
         zero = jnp.zeros(())
         nothing = jnp.zeros(0)
         physics = PhysicsState(
-            qpos=nothing, qvel=nothing, act=nothing, qacc_warmstart=nothing, time=zero, derived={}
+            qpos=nothing,
+            qvel=nothing,
+            act=nothing,
+            qacc_warmstart=nothing,
+            time=zero,
+            derived={},
+            model=model,
         )
         return State(physics=physics, obs=obs, reward=zero, done=zero, metrics={"x_velocity": zero}, info={})
 

@@ -43,7 +43,19 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
         resolve(spec.algorithm, info, device)
     if spec.resume_from is not None:
         source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
+        _check_fields(spec, store.get(spec.resume_from.job))
         _check_fit(spec, info, store.get(spec.resume_from.job))
+
+
+def _check_fields(spec: TrainSpec, source: Job) -> None:
+    """A checkpoint holds the fields that its worlds differ in; how far they differ may change."""
+    had, has = (sorted({rule.field for rule in one.randomization}) for one in (source.spec, spec))
+    if had != has:
+        detail = (
+            f"The checkpoint's worlds differ in {', '.join(had) or 'nothing'}, this job's in "
+            f"{', '.join(has) or 'nothing'}; the fields must be the same, and ranges may change."
+        )
+        raise Rejected(detail, [Problem("/randomization", detail)])
 
 
 def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, JsonValue, PlainSer
 
 from core.algorithms.catalog import AlgorithmSpec
 from core.algorithms.ppo.spec import PPOSpec
+from core.environments.randomization import Randomizations
 from core.model import Strict
 from core.physics.availability import PhysicsChoice
 
@@ -88,6 +89,11 @@ class _Common(Strict):
     labels: dict[LabelName, Label] = Field(default={}, max_length=64)
     environment: EnvironmentChoice
     physics: PhysicsChoice = "auto"
+    randomization: Randomizations = Field(
+        default=[],
+        description="What differs between worlds, in training, evaluations and videos alike; applied one "
+        "after the other.",
+    )
     seed: Seed = 0
     video: VideoSpec = VideoSpec()
     resources: ResourcesSpec = ResourcesSpec()

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from mujoco import mjx
 
-from core.physics.engine import PhysicsState
+from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
 
 # What only a whole substep computes: forces, and with them the sensors of forces and accelerations.
 _OF_THE_LAST_SUBSTEP = ("qfrc_actuator", "sensordata")
@@ -35,10 +35,11 @@ class MjxEngine:
         blank = mujoco.MjData(model)
         self._shapes = {name: np.shape(getattr(blank, name)) for name in derived}
 
-    def reset(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
+    def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
+        check_model_fields(model)
         data = self._blank.replace(qpos=qpos, qvel=qvel)
         if self._derived:
-            data = mjx.forward(self._model, data)
+            data = mjx.forward(self._with(model), data)
         return PhysicsState(
             qpos=qpos,
             qvel=qvel,
@@ -46,27 +47,34 @@ class MjxEngine:
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived=self._read(data, self._derived),
+            model=model,
         )
 
     def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+        model = self._with(state.model)
+
         def substep(state: PhysicsState, _: None) -> tuple[PhysicsState, None]:
-            return self._state(
-                mjx.step(self._model, self._data(state).replace(ctrl=ctrl)), self._lasting
-            ), None
+            return self._state(mjx.step(model, self._data(state).replace(ctrl=ctrl)), self._lasting), None
 
         lasting = {name: state.derived[name] for name in self._lasting}
-        carry = replace(state, derived=lasting)
+        carry = replace(state, derived=lasting, model={})
         after, _ = jax.lax.scan(substep, carry, length=self._num_substeps)
-        return self._state(self._fresh(self._data(after)), self._derived) if self._derived else after
+        if self._derived:
+            after = self._state(self._fresh(model, self._data(after)), self._derived)
+        return replace(after, model=state.model)
 
-    def _fresh(self, data: Any) -> Any:
+    def _with(self, fields: ModelFields) -> Any:
+        """The model with these fields instead of its own."""
+        return self._model.tree_replace(dict(fields)) if fields else self._model
+
+    def _fresh(self, model: Any, data: Any) -> Any:
         """The same data, its fields that follow from position and velocity computed."""
         if "sensordata" in self._derived:
             # Sensors may read anything; what they do not read, the compiler drops.
-            data = mjx.sensor_pos(self._model, mjx.fwd_position(self._model, data))
-            return mjx.sensor_vel(self._model, mjx.fwd_velocity(self._model, data))
-        data = mjx.com_pos(self._model, mjx.kinematics(self._model, data))
-        return mjx.com_vel(self._model, mjx.tendon(self._model, data))
+            data = mjx.sensor_pos(model, mjx.fwd_position(model, data))
+            return mjx.sensor_vel(model, mjx.fwd_velocity(model, data))
+        data = mjx.com_pos(model, mjx.kinematics(model, data))
+        return mjx.com_vel(model, mjx.tendon(model, data))
 
     def _data(self, state: PhysicsState) -> Any:
         fields = {name: getattr(state, name) for name in _CARRIED}

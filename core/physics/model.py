@@ -3,6 +3,7 @@
 import copy
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -60,3 +61,8 @@ def with_solver(model: mujoco.MjModel, settings: SolverSettings | None) -> mujoc
     flags = changed.opt.disableflags & ~flag
     changed.opt.disableflags = flags if settings.implicit_damping else flags | flag
     return changed
+
+
+def model_field(model: Any, name: str) -> Any:
+    """The field of a model, of MuJoCo's or an engine's own; those of its options are called `opt.…`."""
+    return getattr(model.opt, name.removeprefix("opt.")) if name.startswith("opt.") else getattr(model, name)

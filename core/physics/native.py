@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco.batch import Batch, SimulationError
+from mujoco.batch import MODEL_FIELDS, Batch, SimulationError
 from numpy.typing import NDArray
 
-from core.physics.engine import PhysicsState
+from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
 from core.physics.host_call import Floats, host_call
 
 _Move = Callable[[Batch, NDArray[np.intp] | None], None]
@@ -44,7 +44,8 @@ class NativeEngine:
         self._stage_afterwards = int(stage)
         self._shapes = {name: np.shape(getattr(blank, name)) for name in (*carried, *derived)}
 
-    def reset(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
+    def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
+        check_model_fields(model)
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,
@@ -52,6 +53,7 @@ class NativeEngine:
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived={},
+            model=model,
         )
         if not self._derived:
             return at_rest
@@ -73,6 +75,7 @@ class NativeEngine:
         inputs = {name: getattr(state, name) for name in self._carried}
         if self._num_ctrl:
             inputs["ctrl"] = ctrl
+        inputs.update({name: values for name, values in state.model.items() if values.size})
 
         def on_the_host(*arrays: Floats) -> tuple[Floats, ...]:
             return self._worlds.move(move, dict(zip(inputs, arrays, strict=True)), wanted)
@@ -84,13 +87,13 @@ class NativeEngine:
 
 
 class _Worlds:
-    """The host's side: one `Batch` for each number of worlds that was ever asked for."""
+    """The host's side: a `Batch` for each number of worlds, and each set of fields that they differ in."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = copy.copy(model)
         # MuJoCo would put an unstable world back to its beginning and go on; we want to hear of it.
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._batches: dict[int, Batch] = {}
+        self._batches: dict[tuple[int, frozenset[str]], Batch] = {}
         # A Batch must not be used by two threads at once, and JAX may call back from any of its own.
         self._lock = threading.Lock()
 
@@ -98,9 +101,9 @@ class _Worlds:
         """The wanted fields after the move, NaN for a world that broke; leading axes as those of `given`."""
         worlds = given["time"].shape
         with self._lock:
-            batch = self._batch(int(np.prod(worlds)))
+            batch = self._batch(int(np.prod(worlds)), frozenset(MODEL_FIELDS.intersection(given)))
             for name, values in given.items():
-                field = batch.bind(name)
+                field = batch.expand(name) if name in MODEL_FIELDS else batch.bind(name)
                 field[...] = values.reshape(field.shape)
             outputs = [batch.bind(name) for name in wanted]
             broken = _broken(batch, move)
@@ -110,10 +113,12 @@ class _Worlds:
                 result[broken] = np.nan
         return tuple(result.reshape((*worlds, *result.shape[1:])) for result in results)
 
-    def _batch(self, num_worlds: int) -> Batch:
-        if num_worlds not in self._batches:
-            self._batches[num_worlds] = Batch(self._model, num_worlds, nthread=min(num_worlds, _num_cores()))
-        return self._batches[num_worlds]
+    def _batch(self, num_worlds: int, own_fields: frozenset[str]) -> Batch:
+        # What one call expands, another would have to put back: so each set of fields has its own.
+        key = (num_worlds, own_fields)
+        if key not in self._batches:
+            self._batches[key] = Batch(self._model, num_worlds, nthread=min(num_worlds, _num_cores()))
+        return self._batches[key]
 
 
 def _broken(batch: Batch, move: _Move) -> NDArray[np.bool_]:

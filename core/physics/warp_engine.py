@@ -8,10 +8,12 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from core.errors import JobFailed
-from core.physics.engine import OVERFLOW, PhysicsState
-from core.physics.warp_worlds import LOST, Worlds, program
+from core.physics.engine import NOMINAL, OVERFLOW, ModelFields, PhysicsState, check_model_fields
+from core.physics.model import model_field
+from core.physics.warp_worlds import LOST, Move, Worlds, program
 
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 
@@ -36,19 +38,27 @@ class WarpEngine:
         self._shapes = {name: np.shape(getattr(blank, name)) for name in (*_CARRIED, *derived)}
         given = {name: np.asarray(getattr(blank, name), np.float32).ravel() for name in (*_CARRIED, "ctrl")}
         self._blank = np.concatenate(list(given.values()))
+        self._model = model
         # Fields without elements are not copied: there is nothing in them.
         inputs = {name: values.size for name, values in given.items() if values.size}
         outputs = {name: size for name, shape in self._shapes.items() if (size := int(np.prod(shape)))}
         try:
-            worlds = Worlds(model, num_substeps, inputs, outputs, derived)
+            self._worlds = Worlds(model, num_substeps, inputs, outputs, derived)
         except (NotImplementedError, ValueError) as error:
             raise JobFailed("bad_model", f"MuJoCo Warp cannot run this model: {error}") from error
         self._num_outputs = sum(outputs.values())
         self._num_carried = sum(outputs.get(name, 0) for name in _CARRIED)
         self._derived = derived
-        self._forward, self._step = program(worlds, "forward"), program(worlds, "step")
+        self._programs: dict[tuple[Move, tuple[str, ...]], Callable[..., Any]] = {}
 
-    def reset(self, qpos: jax.Array, qvel: jax.Array) -> PhysicsState:
+    def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
+        check_model_fields(model)
+        if "dof_damping" in model and self._model.actuator_damping.any():
+            raise JobFailed(
+                "bad_model",
+                "MuJoCo Warp adds the actuators' damping to the joints' when it takes a model, so worlds of "
+                "this one cannot differ in dof_damping; ask for another engine by `physics`.",
+            )
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,
@@ -56,22 +66,24 @@ class WarpEngine:
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived={OVERFLOW: jnp.zeros((), jnp.float32)},
+            model=model,
         )
         if not self._derived:
             return at_rest
-        after = self._moved(self._forward, at_rest, jnp.zeros(self._num_ctrl, jnp.float32))
+        after = self._moved("forward", at_rest, jnp.zeros(self._num_ctrl, jnp.float32))
         return replace(at_rest, derived=after.derived)
 
     def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
-        return self._moved(self._step, state, ctrl)
+        return self._moved("step", state, ctrl)
 
-    def _moved(self, move: Callable[..., Any], state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+    def _moved(self, move: Move, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+        own = {name: values for name, values in sorted(state.model.items()) if values.size}
         fields = [getattr(state, name) for name in _CARRIED]
-        given = jnp.concatenate([jnp.ravel(field) for field in (*fields, ctrl)])
+        given = jnp.concatenate([jnp.ravel(field) for field in (*fields, ctrl, *own.values())])
         # A broken world could take its neighbours' room: one at the model's qpos0 is moved in its place.
         was_sound = _is_sound(given)
-        rows, bits = move(
-            jnp.where(was_sound, given, self._blank)[None],
+        rows, bits = self._program(move, tuple(own))(
+            jnp.where(was_sound, given, self._blank_with(tuple(own)))[None],
             output_dims={"after": (1, self._num_outputs), "overflow": (1,)},
         )
         is_sound = was_sound & _is_sound(rows[0, : self._num_carried])
@@ -81,7 +93,18 @@ class WarpEngine:
         return PhysicsState(
             **{name: values[name] for name in _CARRIED},
             derived={**derived, OVERFLOW: jnp.where(lost, 1.0, 0.0).astype(jnp.float32)},
+            model=state.model,
         )
+
+    def _program(self, move: Move, own: tuple[str, ...]) -> Callable[..., Any]:
+        """The move, for worlds that differ in these fields of the model."""
+        if (move, own) not in self._programs:
+            self._programs[move, own] = program(self._worlds, move, own)
+        return self._programs[move, own]
+
+    def _blank_with(self, own: tuple[str, ...]) -> NDArray[np.float32]:
+        nominal = [np.asarray(model_field(self._model, name), np.float32).ravel() for name in own]
+        return np.concatenate([self._blank, *nominal])
 
     def _unpacked(self, row: jax.Array) -> Mapping[str, jax.Array]:
         """The row [sum of outputs] as fields in MuJoCo's shapes."""

@@ -13,6 +13,7 @@ wp.config.log_level = wp.LOG_WARNING
 from mujoco.mjx.third_party import mujoco_warp as mjw  # noqa: E402
 
 from core.physics.capacity import capacity, measure  # noqa: E402
+from core.physics.model import model_field  # noqa: E402
 from core.physics.warp_kernels import load_kernels  # noqa: E402
 from core.physics.warp_step import Substep  # noqa: E402
 
@@ -24,9 +25,10 @@ LOST = int(mjw.OverflowType.ALL & ~_NOT_LOST)
 
 
 class Worlds:
-    """One batch of buffers for each device and each number of worlds that was ever asked for.
+    """Buffers for each device, each number of worlds, and each set of fields that the worlds differ in.
 
-    inputs, outputs: the fields that a call brings and fetches, by MuJoCo's names, with their sizes.
+    inputs, outputs: the fields that a call brings and fetches, by MuJoCo's names, with their sizes; fields
+    of the model that every world has to itself are brought after them.
     """
 
     def __init__(
@@ -38,31 +40,39 @@ class Worlds:
         derived: Sequence[str],
     ) -> None:
         self._model, self._num_substeps = model, num_substeps
-        self._inputs, self._outputs, self._derived = inputs, outputs, tuple(derived)
+        self._inputs, self._outputs, self._derived = dict(inputs), outputs, tuple(derived)
         with wp.ScopedDevice("cpu"):
             pairs = mjw.put_model(model).nxn_geom_pair_filtered.numpy()
         self._demand = measure(model, pairs)
-        self._batches: dict[tuple[str, int], _Batch] = {}
+        self._batches: dict[tuple[str, int, tuple[str, ...]], _Batch] = {}
 
-    def move(self, move: Move, given: Any, after: Any, overflow: Any) -> None:
-        """given: [N, sum of inputs]; after: [N, sum of outputs]; overflow: [N], bits of OverflowType."""
-        key = (given.device.alias, given.shape[0])
+    def move(self, move: Move, own: tuple[str, ...], given: Any, after: Any, overflow: Any) -> None:
+        """given: [N, sum of inputs]; after: [N, sum of outputs]; overflow: [N], bits of OverflowType.
+
+        own: the fields of the model that `given` brings after the inputs.
+        """
+        key = (given.device.alias, given.shape[0], own)
         if key not in self._batches:
-            self._batches[key] = self._batch(given.shape[0])
+            self._batches[key] = self._batch(given.shape[0], own)
         batch = self._batches[key]
         wp.copy(batch.given, given)
         batch.run(move)
         wp.copy(after, batch.after)
         wp.copy(overflow, batch.data.overflow)
 
-    def _batch(self, num_worlds: int) -> "_Batch":
-        model = mjw.put_model(self._model)
+    def _batch(self, num_worlds: int, own: tuple[str, ...]) -> "_Batch":
+        model = mjw.put_model(
+            self._model, batch_sizes={name: num_worlds for name in own if not name.startswith("opt.")}
+        )
+        if "opt.gravity" in own:
+            model.opt.gravity = wp.array(np.tile(self._model.opt.gravity, (num_worlds, 1)), dtype=wp.vec3)
         # A loop in a graph asks after each iteration whether another is needed: dearer than the only one.
         model.opt.graph_conditional = self._model.opt.iterations > 1
         model.opt.warn_overflow = 0  # it would print a line from the kernel for every world and step
         room = capacity(self._demand, num_worlds)
         data = mjw.make_data(self._model, num_worlds, naconmax=room.naconmax, njmax=room.njmax)
-        return _Batch(model, data, self._num_substeps, self._inputs, self._outputs, self._derived)
+        sizes = {name: np.size(model_field(self._model, name)) for name in own}
+        return _Batch(model, data, self._num_substeps, self._inputs | sizes, self._outputs, self._derived)
 
 
 class _Batch:
@@ -146,7 +156,7 @@ class _Batch:
         ends = np.cumsum(list(sizes.values()))
         pairs: list[tuple[Any, Any]] = []
         for (name, size), end in zip(sizes.items(), ends.tolist(), strict=True):
-            field = getattr(self.data, name)
+            field = getattr(self.data, name) if hasattr(self.data, name) else model_field(self._model, name)
             flat = wp.array(
                 ptr=field.ptr, dtype=wp.float32, shape=(self.data.nworld, size), device=field.device
             )
@@ -154,13 +164,16 @@ class _Batch:
         return pairs
 
 
-def program(worlds: Worlds, move: Move) -> Callable[..., Any]:
-    """The move as a function of JAX arrays: [1, inputs] to ([1, outputs], [1] int32); `vmap` makes 1 many."""
+def program(worlds: Worlds, move: Move, own: tuple[str, ...]) -> Callable[..., Any]:
+    """The move as a function of JAX arrays: [1, inputs] to ([1, outputs], [1] int32); `vmap` makes 1 many.
+
+    own: the fields of the model that the worlds differ in, and bring.
+    """
 
     def call(
         given: wp.array2d[wp.float32], after: wp.array2d[wp.float32], overflow: wp.array[wp.int32]
     ) -> None:
-        worlds.move(move, given, after, overflow)
+        worlds.move(move, own, given, after, overflow)
 
     # Graphs are ours: Warp's own would be captured anew for each pair of buffers that JAX comes with.
     return wp.jax_callable(

@@ -59,6 +59,16 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/environment/options/gravity",
             "no such option",
         ),
+        (
+            MINIMAL | {"randomization": [{"field": "mass", "range": [1, 2]}]},
+            "/randomization/0/field",
+            "'body_mass'",
+        ),
+        (
+            MINIMAL | {"randomization": [{"field": "body_mass", "range": [2, 1]}]},
+            "/randomization/0",
+            "range must be [low, high]",
+        ),
         (MINIMAL | {"resume_from": {"job": "../../etc"}}, "/resume_from/job", "must match"),
         (rollout(kind="zero", action=[1]), "/policy/action", "not a field here"),
         (rollout(kind="dance"), "/policy/kind", "known are"),

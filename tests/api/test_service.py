@@ -190,6 +190,7 @@ _FIELDS = [
     "name",
     "timeout_s",
     "physics",
+    "randomization",
     "checkpoints",
     "x",
 ]

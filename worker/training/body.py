@@ -12,6 +12,7 @@ from core.algorithms.ppo.spec import resolve
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.randomized import randomize
 from core.errors import JobFailed
 from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
 from core.physics.choose import choose, engine_builder
@@ -48,7 +49,10 @@ class Body:
 
 
 def load_body(task: Task) -> Body:
-    """Raises JobFailed("no_device") where a GPU was promised and JAX finds none."""
+    """Raises JobFailed("no_device") where a GPU was promised and JAX finds none.
+
+    And "bad_model" where the model has not got what the job randomises.
+    """
     keep_programs()
     device: Device = "cpu" if task.device == "cpu" else "gpu"
     found = jax.devices()[0]
@@ -62,6 +66,7 @@ def load_body(task: Task) -> Body:
         keep_warp_kernels()
     options = catalog.parse_options(info, task.spec.environment.options)
     environment = catalog.make(info, options, engine_builder(choice.name))
+    environment = randomize(environment, task.spec.randomization)
     name = found.device_kind if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
     return Body(info, environment, device, name, choice.name, choice.reason)
 

@@ -40,12 +40,16 @@ def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stoppi
     policy, action_repeat = _policy(task, spec, body, channel)
     body = replace(body, environment=repeat_action(body.environment, action_repeat))
     episodes = _act(spec, body, policy, channel, stopping)
+    differs = (
+        {"randomization": [rule.model_dump() for rule in spec.randomization]} if spec.randomization else {}
+    )
     shown = trajectory_of(
         body.environment,
         episodes,
         environment=spec.environment.model_dump(),
         policy=spec.policy.model_dump(),
         seed=spec.seed,
+        **differs,
     )
     trajectory.save(channel.spool / "trajectory.npz", shown)
     channel.hand_over("trajectory.npz", "trajectory", "application/x-npz")

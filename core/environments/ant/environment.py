@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from core.environments.ant.info import AntOptions
 from core.environments.body import Body, height_is_healthy, noisy_start
 from core.environments.environment import State
-from core.physics.engine import EngineBuilder, PhysicsState, SolverSettings
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 5
@@ -47,8 +47,8 @@ class Ant(Body):
         self._options = options
         self._num_hidden = hidden
 
-    def reset(self, key: jax.Array) -> State:
-        physics = noisy_start(self, key, self._options.reset_noise_scale, normal_velocity=True)
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=True)
         zero = jnp.zeros(())
         return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
 

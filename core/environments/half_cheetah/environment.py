@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from core.environments.body import Body, noisy_start
 from core.environments.environment import State
 from core.environments.half_cheetah.info import HalfCheetahOptions
-from core.physics.engine import EngineBuilder, PhysicsState
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 5
@@ -34,8 +34,8 @@ class HalfCheetah(Body):
         self._options = options
         self._num_hidden = hidden
 
-    def reset(self, key: jax.Array) -> State:
-        physics = noisy_start(self, key, self._options.reset_noise_scale, normal_velocity=True)
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=True)
         zero = jnp.zeros(())
         return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
 

@@ -7,7 +7,7 @@ import numpy as np
 from core.environments.body import Body, height_is_healthy, noisy_start, scaled_to_control
 from core.environments.environment import State
 from core.environments.humanoid.info import HumanoidOptions
-from core.physics.engine import EngineBuilder, PhysicsState, SolverSettings
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 5
@@ -48,10 +48,10 @@ class Humanoid(Body):
         )
         self._options = options
         self._num_hidden = hidden
-        self._masses = np.asarray(model.body_mass[1:], np.float32)
+        self._masses = np.asarray(model.body_mass, np.float32)
 
-    def reset(self, key: jax.Array) -> State:
-        physics = noisy_start(self, key, self._options.reset_noise_scale, normal_velocity=False)
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
         zero = jnp.zeros(())
         return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
 
@@ -92,13 +92,13 @@ class Humanoid(Body):
         """
         # cinert: 6 of the inertia, 3 of mass times offset from the whole's centre of mass, 1 mass.
         inertia, moment = physics.derived["cinert"][1:, :6], physics.derived["cinert"][1:, 6:9]
-        masses = self._masses[:, None]
+        masses = physics.model.get("body_mass", self._masses)[1:, None]
         symmetric = inertia[:, np.array([0, 3, 4, 3, 1, 5, 4, 5, 2])]
         # cvel: angular velocity, then linear velocity at the whole's centre of mass.
         angular, linear = physics.derived["cvel"][1:, :3], physics.derived["cvel"][1:, 3:]
         own_linear = linear + jnp.cross(angular, moment / masses)
         bodies = jnp.concatenate([symmetric, masses], axis=1)
-        velocities = jnp.concatenate([own_linear * (masses / self._masses.sum()), angular], axis=1)
+        velocities = jnp.concatenate([own_linear * (masses / masses.sum()), angular], axis=1)
         return jnp.concatenate(
             [
                 physics.qpos[self._num_hidden :],

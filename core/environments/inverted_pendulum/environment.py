@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from core.environments.body import Body, noisy_start, scaled_to_control
 from core.environments.environment import State
 from core.environments.info import NoOptions
-from core.physics.engine import EngineBuilder, PhysicsState
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 2
@@ -32,8 +32,8 @@ class InvertedPendulum(Body):
             tracked_body="cart",
         )
 
-    def reset(self, key: jax.Array) -> State:
-        physics = noisy_start(self, key, _NOISE, normal_velocity=False)
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, _NOISE, normal_velocity=False)
         zero = jnp.zeros(())
         return State(physics, _observe(physics), zero, zero, {}, {})
 

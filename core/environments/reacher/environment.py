@@ -7,7 +7,7 @@ import numpy as np
 from core.environments.body import Body
 from core.environments.environment import State
 from core.environments.info import NoOptions
-from core.physics.engine import EngineBuilder, PhysicsState
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 2
@@ -39,12 +39,12 @@ class Reacher(Body):
         self._second_link: int = model.body("body1").id
         self._target: int = model.body("target").id
 
-    def reset(self, key: jax.Array) -> State:
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         key_position, key_velocity, key_target = jax.random.split(key, 3)
         noise = jax.random.uniform(key_position, (2,), minval=-_POSITION_NOISE, maxval=_POSITION_NOISE)
         arm = jax.random.uniform(key_velocity, (2,), minval=-_VELOCITY_NOISE, maxval=_VELOCITY_NOISE)
         qpos = jnp.concatenate([self.initial_qpos[:2] + noise, _random_target(key_target)])
-        physics = self.engine.reset(qpos, jnp.concatenate([arm, jnp.zeros(2)]))
+        physics = self.engine.reset(qpos, jnp.concatenate([arm, jnp.zeros(2)]), model)
         zero = jnp.zeros(())
         metrics = {"reward_dist": zero, "reward_ctrl": zero}
         return State(physics, self._observe(physics), zero, zero, metrics, {})

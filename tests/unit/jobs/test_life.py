@@ -278,6 +278,18 @@ def test_a_job_of_another_shape_cannot_go_on_from_a_checkpoint(service: Service)
     assert "/algorithm/num_envs" in [problem.pointer for problem in caught.value.problems]
 
 
+def test_a_job_goes_on_in_worlds_that_differ_further_but_in_nothing_else(service: Service) -> None:
+    friction = {"field": "geom_friction", "range": [0.8, 1.2]}
+    job = service.submit(randomization=[friction])
+    holding = service.claim(job)
+    holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+    further = friction | {"range": [0.4, 1.6]}
+    assert service.submit(resume_from={"job": job.id}, randomization=[further, further])
+    with pytest.raises(Rejected, match="differ in geom_friction, this job's in nothing") as caught:
+        service.submit(resume_from={"job": job.id})
+    assert [problem.pointer for problem in caught.value.problems] == ["/randomization"]
+
+
 @pytest.mark.parametrize(
     ("wanted", "device", "has_checkpoint", "needs"),
     [
