@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from core.physics.engine import EngineBuilder
 
 ENVIRONMENTS: dict[str, EnvironmentInfo] = {
-    info.id: info for info in (ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, INVERTED_PENDULUM, REACHER)
+    info.id: info
+    for info in (ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, INVERTED_PENDULUM, REACHER)
 }
 
 

@@ -21,14 +21,16 @@ class RodentOptions(Strict):
     terminate_when_unhealthy: bool = Field(False, description="Otherwise it costs the healthy reward.")
     healthy_z_range: Range = Field(
         (0.035, 0.3),
-        description="Healthy heights of the torso, in metres: it stands at 0.047, and lies at 0.025 to 0.033.",
+        description="Healthy heights of the torso, in metres: it stands at 0.047, lies at 0.025 to 0.033.",
     )
     reset_noise_scale: NoiseScale = Field(1e-2, description="Of the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(False, description="Hide x and y.")
     n_frames: int = Field(5, ge=1, le=50, description="Physics steps for each action.")
     timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds of a physics step.")
     solver: Literal["newton", "cg"] = Field("newton", description="On mjx and warp; native keeps Newton.")
-    iterations: Iterations = Field(4, description="Of the solver, on mjx and warp; native goes on to the end.")
+    iterations: Iterations = Field(
+        4, description="Of the solver, on mjx and warp; native goes on to the end."
+    )
     ls_iterations: int = Field(8, ge=4, le=100, description="Of its line search, on mjx and warp.")
 
 
