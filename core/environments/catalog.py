@@ -14,6 +14,7 @@ from core.environments.humanoid.info import INFO as HUMANOID
 from core.environments.info import EnvironmentInfo
 from core.environments.inverted_pendulum.info import INFO as INVERTED_PENDULUM
 from core.environments.reacher.info import INFO as REACHER
+from core.environments.rodent.info import INFO as RODENT
 from core.environments.walker2d.info import INFO as WALKER2D
 from core.errors import EnvironmentNotFound, Problem, Rejected
 from core.model import Strict
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from core.physics.engine import EngineBuilder
 
 ENVIRONMENTS: dict[str, EnvironmentInfo] = {
-    info.id: info for info in (ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, INVERTED_PENDULUM, REACHER)
+    info.id: info
+    for info in (ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, INVERTED_PENDULUM, REACHER)
 }
 
 

@@ -45,6 +45,7 @@ def capacity(demand: Demand, num_worlds: int) -> Capacity:
 def measure(model: mujoco.MjModel, pairs: NDArray[np.integer], *, seed: int = 0) -> Demand:
     """What a few worlds ask for while random controls move them from the start of an episode.
 
+    In every other trial each control is at one of its ends, where a policy that learns often holds it.
     pairs: [P, 2], the geoms that may touch. C MuJoCo steps the worlds, on the host: some seconds of their
     time, a fraction of one of ours.
     """
@@ -54,12 +55,13 @@ def measure(model: mujoco.MjModel, pairs: NDArray[np.integer], *, seed: int = 0)
     num_steps = min(_MOST_STEPS, round(_TRIAL_S / model.opt.timestep))
     contacts, rows = 0, 0
     data = mujoco.MjData(model)
-    for _ in range(_NUM_TRIALS):
+    for trial in range(_NUM_TRIALS):
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = initial_qpos(model), 0.1 * random.standard_normal(model.nv)
         for step in range(num_steps):
             if step % _STEPS_PER_CONTROL == 0:
-                data.ctrl[:] = random.uniform(low, high)
+                within, at_an_end = random.uniform(low, high), random.uniform(size=model.nu) < 0.5
+                data.ctrl[:] = within if trial % 2 == 0 else np.where(at_an_end, low, high)
             mujoco.mj_step(model, data)
             contacts = max(contacts, int(data.ncon), num_near(model, data, pairs))
             rows = max(rows, int(data.nefc))

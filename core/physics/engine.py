@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import jax
 import mujoco
@@ -129,7 +129,7 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """What a body can do with when the solver's cost counts: Newton, so many iterations, damping or not.
+    """What a body can do with when the solver's cost counts: so many iterations, damping or not.
 
     implicit_damping: Euler's implicit joint damping, which costs one more factorisation each substep.
     """
@@ -137,6 +137,7 @@ class SolverSettings:
     iterations: int
     ls_iterations: int
     implicit_damping: bool
+    solver: Literal["newton", "cg"] = "newton"
 
 
 class EngineBuilder(Protocol):

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from core.physics.engine import SolverSettings
 
+_SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
+
 
 def brax_model(name: str) -> mujoco.MjModel:
     """The model `<name>.xml` of the brax wheel; bodies without joints are fused as Brax does."""
@@ -54,7 +56,7 @@ def with_solver(model: mujoco.MjModel, settings: SolverSettings | None) -> mujoc
     changed = copy.copy(model)
     if settings is None:
         return changed
-    changed.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    changed.opt.solver = _SOLVERS[settings.solver]
     changed.opt.iterations = settings.iterations
     changed.opt.ls_iterations = settings.ls_iterations
     flag = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)

@@ -26,6 +26,8 @@ class MujocoRenderer:
     ) -> None:
         self._gl_renderer = context_works()
         prepare(model, view, quality_of(self._gl_renderer), width=width, height=height)
+        if camera is not None:  # the model's own may see farther than `track` does
+            model.vis.map.shadowclip *= 3
         self._model = model
         self._data = mujoco.MjData(model)
         self._view = view

@@ -107,7 +107,8 @@ def _light(model: mujoco.MjModel) -> None:
     """A light straight overhead flattens everything: make it a low sun, and let the head light fill in."""
     model.mat_reflectance[:] = 0.0  # a mirror costs a second pass and hides the checker
     overhead = model.light_dir[:, 2] < -0.999
-    model.light_dir[overhead] = np.array([0.35, 0.35, -1.0]) / np.linalg.norm([0.35, 0.35, -1.0])
+    direction = np.array([0.35, 0.35, -1.0]) / np.linalg.norm([0.35, 0.35, -1.0])
+    model.light_dir[overhead] = model.light_dir0[overhead] = direction  # the latter where it tracks a body
     model.light_type[overhead] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     model.vis.headlight.ambient[:] = 0.35
     model.vis.headlight.diffuse[:] = 0.35

@@ -285,11 +285,11 @@ def ant() -> mujoco.MjModel:
     return model
 
 
-# MJX takes up to a minute to compile a body.
+# MJX takes up to a minute to compile a body, and many minutes for the rodent.
 SLOW = [
     pytest.param("mjx", body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
     for body in catalog.ENVIRONMENTS
-    if body != "ant"
+    if body not in ("ant", "rodent")
 ]
 
 

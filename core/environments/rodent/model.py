@@ -1,0 +1,81 @@
+"""dm_control's rat on a floor. Source: Merel et al., "Deep neuroethology of a virtual rodent", 2020."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+
+from core.errors import JobFailed
+
+_SETTLING_S = 2.0
+# What a picture is fitted to: not the floor.
+_EXTENT_M = 1.0
+# A group that is not drawn: the skin shows the body, and what it is made of would stick out of it.
+_HIDDEN = 3
+
+
+def rodent_model(timestep: float) -> mujoco.MjModel:
+    """The rat with a free joint, above an endless floor; its `init_qpos` is how it stands at rest.
+
+    Everything touches the floor, and nothing else: what runs is carried by the floor alone, and MJX has
+    no contacts of ellipsoids with boxes. Sensors are left out, because nothing reads them.
+    Raises JobFailed("bad_model") where dm_control, which brings the body, is not installed.
+    """
+    spec = mujoco.MjSpec.from_file(str(_xml()))
+    spec.option.timestep = timestep
+    # The file reserves 3.4 GB for the contacts of each world.
+    spec.nconmax = spec.njmax = -1
+    spec.stat.extent = _EXTENT_M
+    for geom in spec.geoms:
+        geom.contype, geom.conaffinity = 0, 1
+        geom.group = _HIDDEN
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    _add_floor(spec)
+    spec.body("torso").add_freejoint(name="root")
+    spec.add_numeric(name="init_qpos", data=_at_rest(spec.compile()), size=0)
+    return spec.compile()
+
+
+def _add_floor(spec: mujoco.MjSpec) -> None:
+    """A plane of squares of 0.1 m; friction and stiffness are the file's own for the body."""
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.2, 0.2, 0.2],
+        rgb2=[0.8, 0.8, 0.8],
+        width=100,
+        height=100,
+    )
+    material = spec.add_material(name="floor", texrepeat=[5, 5], texuniform=True)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[50, 50, 1],
+        contype=1,
+        conaffinity=0,
+        material="floor",
+        rgba=[1, 1, 1, 1],
+    )
+
+
+def _at_rest(model: mujoco.MjModel) -> list[float]:
+    """Positions [nq] above the origin once the body, let go where the file has it, has settled."""
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, round(_SETTLING_S / model.opt.timestep))
+    data.qpos[:2] = 0
+    return data.qpos.tolist()
+
+
+def _xml() -> Path:
+    # `import dm_control` would look for a display.
+    found = find_spec("dm_control")
+    if found is None or found.origin is None:
+        raise JobFailed(
+            "bad_model",
+            "The rodent's body comes with dm_control, and this worker does not have it. Install it there "
+            "with `pip install 'gaitway[dm-control]'`, or ask for another environment.",
+        )
+    return Path(found.origin).parent / "locomotion" / "walkers" / "assets" / "rodent.xml"
