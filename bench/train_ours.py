@@ -2,7 +2,8 @@
 
 Request: environment, engine, settings (hyperparameters), seed; device (`cpu`, which it is without one, or
 `gpu`), devices (how many, 1 without); cache (a folder for compiled programs, or null);
-checkpoint_every_steps (or null).
+checkpoint_every_steps (or null); most_training_s (stop after so many seconds of training, and three
+updates).
 """
 
 import time
@@ -13,9 +14,12 @@ from bench.child import answer
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """training: [[steps, seconds of training until then], …]; wall_s: from the call to its return;
-    first_update_at, evaluated_at: the hour of the first update's end and of the last evaluation's;
-    peak_bytes: the most device memory in use, where the device counts it."""
+    """training: [[steps, seconds of training until then], …]; rewards: [[steps, return], …], and
+    evaluated_s: for each of them the seconds from the call; wall_s: from the call to its return;
+    evaluation_s: of it, evaluating; first_update_s: from the call to the end of the first update;
+    first_update_at, evaluated_at: the hour of that and of the last evaluation's end; overflow: the largest
+    share of steps in which the engine lost contacts; peak_bytes: the most device memory in use, where the
+    device counts it."""
     import jax
 
     from bench.device_memory import peak_bytes
@@ -43,17 +47,24 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         devices=request.get("devices", 1),
     )
     training, phases, rewards = list[tuple[int, float]](), dict[str, float](), list[tuple[int, float]]()
-    first_update_at = evaluated_at = 0.0
+    evaluated_s = list[float]()
+    first_update_at = evaluated_at = first_update_s = evaluation_s = overflow = 0.0
     for event in trainer.events():
         match event:
             case Phase(name=name, seconds=seconds):
                 phases[name] = seconds
-                first_update_at = time.time() if name == "first_update" else first_update_at
+                if name == "first_update":
+                    first_update_at, first_update_s = time.time(), time.perf_counter() - began
             case Progress(step=step, metrics=metrics):
                 training.append((step, metrics["training/walltime"]))
+                overflow = max(overflow, metrics.get("training/physics_overflow", 0.0))
+                if _long_enough(training, request.get("most_training_s")):
+                    break
             case Evaluated(step=step, metrics=metrics):
                 evaluated_at = time.time()
+                evaluated_s.append(time.perf_counter() - began)
                 rewards.append((step, metrics["eval/episode_reward"]))
+                evaluation_s += metrics["eval/epoch_eval_time"]
             case CheckpointReady() if request["checkpoint_every_steps"]:
                 Path(request["cache"], f"checkpoint-{trainer.step}").write_bytes(trainer.checkpoint())
             case CheckpointReady():
@@ -61,12 +72,21 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     return {
         "training": training,
         "rewards": rewards,
+        "evaluated_s": evaluated_s,
         "phases": phases,
         "wall_s": time.perf_counter() - began,
+        "evaluation_s": evaluation_s,
+        "first_update_s": first_update_s,
         "first_update_at": first_update_at,
         "evaluated_at": evaluated_at,
+        "overflow": overflow,
         "peak_bytes": peak_bytes(),
     }
+
+
+def _long_enough(training: list[tuple[int, float]], most_s: float | None) -> bool:
+    """Whether the training since the first update took as long as it may."""
+    return most_s is not None and len(training) > 3 and training[-1][1] - training[0][1] > most_s
 
 
 if __name__ == "__main__":
