@@ -8,6 +8,8 @@ from typing import Any
 from bench.result import Bars, Panel, Picture, Result
 
 _COLOURS = ("#1f6fb2", "#d9822b", "#7a869a", "#2f9e6e", "#b5485d")
+# Others than those of the curves beside them: they do not stand for a trainer.
+_BAR_COLOURS = ("#2f9e6e", "#8e6bbf", "#c3cad4", "#e0b040", "#b5485d")
 _GRID = {"color": "#e3e7eb", "linewidth": 0.8}
 
 
@@ -81,11 +83,11 @@ def _bars(axis: Any, bars: Bars) -> None:
 
 def _stacks(axis: Any, bars: Bars) -> None:
     left = [0.0] * len(bars.groups)
-    for (label, values), colour in zip(bars.series.items(), cycle(_COLOURS), strict=False):
+    for (label, values), colour in zip(bars.series.items(), cycle(_BAR_COLOURS), strict=False):
         lengths = [max(0.0, value or 0.0) for value in values]
         axis.barh(bars.groups, lengths, left=left, color=colour, label=label, height=0.6)
         left = [a + b for a, b in zip(left, lengths, strict=True)]
-    for place, whole in enumerate(left):
+    for place, whole in enumerate(left if bars.unit != "%" else ()):
         axis.annotate(
             f"{whole:.3g}", (whole, place), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8
         )
@@ -100,14 +102,15 @@ def _side_by_side(axis: Any, bars: Bars) -> None:
     for number, (label, values) in enumerate(bars.series.items()):
         places = [group - 0.4 + (number + 0.5) * width for group in range(len(bars.groups))]
         shown = axis.bar(
-            places, [value or 0.0 for value in values], width, label=label, color=_COLOURS[number]
+            places, [value or 0.0 for value in values], width, label=label, color=_BAR_COLOURS[number]
         )
         texts = ["" if value is None else _compact(float(f"{value:.2g}")) for value in values]
-        axis.bar_label(shown, texts, fontsize=7, padding=2)
+        axis.bar_label(shown, texts, fontsize=7, padding=3, rotation=90)
     axis.set_xticks(range(len(bars.groups)), bars.groups, rotation=20 if len(bars.groups) > 4 else 0)
     axis.set_ylabel(bars.unit)
     axis.yaxis.set_major_formatter(_compact)
-    _dress(axis, bars.title, grid="y")
+    axis.margins(y=0.15)
+    _dress(axis, bars.title, grid="y", below=True)
 
 
 def _dress(axis: Any, title: str, *, grid: str, below: bool = False) -> None:

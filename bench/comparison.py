@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.result import Figure, Line, Panel, Target, at_least
+from bench.result import Bars, Figure, Line, Panel, Target, at_least
 from bench.runs import Run
 from bench.statistics import Estimate, difference_in_errors, estimate
 
@@ -34,11 +34,7 @@ def versus(name: str, ours: Sequence[Run], theirs: Sequence[Run]) -> list[Figure
     value = difference_in_errors(returns(ours), returns(theirs))
     if value is None:
         return []
-    return [
-        Figure(
-            name=name, value=value, unit="standard errors of the difference", target=at_least(-1), low=None
-        )
-    ]
+    return [Figure(name=name, value=value, unit="standard errors of the difference", target=at_least(-1))]
 
 
 def evaluations_share(run: Run) -> float:
@@ -89,3 +85,21 @@ def by_wall(runs: Mapping[str, Run], title: str) -> Panel:
         for label, run in runs.items()
     ]
     return Panel(title=title, x="seconds", y="return per episode", lines=lines)
+
+
+def wall_parts(runs: Mapping[str, Run]) -> Bars:
+    """Where each run's wall went; runs by their label. Brax compiles within its epochs and evaluations."""
+    steady = [run["training"][-1][0] / rate(run["training"]) for run in runs.values()]
+    evaluating = [run["evaluation_s"] for run in runs.values()]
+    rest = [run["wall_s"] - a - b for run, a, b in zip(runs.values(), steady, evaluating, strict=True)]
+    return Bars(
+        title="Where the wall goes",
+        unit="s",
+        groups=list(runs),
+        series={
+            "training at the steady rate": list(steady),
+            "evaluations": list(evaluating),
+            "the rest, mostly compiling": list(rest),
+        },
+        stacked=True,
+    )

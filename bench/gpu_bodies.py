@@ -113,11 +113,11 @@ def _pictures(complete: dict[str, dict[str, list[Run]]]) -> list[Picture]:
 
 def _notes(num_seeds: int) -> list[str]:
     return [
-        "Both trainers run the same environment on the same engine, the one `auto` takes, with the body's tuned "
-        "settings and its whole budget, every episode beginning at the environment's own first state, as in "
-        f"Brax; {_NUM_EVALS} evaluations of 128 episodes each. Brax publishes PPO settings for the ant, the "
-        "half cheetah and the humanoid, which are these; for the hopper and the walker it publishes SAC's, so "
-        "PPO's are this project's own.",
+        "Both trainers run the same environment on the same engine, the one `auto` takes, with the body's "
+        "tuned settings and its whole budget, to the step, every episode beginning at the environment's own "
+        f"first state, as in Brax; {_NUM_EVALS} evaluations of 128 episodes each. Brax publishes PPO "
+        "settings for the ant, the half cheetah and the humanoid, which are these; for the hopper and the "
+        "walker it publishes SAC's, so PPO's are this project's own.",
         f"Seeds of each: {num_seeds}. The wall is of the first, from the call to its return; whatever was "
         "compiled before, by either trainer, was not compiled again, Warp's kernels among it.",
     ]

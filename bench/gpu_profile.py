@@ -142,22 +142,22 @@ def _pictures(parts: dict[str, dict[str, float]]) -> list[Picture]:
 def _notes(engines: dict[str, str], card: Card | None) -> list[str]:
     on = ", ".join(f"{body} on `{engine}`" for body, engine in engines.items())
     notes = [
-        f"Tuned settings for a GPU, {on}, after {_WARM_UPDATES} updates. Every part is a compiled program of "
-        f"its own, timed {_REPEATS} times until the device has finished; the medians are shown. Physics: the "
-        "engine alone under the update's own actions. The rest of the environments: observation, reward and "
-        "new starts. Learning: an update with twice as many passes, less one. The whole is an update inside "
-        "the compiled loop, as training runs it; the rest is what the parts leave of it, and may be negative, "
-        "because the compiler joins what is timed apart here.",
+        f"Tuned settings for a GPU, {on}, after {_WARM_UPDATES} updates. Every part is a compiled program "
+        f"of its own, timed {_REPEATS} times until the device has finished; the medians are shown. Physics: "
+        "the engine alone under the update's own actions. The rest of the environments: observation, reward "
+        "and new starts. Learning: an update with twice as many passes, less one. The whole is an update "
+        "inside the compiled loop, as training runs it; the rest is what the parts leave of it, and may be "
+        "negative, because the compiler joins what is timed apart here.",
         "By reckoning: the matrix products of both networks forward and backward on every sample, and bytes "
         "with the minibatch read once and parameters and Adam's moments read and written once. XLA counts "
-        "operations and bytes of its compiled gradient step, what its kernels hand to each other through the "
-        "card's caches included.",
+        "operations and bytes of its compiled gradient step, what its kernels hand to each other through "
+        "the card's caches included.",
     ]
     if card is not None:
         notes.append(
             f"Peaks of one {card.name}: {card.tf32_flops / 1e12:.0f} TFLOP/s in TF32, which JAX uses for "
-            f"float32 products, {card.fp32_flops / 1e12:.0f} in float32, {card.bf16_flops / 1e12:.0f} in BF16, "
-            f"{card.memory / 1e12:.1f} TB/s ({card.source}). The least a gradient step could take is the "
-            "longer of its products in TF32 and its least bytes."
+            f"float32 products, {card.fp32_flops / 1e12:.0f} in float32, {card.bf16_flops / 1e12:.0f} in "
+            f"BF16; {card.memory / 1e12:.1f} TB/s ({card.source}). The least a gradient step could take is "
+            "the longer of its products in TF32 and its least bytes."
         )
     return notes

@@ -6,7 +6,7 @@ from typing import Any
 from bench import comparison, requests
 from bench.comparison import UNIT, rate
 from bench.requests import Settings
-from bench.result import Bars, Figure, Options, Picture, Result, at_least, below
+from bench.result import Figure, Options, Picture, Result, at_least, below
 from bench.runs import Run, Runs, Work
 from bench.statistics import spread
 from core.environments.info import Device
@@ -35,7 +35,7 @@ def compare(plan: Plan, options: Options) -> Result:
     given = _settings(device, environment, plan, options)
     engine = requests.engine(device, environment, given)
     runs = Runs(name, options)
-    seeds = range(options.seeds or 3)
+    seeds = range(options.seeds or (2 if options.quick else 3))
     # As a job runs it that says nothing but the body's name, for what its evaluations cost.
     defaults = given if options.quick else {}
     runs.make(
@@ -182,20 +182,7 @@ def _pictures(
             panels=[
                 comparison.by_steps(labelled, f"{environment}: return at equal steps, every seed"),
                 comparison.by_wall(cold, "Return against the wall, cold cache"),
-                Bars(
-                    title="Where the wall goes",
-                    unit="s",
-                    groups=list(walls),
-                    series={
-                        "training": [run["training"][-1][1] for run in walls.values()],
-                        "evaluating": [run["evaluation_s"] for run in walls.values()],
-                        "the rest: tracing, compiling": [
-                            run["wall_s"] - run["training"][-1][1] - run["evaluation_s"]
-                            for run in walls.values()
-                        ],
-                    },
-                    stacked=True,
-                ),
+                comparison.wall_parts(walls),
             ],
         )
     ]
@@ -215,5 +202,6 @@ def _notes(given: Settings, engine: str, num_seeds: int, num_evals: int) -> list
         "of the sum of both squares. Each seed has one evaluation at the end.",
         "Steady: training alone over the second half of the run's reports, of each seed's run from a warm "
         "cache. Warp's own buffers are not in JAX's memory.",
-        "By default: a run with the body's tuned settings and nothing else said, as a job's is.",
+        "Brax's evaluations in the picture have their compilation in them, and ours have not. By default: a "
+        "run with the body's tuned settings and nothing else said, as a job's is.",
     ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 FLOAT_BYTES = 4
 
@@ -53,16 +54,16 @@ class Need:
 
 def forward_flops(layers: Sequence[int], samples: int) -> float:
     """A dense network's products for so many inputs; layers: its widths, from the input to the output."""
-    return 2.0 * samples * sum(a * b for a, b in zip(layers[:-1], layers[1:], strict=True))
+    return 2.0 * samples * sum(a * b for a, b in pairwise(layers))
 
 
 def gradient_flops(layers: Sequence[int], samples: int) -> float:
-    """The same forward and backward: twice as much again, less the gradient by the inputs, which nobody asks."""
+    """The same forward and backward: twice as much again, less the gradient by the inputs."""
     return 3 * forward_flops(layers, samples) - 2.0 * samples * layers[0] * layers[1]
 
 
 def num_parameters(layers: Sequence[int]) -> int:
-    return sum((a + 1) * b for a, b in zip(layers[:-1], layers[1:], strict=True))
+    return sum((a + 1) * b for a, b in pairwise(layers))
 
 
 def gradient_step(

@@ -21,7 +21,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def physics(request: dict[str, Any]) -> dict[str, Any]:
-    """Environments under random actions: the engine's step, observation, reward and new starts; no network."""
+    """Environments under random actions: engine, observation, reward and new starts, but no network."""
     import jax
 
     from core.algorithms.ppo.spec import PPOSpec, resolve

@@ -30,6 +30,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     import jax.numpy as jnp
 
     from bench.device_memory import peak_bytes
+    from core.physics.kernels import keep_kernels
 
     if request.get("cache"):
         jax.config.update("jax_compilation_cache_dir", request["cache"])
@@ -46,7 +47,6 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from core.algorithms.ppo.spec import PPOSpec, resolve
     from core.environments import catalog
     from core.physics.choose import engine_builder
-    from core.physics.kernels import keep_kernels
 
     def builder(name: str) -> Any:
         if name != "mjx_equal":

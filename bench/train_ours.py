@@ -7,6 +7,7 @@ updates).
 """
 
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from bench.device_memory import peak_bytes
     from core.algorithms.ppo.spec import PPOSpec, resolve
     from core.algorithms.ppo.trainer import PPOTrainer
-    from core.algorithms.trainer import CheckpointReady, Evaluated, Phase, Progress
+    from core.algorithms.trainer import CheckpointReady
     from core.environments import catalog
     from core.physics.choose import engine_builder
     from core.physics.kernels import keep_kernels
@@ -46,42 +47,50 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         checkpoint_every_steps=request["checkpoint_every_steps"],
         devices=request.get("devices", 1),
     )
-    training, phases, rewards = list[tuple[int, float]](), dict[str, float](), list[tuple[int, float]]()
-    evaluated_s = list[float]()
-    first_update_at = evaluated_at = first_update_s = evaluation_s = overflow = 0.0
+    seen = _Seen(began)
     for event in trainer.events():
+        seen.take(event)
+        if isinstance(event, CheckpointReady) and request["checkpoint_every_steps"]:
+            Path(request["cache"], f"checkpoint-{trainer.step}").write_bytes(trainer.checkpoint())
+        if _long_enough(seen.training, request.get("most_training_s")):
+            break
+    told = {name: value for name, value in vars(seen).items() if name != "began"}
+    return {**told, "wall_s": time.perf_counter() - began, "peak_bytes": peak_bytes()}
+
+
+@dataclass
+class _Seen:
+    """What the trainer's events told; see `work`."""
+
+    began: float
+    training: list[tuple[int, float]] = field(default_factory=list)
+    rewards: list[tuple[int, float]] = field(default_factory=list)
+    evaluated_s: list[float] = field(default_factory=list)
+    phases: dict[str, float] = field(default_factory=dict)
+    evaluation_s: float = 0.0
+    first_update_s: float = 0.0
+    first_update_at: float = 0.0
+    evaluated_at: float = 0.0
+    overflow: float = 0.0
+
+    def take(self, event: Any) -> None:
+        from core.algorithms.trainer import Evaluated, Phase, Progress
+
         match event:
             case Phase(name=name, seconds=seconds):
-                phases[name] = seconds
+                self.phases[name] = seconds
                 if name == "first_update":
-                    first_update_at, first_update_s = time.time(), time.perf_counter() - began
+                    self.first_update_at, self.first_update_s = time.time(), time.perf_counter() - self.began
             case Progress(step=step, metrics=metrics):
-                training.append((step, metrics["training/walltime"]))
-                overflow = max(overflow, metrics.get("training/physics_overflow", 0.0))
-                if _long_enough(training, request.get("most_training_s")):
-                    break
+                self.training.append((step, metrics["training/walltime"]))
+                self.overflow = max(self.overflow, metrics.get("training/physics_overflow", 0.0))
             case Evaluated(step=step, metrics=metrics):
-                evaluated_at = time.time()
-                evaluated_s.append(time.perf_counter() - began)
-                rewards.append((step, metrics["eval/episode_reward"]))
-                evaluation_s += metrics["eval/epoch_eval_time"]
-            case CheckpointReady() if request["checkpoint_every_steps"]:
-                Path(request["cache"], f"checkpoint-{trainer.step}").write_bytes(trainer.checkpoint())
-            case CheckpointReady():
+                self.evaluated_at = time.time()
+                self.evaluated_s.append(time.perf_counter() - self.began)
+                self.rewards.append((step, metrics["eval/episode_reward"]))
+                self.evaluation_s += metrics["eval/epoch_eval_time"]
+            case _:
                 pass
-    return {
-        "training": training,
-        "rewards": rewards,
-        "evaluated_s": evaluated_s,
-        "phases": phases,
-        "wall_s": time.perf_counter() - began,
-        "evaluation_s": evaluation_s,
-        "first_update_s": first_update_s,
-        "first_update_at": first_update_at,
-        "evaluated_at": evaluated_at,
-        "overflow": overflow,
-        "peak_bytes": peak_bytes(),
-    }
 
 
 def _long_enough(training: list[tuple[int, float]], most_s: float | None) -> bool:

@@ -5,7 +5,7 @@ from typing import Any
 from bench import comparison, requests
 from bench.comparison import UNIT, rate
 from bench.requests import Settings
-from bench.result import Bars, Figure, Options, Picture, Result, at_least, below
+from bench.result import Figure, Options, Picture, Result, at_least, below
 from bench.runs import Run, Runs, Work
 from bench.statistics import ratios, spread
 
@@ -124,7 +124,7 @@ def _figures(ours: list[Run], brax: list[Run], given: Settings, over_mjx: dict[s
 
 
 def _default_share(run: Run, given: Settings) -> float:
-    """Per cent of the wall that a default run would evaluate, at this run's rate and cost of an evaluation."""
+    """Per cent of the wall that a default run would evaluate, at what rate and evaluation cost here."""
     default = requests.resolved("cpu", _BODY, {})
     evaluating = default.num_evals * run["evaluation_s"] / given["num_evals"]
     return 100 * evaluating / (evaluating + default.num_timesteps / rate(run["training"]))
@@ -148,21 +148,10 @@ def _starts_figures(warm: Run | None) -> list[Figure]:
 
 
 def _pictures(both: dict[str, list[Run]]) -> list[Picture]:
-    walls: dict[str, list[float | None]] = {
-        "training": [spread([run["training"][-1][1] for run in runs]).median for runs in both.values()],
-        "evaluating": [spread([run["evaluation_s"] for run in runs]).median for runs in both.values()],
-        "the rest: tracing, compiling": [
-            spread([_rest(run) for run in runs]).median for runs in both.values()
-        ],
-    }
-    bars = Bars(title="Where the wall goes", unit="s", groups=list(both), series=walls, stacked=True)
-    caption = "PPO on two CPU cores, ant: return at equal steps, and where the wall goes"
-    panels = [comparison.by_steps(both, "ant: return at equal steps, every seed"), bars]
+    walls = comparison.wall_parts({who: runs[0] for who, runs in both.items()})
+    caption = "PPO on two CPU cores, ant: return at equal steps, and where the wall of the first goes"
+    panels = [comparison.by_steps(both, "ant: return at equal steps, every seed"), walls]
     return [Picture(name="training", caption=caption, panels=panels)]
-
-
-def _rest(run: Run) -> float:
-    return run["wall_s"] - run["training"][-1][1] - run["evaluation_s"]
 
 
 def _notes(given: Settings, num_seeds: int, over_mjx: dict[str, Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.training import rate
+from bench.comparison import rate
 
 
 def test_a_rate_is_of_the_second_half() -> None:
