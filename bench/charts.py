@@ -120,7 +120,7 @@ def _dress(axis: Any, title: str, *, grid: str, below: bool = False) -> None:
     axis.spines[["top", "right"]].set_visible(False)
     axis.tick_params(labelsize=8)
     if below:
-        axis.legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.45, -0.18), ncols=2)
+        axis.legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.45, -0.2), ncols=3)
     else:
         axis.legend(frameon=False, fontsize=8)
 

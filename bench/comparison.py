@@ -12,11 +12,14 @@ Row = dict[str, str | int | float | bool | None]
 
 
 def rate(training: Sequence[Sequence[float]]) -> float:
-    """Steps per second over the second half of (steps, seconds so far); compilation is in the first."""
-    end_step, end_s = training[-1]
-    half_step, half_s = next(point for point in training if 2 * point[0] >= end_step)
-    if half_step == end_step:
+    """Steps per second over the second half of (steps, seconds so far), or since the last report but one.
+
+    Compilation is in the first report's seconds. Raises ValueError where there is no other.
+    """
+    if len(training) < 2:
         raise ValueError("One point has no second half: the run reported only once.")
+    end_step, end_s = training[-1]
+    half_step, half_s = next((point for point in training[:-1] if 2 * point[0] >= end_step), training[-2])
     return (end_step - half_step) / (end_s - half_s)
 
 

@@ -65,6 +65,7 @@ def _work(device: Device, body: str, engine: EngineName, options: Options) -> Wo
     request = {
         **requests.ours(device, body, engine, given),
         "most_training_s": _MOST_TRAINING_S,
+        "epoch_s": 0.25,
         "physics_s": 0.1 if options.quick else _PHYSICS_S,
     }
     # Programs are compiled anew for each; the folder is theirs alone, but for Warp's kernels.

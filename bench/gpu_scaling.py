@@ -67,4 +67,4 @@ def _request(device: Device, body: str, devices: int, options: Options) -> dict[
         "num_timesteps": updates * one.env_steps_per_update * devices,
     }
     engine = requests.engine(device, body, given)
-    return {**requests.ours(device, body, engine, settings), "devices": devices}
+    return {**requests.ours(device, body, engine, settings), "devices": devices, "epoch_s": 0.25}

@@ -3,7 +3,7 @@
 Request: environment, engine, settings (hyperparameters), seed; device (`cpu`, which it is without one, or
 `gpu`), devices (how many, 1 without); cache (a folder for compiled programs, or null);
 checkpoint_every_steps (or null); most_training_s (stop after so many seconds of training, and three
-updates).
+updates); epoch_s (how often it reports, every second without).
 """
 
 import time
@@ -46,6 +46,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         seed=request["seed"],
         checkpoint_every_steps=request["checkpoint_every_steps"],
         devices=request.get("devices", 1),
+        epoch_s=request.get("epoch_s", 1.0),
     )
     seen = _Seen(began)
     for event in trainer.events():
