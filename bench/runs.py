@@ -53,7 +53,7 @@ class Runs:
         self._folder = options.out / "runs" / (f"{bench}-quick" if options.quick else bench)
         # Compiled programs are large, and are of use on this machine only: they stay out of the results.
         self._caches = Path(tempfile.gettempdir(), "gaitway-bench-caches", bench)
-        self._only, self._machines = options.only, list[Machine]()
+        self._only, self._machines = options.only, dict[str, Machine]()
         self._ends_at = time.monotonic() + options.seconds if options.seconds else float("inf")
         if not options.resume:
             for folder in (self._folder, self._caches):
@@ -63,29 +63,32 @@ class Runs:
         """Those that are missing, in their order; a failure is kept like an answer."""
         for work in works:
             record = self._kept(work)
-            if record is None and not fnmatchcase(work.name, self._only):
-                self.left.append(work.name)
-                continue
-            if record is None and work.after is not None and not self._marker(work.after).exists():
-                self._path(work.after).unlink(missing_ok=True)
-                self.done.pop(work.after.name, None)
-                self.make([work.after])
-                if work.after.name not in self.done:
-                    self.left.append(work.name)
-                    continue
-            record = record or self._made(work)
+            if record is None and fnmatchcase(work.name, self._only) and self._has_its_cache(work):
+                record = self._made(work)
             if record is None:
                 self.left.append(work.name)
                 continue
-            self._machines.append(Machine.model_validate(record["machine"]))
+            self._machines[work.name] = Machine.model_validate(record["machine"])
             if "failure" in record:
                 self.failed[work.name] = record["failure"]
             else:
                 self.done[work.name] = record["answer"]
 
+    def _has_its_cache(self, work: Work) -> bool:
+        """Whether what it is to find compiled is on this machine; if not, it is made, if that may be."""
+        before = work.after
+        if before is None or self._marker(before).exists():
+            return True
+        if not fnmatchcase(before.name, self._only):
+            return False
+        self._path(before).unlink(missing_ok=True)
+        self.done.pop(before.name, None)
+        self.make([before])
+        return before.name in self.done
+
     def notes(self) -> list[str]:
         """What a reader must know of how they came to be."""
-        seen = [{name: getattr(machine, name) for name in _ALIKE} for machine in self._machines]
+        seen = [{name: getattr(machine, name) for name in _ALIKE} for machine in self._machines.values()]
         differing = [name for name in _ALIKE if any(one[name] != seen[0][name] for one in seen)]
         notes = [f"Failed: {name} ({reason})." for name, reason in self.failed.items()]
         for name in differing:
@@ -95,7 +98,7 @@ class Runs:
 
     def where(self) -> Machine:
         """The machine of the first run; this one where none was made."""
-        return self._machines[0] if self._machines else self.machine
+        return next(iter(self._machines.values()), self.machine)
 
     def _kept(self, work: Work) -> Run | None:
         """What an earlier call made of this very request."""

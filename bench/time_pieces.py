@@ -33,8 +33,10 @@ _UPDATES_PER_EPOCH = 4
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """seconds: of each part of an update, repeat by repeat; need, xla: of one gradient step, by reckoning and
     by XLA's own count; gradient_steps, steps: in an update."""
-    if request["cache"] and request["engine"] == "warp":
-        keep_kernels(Path(request["cache"], "warp"))
+    if request["cache"]:
+        jax.config.update("jax_compilation_cache_dir", request["cache"])
+        if request["engine"] == "warp":
+            keep_kernels(Path(request["cache"], "warp"))
     info = catalog.find(request["environment"])
     settings = resolve(PPOSpec.model_validate(request["settings"]), info, request["device"])
     built: Any = catalog.make(info, catalog.parse_options(info, {}), engine_builder(request["engine"]))

@@ -95,6 +95,16 @@ def test_a_warm_run_on_another_machine_makes_the_cold_one_again(tmp_path: Path, 
     assert runs.done["warm"]["began_at"] > runs.done["cold"]["began_at"]
 
 
+def test_a_cold_run_that_may_not_be_made_is_kept(tmp_path: Path, caches: Path) -> None:
+    cold = say("a", "cold", cache="mine", cold=True)
+    first = made(tmp_path, cold).done["cold"]
+    shutil.rmtree(caches)
+
+    runs = made(tmp_path, cold, say("a", "warm", cache="mine", after=cold), only="warm", resume=True)
+
+    assert (runs.done, runs.left) == ({"cold": first}, ["warm"])
+
+
 def test_runs_of_different_commits_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, commit in (("one", "abc"), ("two", "def")):
         monkeypatch.setenv("BENCH_COMMIT", commit)
