@@ -18,7 +18,7 @@ _BODIES = (
 )
 _ENGINES: tuple[EngineName, ...] = ("warp", "mjx", "native")
 _UPDATES = 12
-_MOST_TRAINING_S = 15.0
+_MOST_TRAINING_S = 10.0
 _PHYSICS_S = 3.0
 _TIMEOUT_S = 240.0
 
