@@ -1,4 +1,7 @@
-"""`python -m bench [NAME ...] [--quick] [--out DIR]`; `python -m bench report` renews docs/performance.md."""
+"""`python -m bench [NAME ...] [--quick] [--out DIR]`; `python -m bench report` renews docs/performance.md.
+
+The training benches may be spread over several calls: with `--resume`, one takes what others have made.
+"""
 
 import argparse
 import subprocess
@@ -8,16 +11,23 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench import report
+from bench import charts, report
 from bench.result import Options, Result
 
 NAMES = ("physics", "training", "service", "video", "demo")
-ON_A_GPU = ("gpu_ant", "gpu_humanoid", "gpu_scaling")
-PAGE = Path("docs/performance.md")
+ON_A_GPU = (
+    *("gpu_engines", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
+    *("gpu_rodent", "gpu_profile", "gpu_scaling"),
+)
+PAGE, PICTURES = Path("docs/performance.md"), Path("docs/pictures")
+UNFINISHED = 75
 
 
 def main() -> int:
-    """The exit status: 0 when every measurement was made, whether or not it reached its target."""
+    """The exit status: 0 when every measurement was made, whether or not it reached its target.
+
+    75 where another call with --resume has something left to do.
+    """
     given = _arguments()
     if given.names == ["report"]:
         return _report(given.out)
@@ -26,6 +36,7 @@ def main() -> int:
         return _measure(names[0], given)
     # Each in a process of its own: none finds JAX, its caches or its threads as another one left them.
     flags = [*(["--quick"] if given.quick else []), *(["--fresh-clone"] if given.fresh_clone else [])]
+    flags += ["--resume"] if given.resume else []
     commands = [[sys.executable, "-m", "bench", name, "--out", str(given.out), *flags] for name in names]
     failed = [
         name
@@ -43,24 +54,43 @@ def _arguments() -> argparse.Namespace:
         "names",
         nargs="*",
         metavar="NAME",
-        help=f"of {', '.join(NAMES)}; on a GPU {' and '.join(ON_A_GPU)}; or `report` alone",
+        help=f"of {', '.join(NAMES)}; on a GPU {', '.join(ON_A_GPU)}; or `report` alone",
     )
     parser.add_argument("--quick", action="store_true", help="only show that the bench works")
     parser.add_argument("--fresh-clone", action="store_true", help="demo: also from a clone, venv empty")
     parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR")
+    training = parser.add_argument_group("the training benches, one at a time")
+    training.add_argument(
+        "--resume", action="store_true", help="keep the runs in DIR/runs, and make those that are missing"
+    )
+    training.add_argument(
+        "--seconds", type=float, metavar="S", help="begin no run that these do not suffice for"
+    )
+    training.add_argument(
+        "--only", default="*", metavar="PATTERN", help="make only runs of such names, `brax-*` say"
+    )
+    training.add_argument("--seeds", type=int, metavar="N", help="how many of each")
     given = parser.parse_args()
     unknown = [name for name in given.names if name not in (*NAMES, *ON_A_GPU)]
     if unknown and given.names != ["report"]:
         parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join((*NAMES, *ON_A_GPU))}.")
+    if len(given.names) != 1 and (given.seconds or given.seeds or given.only != "*"):
+        parser.error("--seconds, --only and --seeds are about one bench: name it.")
+    if given.seeds is not None and given.seeds < 1:
+        parser.error("--seeds must be 1 or more.")
     return given
 
 
 def _measure(name: str, given: argparse.Namespace) -> int:
     module = import_module(f"bench.{name}")
-    result: Result = module.measure(Options(quick=given.quick, fresh_clone=given.fresh_clone))
+    options = {key: value for key, value in vars(given).items() if key in Options.model_fields}
+    result: Result = module.measure(Options(**options))
     console = Console()
     report.show(result, console)
     console.print(f"Written to {result.save(given.out)}.")
+    if result.unfinished:
+        console.print("Not made yet, for another call with --resume: " + ", ".join(result.unfinished))
+        return UNFINISHED
     return 0
 
 
@@ -74,7 +104,8 @@ def _report(folder: Path) -> int:
     except ValueError as error:
         print(error, file=sys.stderr)
         return 1
-    print(f"{PAGE} shows {', '.join(result.name for result in results)}.")
+    drawn = charts.draw(results, PICTURES)
+    print(f"{PAGE} shows {', '.join(result.name for result in results)}, with {len(drawn)} pictures.")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -11,17 +12,30 @@ from pathlib import Path
 from typing import Any
 
 
+class ChildFailed(RuntimeError):
+    """reason: in one line."""
+
+    def __init__(self, reason: str, output: str = "") -> None:
+        self.reason = reason
+        super().__init__(f"{reason}\n{output[-3000:]}" if output else reason)
+
+
+class TookTooLong(ChildFailed):
+    """It was stopped at its time limit."""
+
+
 def run_child(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
-    """What `python -m module` answers to the request, and `process_s`: seconds from its start to its end.
+    """What `python -m module` answers to the request; began_at: the hour of its start; process_s: seconds
+    from there to its end.
 
     It sees no GPU unless the request's `device` is one.
 
-    Raises RuntimeError with the end of what it printed where it fails or takes longer than `timeout_s`.
+    Raises ChildFailed with the end of what it printed where it fails, TookTooLong after `timeout_s`.
     """
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
         answer = Path(folder, "answer.json")
         command = [sys.executable, "-m", module, str(answer), json.dumps(request)]
-        began = time.perf_counter()
+        began_at, began = time.time(), time.perf_counter()
         try:
             done = subprocess.run(
                 command,
@@ -31,19 +45,27 @@ def run_child(module: str, request: Mapping[str, Any], *, timeout_s: float) -> d
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,
+                errors="replace",
                 check=False,
                 timeout=timeout_s,
             )
         except subprocess.TimeoutExpired:
-            raise RuntimeError(
-                f"{module} did not end within {timeout_s:.0f} s: {json.dumps(request)}"
-            ) from None
+            raise TookTooLong(f"{module} did not end within {timeout_s:.0f} s") from None
         process_s = time.perf_counter() - began
         if done.returncode or not answer.exists():
-            raise RuntimeError(f"{module} ended with {done.returncode}:\n{done.stdout[-3000:]}")
-        return {**json.loads(answer.read_bytes()), "process_s": process_s}
+            raise ChildFailed(f"{_end(done.returncode)}: {_last_line(done.stdout)}", done.stdout)
+        return {**json.loads(answer.read_bytes()), "began_at": began_at, "process_s": process_s}
 
 
 def answer(work: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
     """The child's side: do the request on the command line, and leave the answer where the parent looks."""
     Path(sys.argv[1]).write_text(json.dumps(work(json.loads(sys.argv[2]))))
+
+
+def _end(status: int) -> str:
+    return f"killed by {signal.Signals(-status).name}" if status < 0 else f"ended with {status}"
+
+
+def _last_line(output: str) -> str:
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
+    return lines[-1][:300] if lines else "it printed nothing"

@@ -1,15 +1,12 @@
 """PPO on several GPUs of one host: the humanoid, with a fixed number of worlds and unrolls on each."""
 
-from functools import partial
 from typing import Any
 
-from bench.child import run_child
-from bench.machine import this_machine
+from bench import comparison, requests
+from bench.comparison import UNIT, rate
 from bench.result import Figure, Options, Result, at_least
-from bench.training import rate
-from core.algorithms.ppo.spec import PPOSpec, resolve
-from core.environments import catalog
-from core.physics.availability import choose
+from bench.runs import Runs, Work
+from core.environments.info import Device
 from worker.device import visible_gpus
 
 _ENVIRONMENT = "humanoid"
@@ -19,49 +16,55 @@ _TIMEOUT_S = 240.0
 
 
 def measure(options: Options) -> Result:
-    """A dozen updates on 1, 2 and 4 GPUs, as far as there are so many."""
-    machine = this_machine()
-    numbers = [n for n in (1, 2, 4) if n <= len(visible_gpus())]
-    train = partial(run_child, "bench.train_ours", timeout_s=_TIMEOUT_S)
-    runs = {n: train(_request(n, options)) for n in numbers}
-    rates = {n: rate(run["training"]) for n, run in runs.items()}
-    figures = [Figure(name=f"{n} GPU", value=value, unit="training steps/s") for n, value in rates.items()]
-    figures += [
-        Figure(name=f"{n} GPUs ÷ 1", value=rates[n] / rates[1], unit="×", target=at_least(_TARGETS[n]))
+    """A dozen updates on 1, 2 and 4 GPUs, as far as there are so many, each in a process of its own."""
+    device, body = requests.gpu("gpu_scaling", options), requests.body(_ENVIRONMENT, options)
+    numbers = [n for n in (1, 2, 4) if n <= max(1, len(visible_gpus()))]
+    runs = Runs("gpu_scaling", options)
+    runs.make(
+        Work(str(n), "bench.train_ours", _request(device, body, n, options), timeout_s=_TIMEOUT_S)
         for n in numbers
-        if n in _TARGETS
-    ]
+    )
     return Result(
         name="gpu_scaling",
         title="PPO on several GPUs of one host, humanoid",
         command="./run bench gpu_scaling",
         quick=options.quick,
-        machine=machine,
-        figures=figures,
-        rows=[{"gpus": n, "wall_s": run["wall_s"], **run["phases"]} for n, run in runs.items()],
+        machine=runs.where(),
+        figures=[figure for n in numbers for figure in _figures(n, runs)],
+        rows=[comparison.row(n, run, gpus=int(n)) for n, run in runs.done.items()],
         notes=[
             f"{_UPDATES} updates under Brax's settings for its humanoid, num_envs and batch_size times the "
-            "number of GPUs; training alone over the second half of the run's reports."
+            "number of GPUs; training alone over the second half of the run's reports.",
+            *runs.notes(),
         ],
+        unfinished=runs.left,
     )
 
 
-def _request(devices: int, options: Options) -> dict[str, Any]:
-    tuned = resolve(PPOSpec(), catalog.find(_ENVIRONMENT), "gpu")
+def _figures(n: int, runs: Runs) -> list[Figure]:
+    """The rate, and how much more it is than one GPU's; or why there is none."""
+    rates = {name: rate(run["training"]) for name, run in runs.done.items()}
+    value, why = rates.get(str(n)), runs.failed.get(str(n))
+    if value is None and why is None:
+        return []
+    figures = [Figure(name=f"{n} GPU{'s' if n > 1 else ''}", value=value, unit=UNIT, missing=why)]
+    if n in _TARGETS:
+        gain = value / rates["1"] if value and "1" in rates else None
+        missing = None if gain else why or "one GPU's rate is not there"
+        name = f"{n} GPUs ÷ 1"
+        figures.append(Figure(name=name, value=gain, unit="×", target=at_least(_TARGETS[n]), missing=missing))
+    return figures
+
+
+def _request(device: Device, body: str, devices: int, options: Options) -> dict[str, Any]:
+    given = requests.settings(device, body, options, num_evals=0)
+    one = requests.resolved(device, body, given)
     updates = 4 if options.quick else _UPDATES
     settings = {
-        "num_envs": tuned.num_envs * devices,
-        "batch_size": tuned.batch_size * devices,
-        "num_timesteps": updates * tuned.env_steps_per_update * devices,
-        "num_evals": 0,
+        **given,
+        "num_envs": one.num_envs * devices,
+        "batch_size": one.batch_size * devices,
+        "num_timesteps": updates * one.env_steps_per_update * devices,
     }
-    return {
-        "environment": _ENVIRONMENT,
-        "engine": choose("auto", "gpu", _ENVIRONMENT, tuned.num_envs).name,
-        "device": "gpu",
-        "devices": devices,
-        "settings": settings,
-        "seed": 0,
-        "cache": None,
-        "checkpoint_every_steps": None,
-    }
+    engine = requests.engine(device, body, given)
+    return {**requests.ours(device, body, engine, settings), "devices": devices, "epoch_s": 0.25}

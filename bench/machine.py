@@ -79,7 +79,12 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str:
-    """The commit of this tree, `+` where something in it was changed."""
+    """The commit of this tree, `+` where something in it was changed.
+
+    Where there is no clone, what BENCH_COMMIT says.
+    """
+    if said := os.environ.get("BENCH_COMMIT"):
+        return said
     git = shutil.which("git")
     if git is None:
         return "unknown"

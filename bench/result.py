@@ -1,12 +1,12 @@
-"""A measurement's outcome as a value: what its table shows and its JSON file holds."""
+"""A measurement's outcome as a value: what its table and pictures show and its JSON file holds."""
 
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from bench.machine import Machine
-from bench.statistics import Spread
+from bench.statistics import Estimate, Spread
 
 
 class _Document(BaseModel):
@@ -30,30 +30,87 @@ class Target(_Document):
 
 
 class Figure(_Document):
-    """One number. low, high: of the rounds it is the median of, if there were several."""
+    """One number, or why there is none.
+
+    low, high: of the rounds it is the median of, if there were several. error: the standard error of a mean
+    over seeds. missing: why the measurement failed; a target is then missed.
+    """
 
     name: str
-    value: float
+    value: float | None
     unit: str
     low: float | None = None
     high: float | None = None
+    error: float | None = None
     target: Target | None = None
+    missing: str | None = None
 
     @property
     def met(self) -> bool | None:
         """Whether it reaches its target; None where it has none."""
-        return None if self.target is None else self.target.is_met(self.value)
+        if self.target is None:
+            return None
+        return self.value is not None and self.target.is_met(self.value)
 
     @classmethod
     def of(cls, name: str, rounds: Spread, unit: str, target: Target | None = None) -> "Figure":
         """The median of some rounds, with its least and its greatest."""
         return cls(name=name, value=rounds.median, unit=unit, low=rounds.low, high=rounds.high, target=target)
 
+    @classmethod
+    def of_mean(cls, name: str, seeds: Estimate, unit: str) -> "Figure":
+        """The mean over seeds, with its standard error where there are several."""
+        return cls(name=name, value=seeds.mean, unit=unit, error=seeds.error)
+
+
+class Table(_Document):
+    """What a result shows besides its figures: texts, in Markdown."""
+
+    headings: list[str]
+    rows: list[list[str]]
+
+
+class Line(_Document):
+    """One curve; those with equal labels share a colour and one entry in the legend."""
+
+    label: str
+    points: list[tuple[float, float]]
+
+
+class Panel(_Document):
+    """Curves over common axes."""
+
+    kind: Literal["curves"] = "curves"
+    title: str
+    x: str
+    y: str
+    lines: list[Line]
+
+
+class Bars(_Document):
+    """For each group one bar of each series; None where it was not measured. stacked: one on the other."""
+
+    kind: Literal["bars"] = "bars"
+    title: str
+    unit: str
+    groups: list[str]
+    series: dict[str, list[float | None]]
+    stacked: bool = False
+
+
+class Picture(_Document):
+    """What `report` draws to docs/pictures/bench-<name>.png, its panels side by side."""
+
+    name: str
+    caption: str
+    panels: list[Panel | Bars] = Field(min_length=1)
+
 
 class Result(_Document):
     """One bench's outcome. rows: every single measurement; notes: what a reader must know to believe it.
 
-    quick: made by a smoke test of the bench itself; its numbers say nothing.
+    quick: made by a smoke test of the bench itself; its numbers say nothing. unfinished: the runs that
+    there was no time for.
     """
 
     name: str
@@ -64,6 +121,9 @@ class Result(_Document):
     figures: list[Figure]
     rows: list[dict[str, str | int | float | bool | None]]
     notes: list[str] = []
+    table: Table | None = None
+    pictures: list[Picture] = []
+    unfinished: list[str] = []
 
     def save(self, folder: Path) -> Path:
         """Write `<name>.json`; its path."""
@@ -74,10 +134,21 @@ class Result(_Document):
 
 
 class Options(_Document):
-    """What a bench is told. quick: the smallest run that shows that the bench itself works."""
+    """What a bench is told.
+
+    quick: the smallest run that shows that the bench itself works. out: where results go; the runs a bench
+    is made of are kept in `runs/` there. resume: take those that are there already. seconds: begin nothing
+    that this call has no time for. only: a pattern; of the missing runs, make those whose name fits it.
+    seeds: how many, None for as many as the bench asks for.
+    """
 
     quick: bool = False
     fresh_clone: bool = False
+    out: Path = Path("bench-results")
+    resume: bool = False
+    seconds: float | None = None
+    only: str = "*"
+    seeds: int | None = None
 
 
 def at_least(value: float) -> Target:

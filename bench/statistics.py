@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from statistics import median
+from statistics import fmean, median, stdev
 from typing import TypeVar
 
 Measured = TypeVar("Measured")
@@ -23,6 +23,36 @@ def spread(values: Sequence[float]) -> Spread:
     if not values:
         raise ValueError("There is nothing to take the median of.")
     return Spread(median(values), min(values), max(values))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The mean over seeds and its standard error: the seeds' deviation (n - 1) over the root of n.
+
+    error: None with one seed, which says nothing of the others.
+    """
+
+    mean: float
+    error: float | None
+
+
+def estimate(values: Sequence[float]) -> Estimate:
+    """Raises ValueError where there are no values."""
+    if not values:
+        raise ValueError("There is nothing to take the mean of.")
+    error = stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
+    return Estimate(fmean(values), error)
+
+
+def difference_in_errors(ours: Estimate, theirs: Estimate) -> float | None:
+    """(ours - theirs) in units of the standard error of that difference, the seeds being independent.
+
+    None where it has none: with one seed, or where all seeds gave the same.
+    """
+    if ours.error is None or theirs.error is None:
+        return None
+    error = math.hypot(ours.error, theirs.error)
+    return (ours.mean - theirs.mean) / error if error else None
 
 
 def ratios(numerators: Sequence[float], denominators: Sequence[float]) -> Spread:

@@ -5,36 +5,43 @@ it is without one, or `gpu`); cache (a folder for compiled programs, or null). T
 MJX-JAX with the solver settings that `native` has.
 """
 
+import inspect
+import math
 import time
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from bench.child import answer
 
-# What `ppo.train` calls by other names, or not at all; and options that the benches leave as they are.
-_NOT_BRAX = {
-    *("kind", "policy_hidden_layer_sizes", "value_hidden_layer_sizes", "num_evals", "reset_pool_size"),
-    *("activation", "policy_obs_key", "value_obs_key", "action_repeat", "bootstrap_on_timeout"),
-    *("clipping_epsilon_value", "desired_kl", "learning_rate_schedule"),
-    *("learning_rate_schedule_min_lr", "learning_rate_schedule_max_lr"),
+# What Brax calls the same and has of another type or meaning; no bench changes these but the first.
+_LEFT_ALONE = {
+    *("num_evals", "action_repeat", "bootstrap_on_timeout", "clipping_epsilon_value", "desired_kl"),
+    *("learning_rate_schedule", "learning_rate_schedule_min_lr", "learning_rate_schedule_max_lr"),
 }
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """training: [[steps, seconds of training until then], …]; wall_s: from the call to its return;
-    peak_bytes: the most device memory in use, where the device counts it."""
+    """training: [[steps, seconds of training until then], …]; rewards: [[steps, return], …], and
+    evaluated_s: for each of them the seconds from the call; wall_s: from the call to its return;
+    evaluation_s: of it, evaluating; finite: whether every number that Brax reported was; peak_bytes: the
+    most device memory in use, where the device counts it."""
     import jax
     import jax.numpy as jnp
 
     from bench.device_memory import peak_bytes
+    from core.physics.kernels import keep_kernels
 
     if request.get("cache"):
         jax.config.update("jax_compilation_cache_dir", request["cache"])
+        if request["engine"] == "warp":
+            keep_kernels(Path(request["cache"], "warp"))
 
     # Brax 0.14.2 calls a function that JAX has removed; these two lines are what it did.
     if not hasattr(jax, "device_put_replicated"):
         jax.device_put_replicated = lambda x, to: jax.tree.map(lambda a: jnp.stack([a] * len(to)), x)
     from brax.training.agents.ppo import networks, train
+    from brax.training.networks import ACTIVATION
 
     from bench.brax_environment import BraxEnvironment
     from core.algorithms.ppo.spec import PPOSpec, resolve
@@ -52,29 +59,51 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     ours = catalog.make(info, catalog.parse_options(info, {}), builder(request["engine"]))
     settings = resolve(PPOSpec.model_validate(request["settings"]), info, request.get("device", "cpu"))
     training, rewards = list[tuple[int, float]](), list[tuple[int, float]]()
+    evaluated_s, evaluation_s, finite = list[float](), 0.0, True
 
     def report(step: int, metrics: dict[str, Any]) -> None:
+        nonlocal evaluation_s, finite
+        finite = finite and all(math.isfinite(value) for value in metrics.values())
         if "training/walltime" in metrics:
             training.append((int(step), float(metrics["training/walltime"])))
         if "eval/episode_reward" in metrics:
             rewards.append((int(step), float(metrics["eval/episode_reward"])))
+            evaluated_s.append(time.perf_counter() - began)
+            evaluation_s = float(metrics["eval/walltime"])
 
+    unequal = [
+        name
+        for name in (*_LEFT_ALONE - {"num_evals"}, "policy_obs_key", "value_obs_key")
+        if getattr(settings, name) != PPOSpec.model_fields[name].default
+    ]
+    if unequal:
+        raise ValueError(f"Brax would run with other settings than ours: {', '.join(unequal)}.")
+    known = set(inspect.signature(train.train).parameters) - _LEFT_ALONE
     began = time.perf_counter()
     train.train(
         BraxEnvironment(ours),
-        **settings.model_dump(exclude=_NOT_BRAX),
+        **settings.model_dump(include=known),
         num_evals=request["epochs"] + 1,  # one comes before the first epoch
         run_evals=request["evaluate"],
         network_factory=partial(
             networks.make_ppo_networks,
             policy_hidden_layer_sizes=tuple(settings.policy_hidden_layer_sizes),
             value_hidden_layer_sizes=tuple(settings.value_hidden_layer_sizes),
+            activation=ACTIVATION[settings.activation],
         ),
         seed=request["seed"],
         progress_fn=report,
     )
     wall_s = time.perf_counter() - began
-    return {"training": training, "rewards": rewards, "wall_s": wall_s, "peak_bytes": peak_bytes()}
+    return {
+        "training": training,
+        "rewards": rewards,
+        "evaluated_s": evaluated_s,
+        "wall_s": wall_s,
+        "evaluation_s": evaluation_s,
+        "finite": finite,
+        "peak_bytes": peak_bytes(),
+    }
 
 
 if __name__ == "__main__":

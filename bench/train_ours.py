@@ -2,10 +2,12 @@
 
 Request: environment, engine, settings (hyperparameters), seed; device (`cpu`, which it is without one, or
 `gpu`), devices (how many, 1 without); cache (a folder for compiled programs, or null);
-checkpoint_every_steps (or null).
+checkpoint_every_steps (or null); most_training_s (stop after so many seconds of training, and three
+updates); epoch_s (how often it reports, every second without).
 """
 
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +15,18 @@ from bench.child import answer
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """training: [[steps, seconds of training until then], …]; wall_s: from the call to its return;
-    first_update_at, evaluated_at: the hour of the first update's end and of the last evaluation's;
-    peak_bytes: the most device memory in use, where the device counts it."""
+    """training: [[steps, seconds of training until then], …]; rewards: [[steps, return], …], and
+    evaluated_s: for each of them the seconds from the call; wall_s: from the call to its return;
+    evaluation_s: of it, evaluating; first_update_s: from the call to the end of the first update;
+    first_update_at, evaluated_at: the hour of that and of the last evaluation's end; overflow: the largest
+    share of steps in which the engine lost contacts; peak_bytes: the most device memory in use, where the
+    device counts it."""
     import jax
 
     from bench.device_memory import peak_bytes
     from core.algorithms.ppo.spec import PPOSpec, resolve
     from core.algorithms.ppo.trainer import PPOTrainer
-    from core.algorithms.trainer import CheckpointReady, Evaluated, Phase, Progress
+    from core.algorithms.trainer import CheckpointReady
     from core.environments import catalog
     from core.physics.choose import engine_builder
     from core.physics.kernels import keep_kernels
@@ -41,32 +46,57 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         seed=request["seed"],
         checkpoint_every_steps=request["checkpoint_every_steps"],
         devices=request.get("devices", 1),
+        epoch_s=request.get("epoch_s", 1.0),
     )
-    training, phases, rewards = list[tuple[int, float]](), dict[str, float](), list[tuple[int, float]]()
-    first_update_at = evaluated_at = 0.0
+    seen = _Seen(began)
     for event in trainer.events():
+        seen.take(event)
+        if isinstance(event, CheckpointReady) and request["checkpoint_every_steps"]:
+            Path(request["cache"], f"checkpoint-{trainer.step}").write_bytes(trainer.checkpoint())
+        if _long_enough(seen.training, request.get("most_training_s")):
+            break
+    told = {name: value for name, value in vars(seen).items() if name != "began"}
+    return {**told, "wall_s": time.perf_counter() - began, "peak_bytes": peak_bytes()}
+
+
+@dataclass
+class _Seen:
+    """What the trainer's events told; see `work`."""
+
+    began: float
+    training: list[tuple[int, float]] = field(default_factory=list)
+    rewards: list[tuple[int, float]] = field(default_factory=list)
+    evaluated_s: list[float] = field(default_factory=list)
+    phases: dict[str, float] = field(default_factory=dict)
+    evaluation_s: float = 0.0
+    first_update_s: float = 0.0
+    first_update_at: float = 0.0
+    evaluated_at: float = 0.0
+    overflow: float = 0.0
+
+    def take(self, event: Any) -> None:
+        from core.algorithms.trainer import Evaluated, Phase, Progress
+
         match event:
             case Phase(name=name, seconds=seconds):
-                phases[name] = seconds
-                first_update_at = time.time() if name == "first_update" else first_update_at
+                self.phases[name] = seconds
+                if name == "first_update":
+                    self.first_update_at, self.first_update_s = time.time(), time.perf_counter() - self.began
             case Progress(step=step, metrics=metrics):
-                training.append((step, metrics["training/walltime"]))
+                self.training.append((step, metrics["training/walltime"]))
+                self.overflow = max(self.overflow, metrics.get("training/physics_overflow", 0.0))
             case Evaluated(step=step, metrics=metrics):
-                evaluated_at = time.time()
-                rewards.append((step, metrics["eval/episode_reward"]))
-            case CheckpointReady() if request["checkpoint_every_steps"]:
-                Path(request["cache"], f"checkpoint-{trainer.step}").write_bytes(trainer.checkpoint())
-            case CheckpointReady():
+                self.evaluated_at = time.time()
+                self.evaluated_s.append(time.perf_counter() - self.began)
+                self.rewards.append((step, metrics["eval/episode_reward"]))
+                self.evaluation_s += metrics["eval/epoch_eval_time"]
+            case _:
                 pass
-    return {
-        "training": training,
-        "rewards": rewards,
-        "phases": phases,
-        "wall_s": time.perf_counter() - began,
-        "first_update_at": first_update_at,
-        "evaluated_at": evaluated_at,
-        "peak_bytes": peak_bytes(),
-    }
+
+
+def _long_enough(training: list[tuple[int, float]], most_s: float | None) -> bool:
+    """Whether the training since the first update took as long as it may."""
+    return most_s is not None and len(training) > 3 and training[-1][1] - training[0][1] > most_s
 
 
 if __name__ == "__main__":

@@ -1,124 +1,121 @@
-"""PPO's training steps per second on the CPU: this project's loop against Brax's `ppo.train`."""
+"""PPO on the CPU: this project's loop against Brax's `ppo.train`, and the start from compiled programs."""
 
-from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
-from bench.child import run_child
-from bench.machine import this_machine
-from bench.result import Figure, Options, Result, at_least
-from bench.statistics import alternate, ratios, spread
+from bench import comparison, requests
+from bench.comparison import UNIT, rate
+from bench.requests import Settings
+from bench.result import Figure, Options, Picture, Result, at_least, below
+from bench.runs import Run, Runs, Work
+from bench.statistics import ratios, spread
 
-_UNIT = "training steps/s"
-_UPDATE = 20_480  # environment steps in one update under the ant's tuned settings for a CPU
+_BODY = "ant"
+_STEPS = 491_520
 _EPOCHS = 4
 _MJX = {"mjx": "Brax's fast settings", "mjx_equal": "equal solvers"}
-_TIMEOUT_S = 1800.0
-
-Run = dict[str, Any]
+_TIMEOUT_S = 600.0
 
 
 def measure(options: Options) -> Result:
-    """Whole runs in processes of their own, alternating; then a few updates of Brax's over MJX-JAX."""
-    machine = this_machine()
-    rounds, updates = (1, 4) if options.quick else (2, 24)
-    small = {"num_eval_envs": 2, "episode_length": 20} if options.quick else {}
-    # Brax evaluates once before it begins; the number of evaluations is the same.
-    settings = {"num_timesteps": updates * _UPDATE, "num_evals": _EPOCHS + 1, "reset_pool_size": 0, **small}
-    request = {"environment": "ant", "engine": "native", "settings": settings, "seed": 0}
-    ours = {**request, "cache": None, "checkpoint_every_steps": None}
-    brax = {**request, "epochs": _EPOCHS, "evaluate": True}
-    runs = alternate(
-        rounds,
-        ours=partial(run_child, "bench.train_ours", ours, timeout_s=_TIMEOUT_S),
-        brax=partial(run_child, "bench.train_brax", brax, timeout_s=_TIMEOUT_S),
-    )
+    """Whole runs in processes of their own, alternating seed by seed; then short ones for what is left."""
+    runs = Runs("training", options)
+    seeds = range(options.seeds or (1 if options.quick else 3))
+    given = _settings(options)
     engines = ("mjx",) if options.quick else ("mjx", "mjx_equal")
-    over_mjx = {
-        engine: run_child("bench.train_brax", _mjx_request(engine, options), timeout_s=_TIMEOUT_S)
-        for engine in engines
-    }
+    over_mjx = {engine: _over_mjx(engine, options) for engine in engines}
+    runs.make(
+        [
+            *_starts(options),
+            *(work for seed in seeds for work in _pair(given, seed)[:: -1 if seed % 2 else 1]),
+            *over_mjx.values(),
+        ]
+    )
+    pairs = [
+        (ours, brax)
+        for seed in seeds
+        if (ours := runs.done.get(f"ours-{seed}")) and (brax := runs.done.get(f"brax-{seed}"))
+    ]
+    both = {"ours": [ours for ours, _ in pairs], "Brax, same engine": [brax for _, brax in pairs]}
+    peers = {engine: runs.done[engine] for engine in engines if engine in runs.done}
     return Result(
         name="training",
         title="PPO on the CPU, ant",
         command="./run bench training",
         quick=options.quick,
-        machine=machine,
-        figures=_figures(runs, over_mjx),
-        rows=_rows(**runs, **{f"brax over {engine}": [run] for engine, run in over_mjx.items()}),
-        notes=_notes(settings["num_timesteps"], over_mjx),
+        machine=runs.where(),
+        figures=[
+            *(_figures(*both.values(), given, peers) if pairs else []),
+            *_starts_figures(runs.done.get("start-warm")),
+        ],
+        rows=[comparison.row(name, run) for name, run in runs.done.items()],
+        notes=[*_notes(given, len(pairs), peers), *runs.notes()],
+        pictures=_pictures(both) if pairs else [],
+        unfinished=runs.left,
     )
 
 
-def _notes(num_timesteps: int, over_mjx: dict[str, Run]) -> list[str]:
-    sizes = "; ".join(
-        f"{_MJX[engine]}: {run['training'][-1][0]:,} steps in {run['training'][-1][1]:.0f} s"
-        for engine, run in over_mjx.items()
-    )
+def _settings(options: Options) -> Settings:
+    small = {"num_eval_envs": 2, "episode_length": 20} if options.quick else {}
+    steps = _STEPS // 6 if options.quick else _STEPS
+    # Brax evaluates once before it begins; the number of evaluations is the same.
+    given = {"num_timesteps": steps, "num_evals": _EPOCHS + 1, "reset_pool_size": 0, **small}
+    return requests.equal_budget("cpu", _BODY, given, epochs=_EPOCHS)
+
+
+def _pair(given: Settings, seed: int) -> list[Work]:
+    ours = requests.ours("cpu", _BODY, "native", given, seed=seed)
+    brax = requests.brax("cpu", _BODY, "native", given, seed=seed, epochs=_EPOCHS)
     return [
-        "Both trainers run the same environment on the same engine with the same hyperparameters (the ant's "
-        f"tuned ones for a CPU): {num_timesteps:,} steps, {_EPOCHS + 1} evaluations of 16 episodes. Brax "
-        "runs with a shim for a JAX function that has been removed.",
-        "The rate is of training alone, over the second half of the run: compilation and evaluations are not "
-        "in it. The wall is from the call to its return, with everything, and nothing was compiled before.",
-        "Brax steps each evaluation to the full episode length; ours ends with its last episode.",
-        "Brax over MJX-JAX is one short run for each solver setting, with 256 ants and no evaluation; its "
-        f"rate is of the second half, too, and scaled up, not trained to the end ({sizes}, compilation "
-        "included). An update there is an eighth of the tuned one, with as many passes over its batch. Ours "
-        "is taken from the runs over `native` above.",
+        Work(f"ours-{seed}", "bench.train_ours", ours, _TIMEOUT_S, about_s=75),
+        Work(f"brax-{seed}", "bench.train_brax", brax, _TIMEOUT_S, about_s=75),
     ]
 
 
-def rate(training: Sequence[tuple[int, float]]) -> float:
-    """Steps per second over the second half of (steps, seconds so far); compilation is in the first."""
-    end_step, end_s = training[-1]
-    half_step, half_s = next(point for point in training if 2 * point[0] >= end_step)
-    if half_step == end_step:
-        raise ValueError("One point has no second half: the run reported only once.")
-    return (end_step - half_step) / (end_s - half_s)
+def _starts(options: Options) -> list[Work]:
+    """A job's start, whose first update is all it trains: with nothing compiled, and with everything."""
+    one_update = requests.whole_updates("cpu", _BODY, {"num_evals": 0}, 1)
+    request = requests.ours("cpu", _BODY, "native", one_update)
+    cold = Work("start-cold", "bench.train_ours", request, _TIMEOUT_S, about_s=30, cache="start", cold=True)
+    warm = Work("start-warm", "bench.train_ours", request, _TIMEOUT_S, about_s=20, cache="start", after=cold)
+    return [cold, warm]
 
 
-def _mjx_request(engine: str, options: Options) -> dict[str, Any]:
+def _over_mjx(engine: str, options: Options) -> Work:
     """The smallest run that has epochs after compilation."""
     num_envs, updates_per_epoch = (8, 1) if options.quick else (256, 2)
-    steps_per_update = num_envs * 10
-    settings = {
-        "num_envs": num_envs,
-        "batch_size": num_envs,
-        "num_minibatches": 1,
-        "num_timesteps": _EPOCHS * updates_per_epoch * steps_per_update,
-    }
-    return {
-        "environment": "ant",
-        "engine": engine,
-        "settings": settings,
-        "seed": 0,
-        "epochs": _EPOCHS,
-        "evaluate": False,
-    }
+    given = {"num_envs": num_envs, "batch_size": num_envs, "num_minibatches": 1, "unroll_length": 10}
+    whole = requests.whole_updates("cpu", _BODY, given, _EPOCHS * updates_per_epoch)
+    request = requests.brax("cpu", _BODY, engine, whole, epochs=_EPOCHS, evaluate=False)
+    return Work(engine, "bench.train_brax", request, _TIMEOUT_S, about_s=60)
 
 
-def _figures(runs: dict[str, list[Run]], over_mjx: dict[str, Run]) -> list[Figure]:
-    ours, brax = ([rate(run["training"]) for run in runs[name]] for name in ("ours", "brax"))
-    walls = {name: [run["wall_s"] for run in runs[name]] for name in runs}
-    returns = {name: spread([run["rewards"][-1][1] for run in runs[name]]) for name in runs}
+def _figures(ours: list[Run], brax: list[Run], given: Settings, over_mjx: dict[str, Run]) -> list[Figure]:
+    our_rates, brax_rates = ([rate(run["training"]) for run in runs] for runs in (ours, brax))
+    our_walls, brax_walls = ([run["wall_s"] for run in runs] for runs in (ours, brax))
     figures = [
-        Figure.of("ours", spread(ours), _UNIT),
-        Figure.of("Brax, same engine", spread(brax), _UNIT),
-        Figure.of("ours ÷ Brax, same engine", ratios(ours, brax), "×", at_least(1.5)),
-        Figure.of("ours, wall of the whole run", spread(walls["ours"]), "s"),
-        Figure.of("Brax, wall of the whole run", spread(walls["brax"]), "s"),
-        Figure.of("Brax's wall ÷ ours", ratios(walls["brax"], walls["ours"]), "×"),
-        Figure.of("ours, return at the end", returns["ours"], ""),
-        Figure.of("Brax, return at the end", returns["brax"], ""),
+        Figure.of("ours", spread(our_rates), UNIT),
+        Figure.of("Brax, same engine", spread(brax_rates), UNIT),
+        Figure.of("ours ÷ Brax, same engine", ratios(our_rates, brax_rates), "×", at_least(2)),
+        Figure.of("ours, wall of the whole run", spread(our_walls), "s"),
+        Figure.of("Brax, wall of the whole run", spread(brax_walls), "s"),
+        Figure.of("Brax's wall ÷ ours", ratios(brax_walls, our_walls), "×"),
+        Figure.of_mean("ours, return at the end", comparison.returns(ours), ""),
+        Figure.of_mean("Brax, return at the end", comparison.returns(brax), ""),
+        *comparison.versus("our return − Brax's", ours, brax),
+        Figure.of(
+            "evaluations' share of the wall, by default",
+            spread([_default_share(run, given) for run in ours]),
+            "%",
+            below(5),
+        ),
     ]
     for engine, run in over_mjx.items():
         peer = rate(run["training"])
         figures += [
-            Figure(name=f"Brax over MJX-JAX, {_MJX[engine]}", value=peer, unit=_UNIT),
+            Figure(name=f"Brax over MJX-JAX, {_MJX[engine]}", value=peer, unit=UNIT),
             Figure.of(
                 f"ours ÷ Brax over MJX-JAX, {_MJX[engine]}",
-                spread([value / peer for value in ours]),
+                spread([value / peer for value in our_rates]),
                 "×",
                 at_least(50),
             ),
@@ -126,19 +123,56 @@ def _figures(runs: dict[str, list[Run]], over_mjx: dict[str, Run]) -> list[Figur
     return figures
 
 
-def _rows(**runs: list[Run]) -> list[dict[str, Any]]:
+def _default_share(run: Run, given: Settings) -> float:
+    """Per cent of the wall that a default run would evaluate, at what rate and evaluation cost here."""
+    default = requests.resolved("cpu", _BODY, {})
+    evaluating = default.num_evals * run["evaluation_s"] / given["num_evals"]
+    return 100 * evaluating / (evaluating + default.num_timesteps / rate(run["training"]))
+
+
+def _starts_figures(warm: Run | None) -> list[Figure]:
+    if warm is None:
+        return []
+    whole = warm["first_update_at"] - warm["began_at"]
     return [
-        {
-            "trainer": name,
-            "round": turn,
-            "steps": run["training"][-1][0],
-            "training_steps_per_second": rate(run["training"]),
-            "wall_s": run["wall_s"],
-            "process_s": run["process_s"],
-            "compile_s": run.get("phases", {}).get("compile"),
-            "trace_s": run.get("phases", {}).get("trace"),
-            "final_return": run["rewards"][-1][1] if run["rewards"] else None,
-        }
-        for name, of_one in runs.items()
-        for turn, run in enumerate(of_one)
+        Figure(
+            name="warm start, the trainer's call to its first update",
+            value=warm["first_update_s"],
+            unit="s",
+            target=below(4),
+        ),
+        Figure(
+            name="warm start, the process's begin to its first update", value=whole, unit="s", target=below(4)
+        ),
+    ]
+
+
+def _pictures(both: dict[str, list[Run]]) -> list[Picture]:
+    walls = comparison.wall_parts({who: runs[0] for who, runs in both.items()})
+    caption = "PPO on two CPU cores, ant: return at equal steps, and where the wall of the first goes"
+    panels = [comparison.by_steps(both, "ant: return at equal steps, every seed"), walls]
+    return [Picture(name="training", caption=caption, panels=panels)]
+
+
+def _notes(given: Settings, num_seeds: int, over_mjx: dict[str, Any]) -> list[str]:
+    sizes = "; ".join(
+        f"{_MJX[engine]}: {run['training'][-1][0]:,} steps in {run['training'][-1][1]:.0f} s"
+        for engine, run in over_mjx.items()
+    )
+    return [
+        "Both trainers run the same environment on the same engine with the same hyperparameters (the ant's "
+        f"tuned ones for a CPU): exactly {given['num_timesteps']:,} steps, {_EPOCHS + 1} evaluations of 16 "
+        f"episodes, {num_seeds} seeds. Brax runs with a shim for a JAX function that has been removed.",
+        "The rate is of training alone, over the second half of the run: compilation and evaluations are not "
+        "in it. The wall is from the call to its return, with everything, and nothing was compiled before. "
+        "Ratios are taken seed by seed. Returns are means over the seeds, ± the standard error.",
+        "Brax steps each evaluation to the full episode length; ours ends with its last episode. The share "
+        "of evaluations by default is what 10 of them would take of a run to the body's own budget, at the "
+        "cost and the rate measured here, compilation left out.",
+        "Warm start: a process with the compiled programs of an earlier one in its cache; the first update, "
+        "its environment steps included, is made. The second figure has the interpreter's start and the "
+        "import of JAX in it.",
+        "Brax over MJX-JAX is one short run for each solver setting, with 256 ants and no evaluation; its "
+        f"rate is of the second half, too, and scaled up, not trained to the end ({sizes}, compilation "
+        "included). Ours is taken from the runs over `native` above.",
     ]

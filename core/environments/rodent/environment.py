@@ -7,7 +7,7 @@ from core.environments.body import Body, height_is_healthy, noisy_start
 from core.environments.environment import State
 from core.environments.rodent.info import RodentOptions
 from core.environments.rodent.model import rodent_model
-from core.physics.engine import EngineBuilder, PhysicsState, SolverSettings
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
 _METRICS = (
@@ -55,8 +55,8 @@ class Rodent(Body):
         self._options = options
         self._num_hidden = hidden
 
-    def reset(self, key: jax.Array) -> State:
-        physics = noisy_start(self, key, self._options.reset_noise_scale, normal_velocity=False)
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
         zero = jnp.zeros(())
         return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from bench import report
-from bench.__main__ import NAMES, PAGE
+from bench import charts, report
+from bench.__main__ import NAMES, ON_A_GPU, PAGE
 from bench.machine import Machine, this_machine
-from bench.result import Figure, Result, at_least, at_most, below
-from bench.statistics import Spread
+from bench.result import Bars, Figure, Line, Panel, Picture, Result, Table, at_least, at_most, below
+from bench.statistics import Estimate, Spread
 
 MACHINE = Machine(
     processor="A processor",
@@ -110,7 +110,7 @@ def test_a_smoke_test_never_reaches_the_page() -> None:
 
 def test_the_performance_page_has_a_place_for_every_bench() -> None:
     page = Path(__file__).parents[3].joinpath(PAGE).read_text()
-    for name in NAMES:
+    for name in (*NAMES, *ON_A_GPU):
         assert report.filled(page, [result_of(FAST, name=name)])
 
 
@@ -118,3 +118,47 @@ def test_the_machine_knows_itself() -> None:
     machine = this_machine()
     assert machine.cores >= 1
     assert machine.packages["jax"]
+
+
+def test_a_mean_is_shown_with_its_standard_error() -> None:
+    mean = Figure.of_mean("return", Estimate(2865.0, 65.6), "")
+    assert report.cells(mean) == ("return", "2,865", "± 65.6", "", "")
+
+
+def test_what_was_not_measured_is_missed_and_its_reason_told() -> None:
+    missing = Figure(name="gain", value=None, unit="×", target=at_least(2), missing="it crashed")
+    assert missing.met is False
+    page = report.markdown(result_of(missing))
+    assert "| gain | not measured |  | at least 2 | **missed** |" in page
+    assert "- Not measured: gain (it crashed)." in page
+
+
+def test_a_table_and_pictures_come_before_the_figures() -> None:
+    result = result_of(FAST).model_copy(
+        update={"table": Table(headings=["Body", "Rate"], rows=[["ant", "1"]]), "pictures": [PICTURE]}
+    )
+    page = report.markdown(result)
+    assert "![What it shows](pictures/bench-speed.png)" in page
+    assert page.index("bench-speed.png") < page.index("| ant | 1 |") < page.index("| wait |")
+    output = StringIO()
+    report.show(result, Console(file=output, width=200))
+    assert "ant" in output.getvalue()
+
+
+def test_a_picture_is_drawn_where_the_page_looks_for_it(tmp_path: Path) -> None:
+    (path,) = charts.draw([result_of(FAST).model_copy(update={"pictures": [PICTURE]})], tmp_path / "new")
+    assert path == tmp_path / "new" / "bench-speed.png"
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+PICTURE = Picture(
+    name="speed",
+    caption="What it shows",
+    panels=[
+        Panel(title="t", x="steps", y="return", lines=[Line(label="ours", points=[(0, 1), (10, 2)])] * 2),
+        Bars(
+            title="b", unit="s", groups=["ant", "humanoid"], series={"warp": [1.0, None], "mjx": [2.0, 3.0]}
+        ),
+        Bars(title="b", unit="s", groups=["ant"], series={"training": [1.0], "rest": [-0.1]}, stacked=True),
+    ],
+)

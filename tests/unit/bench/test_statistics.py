@@ -4,7 +4,16 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.statistics import Spread, alternate, percentile, ratios, spread
+from bench.statistics import (
+    Estimate,
+    Spread,
+    alternate,
+    difference_in_errors,
+    estimate,
+    percentile,
+    ratios,
+    spread,
+)
 
 
 def test_a_spread_is_the_median_between_the_extremes() -> None:
@@ -31,6 +40,8 @@ def test_a_percentile_is_one_of_the_values(percent: float, expected: float) -> N
 def test_nothing_has_no_median_and_no_percentile() -> None:
     with pytest.raises(ValueError, match="median"):
         spread([])
+    with pytest.raises(ValueError, match="mean"):
+        estimate([])
     with pytest.raises(ValueError, match="percentile"):
         percentile([], 99)
 
@@ -45,3 +56,19 @@ def test_measurements_alternate_and_turn_round() -> None:
 
     assert order == ["a", "b", "b", "a", "a", "b"]
     assert results == {"a": [1, 4, 5], "b": [2, 3, 6]}
+
+
+def test_a_standard_error_is_the_deviation_over_the_root_of_the_seeds() -> None:
+    # 1, 2, 3: deviation √((1 + 0 + 1) / 2) = 1, error 1 / √3.
+    assert estimate([1.0, 2.0, 3.0]) == Estimate(mean=2.0, error=pytest.approx(0.57735, abs=1e-5))
+
+
+def test_one_seed_has_no_standard_error() -> None:
+    assert estimate([5.0]) == Estimate(5.0, None)
+    assert difference_in_errors(Estimate(5.0, None), Estimate(4.0, 1.0)) is None
+    assert difference_in_errors(Estimate(5.0, 0.0), Estimate(4.0, 0.0)) is None
+
+
+def test_a_difference_is_in_units_of_its_own_error() -> None:
+    # (10 - 15) / √(3² + 4²) = -1.
+    assert difference_in_errors(Estimate(10.0, 3.0), Estimate(15.0, 4.0)) == -1.0

@@ -1,0 +1,153 @@
+"""The runs a bench is made of, each kept in a file as soon as it has ended.
+
+So a bench may be spread over several calls, and what one of them made is not lost with another.
+"""
+
+import json
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from bench.child import ChildFailed, TookTooLong, run_child
+from bench.machine import Machine, this_machine
+from bench.result import Options
+
+Run = dict[str, Any]
+
+_ALIKE = ("processor", "cores", "accelerator", "python", "packages", "commit")
+
+
+@dataclass(frozen=True)
+class Work:
+    """One run in a process of its own.
+
+    about_s: what it takes, roughly; it is not begun with less time left. cache: a folder's name, for what is
+    compiled; cold: it is empty at the start. after: the run that filled the cache, which is made again where
+    this machine has not got it.
+    """
+
+    name: str
+    module: str
+    request: dict[str, Any]
+    timeout_s: float = 560.0
+    about_s: float = 60.0
+    cache: str | None = None
+    cold: bool = False
+    after: "Work | None" = None
+
+
+class Runs:
+    """done: answers by the run's name. failed: one line for each run that failed. left: no time for these."""
+
+    def __init__(self, bench: str, options: Options) -> None:
+        self.done: dict[str, Run] = {}
+        self.failed: dict[str, str] = {}
+        self.left: list[str] = []
+        self.machine = this_machine()
+        self._folder = options.out / "runs" / (f"{bench}-quick" if options.quick else bench)
+        # Compiled programs are large, and are of use on this machine only: they stay out of the results.
+        self._caches = Path(tempfile.gettempdir(), "gaitway-bench-caches", bench)
+        self._only, self._machines = options.only, dict[str, Machine]()
+        self._ends_at = time.monotonic() + options.seconds if options.seconds else float("inf")
+        if not options.resume:
+            for folder in (self._folder, self._caches):
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def make(self, works: Iterable[Work]) -> None:
+        """Those that are missing, in their order; a failure is kept like an answer."""
+        for work in works:
+            record = self._kept(work)
+            if record is None and fnmatchcase(work.name, self._only) and self._has_its_cache(work):
+                record = self._made(work)
+            if record is None:
+                self.left.append(work.name)
+                continue
+            self._machines[work.name] = Machine.model_validate(record["machine"])
+            if "failure" in record:
+                self.failed[work.name] = record["failure"]
+            else:
+                self.done[work.name] = record["answer"]
+
+    def _has_its_cache(self, work: Work) -> bool:
+        """Whether what it is to find compiled is on this machine; if not, it is made, if that may be."""
+        before = work.after
+        if before is None or self._marker(before).exists():
+            return True
+        if not fnmatchcase(before.name, self._only):
+            return False
+        self._path(before).unlink(missing_ok=True)
+        self.done.pop(before.name, None)
+        self.make([before])
+        return before.name in self.done
+
+    def notes(self) -> list[str]:
+        """What a reader must know of how they came to be."""
+        seen = [{name: getattr(machine, name) for name in _ALIKE} for machine in self._machines.values()]
+        differing = [name for name in _ALIKE if any(one[name] != seen[0][name] for one in seen)]
+        notes = [f"Failed: {name} ({reason})." for name, reason in self.failed.items()]
+        for name in differing:
+            values = dict.fromkeys(json.dumps(one[name]) for one in seen)
+            notes.append(f"The runs differ in {name}: {', '.join(values)}.")
+        return notes
+
+    def where(self) -> Machine:
+        """The machine of the first run; this one where none was made."""
+        return next(iter(self._machines.values()), self.machine)
+
+    def _kept(self, work: Work) -> Run | None:
+        """What an earlier call made of this very request."""
+        path = self._path(work)
+        if not path.exists():
+            return None
+        record = json.loads(path.read_bytes())
+        return record if record["request"] == work.request else None
+
+    def _made(self, work: Work) -> Run | None:
+        """None where this call's time is over before the run's own limit."""
+        left_s = self._ends_at - time.monotonic()
+        if left_s < work.about_s:
+            return None
+        timeout_s = min(work.timeout_s, left_s)
+        record: Run = {"request": work.request, "machine": this_machine().model_dump()}
+        print(f"{work.name} …", end=" ", file=sys.stderr, flush=True)
+        began = time.perf_counter()
+        try:
+            answer = run_child(work.module, self._with_cache(work), timeout_s=timeout_s)
+            record["answer"] = answer
+        except TookTooLong as slow:
+            if timeout_s < work.timeout_s:
+                print("no time left", file=sys.stderr)
+                return None
+            record["failure"] = slow.reason
+        except ChildFailed as failure:
+            print(failure, file=sys.stderr)
+            record["failure"] = failure.reason
+        else:
+            self._marker(work).parent.mkdir(parents=True, exist_ok=True)
+            self._marker(work).touch()
+        print(f"{record.get('failure', 'done')}, {time.perf_counter() - began:.0f} s", file=sys.stderr)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._path(work).write_text(json.dumps(record, indent=1) + "\n")
+        return record
+
+    def _with_cache(self, work: Work) -> Run:
+        if work.cache is None:
+            return {"cache": None, **work.request}
+        folder = self._caches / work.cache
+        if work.cold:
+            shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        return {**work.request, "cache": str(folder)}
+
+    def _path(self, work: Work) -> Path:
+        return self._folder / f"{work.name}.json"
+
+    def _marker(self, work: Work) -> Path:
+        """There where the run filled a cache that is still here."""
+        return self._caches / f"{work.name}.made"

@@ -1,0 +1,158 @@
+"""Results from runs: every training bench over answers that are made up, and over children that fail."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench import gpu_profile, report, runs
+from bench.child import ChildFailed
+from bench.result import Options, Result
+
+BENCHES = (
+    *("training", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
+    *("gpu_engines", "gpu_rodent", "gpu_profile", "gpu_scaling"),
+)
+SECONDS = {
+    "epoch": [0.010],
+    "update": [0.011],
+    "update_twice": [0.014],
+    "acting": [0.006],
+    "stepping": [0.005],
+    "engine": [0.004],
+    "policy": [0.001],
+}
+
+
+def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
+    """100 steps in 1 s, evaluated for 0.5 s of 10; the return is the seed, and Brax's is 1 less."""
+    ours = module != "bench.train_brax"
+    reward = request["seed"] if ours else request["seed"] - 1
+    return {
+        "training": [(50, 0.9), (100, 1.0)],
+        "rewards": [(50, 0.0), (100, reward)],
+        "evaluated_s": [5.0, 10.0],
+        "phases": {"trace": 1.0, "compile": 2.0, "first_update": 0.5},
+        "wall_s": 10.0,
+        "evaluation_s": 0.5,
+        "first_update_s": 3.0,
+        "first_update_at": 1004.0,
+        "overflow": 0.0,
+        "finite": ours,
+        "peak_bytes": 10**9,
+        "num_envs": 8,
+        "physics": [2000.0, 1000.0, 3000.0],
+        "began_at": 1000.0,
+        "process_s": 12.0,
+        "seconds": SECONDS,
+        "need": {"flops": 1e9, "bytes": 1e6},
+        "xla": {"flops": 2e9, "bytes": 3e6},
+        "gradient_steps": 3,
+    }
+
+
+def refused(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
+    raise ChildFailed("killed by SIGSEGV: it printed nothing")
+
+
+def measured(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, run_child: Any = answered, **options: Any
+) -> Result:
+    monkeypatch.setattr(runs, "run_child", run_child)
+    monkeypatch.setattr(runs.tempfile, "tempdir", str(folder))
+    return import_module(f"bench.{name}").measure(Options(quick=True, out=folder, **options))
+
+
+def figures(result: Result) -> dict[str, float | None]:
+    return {figure.name: figure.value for figure in result.figures}
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_a_result_is_made_shown_and_read_again(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = measured(name, tmp_path, monkeypatch)
+    assert result.figures or result.table
+    assert result.rows
+    assert not result.unfinished
+    result.save(tmp_path)
+    assert report.load(tmp_path) == [result]
+    assert result.command in report.markdown(result)
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_a_result_of_failures_says_why(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = measured(name, tmp_path, monkeypatch, refused)
+    assert "killed by SIGSEGV" in report.markdown(result)
+    assert all(figure.value is None for figure in result.figures)
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_a_result_without_any_run_says_what_is_left(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = measured(name, tmp_path, monkeypatch, only="nothing")
+    assert result.unfinished
+    assert "Not made yet" in report.markdown(result)
+
+
+def test_the_difference_of_returns_is_in_standard_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = measured("gpu_ant", tmp_path, monkeypatch, seeds=3)
+    found = figures(result)
+    # Ours 0, 1, 2: mean 1, deviation 1, error 1/√3; Brax's -1, 0, 1: the same error. The difference of 1
+    # is in errors of √(2/3): 1.2247.
+    assert found["our return − that of Brax"] == pytest.approx(1.2247, abs=1e-4)
+    ours = next(figure for figure in result.figures if figure.name == "ours, return at the end")
+    assert ours.error == pytest.approx(0.57735, abs=1e-5)
+
+
+def test_a_crash_on_more_gpus_is_a_missed_target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def crashing(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
+        run = refused if request["devices"] > 1 else answered
+        return run(module, request, timeout_s=timeout_s)
+
+    monkeypatch.setattr("bench.gpu_scaling.visible_gpus", lambda: ["nvidia0", "nvidia1"])
+    result = measured("gpu_scaling", tmp_path, monkeypatch, crashing)
+    gain = next(figure for figure in result.figures if figure.name == "2 GPUs ÷ 1")
+    assert (gain.value, gain.met) == (None, False)
+    assert "| 2 GPUs ÷ 1 | not measured |  | at least 1.8 | **missed** |" in report.markdown(result)
+
+
+def test_the_share_of_evaluations_by_default_follows_from_their_cost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Five evaluations took 0.5 s, the second half's 50 steps 0.1 s. The ant's default budget of 3 M steps
+    # then trains 6000 s and evaluates ten times: 1 s.
+    result = measured("training", tmp_path, monkeypatch)
+    assert figures(result)["evaluations' share of the wall, by default"] == pytest.approx(100 / 6001)
+
+
+def test_a_warm_start_is_told_from_the_call_and_from_the_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = figures(measured("training", tmp_path, monkeypatch))
+    assert found["warm start, the trainer's call to its first update"] == 3.0
+    assert found["warm start, the process's begin to its first update"] == 4.0  # 1004 - 1000
+
+
+def test_a_peer_whose_numbers_are_not_finite_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes = measured("gpu_rodent", tmp_path, monkeypatch).notes
+    assert any("not finite" in note for note in notes)
+
+
+def test_the_parts_of_an_update_add_up_to_it() -> None:
+    parts = gpu_profile.split({"seconds": SECONDS})
+    assert parts == pytest.approx(
+        {
+            "physics": 0.004,
+            "rest of the environments": 0.001,
+            "policy, acting": 0.001,
+            "learning": 0.003,  # an update with twice as many passes took 14 ms instead of 11
+            "the rest": 0.001,
+        }
+    )
+    assert sum(parts.values()) == pytest.approx(0.010)

@@ -1,0 +1,33 @@
+"""What the training benches ask for."""
+
+import pytest
+
+from bench import requests
+from bench.result import Options
+from core.errors import Rejected
+
+SMALL = {"num_envs": 8, "batch_size": 4, "num_minibatches": 4, "unroll_length": 5}  # 80 steps an update
+
+
+def test_an_equal_budget_is_whole_updates_in_each_of_the_peers_epochs() -> None:
+    # 3 epochs of 80 steps are 240; 1000 steps need five times as many.
+    given = requests.equal_budget("cpu", "ant", {**SMALL, "num_timesteps": 1000}, epochs=3)
+    assert given["num_timesteps"] == 1200
+
+
+def test_the_ants_published_budget_is_93_updates_of_both() -> None:
+    # 2048 × 32 × 5 = 327,680 steps; 30 M are 91.6 updates, and the next number that 3 divides is 93.
+    given = requests.equal_budget("gpu", "ant", {"num_timesteps": 30_000_000}, epochs=3)
+    assert given["num_timesteps"] == 93 * 327_680
+
+
+def test_settings_that_do_not_go_together_are_refused_before_anything_runs() -> None:
+    with pytest.raises(Rejected, match="num_envs"):
+        requests.settings("gpu", "ant", Options(), num_envs=3000)
+
+
+def test_a_gpu_bench_is_not_made_without_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(requests, "visible_gpus", list)
+    with pytest.raises(SystemExit, match="gpu_ant needs a GPU"):
+        requests.gpu("gpu_ant", Options())
+    assert requests.gpu("gpu_ant", Options(quick=True)) == "cpu"
