@@ -42,7 +42,8 @@ class SharedCache:
 
         def fetch(number: int) -> bool:
             name, info = lacking[number]
-            return self._fetch(info, room / f"fetched-{number}", kept / name)
+            # What a file is shows in the end of its name, here as there.
+            return self._fetch(info, room / f"fetched-{number}-{Path(name).name[-6:]}", kept / name)
 
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             return sum(pool.map(fetch, range(len(lacking))))
