@@ -1,6 +1,7 @@
 """MuJoCo Warp's side of the engine `warp`: buffers on the device, and the graphs that move them."""
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal
 
 import mujoco
@@ -45,6 +46,10 @@ class Worlds:
             pairs = mjw.put_model(model).nxn_geom_pair_filtered.numpy()
         self._demand = measure(model, pairs)
         self._batches: dict[tuple[str, int, tuple[str, ...]], _Batch] = {}
+        # One world's kernels are those of thousands: they compile while JAX traces and compiles its programs.
+        in_advance = ThreadPoolExecutor(1)
+        self._kernels = in_advance.submit(self._batch, 1, ()) if wp.is_cuda_available() else None
+        in_advance.shutdown(wait=False)
 
     def move(self, move: Move, own: tuple[str, ...], given: Any, after: Any, overflow: Any) -> None:
         """given: [N, sum of inputs]; after: [N, sum of outputs]; overflow: [N], bits of OverflowType.
@@ -53,6 +58,8 @@ class Worlds:
         """
         key = (given.device.alias, given.shape[0], own)
         if key not in self._batches:
+            if self._kernels is not None:
+                self._kernels.result()
             self._batches[key] = self._batch(given.shape[0], own)
         batch = self._batches[key]
         wp.copy(batch.given, given)
@@ -100,8 +107,7 @@ class _Batch:
         self._substep = Substep(model, device, reads_sensors="sensordata" in derived)
         self._graphs: dict[Move, Any] = {}
         if device.is_cuda:
-            load_kernels(self._forward, device)
-            load_kernels(self._step, device)
+            load_kernels([self._step, *([self._forward] if derived else [])], device)
 
     def run(self, move: Move) -> None:
         """From `given` to `after`."""
