@@ -1,4 +1,4 @@
-"""A process that trains for one update on native physics: `python -m tests.learning.start_process CACHE LEARNING_RATE`.
+"""A process that trains for one update on native physics: `python -m tests.learning.start_process CACHE LR`.
 
 Prints, as one line of JSON, how often JAX's cache had a program and had not, and which libraries of physics
 for accelerators were loaded.
