@@ -20,6 +20,8 @@ from core.physics.warp_step import Substep  # noqa: E402
 
 Move = Literal["forward", "step"]
 
+# An H200 steps ants (1 iteration) and rodents (4) faster, by 5 and 1 %, where none is asked for.
+_FEW_ITERATIONS = 4
 # Bits of `overflow` that tell of a solver which stopped at its limit, as it is meant to, not of lost rows.
 _NOT_LOST = mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS
 LOST = int(mjw.OverflowType.ALL & ~_NOT_LOST)
@@ -73,8 +75,8 @@ class Worlds:
         )
         if "opt.gravity" in own:
             model.opt.gravity = wp.array(np.tile(self._model.opt.gravity, (num_worlds, 1)), dtype=wp.vec3)
-        # A loop in a graph asks after each iteration whether another is needed: dearer than the only one.
-        model.opt.graph_conditional = self._model.opt.iterations > 1
+        # A loop in a graph asks after each iteration whether another is needed: dearer than a few of them.
+        model.opt.graph_conditional = self._model.opt.iterations > _FEW_ITERATIONS
         model.opt.warn_overflow = 0  # it would print a line from the kernel for every world and step
         room = capacity(self._demand, num_worlds)
         data = mjw.make_data(self._model, num_worlds, naconmax=room.naconmax, njmax=room.njmax)
