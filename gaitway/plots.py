@@ -29,19 +29,15 @@ class _Panel:
     evaluation: str | None = None
     bounds: tuple[float, float] | None = None
 
-    def draw(self, axis: Any, rows: Rows) -> bool:
-        """Whether there was anything to draw."""
-        drawn = False
+    def draw(self, axis: Any, rows: Rows) -> None:
         for kind, name in (("training", self.training), ("eval", self.evaluation)):
             points = series(rows, f"{kind}/{name}")
             if points[0]:
                 axis.plot(*points, **_STYLES[kind])
-                drawn = True
-        if self.bounds is not None and drawn:
+        if self.bounds is not None:
             low, high = axis.get_ylim()
             axis.set_ylim(min(low, self.bounds[0]), max(high, self.bounds[1]))
         axis.set_ylabel(self.label)
-        return drawn
 
 
 # In the order in which one asks; one that was never measured is left out.
@@ -86,7 +82,7 @@ def learning_curve(rows: Iterable[Mapping[str, Any]], path: Path, *, title: str 
     if axes[0].lines:
         axes[0].legend(frameon=False, fontsize=9)
     if title:
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)  # pyright: ignore[reportUnknownMemberType]
     figure.savefig(path, dpi=144)  # pyright: ignore[reportUnknownMemberType]
 
 
