@@ -142,6 +142,12 @@ class WorkerSettings(StoreSettings):
         description="How much of it the object store keeps for other machines, the oldest going first; 0 "
         "shares nothing and takes nothing. The same for all workers of a bucket.",
     )
+    wandb_api_key: SecretStr | None = Field(
+        None, min_length=1, description="Key for Weights & Biases, for jobs that ask for tracking there."
+    )
+    wandb_base_url: str | None = Field(
+        None, pattern=r"^https?://", description="A Weights & Biases server of your own: https://HOST."
+    )
 
     @model_validator(mode="after")
     def _outlives_a_missed_beat(self) -> Self:

@@ -1,6 +1,7 @@
 """Pictures of a run. matplotlib (extra `plots`) is loaded only when one is drawn."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,59 +9,131 @@ _STYLES: dict[str, dict[str, Any]] = {
     "training": {"color": "#9aa5b1", "linewidth": 1.2, "label": "training"},
     "eval": {"color": "#1f6fb2", "linewidth": 2, "marker": "o", "markersize": 4, "label": "evaluation"},
 }
-# What an axis says, by the name of the metric after `eval/` and `training/`.
-_PANELS = {"episode_reward": "return per episode", "forward_speed": "forward speed in m/s"}
+# One for each term of the reward; told apart also by those who see few colours (Okabe and Ito, 2008).
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c6d1f")
+_TERM = "training/reward"
 
+Rows = Sequence[Mapping[str, Any]]
 Series = tuple[list[float], list[float]]
 
 
-def learning_curve(rows: Iterable[Mapping[str, Any]], path: Path, *, title: str = "") -> None:
-    """Draw return and forward speed against environment steps, and store the picture (type by its suffix).
+@dataclass(frozen=True)
+class _Panel:
+    """What one quantity looks like. names: of its metrics after `eval/` and `training/`, if they differ.
 
-    rows: those of `GET /jobs/{id}/metrics`, each with `step` and `values`; `eval/...` and
-    `training/...` are drawn apart. A quantity that was never measured gets no panel.
+    bounds: the least that the axis shows.
+    """
+
+    label: str
+    training: str
+    evaluation: str | None = None
+    bounds: tuple[float, float] | None = None
+
+    def draw(self, axis: Any, rows: Rows) -> None:
+        for kind, name in (("training", self.training), ("eval", self.evaluation)):
+            points = series(rows, f"{kind}/{name}")
+            if points[0]:
+                axis.plot(*points, **_STYLES[kind])
+        if self.bounds is not None:
+            low, high = axis.get_ylim()
+            axis.set_ylim(min(low, self.bounds[0]), max(high, self.bounds[1]))
+        axis.set_ylabel(self.label)
+
+
+# In the order in which one asks; one that was never measured is left out.
+_PANELS = (
+    _Panel("return per episode", "episode_reward", "episode_reward"),
+    _Panel("forward speed in m/s", "forward_speed", "forward_speed"),
+    _Panel("steps per episode", "episode_length", "avg_episode_length", (0.0, 0.0)),
+    _Panel("share of episodes that fell", "fall_rate", bounds=(-0.02, 1.02)),
+    _Panel("control effort (mean action²)", "control_effort", bounds=(0.0, 0.0)),
+    _Panel("height in m", "height"),
+    _Panel("distance from the origin in m", "distance_from_origin"),
+)
+
+
+def learning_curve(rows: Iterable[Mapping[str, Any]], path: Path, *, title: str = "") -> None:
+    """Draw what a run measured against environment steps, and store the picture (type by its suffix).
+
+    rows: those of `GET /jobs/{id}/metrics`, each with `step` and `values`. Panels: the return, with a band
+    of one standard deviation over the evaluation's episodes; the speed; each term of the reward by step;
+    and how long episodes are, how many fall, the control effort, height and distance. Values in training
+    and those of evaluations are drawn apart. What was never measured gets no panel.
     """
     from matplotlib.figure import Figure
 
     table = list(rows)
-    panels = {name: _both(table, name) for name in _PANELS}
-    panels = {name: drawn for name, drawn in panels.items() if _any(drawn)} or {"episode_reward": {}}
-    figure = Figure(figsize=(7, 2.6 * len(panels) + 0.6), layout="constrained")
-    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axis, (name, drawn) in zip(axes, panels.items(), strict=True):
-        _draw(axis, _PANELS[name], drawn)
-    if any(_any(drawn) for drawn in panels.values()):
+    panels = [panel.draw for panel in _PANELS if _is_measured(table, panel)] or [_PANELS[0].draw]
+    if _terms(table):
+        panels.insert(min(2, len(panels)), _draw_terms)
+    columns = 1 if len(panels) == 1 else 2
+    lines = -(-len(panels) // columns)
+    figure = Figure(figsize=(5.2 * columns + 1, 2.5 * lines + 0.6), layout="constrained")
+    axes = list(figure.subplots(lines, columns, sharex=True, squeeze=False).flat)
+    for axis, draw in zip(axes, panels, strict=False):
+        _prepare(axis)
+        draw(axis, table)
+    for axis in axes[len(panels) :]:
+        axis.remove()
+    for axis in axes[: len(panels)][-columns:]:
+        axis.set_xlabel("environment steps")
+        axis.tick_params(labelbottom=True)
+    _draw_deviation(axes[0], table)
+    if axes[0].lines:
         axes[0].legend(frameon=False, fontsize=9)
-    axes[-1].set_xlabel("environment steps")
-    axes[-1].xaxis.set_major_formatter(_compact)
     if title:
-        axes[0].set_title(title, loc="left", fontsize=11)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)  # pyright: ignore[reportUnknownMemberType]
     figure.savefig(path, dpi=144)  # pyright: ignore[reportUnknownMemberType]
 
 
 def series(rows: Iterable[Mapping[str, Any]], name: str) -> Series:
     """Steps and values of the rows that have the metric, in the order of the steps."""
-    points = sorted((float(row["step"]), float(row["values"][name])) for row in rows if name in row["values"])
+    points = sorted(
+        (float(row["step"]), float(row["values"][name]))
+        for row in rows
+        if row["values"].get(name) is not None  # None: it was not finite
+    )
     return [step for step, _ in points], [value for _, value in points]
 
 
-def _both(rows: list[Mapping[str, Any]], name: str) -> dict[str, Series]:
-    return {kind: series(rows, f"{kind}/{name}") for kind in _STYLES}
+def _is_measured(rows: Rows, panel: _Panel) -> bool:
+    names = {f"training/{panel.training}", f"eval/{panel.evaluation}"}
+    return any(row["values"].get(name) is not None for row in rows for name in names)
 
 
-def _any(drawn: Mapping[str, Series]) -> bool:
-    return any(steps for steps, _ in drawn.values())
+def _terms(rows: Rows) -> dict[str, Series]:
+    """The terms of the reward by name, but those that were 0 throughout."""
+    names = sorted({name for row in rows for name in row["values"] if name.startswith(_TERM)})
+    found = {name.removeprefix(_TERM).lstrip("_/"): series(rows, name) for name in names}
+    return {name: points for name, points in found.items() if any(points[1])}
 
 
-def _draw(axis: Any, label: str, drawn: Mapping[str, Series]) -> None:
-    for kind, style in _STYLES.items():
-        if kind in drawn and drawn[kind][0]:
-            axis.plot(*drawn[kind], **style)
-    axis.set_ylabel(label)
+def _draw_terms(axis: Any, rows: Rows) -> None:
+    for number, (name, points) in enumerate(_terms(rows).items()):
+        style = "-" if number < len(_COLOURS) else "--"
+        axis.plot(*points, label=name, color=_COLOURS[number % len(_COLOURS)], linewidth=1.3, linestyle=style)
+    axis.axhline(0, color="#9aa5b1", linewidth=0.6)
+    axis.set_ylabel("reward per step, by term")
+    axis.legend(frameon=False, fontsize=8, ncols=2)
+
+
+def _draw_deviation(axis: Any, rows: Rows) -> None:
+    """One standard deviation over an evaluation's episodes, around their mean return."""
+    steps, means = series(rows, "eval/episode_reward")
+    with_deviation, deviations = series(rows, "eval/episode_reward_std")
+    if steps and steps == with_deviation:
+        low = [mean - deviation for mean, deviation in zip(means, deviations, strict=True)]
+        high = [mean + deviation for mean, deviation in zip(means, deviations, strict=True)]
+        axis.fill_between(steps, low, high, color=_STYLES["eval"]["color"], alpha=0.15, linewidth=0)
+
+
+def _prepare(axis: Any) -> None:
     axis.grid(axis="y", color="#e3e7eb", linewidth=0.8)
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
     axis.margins(x=0.02)
+    formatter: Callable[..., str] = _compact
+    axis.xaxis.set_major_formatter(formatter)
 
 
 def _compact(value: float, _position: Any = None) -> str:

@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import json
 import queue
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,6 +13,7 @@ from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Entry
 from core.patience import through_outages
 from core.storage import keys
+from worker.measurements import measurements
 from worker.messages import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
 
 
@@ -140,11 +140,8 @@ class Outbox:
         return keys.artifact(self._holding.job_id, self._holding.number, name)
 
     def _metrics_so_far(self) -> bytes:
-        """The job's metrics as JSON lines, a later row for the same step in the place of an earlier."""
-        feed = self._holding.store.feed(self._holding.job_id, "events", kind="metrics", limit=1_000_000)
-        rows = {(e.data["step"], tuple(sorted(e.data["values"]))): e for e in feed}
-        lines = [json.dumps({"time": e.time.isoformat(), **e.data}, sort_keys=True) for e in rows.values()]
-        return "".join(f"{line}\n" for line in lines).encode()
+        rows = measurements(self._holding.store, self._holding.job_id)
+        return "".join(f"{row}\n" for row in rows).encode()
 
 
 def _sha256(path: Path) -> str:

@@ -27,6 +27,7 @@ from worker.outcome import Outcome, Stop, judge
 from worker.process import TRAINING, TrainingProcess
 from worker.slot import SlotTaken, slots
 from worker.spool import SPOOLS, spool
+from worker.tracking.attempt import Tracking
 
 log = structlog.get_logger()
 
@@ -91,34 +92,43 @@ class Supervisor:
         with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
             caches.open(job.spec.environment.id, leaving)
             outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
+            tracking = Tracking(job, self.holding, spool, self.settings, outbox)
+            tracking.begin()
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fds)
             try:
-                outcome = self._watch(process, outbox, caches, heartbeat, job.spec.timeout_s)
+                ear = _Ear(process, outbox, caches, tracking)
+                outcome = self._watch(process, ear, heartbeat, job.spec.timeout_s)
+            except BaseException:
+                tracking.abandon()
+                raise
             finally:
                 process.kill()
+        if leaving():
+            tracking.abandon()
+        else:
+            tracking.finish(outcome.status)
         if not outbox.close(_STORAGE_PATIENCE_S):
             raise StorageUnavailable(
                 f"The results could not be stored for {_STORAGE_PATIENCE_S / 60:.0f} minutes: Redis or the "
                 "object store was away, or refused; the worker's log says which."
             )
+        tracking.write_up(outcome.status, leaving)
         self._conclude(outcome)
 
     def _watch(
         self,
         process: TrainingProcess,
-        outbox: Outbox,
-        caches: Caches,
+        ear: "_Ear",
         heartbeat: Heartbeat,
         timeout_s: float,
     ) -> Outcome:
-        ear = _Ear(process, outbox, caches)
         deadline = time.monotonic() + timeout_s
         stop: Stop | None = None
         kill_at = float("inf")
         while (status := process.poll(_GLANCE_S)) is None:
             if heartbeat.lost.is_set():
                 raise LeaseLost(self.holding.job_id)
-            outbox.check()
+            ear.outbox.check()
             if stop is None and (stop := self._wanted(heartbeat, deadline)) is not None:
                 log.info("training_stops", job_id=self.holding.job_id, why=stop)
                 process.stop(stop)
@@ -130,7 +140,7 @@ class Supervisor:
         process.kill()
         ear.join()
         if status == 0:  # A process that crashed may have left kernels that would crash the next.
-            caches.keep()
+            ear.caches.keep()
         return judge(ear.last_word, status, stop, timeout_s)
 
     def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
@@ -156,11 +166,12 @@ class Supervisor:
 class _Ear:
     """Two threads that hear what the process says, so that no pipe ever fills up and halts it."""
 
-    def __init__(self, process: TrainingProcess, outbox: Outbox, caches: Caches) -> None:
+    def __init__(self, process: TrainingProcess, outbox: Outbox, caches: Caches, tracking: Tracking) -> None:
         self.last_word: Failed | Finished | None = None
+        self.outbox = outbox
+        self.caches = caches
         self._process = process
-        self._outbox = outbox
-        self._caches = caches
+        self._tracking = tracking
         self._threads = [
             threading.Thread(target=target, name=target.__name__, daemon=True)
             for target in (self._hear_messages, self._hear_lines)
@@ -177,13 +188,14 @@ class _Ear:
         for message in self._process.messages():
             if isinstance(message, Failed | Finished):
                 self.last_word = message
-            self._outbox.put(message)
+            self._tracking.tell(message)
+            self.outbox.put(message)
             if isinstance(message, PhaseEnded) and message.name in _COMPILED:
-                self._caches.keep()
+                self.caches.keep()
 
     def _hear_lines(self) -> None:
         for line in self._process.lines():
-            self._outbox.put(line)
+            self.outbox.put(line)
 
 
 def write_task(job: Job, holding: Holding, device: str, spool: Path) -> None:

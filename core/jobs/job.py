@@ -13,7 +13,17 @@ from core.model import Stored
 _JOB_ID = re.compile(r"[0-9a-f]{12}-[0-9a-f]{10}")
 
 ArtifactRole = Literal[
-    "checkpoint", "policy", "video", "poster", "trajectory", "summary", "metrics", "log", "learning_curve"
+    "checkpoint",
+    "policy",
+    "video",
+    "poster",
+    "trajectory",
+    "summary",
+    "metrics",
+    "log",
+    "learning_curve",
+    "tensorboard",
+    "wandb",
 ]
 
 

@@ -96,6 +96,30 @@ class ResumePoint(Strict):
     step: int | None = Field(default=None, ge=0)
 
 
+class WandbSpec(Strict):
+    """A run at Weights & Biases: the configuration, every metric, the videos. The key is the worker's."""
+
+    project: str = Field(min_length=1, max_length=128, pattern=r"^[^/\\#?%:]+$", examples=["vnl"])
+    entity: str | None = Field(
+        default=None,
+        max_length=128,
+        pattern=r"^[A-Za-z0-9_-]+$",
+        description="Team or user; by default the key's own.",
+    )
+    name: str | None = Field(
+        default=None, min_length=1, max_length=128, description="By default the job's name, or else its id."
+    )
+    mode: Literal["online", "offline"] = Field(
+        default="online", description="offline: nothing is sent; the run is an artifact for `wandb sync`."
+    )
+
+
+class TrackingSpec(Strict):
+    """Where else the run is shown, besides the service itself."""
+
+    wandb: WandbSpec | None = None
+
+
 class _Common(Strict):
     name: str | None = Field(default=None, max_length=200)
     labels: dict[LabelName, Label] = Field(default={}, max_length=64)
@@ -123,6 +147,7 @@ class TrainSpec(_Common):
     algorithm: AlgorithmSpec = PPOSpec()
     checkpoints: CheckpointsSpec = CheckpointsSpec()
     resume_from: ResumePoint | None = None
+    tracking: TrackingSpec = TrackingSpec()
 
 
 class CheckpointPolicy(Strict):

@@ -40,6 +40,9 @@ SMALL: dict[str, Any] = {
     "seed": 3,
 }
 
+# What a training job keeps in any case.
+KEPT = {"checkpoint", "metrics", "policy", "poster", "tensorboard", "video"}
+
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
@@ -88,7 +91,7 @@ def test_a_job_goes_from_post_to_its_video(client: Client, undisturbed: JobView,
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.width, stream.height) == ("h264", 160, 120)
         assert sum(1 for _ in container.decode(stream)) == 30
-    assert {a.role for a in undisturbed.artifacts} == {"checkpoint", "metrics", "policy", "poster", "video"}
+    assert {a.role for a in undisturbed.artifacts} == KEPT
     assert [a.step for a in client.checkpoints(undisturbed.id)] == [51_200 * i for i in range(1, 6)]
 
 
@@ -164,7 +167,7 @@ def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(client: Client) 
     ended = client.wait(job.id, timeout=110)
     assert (ended.status, ended.reason) == ("cancelled", "user_cancelled")
     kept = {artifact.role for artifact in ended.artifacts}
-    assert {"checkpoint", "metrics", "policy", "poster", "video"} == kept
+    assert kept == KEPT
     checkpoint, policy = ended.newest("checkpoint"), ended.newest("policy")
     assert checkpoint is not None
     assert policy is not None

@@ -38,6 +38,25 @@ match behaviour:
             say(type="progress", step=step, total=20, steps_per_second=5.0, eta_s=0.0, metrics={"a": 1.0})
             keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", b"state %d" % step, step)
         say(type="finished")
+    case "is_filmed":
+        say(
+            type="started",
+            device="probe",
+            engine="none",
+            details={"hyperparameters": {"learning_rate": 0.25}},
+        )
+        while "PROBE_WAITS_FOR" in os.environ and not Path(os.environ["PROBE_WAITS_FOR"]).exists():
+            time.sleep(0.01)
+        for step in (10, 20):
+            say(type="metrics", step=step, values={"eval/episode_reward": step / 4})
+        keep("video.mp4", "video", b"film", 20)
+        say(type="finished")
+    case "is_killed_after_a_measurement":
+        say(type="started", device="probe", engine="none")
+        while not Path(os.environ["PROBE_WAITS_FOR"]).exists():
+            time.sleep(0.01)
+        say(type="metrics", step=5, values={"eval/episode_reward": 0.5})
+        os.kill(os.getpid(), signal.SIGKILL)
     case "compiles" | "compiles_and_crashes":
         Path("cache/jax").mkdir(parents=True, exist_ok=True)
         Path("cache/jax/compiled").write_bytes(b"another program")

@@ -64,6 +64,7 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
     assert progress.total == 3072
     # The action is both the reward and the speed of this probe, and an episode has 8 steps.
     assert progress.metrics["training/episode_length"] == 8.0
+    assert progress.metrics["training/fall_rate"] == 0.0
     assert progress.metrics["training/sps"] > 0
     evaluation = [event for event in events if isinstance(event, Evaluated)][-1]
     assert evaluation.metrics["eval/forward_speed"] == pytest.approx(

@@ -1,5 +1,6 @@
 """Acting: the transitions that one update learns from."""
 
+from collections.abc import Mapping
 from typing import Any, cast
 
 import jax
@@ -31,13 +32,17 @@ class Starts:
 class Outcome:
     """What happened at each of T steps in N environments; arrays [T, N].
 
-    overflow: 1 where the engine lost contacts; None where it cannot. Not told of an episode's last step.
+    fell: 1 where the environment ended the episode, and not its length. effort: mean square of the action's
+    components. metrics: the environment's own, by name. overflow: 1 where the engine lost contacts; None
+    where it cannot. Not told of an episode's last step.
     """
 
     reward: jax.Array
     ended_length: jax.Array
     ended_score: jax.Array
-    x_velocity: jax.Array | None
+    fell: jax.Array
+    effort: jax.Array
+    metrics: Mapping[str, jax.Array]
     overflow: jax.Array | None
 
 
@@ -72,7 +77,9 @@ def collect(
             reward=after.state.reward,
             ended_length=after.ended_length,
             ended_score=after.ended_score,
-            x_velocity=after.state.metrics.get("x_velocity"),
+            fell=after.state.done - after.truncated,
+            effort=jnp.mean(jnp.square(action), axis=-1),
+            metrics=after.state.metrics,
             overflow=after.state.physics.derived.get(OVERFLOW),
         )
         return after, (transition, outcome)
@@ -115,14 +122,22 @@ def bootstrap_timeouts(
 
 
 def summarise(outcome: Outcome) -> dict[str, jax.Array]:
-    """Sums over one update, [] float32: finished episodes, their scores and lengths.
+    """Sums over one update, [] float32: finished episodes, their scores and lengths, and how many fell.
 
-    And means: the speed, and the share of steps in which the engine lost contacts, where there are such.
+    And means over its steps: the control effort, every metric of the environment by its own name (the speed
+    by a clearer one), and the share in which the engine lost contacts, where there are such.
     """
+    speed = outcome.metrics.get("x_velocity")
+    own = {name: values for name, values in outcome.metrics.items() if name != "x_velocity"}
+    means = own | {
+        "control_effort": outcome.effort,
+        "forward_speed": speed,
+        "physics_overflow": outcome.overflow,
+    }
     sums = {
         "episodes": jnp.sum(outcome.ended_length > 0).astype(jnp.float32),
         "score": jnp.sum(outcome.ended_score),
         "length": jnp.sum(outcome.ended_length).astype(jnp.float32),
+        "falls": jnp.sum(outcome.fell),
     }
-    means = {"forward_speed": outcome.x_velocity, "physics_overflow": outcome.overflow}
-    return sums | {name: jnp.mean(values) for name, values in means.items() if values is not None}
+    return {name: jnp.mean(values) for name, values in means.items() if values is not None} | sums

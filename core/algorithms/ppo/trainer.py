@@ -203,9 +203,10 @@ class PPOTrainer:
 def _training_metrics(sums: Mapping[str, Any], updates: int, action_repeat: int) -> dict[str, float]:
     """An epoch's metrics by Brax's names, from sums over its updates; lengths are in environment steps."""
     values = {name: float(value) for name, value in sums.items()}
-    episodes, score, length = (values.pop(name) for name in ("episodes", "score", "length"))
+    episodes, score, length, falls = (values.pop(name) for name in ("episodes", "score", "length", "falls"))
     metrics = {f"training/{name}": value / updates for name, value in values.items()}
     if episodes:
         metrics["training/episode_reward"] = score / episodes
         metrics["training/episode_length"] = length / episodes * action_repeat
+        metrics["training/fall_rate"] = falls / episodes
     return metrics

@@ -208,7 +208,7 @@ class Learner:
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
-        return new, metrics | summarise(outcome), _failure(transitions, outcome, metrics, params)
+        return new, summarise(outcome) | metrics, _failure(transitions, outcome, metrics, params)
 
     @property
     def _worlds(self) -> Worlds:

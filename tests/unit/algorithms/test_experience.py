@@ -8,12 +8,15 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import compute_ppo_loss
 from brax.training.types import Transition
 
-from core.algorithms.ppo.experience import cut_into_unrolls
+from core.algorithms.ppo.experience import collect, cut_into_unrolls, summarise
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Hyperparameters, Learner, TrainingState
 from core.environments.environment import State
 from core.environments.probes import Probe
+from core.environments.worlds import Worlds
+from core.environments.wrappers import start_episodes
+from core.physics.engine import NOMINAL, ModelFields
 
 SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8], "value_hidden_layer_sizes": [8]})
 
@@ -110,3 +113,57 @@ def test_without_a_pool_every_environment_goes_back_to_its_own_start() -> None:
     state = learner.init(jnp.uint32(0))
     after, _ = starts_seen(learner, state)
     np.testing.assert_array_equal(after.episodes.state.obs, state.episodes.state.obs)
+
+
+class Measured(Probe):
+    """Reports its age as a height, and its reward as the only term."""
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        zero = jnp.zeros(())
+        return replace(super().reset(key, model), metrics={"height": zero, "reward_task": zero})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        after = super().step(state, action)
+        return replace(after, metrics={"height": after.physics.time, "reward_task": after.reward})
+
+
+def outcome_of_four_steps(world: Probe) -> tuple[dict[str, float], float]:
+    """What is told of 8 worlds that act with ±0.5 four times, under a limit of four; how many show +1."""
+
+    def policy(observation: jax.Array, key: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
+        return jnp.full_like(observation, -0.5), {}
+
+    worlds = Worlds(world)
+    episodes = start_episodes(worlds, jax.random.PRNGKey(0), 8, keep_first=True)
+    keys = jax.random.split(jax.random.PRNGKey(1), 4)
+    _, (_, outcome) = collect(worlds, policy, episodes, keys, episode_length=4)
+    told = {name: float(value) for name, value in summarise(outcome).items()}
+    return told, float(jnp.sum(episodes.state.obs > 0))
+
+
+def test_falls_are_the_ends_that_the_environment_made_and_not_the_clock() -> None:
+    # A world of +1 falls with its third step and begins anew; the clock ends one of -1 at its fourth.
+    told, falling = outcome_of_four_steps(
+        Probe(
+            lambda obs, time, action: (action, jnp.where((obs > 0) & (time >= 2), 1.0, 0.0)), random_sign=True
+        )
+    )
+    assert 0 < falling < 8
+    assert (told["episodes"], told["falls"]) == (8, falling)
+    assert told["length"] == 3 * falling + 4 * (8 - falling)
+    # Every action is -0.5, which is the speed; its square is 0.25.
+    assert (told["forward_speed"], told["control_effort"]) == (-0.5, 0.25)
+    assert "x_velocity" not in told
+
+
+def test_every_metric_of_the_environment_is_told_as_its_mean_over_the_steps() -> None:
+    told, falling = outcome_of_four_steps(
+        Measured(
+            lambda obs, time, action: (2 * action, jnp.where((obs > 0) & (time >= 2), 1.0, 0.0)),
+            random_sign=True,
+        )
+    )
+    # Ages 1, 2, 3 and, after the fall, 1 again: 7 in all. Without a fall 1 + 2 + 3 + 4 = 10.
+    assert told["height"] == pytest.approx((7 * falling + 10 * (8 - falling)) / 32)
+    assert told["reward_task"] == -1.0
+    assert "forward_speed" not in told

@@ -1,0 +1,98 @@
+"""`python -m worker.tracking live`, fed with items by its parent; or `... write DOCUMENT`.
+
+Says `{"opened": true}` and `{"note": "..."}` as JSON lines. Exit status 0: all of it is done.
+"""
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import IO, Any
+
+from worker.lifeline import die_with_parent
+from worker.tracking.items import ITEM, About, End, Row, WriteUp
+
+PARENT = "GAITWAY_PARENT_PID"
+
+
+def main(arguments: list[str]) -> int:
+    parent = os.environ.get(PARENT)
+    die_with_parent(int(parent) if parent else None)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Libraries print what they like; our words go out by a way of their own.
+    words = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    match arguments:
+        case ["live"]:
+            return live(sys.stdin.buffer, words)
+        case ["write", document]:
+            return write(WriteUp.model_validate_json(Path(document).read_bytes()), words)
+        case _:
+            return 2
+
+
+def live(items: IO[bytes], words: IO[str]) -> int:
+    """Hand on each item as it comes."""
+    about = About.model_validate_json(items.readline())
+    try:
+        from worker.tracking.run import open_run, tell
+
+        run = open_run(about, "online")
+        say(words, opened=True)
+        for line in items:
+            item = ITEM.validate_json(line)
+            tell(run, item)
+            if isinstance(item, End):
+                return 0
+    except Exception as error:  # Whatever it is, the job goes on.
+        say(words, note=f"Weights & Biases took no more of this run: {reason(error)}")
+    return 1
+
+
+def write(task: WriteUp, words: IO[str]) -> int:
+    """Write each of the files that are wanted; the second also where the first cannot be."""
+    from worker.tracking.board import write_events
+
+    write_events(task.measurements, task.events)
+    if task.about is None or task.archive is None:
+        return 0
+    try:
+        write_archive(task, task.about, task.archive)
+    except Exception as error:
+        say(words, note=f"There is no file for `wandb sync`: {reason(error)}")
+        return 1
+    return 0
+
+
+def write_archive(task: WriteUp, about: About, path: Path) -> None:
+    """The whole job as an offline run."""
+    from worker.tracking.run import archive, open_run, tell
+
+    run = open_run(about, "offline")
+    rows = sorted(
+        (Row.model_validate_json(line) for line in task.measurements.read_text().splitlines()),
+        key=lambda row: row.step,
+    )
+    for row in rows:
+        tell(run, row)
+    for film in task.films:
+        tell(run, film)
+    tell(run, End(exit_code=task.exit_code))
+    archive(about.folder, path)
+
+
+def reason(error: Exception) -> str:
+    """In one line, and without the key, should a library quote it."""
+    text = next(iter(str(error).splitlines()), "")[:300]
+    if key := os.environ.get("WANDB_API_KEY"):
+        text = text.replace(key, "…")
+    return f"{type(error).__name__}: {text}"
+
+
+def say(words: IO[str], **word: Any) -> None:
+    words.write(json.dumps(word) + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

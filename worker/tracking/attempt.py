@@ -1,0 +1,179 @@
+"""What an attempt at a training job leaves for other tools: its supervisor's side."""
+
+import json
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import IO, cast
+
+import structlog
+
+from core.errors import GaitwayError, LeaseLost
+from core.jobs.attempts import Holding
+from core.jobs.job import Job
+from core.jobs.spec import TrainSpec
+from core.jobs.status import JobStatus
+from core.settings import WorkerSettings
+from worker.measurements import measurements
+from worker.messages import FileReady, Message, Noted
+from worker.outbox import Outbox
+from worker.tracking.child import end, start
+from worker.tracking.items import About, Film, WriteUp, about_run, configured
+from worker.tracking.live import Live
+
+log = structlog.get_logger()
+
+_FOLDER = "tracking"
+EVENTS, ARCHIVE = "events.out.tfevents", "wandb.tar"
+# How long a job's end waits for its files, before it goes without.
+_WRITE_S, _STORE_S = 60.0, 60.0
+_GLANCE_S = 0.05
+_NO_PACKAGE = "This worker has no package wandb (pip install 'gaitway[wandb]'): the run is not tracked there."
+_NO_KEY = "This worker has no GAITWAY_WANDB_API_KEY: the run is not sent, and kept for `wandb sync`."
+
+
+@dataclass
+class Tracking:
+    """Nothing in here ends a job, but a lease that was lost.
+
+    Call `tell` with each message, `finish` when the training process has ended, `write_up` when all that it
+    said is stored; or `abandon`, where the attempt leaves in a hurry.
+    """
+
+    job: Job
+    holding: Holding
+    spool: Path
+    settings: WorkerSettings
+    outbox: Outbox
+    _about: About | None = field(default=None, init=False)
+    _live: Live | None = field(default=None, init=False)
+
+    def begin(self) -> None:
+        """Call it from a thread that lives as long as the attempt."""
+        if not isinstance(self.job.spec, TrainSpec):
+            return
+        folder = self.spool / _FOLDER
+        folder.mkdir()
+        wanted = self.job.spec.tracking.wandb
+        if wanted is None:
+            return
+        if find_spec("wandb") is None:
+            self._note(_NO_PACKAGE)
+            return
+        self._about = about_run(self.job.id, self.job.spec, folder)
+        if self._about is None or wanted.mode == "offline":
+            return
+        if self.settings.wandb_api_key is None:
+            self._note(_NO_KEY)
+            return
+        try:
+            self._live = Live(self._about, self.spool, self.settings, self._note)
+        except OSError as error:
+            self._note(f"Nothing is sent to Weights & Biases: {error.strerror}")
+
+    def tell(self, message: Message) -> None:
+        if self._live is not None:
+            self._live.tell(message)
+
+    def finish(self, status: JobStatus | None) -> None:
+        """Send the rest, within bounds. status: the job's, if it ends with this attempt."""
+        if self._live is not None and self._live.finish(_exit_code(status)):
+            self._about = None  # All is there: no file is needed.
+
+    def abandon(self) -> None:
+        """Nothing of it runs any more."""
+        if self._live is not None:
+            self._live.kill()
+
+    def write_up(self, status: JobStatus | None, called_off: Callable[[], bool]) -> None:
+        """Store the whole job, over all of its attempts, as files for TensorBoard and for `wandb sync`."""
+        if not isinstance(self.job.spec, TrainSpec):
+            return
+        try:
+            self._write_up(self.job.spec, _exit_code(status), called_off)
+        except LeaseLost:
+            raise
+        except (GaitwayError, OSError) as error:
+            log.warning("tracking_not_kept", error=str(error))
+
+    def _write_up(self, spec: TrainSpec, exit_code: int, called_off: Callable[[], bool]) -> None:
+        folder = self.spool / _FOLDER
+        rows = measurements(self.holding.store, self.job.id)
+        if not rows or called_off():
+            return
+        (folder / "measurements.jsonl").write_text("".join(f"{row}\n" for row in rows))
+        task = WriteUp(job_id=self.job.id, measurements=folder / "measurements.jsonl", events=folder / EVENTS)
+        if self._about is not None:
+            task = self._with_archive(task, self._about, exit_code)
+        (folder / "task.json").write_text(task.model_dump_json())
+        child = start(["write", str(folder / "task.json")], folder, self.settings, with_key=False)
+        with cast("IO[bytes]", child.stdout) as words:
+            try:
+                said = _last_words(child, words, called_off)
+            finally:
+                end(child)
+        self._keep(said, spec.checkpoints.keep)
+
+    def _with_archive(self, task: WriteUp, about: About, exit_code: int) -> WriteUp:
+        job = self.holding.store.get(self.job.id)
+        last = job.attempts[-1]
+        config = {**about.config, **configured(last.device, last.engine, last.details).values}
+        films, kept = list[Film](), about.folder / "kept"
+        kept.mkdir()
+        for artifact in sorted(job.artifacts, key=lambda artifact: artifact.step or 0):
+            if artifact.role == "video":
+                path = kept / artifact.name
+                with self.holding.objects.open(artifact.key) as pieces, path.open("wb") as file:
+                    file.writelines(pieces)
+                films.append(Film(step=artifact.step or 0, path=path))
+        return task.model_copy(
+            update={
+                "about": about.model_copy(update={"config": config}),
+                "archive": about.folder / ARCHIVE,
+                "films": films,
+                "exit_code": exit_code,
+            }
+        )
+
+    def _keep(self, notes: list[str], keep_checkpoints: int) -> None:
+        """Store what was written; through an outage, if it is a short one."""
+        later = Outbox(self.holding, self.spool, keep_checkpoints)
+        for note in notes:
+            later.put(Noted(text=note))
+        for file in (
+            FileReady(
+                name=EVENTS,
+                path=f"{_FOLDER}/{EVENTS}",
+                role="tensorboard",
+                media_type="application/octet-stream",
+            ),
+            FileReady(
+                name=ARCHIVE, path=f"{_FOLDER}/{ARCHIVE}", role="wandb", media_type="application/x-tar"
+            ),
+        ):
+            if (self.spool / file.path).exists():
+                later.put(file)
+        if not later.close(_STORE_S):
+            log.warning("tracking_not_kept", error=f"not stored within {_STORE_S:g} s")
+
+    def _note(self, text: str) -> None:
+        self.outbox.put(Noted(text=text))
+
+
+def _last_words(
+    child: subprocess.Popen[bytes], words: IO[bytes], called_off: Callable[[], bool]
+) -> list[str]:
+    """Its notes, once it has ended by itself or for us; they are few enough to wait in their pipe."""
+    deadline = time.monotonic() + _WRITE_S
+    while child.poll() is None:
+        if time.monotonic() > deadline or called_off():
+            return [f"Files for TensorBoard and Weights & Biases were not ready within {_WRITE_S:g} s."]
+        time.sleep(_GLANCE_S)
+    return [word["note"] for word in map(json.loads, words) if "note" in word]
+
+
+def _exit_code(status: JobStatus | None) -> int:
+    return 0 if status is JobStatus.SUCCEEDED else 1

@@ -1,0 +1,27 @@
+"""Event files for TensorBoard."""
+
+import json
+import math
+import os
+import tempfile
+from datetime import datetime
+from pathlib import Path
+
+from tensorboardX import SummaryWriter
+
+
+def write_events(measurements: Path, path: Path) -> None:
+    """Every finite value of the JSON lines as a scalar of its step and time, in the order of the steps.
+
+    In that order, because TensorBoard takes a step back for a restart and drops what it had.
+    """
+    rows = sorted(map(json.loads, measurements.read_text().splitlines()), key=lambda row: row["step"])
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        with SummaryWriter(folder) as writer:
+            for row in rows:
+                time = datetime.fromisoformat(row["time"]).timestamp()
+                for name, value in row["values"].items():
+                    if value is not None and math.isfinite(value):
+                        writer.add_scalar(name, value, row["step"], time)  # pyright: ignore[reportUnknownMemberType]
+        (written,) = Path(folder).iterdir()
+        os.replace(written, path)

@@ -1,0 +1,95 @@
+"""What the processes of this package are told: one JSON document a line."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter
+
+from core.jobs.spec import TrainSpec
+from core.model import Stored
+
+
+class About(Stored):
+    """The run at Weights & Biases. folder: where its files may lie."""
+
+    kind: Literal["about"] = "about"
+    job_id: str
+    project: str
+    entity: str | None
+    name: str
+    folder: Path
+    config: dict[str, Any]
+
+
+class Configured(Stored):
+    """More of the configuration: what an attempt found out about itself."""
+
+    kind: Literal["config"] = "config"
+    values: dict[str, Any]
+
+
+class Row(Stored):
+    """Metrics of a step."""
+
+    kind: Literal["metrics"] = "metrics"
+    step: int
+    values: dict[str, float]
+
+
+class Film(Stored):
+    """A video of a step; the file may be consumed."""
+
+    kind: Literal["video"] = "video"
+    step: int
+    path: Path
+
+
+class End(Stored):
+    """Nothing more will come. exit_code: 0 where the job has done all that was asked."""
+
+    kind: Literal["end"] = "end"
+    exit_code: int
+
+
+Item = Annotated[Configured | Row | Film | End, Field(discriminator="kind")]
+ITEM: TypeAdapter[Configured | Row | Film | End] = TypeAdapter(Item)
+
+
+class WriteUp(Stored):
+    """What shall be written from the whole of a job: paths are in the folder of the document.
+
+    measurements: JSON lines, each with step, time and values. events: the file for TensorBoard.
+    archive: the offline run; None: none is wanted.
+    """
+
+    job_id: str
+    measurements: Path
+    events: Path
+    about: About | None = None
+    archive: Path | None = None
+    films: list[Film] = []
+    exit_code: int = 0
+
+
+def about_run(job_id: str, spec: TrainSpec, folder: Path) -> About | None:
+    """None where the job asks for no run."""
+    wanted = spec.tracking.wandb
+    if wanted is None:
+        return None
+    name = wanted.name or spec.name or job_id
+    config = spec.model_dump(mode="json", exclude={"tracking"})
+    return About(
+        job_id=job_id,
+        project=wanted.project,
+        entity=wanted.entity,
+        name=name,
+        folder=folder,
+        config={**config, "job": job_id},
+    )
+
+
+def configured(device: str | None, engine: str | None, details: dict[str, Any]) -> Configured:
+    """The hyperparameters as they were resolved, and what they run on."""
+    facts = {name: value for name, value in details.items() if name != "hyperparameters"}
+    resolved = {"algorithm": details["hyperparameters"]} if "hyperparameters" in details else {}
+    return Configured(values={**resolved, **facts, "device": device, "engine": engine})

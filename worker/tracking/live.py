@@ -1,0 +1,108 @@
+"""A run that is shown at Weights & Biases while it goes on."""
+
+import json
+import os
+import queue
+import subprocess
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, cast
+
+from core.settings import WorkerSettings
+from worker.messages import FileReady, Measured, Message, Started
+from worker.tracking.child import end, start
+from worker.tracking.items import About, Configured, End, Film, Row, configured
+
+# How much may wait for a process that is slow.
+_MOST_WAITING = 10_000
+# How long a job's end waits for what is still on its way; and where the server has not even answered yet.
+_FINISH_S, _OPEN_S = 10.0, 2.0
+
+
+class Live:
+    """Feeds a process that speaks to the server. Nothing here ever waits but `finish`.
+
+    note: takes the sentence that says why there is no more; called once at most, from another thread.
+    """
+
+    def __init__(
+        self, about: About, spool: Path, settings: WorkerSettings, note: Callable[[str], None]
+    ) -> None:
+        self._spool, self._folder, self._note = spool, about.folder, note
+        self._opened = threading.Event()
+        self._failed = threading.Event()
+        self._waiting: queue.Queue[bytes] = queue.Queue(_MOST_WAITING)
+        self._child = start(["live"], about.folder, settings, with_key=True)
+        self._put(about)
+        self._listener = threading.Thread(target=self._listen, name="tracking_listen", daemon=True)
+        self._listener.start()
+        threading.Thread(target=self._feed, name="tracking_feed", daemon=True).start()
+
+    def tell(self, message: Message) -> None:
+        """What the training process says; videos are still in the spool."""
+        match message:
+            case Started(device=device, engine=engine, details=details):
+                self._put(configured(device, engine, details))
+            case Measured(step=step, values=values):
+                self._put(Row(step=step, values=values))
+            case FileReady(role="video", path=path, step=step):
+                # The outbox removes the spool's own as soon as it is stored.
+                with suppress(OSError):
+                    os.link(self._spool / path, self._folder / path)
+                    self._put(Film(step=step or 0, path=self._folder / path))
+            case _:
+                pass
+
+    def finish(self, exit_code: int) -> bool:
+        """Send the rest, within bounds; whether the server has everything. Nothing runs any more then."""
+        self._put(End(exit_code=exit_code))
+        try:
+            status = self._child.wait(_FINISH_S if self._opened.is_set() else _OPEN_S)
+        except subprocess.TimeoutExpired:
+            status = None
+            self._fail("Weights & Biases was too slow: the job has ended, and does not wait for it.")
+        end(self._child)
+        self._listener.join(1)  # It may have a reason to tell yet.
+        is_complete = status == 0 and not self._failed.is_set()
+        self._failed.set()
+        return is_complete
+
+    def kill(self) -> None:
+        """Nothing of it runs any more, whatever it had still to do."""
+        self._failed.set()
+        end(self._child)
+
+    def _put(self, item: About | Configured | Row | Film | End) -> None:
+        if self._failed.is_set():
+            return
+        try:
+            self._waiting.put_nowait(item.model_dump_json().encode() + b"\n")
+        except queue.Full:
+            self._fail("Weights & Biases was too slow for this run, and is told no more of it.")
+            self._child.kill()
+
+    def _feed(self) -> None:
+        pipe = cast("IO[bytes]", self._child.stdin)
+        with suppress(OSError), pipe:  # It has ended: _listen says why.
+            while not self._failed.is_set():
+                with suppress(queue.Empty):
+                    pipe.write(self._waiting.get(timeout=1))
+                    pipe.flush()
+
+    def _listen(self) -> None:
+        with cast("IO[bytes]", self._child.stdout) as words:
+            for line in words:
+                word = json.loads(line)
+                if "opened" in word:
+                    self._opened.set()
+                else:
+                    self._fail(word["note"])
+        if self._child.wait() != 0:
+            self._fail("The process that speaks to Weights & Biases has ended.")
+
+    def _fail(self, why: str) -> None:
+        if not self._failed.is_set():
+            self._failed.set()
+            self._note(why)
