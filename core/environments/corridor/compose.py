@@ -1,7 +1,7 @@
 """A walker of dm_control's in a corridor of dm_control's, as that library composes them."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
@@ -78,7 +78,7 @@ def _module(name: str) -> Any:
 
 
 @contextmanager
-def _without_a_display() -> Iterator[None]:
+def _without_a_display() -> Generator[None]:
     """Whatever of dm_control is imported here looks for no display; the renderer's setting stays."""
     before = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"

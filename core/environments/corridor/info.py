@@ -74,7 +74,8 @@ class CorridorOptions(Strict):
         needed = 2 * WALKERS[self.walker].reach
         if self.corridor_width < needed:
             raise ValueError(
-                f"corridor_width = {self.corridor_width:g} m is too narrow: the {self.walker} needs {needed:g} m"
+                f"corridor_width = {self.corridor_width:g} m is too narrow: "
+                f"the {self.walker} needs {needed:g} m"
             )
         room = self.corridor_length
         match self.arena:
@@ -98,8 +99,8 @@ def _check_gaps(options: CorridorOptions) -> None:
     behind = options.corridor_length - FIRST_PLATFORM_M
     if options.gap_length[1] >= behind:
         raise ValueError(
-            f"gap_length reaches {options.gap_length[1]:g} m, and behind the first platform ({FIRST_PLATFORM_M:g} m) "
-            f"the corridor has {behind:g} m left"
+            f"gap_length reaches {options.gap_length[1]:g} m, and behind the first platform "
+            f"({FIRST_PLATFORM_M:g} m) the corridor has {behind:g} m left"
         )
     if options.platform_length[0] <= 0:
         raise ValueError("platform_length must be above 0")
@@ -139,7 +140,9 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
         "tracked_body": walker.trunk,
         "cameras": walker.cameras,
         "cannot_run": _cannot_run(options),
-        "tuned": {"ppo": {device: {**settings, **length} for device, settings in TUNED[options.walker].items()}},
+        "tuned": {
+            "ppo": {device: {**settings, **length} for device, settings in TUNED[options.walker].items()}
+        },
     }
 
 
@@ -147,8 +150,8 @@ def _cannot_run(options: CorridorOptions) -> Mapping[str, str]:
     if not WALKERS[options.walker].has_ellipsoids or options.arena == "empty":
         return {}
     return {
-        "mjx": f"MJX has no contacts of ellipsoids with boxes: the {options.walker} has parts of the one kind, "
-        f"the arena {options.arena!r} of the other. Ask for native or warp, or for the arena 'empty'."
+        "mjx": f"MJX has no contacts of ellipsoids with boxes: the {options.walker} has parts of the one "
+        f"kind, the arena {options.arena!r} of the other. Ask for native or warp, or for the arena 'empty'."
     }
 
 
@@ -177,9 +180,9 @@ TUNED: Mapping[Walker, Mapping[Device, Mapping[str, Any]]] = {
 
 INFO = EnvironmentInfo(
     id="corridor",
-    description="An ant, a rodent or a humanoid in one of dm_control's corridors, rewarded for running in +x.",
+    description="dm_control's ant, rodent or humanoid in a corridor with gaps or walls; to run in +x.",
     factory="core.environments.corridor.environment:make",
     options=CorridorOptions,
     vary=_under,
-    **_under(CorridorOptions()),
+    **_under(CorridorOptions.model_validate({})),
 )

@@ -12,9 +12,9 @@ _SETTLING_S = 3.0
 _EXTENT_M = 4.0
 # A group that is not drawn: the rodent's skin shows the body, and its geoms would stick out of it.
 _HIDDEN = 3
-# Bits of contype (the arena's) and conaffinity (the walker's): every part meets the ground, the trunk the sides.
+# Bits of contype (the arena's) and conaffinity (the walker's): all parts meet the ground, the trunk sides.
 _GROUND, _SIDES = 1, 2
-# MuJoCo's default reserves for contacts what few of these bodies can ever use.
+# What MJX looks at and solves for at most, the nearest first; the other engines need no such bound.
 _CONTACT_POINTS, _GEOM_PAIRS = 32, 64
 
 
