@@ -11,7 +11,7 @@ EngineName = Literal["native", "mjx", "warp"]
 PhysicsChoice = Literal["auto", "native", "mjx", "warp"]
 
 # (engine, environment) that cannot be together, and why; a job that asks for it is refused when it is
-# submitted. Every engine runs every body of the catalog today.
+# submitted. What depends on an environment's options is in its row (`EnvironmentInfo.cannot_run`).
 CANNOT_RUN: dict[tuple[EngineName, str], str] = {}
 _NOTHING: Mapping[str, str] = {}
 

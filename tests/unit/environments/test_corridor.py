@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from core.adapters.memory_jobs import MemoryJobStore
+from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.environments import catalog
 from core.environments.corridor import compose
 from core.environments.corridor.compose import composed
@@ -19,6 +22,8 @@ from core.environments.corridor.model import corridor_model, obstacle_ends
 from core.environments.corridor.walkers import WALKERS, Walker
 from core.environments.environment import State
 from core.errors import JobFailed, Rejected
+from core.jobs.checks import check
+from core.jobs.spec import JOB_SPEC
 from core.physics import availability
 from core.physics.availability import choose
 from core.physics.choose import engine_builder
@@ -321,3 +326,13 @@ def test_the_renderers_setting_is_left_as_it_was(monkeypatch: pytest.MonkeyPatch
             monkeypatch.setenv("MUJOCO_GL", value)
         composed(CorridorOptions(arena="empty"))
         assert os.environ.get("MUJOCO_GL") == value
+
+
+def test_a_job_is_judged_by_the_walker_that_it_asks_for() -> None:
+    environment: dict[str, Any] = {"id": "corridor", "options": {"walker": "rodent", "episode_length": 300}}
+    policy = {"kind": "constant", "action": [0.0] * 38}
+    job = {"kind": "rollout", "environment": environment, "policy": policy, "video": {"camera": "walker/top"}}
+    check(JOB_SPEC.validate_python(job), MemoryJobStore())
+    info = catalog.find("corridor")
+    row = info.under(catalog.parse_options(info, environment["options"]))
+    assert resolve(PPOSpec(), row, "cpu").episode_length == 300
