@@ -84,7 +84,7 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         (corridor(gap_length=[2, 1]), "/environment/options/gap_length", "low ≤ high"),
         (corridor(gap_length=[1, 50]), "/environment/options", "gap_length reaches 50 m"),
         (
-            corridor(walker="humanoid") | {"kind": "rollout", "policy": {"kind": "constant", "action": [0.5]}},
+            corridor(walker="humanoid") | {"kind": "rollout", "policy": {"kind": "constant", "action": [1]}},
             "/policy/action",
             "corridor takes 56 action components; 1 were given",
         ),

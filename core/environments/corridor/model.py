@@ -1,5 +1,7 @@
 """The composed corridor with what costs time taken out of it."""
 
+from itertools import pairwise
+
 import mujoco
 import numpy as np
 
@@ -12,6 +14,8 @@ _SETTLING_S = 3.0
 _EXTENT_M = 4.0
 # A group that is not drawn: the rodent's skin shows the body, and its geoms would stick out of it.
 _HIDDEN = 3
+# Platforms that are nearer than this touch.
+_SEAM_M = 1e-6
 # Bits of contype (the arena's) and conaffinity (the walker's): all parts meet the ground, the trunk sides.
 _GROUND, _SIDES = 1, 2
 # What MJX looks at and solves for at most, the nearest first; the other engines need no such bound.
@@ -52,14 +56,13 @@ def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
 
 def obstacle_ends(model: mujoco.MjModel) -> list[float]:
     """Where gaps or walls are behind who walks in +x, in metres, ascending; none in an empty corridor."""
-    ends: list[float] = []
-    for index in range(model.ngeom):
-        name = model.geom(index).name
-        if name.startswith("floor_"):
-            ends.append(float(model.geom_pos[index][0] - model.geom_size[index][0]))
-        elif name.startswith("wall_"):
-            ends.append(float(model.geom_pos[index][0] + model.geom_size[index][0]))
-    return sorted(ends)
+    geoms = [model.geom(index) for index in range(model.ngeom)]
+    extents = {g.name: (float(g.pos[0] - g.size[0]), float(g.pos[0] + g.size[0])) for g in geoms}
+    walls = sorted(end for name, (_, end) in extents.items() if name.startswith("wall_"))
+    floors = sorted(extent for name, extent in extents.items() if name.startswith(("start_floor", "floor_")))
+    # Between the first platform and the second there is no gap.
+    gaps = [begin for (_, end), (begin, _) in pairwise(floors) if begin - end > _SEAM_M]
+    return walls or gaps
 
 
 def _filter(geom: mujoco.MjsGeom, trunk: str) -> None:

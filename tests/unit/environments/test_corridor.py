@@ -138,6 +138,7 @@ def test_lengths_are_what_the_options_say() -> None:
     assert ((gaps >= 0.3) & (gaps <= 0.4)).all()
     lengths = np.subtract(ends[:-1], begins[:-1])
     assert ((lengths >= 1.0) & (lengths <= 1.2)).all()
+    np.testing.assert_allclose(obstacle_ends(model), begins[1:])
     assert {float(g.size[1]) for g in floors} == {1.5}
     # Behind the last there is ground up to the wall that ends the corridor.
     assert ends[-1] == pytest.approx(14.0)
