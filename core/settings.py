@@ -15,6 +15,8 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, BeforeValidator, Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from core.devices import GPUS
+
 PREFIX = "GAITWAY_"
 
 _REDIS_SCHEMES = ("redis", "rediss", "unix")
@@ -118,9 +120,9 @@ class WorkerSettings(StoreSettings):
     data_dir: Path = Field(description="Folder of this machine's spool, caches and locks.")
     device: str = Field(
         "auto",
-        pattern=r"^(auto|cpu|gpu(:\d+)?)$",
+        pattern=rf"^(auto|cpu|{GPUS})$",
         description="What the worker runs on: cpu, gpu:INDEX, or auto for the first GPU if there is one and "
-        "JAX can use it.",
+        "JAX can use it. With several GPUs (gpu:0,1 or gpu:0-3) it takes the jobs that ask for so many.",
     )
     alive_file: AliveFile = None
     lease: Lease = timedelta(seconds=15)

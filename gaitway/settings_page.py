@@ -55,6 +55,12 @@ OTHERS = (
         "Address of this host at which workers elsewhere reach its stores; with deploy/share.yml.",
     ),
     Other("GAITWAY_GPUS", "Docker Compose", "`all`", "How many GPUs the profile `gpu` takes."),
+    Other(
+        "GAITWAY_FLEET",
+        "Docker Compose",
+        "one for each GPU",
+        "What the workers of the profile `gpu` have: `gpu:0,1 gpu:2 gpu:3` is a pair and two single GPUs.",
+    ),
     Other("GAITWAY_WORKERS", "Docker Compose", "`1`", "How many workers share the CPU."),
     Other(
         "GAITWAY_STOP_WITHIN",

@@ -1,9 +1,10 @@
-"""Which device a worker serves; found without loading the numerical stack."""
+"""Which device a worker serves, or which GPUs; found without loading the numerical stack."""
 
 import re
 from importlib.util import find_spec
 from pathlib import Path
 
+from core.devices import gpu_indices
 from core.errors import Misconfigured
 
 DEV = Path("/dev")
@@ -14,7 +15,7 @@ REMEDY = (
 
 
 def device_of(wanted: str, dev: Path = DEV, *, has_cuda: bool | None = None) -> str:
-    """`cpu`, or `gpu:<index>`, for what GAITWAY_DEVICE says.
+    """`cpu`, `gpu:<index>`, or `gpu:<index>,<index>` in rising order, for what GAITWAY_DEVICE says.
 
     `auto` is the first GPU if there is one and JAX can use it. has_cuda: whether it can; looked for where
     None. Raises Misconfigured where there is no such GPU.
@@ -24,8 +25,8 @@ def device_of(wanted: str, dev: Path = DEV, *, has_cuda: bool | None = None) -> 
     if wanted == "auto":
         usable = jax_has_cuda() if has_cuda is None else has_cuda
         return "gpu:0" if usable and visible_gpus(dev) else "cpu"
-    gpu_file(wanted, dev)
-    return f"gpu:{_index(wanted)}"
+    gpu_files(wanted, dev)
+    return "gpu:" + ",".join(map(str, gpu_indices(wanted)))
 
 
 def jax_has_cuda() -> bool:
@@ -33,11 +34,16 @@ def jax_has_cuda() -> bool:
     return any(find_spec(name) for name in ("jax_cuda12_plugin", "jax_cuda13_plugin"))
 
 
-def gpu_file(wanted: str, dev: Path = DEV) -> str:
-    """The device file of `gpu` or `gpu:<index>`. Raises Misconfigured where there is none."""
-    gpus, index = visible_gpus(dev), _index(wanted)
-    if index < len(gpus):
-        return gpus[index]
+def gpu_files(wanted: str, dev: Path = DEV) -> list[str]:
+    """The device files of `gpu`, `gpu:0,1` and the like. Raises Misconfigured where one is not there."""
+    gpus, indices = visible_gpus(dev), gpu_indices(wanted)
+    if not indices or len(set(indices)) < len(indices):
+        raise Misconfigured(
+            f"GAITWAY_DEVICE={wanted} names {'a GPU twice' if indices else 'no GPU'}. "
+            "Write gpu:0,1 or gpu:0-3, with each GPU once."
+        )
+    if indices[-1] < len(gpus):
+        return [gpus[index] for index in indices]
     seen = f"only {len(gpus)}" if gpus else "no NVIDIA GPU"
     raise Misconfigured(
         f"GAITWAY_DEVICE={wanted}, but {seen} {'are' if len(gpus) > 1 else 'is'} visible here. "
@@ -54,10 +60,6 @@ def visible_gpus(dev: Path = DEV) -> list[str]:
     if numbers:
         return [f"nvidia{number}" for number in sorted(numbers)]
     return ["dxg"] if (dev / "dxg").exists() else []  # Windows shows its GPU to Linux under this name.
-
-
-def _index(wanted: str) -> int:
-    return int(wanted.partition(":")[2] or 0)
 
 
 def _is_gpu(file: Path) -> bool:

@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from core.errors import Misconfigured
-from worker.device import DEV, gpu_file
+from worker.device import DEV, gpu_files
 
 _PACKAGES = (
     "brax",
@@ -26,7 +26,7 @@ def fingerprint(device: str, dev: Path = DEV, proc: Path = Path("/proc")) -> str
 
     Programs for a CPU hold whatever instructions the one that compiled them has; another may lack some.
     """
-    kind = _instructions(proc) if device == "cpu" else _gpu_model(device, dev, proc)
+    kind = _instructions(proc) if device == "cpu" else _gpu_models(device, dev, proc)
     python = ".".join(platform.python_version_tuple()[:2])
     facts = (platform.system(), platform.machine(), kind, python, *map(_version, _PACKAGES))
     return f"{device.partition(':')[0]}-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"
@@ -45,17 +45,22 @@ def _instructions(proc: Path) -> str:
     return " ".join(sorted(found[1].split())) if found else platform.processor()
 
 
-def _gpu_model(device: str, dev: Path, proc: Path) -> str:
-    """As the driver calls it; nothing where it does not say, as under Windows: JAX's own keys tell then."""
+def _gpu_models(device: str, dev: Path, proc: Path) -> str:
+    """As the driver calls them; nothing where it does not say, as under Windows: JAX's own keys tell then.
+
+    Those keys also tell programs for several GPUs from those for one.
+    """
     try:
-        number = gpu_file(device, dev).removeprefix("nvidia")
+        numbers = {file.removeprefix("nvidia") for file in gpu_files(device, dev)}
     except Misconfigured:  # It has just gone, and the job will say so.
         return ""
-    for facts in map(_text, sorted(proc.glob("driver/nvidia/gpus/*/information"))):
-        if re.search(rf"^Device Minor:\s*{number}$", facts, re.MULTILINE):
-            found = re.search(r"^Model:\s*(.*)$", facts, re.MULTILINE)
-            return found[1].strip() if found else ""
-    return ""
+    models = set[str]()
+    for facts in map(_text, proc.glob("driver/nvidia/gpus/*/information")):
+        number = re.search(r"^Device Minor:\s*(\d+)$", facts, re.MULTILINE)
+        model = re.search(r"^Model:\s*(.*)$", facts, re.MULTILINE)
+        if number and model and number[1] in numbers:
+            models.add(model[1].strip())
+    return ", ".join(sorted(models))
 
 
 def _text(path: Path) -> str:

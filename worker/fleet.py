@@ -1,17 +1,22 @@
-"""One worker for each GPU of this machine: `python -m worker.fleet`, or `python -m worker.fleet cpu cpu`."""
+"""One worker for each GPU of this machine: `python -m worker.fleet`; or for what is named, a worker for each:
+`python -m worker.fleet cpu cpu`, `python -m worker.fleet gpu:0,1 gpu:2,3`.
+"""
 
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import structlog
 
 from core.configuration import EXIT_STATUS, stopping_if_misconfigured, variable
+from core.devices import gpu_indices
 from core.errors import Misconfigured
 from core.telemetry import configure_logging
 from worker.alive import begin_fleet
@@ -25,7 +30,7 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 30.0
 
 @dataclass
 class Member:
-    """A worker on one device. The pause grows with each time that it ends soon after its start.
+    """A worker on a device or several GPUs. The pause grows with each time that it ends soon after its start.
 
     alive_file: what it touches, if anybody watches. has_lived: whether it ever ran for long.
     """
@@ -110,6 +115,11 @@ def main(devices: Sequence[str]) -> None:
         raise Misconfigured(
             f"No NVIDIA GPU is visible here, and a fleet is one worker for each. {REMEDY}. "
             "For a worker on the CPU run `python -m worker.main`."
+        )
+    if twice := [gpu for gpu, number in Counter(chain(*map(gpu_indices, devices))).items() if number > 1]:
+        raise Misconfigured(
+            f"The fleet {' '.join(devices)} has GPU {twice[0]} twice; its jobs would keep each other "
+            "waiting. Name each GPU once."
         )
     log.info("fleet_started", devices=devices)
     serve(members_on(devices))

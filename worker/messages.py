@@ -107,8 +107,8 @@ MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)
 class Task(Stored):
     """What the supervisor leaves in the spool, as `task.json`, for the training process.
 
-    device: `cpu`, or `gpu:<index>`. checkpoint: path of the state to go on from (training), or to take the
-    policy from (rollout). checkpoint_step: the environment step it is of.
+    device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to go on from
+    (training), or to take the policy from (rollout). checkpoint_step: the environment step it is of.
     """
 
     job_id: str

@@ -33,7 +33,7 @@ class TrainingProcess:
     """
 
     def __init__(
-        self, command: Sequence[str], spool: Path, data_dir: Path, device: str, slot_fd: int
+        self, command: Sequence[str], spool: Path, data_dir: Path, device: str, slot_fds: Sequence[int]
     ) -> None:
         read_end, write_end = os.pipe()
         self._messages: IO[bytes] = os.fdopen(read_end, "rb")
@@ -45,7 +45,7 @@ class TrainingProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            pass_fds=(write_end, slot_fd),
+            pass_fds=(write_end, *slot_fds),
             env=environment(device, data_dir, os.environ),
         )
         os.close(write_end)
@@ -101,7 +101,7 @@ class TrainingProcess:
 
 
 def environment(device: str, data_dir: Path, base: Mapping[str, str]) -> dict[str, str]:
-    """The variables of a process on this device: it sees that device alone, and no secret of the service."""
+    """The variables of a process on this device: it sees that alone, and no secret of the service."""
     kept = {name: value for name, value in base.items() if not name.startswith("GAITWAY_")}
     kept |= {"PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1", variable("data_dir"): str(data_dir)}
     kept |= _modules(base)

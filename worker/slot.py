@@ -1,15 +1,18 @@
-"""One device, one job: a lock that is held by whoever uses the device, even when its supervisor is gone."""
+"""One device, one job: a lock that is held by whoever uses the device, even when its supervisor is gone.
+
+A job on several GPUs holds the locks of all of them.
+"""
 
 import os
 import socket
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterable
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from core.patience import pause
 from worker import locks
-from worker.device import DEV, gpu_file
+from worker.device import DEV, gpu_files
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _PID_NAMESPACE = Path("/proc/self/ns/pid")
@@ -19,19 +22,35 @@ class SlotTaken(Exception):
     """Another process still uses the device."""
 
 
-def slot_name(device: str, worker_pid: int, dev: Path = DEV) -> str:
-    """What a device is called by everybody who may share this data folder.
+def slot_names(device: str, worker_pid: int, dev: Path = DEV) -> tuple[str, ...]:
+    """What a worker's device, or each of its GPUs, is called by everybody who may share this data folder.
 
     A GPU is one slot for its machine, a CPU worker is one by itself. Containers of one machine may all be
     called otherwise, and machines may share a folder: the kernel's boot tells machines apart. GPU 0 of a
     container need not be the host's first, but its device file has the host's number; and process ids
     begin anew in each container, but not the numbers of what they are counted in.
 
-    Raises Misconfigured where the GPU is not there.
+    Raises Misconfigured where a GPU is not there.
     """
     if device == "cpu":
-        return f"cpu-{_machine()}-{_pid_namespace()}{worker_pid}"
-    return f"gpu-{_machine()}-{gpu_file(device, dev)}"
+        return (f"cpu-{_machine()}-{_pid_namespace()}{worker_pid}",)
+    return tuple(f"gpu-{_machine()}-{file}" for file in gpu_files(device, dev))
+
+
+@contextmanager
+def slots(
+    paths: Iterable[Path], patience_s: float, called_off: Callable[[], bool] = lambda: False
+) -> Generator[tuple[int, ...]]:
+    """Several slots at once, as `slot` gives one; `patience_s` is for all together.
+
+    They are taken in the order of their names, whoever takes them: were two to take the same ones in
+    different orders, each could wait for what the other has.
+    """
+    deadline = time.monotonic() + patience_s
+    with ExitStack() as held:
+        yield tuple(
+            held.enter_context(slot(path, deadline - time.monotonic(), called_off)) for path in sorted(paths)
+        )
 
 
 @contextmanager

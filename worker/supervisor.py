@@ -25,7 +25,7 @@ from worker.messages import Failed, Finished, PhaseEnded, Task
 from worker.outbox import Outbox
 from worker.outcome import Outcome, Stop, judge
 from worker.process import TRAINING, TrainingProcess
-from worker.slot import SlotTaken, slot
+from worker.slot import SlotTaken, slots
 from worker.spool import SPOOLS, spool
 
 log = structlog.get_logger()
@@ -49,7 +49,7 @@ class Supervisor:
     holding: Holding
     settings: WorkerSettings
     device: str
-    slot_name: str
+    slot_names: tuple[str, ...]
     command: Sequence[str] = TRAINING
     draining: Draining = field(default_factory=Draining)
 
@@ -87,11 +87,11 @@ class Supervisor:
             _STORAGE_PATIENCE_S,
             called_off=leaving,
         )
-        lock = folder / "locks" / f"{self.slot_name}.lock"
-        with slot(lock, self.settings.grace.total_seconds(), leaving) as slot_fd:
+        locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
+        with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
             caches.open(job.spec.environment.id, leaving)
             outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
-            process = TrainingProcess(self.command, spool, folder, self.device, slot_fd)
+            process = TrainingProcess(self.command, spool, folder, self.device, slot_fds)
             try:
                 outcome = self._watch(process, outbox, caches, heartbeat, job.spec.timeout_s)
             finally:

@@ -18,7 +18,7 @@ from worker.device import device_of
 from worker.disk import has_room, what_to_do
 from worker.draining import Draining
 from worker.lifeline import die_with_parent
-from worker.slot import slot_name
+from worker.slot import slot_names
 from worker.spool import SPOOLS, remove_left_over
 from worker.supervisor import Supervisor
 
@@ -42,7 +42,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
         return
     try:
         device = device_of(settings.device)
-        place = slot_name(device, os.getppid())
+        places = slot_names(device, os.getppid())
     except Misconfigured as error:  # A GPU has gone since the worker started.
         _leave_to_others(error.detail, draining)
         return
@@ -58,7 +58,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
     if holding is None:
         log.info("dispatch_ignored")
         return
-    Supervisor(holding, settings, device, place, draining=draining).run()
+    Supervisor(holding, settings, device, places, draining=draining).run()
 
 
 def _leave_to_others(reason: str, draining: Draining) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from threading import Lock
 
-from core.jobs.queue import queue_names
+from core.jobs.queue import queue_name, queue_names
 from core.jobs.spec import Accelerator, Priority
 
 
@@ -24,11 +24,13 @@ class MemoryJobQueue:
         self._taken: set[Dispatch] = set()
         self._lock = Lock()
 
-    def enqueue(self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority) -> None:
+    def enqueue(
+        self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
+    ) -> None:
         dispatch = Dispatch(job_id, attempt)
         with self._lock:
             if dispatch not in self._taken:
-                self._waiting.setdefault(dispatch, f"gaitway-{accelerator}-{priority}")
+                self._waiting.setdefault(dispatch, queue_name(accelerator, priority, gpus))
 
     def contains(self, job_id: str, attempt: int) -> bool:
         dispatch = Dispatch(job_id, attempt)

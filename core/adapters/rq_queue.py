@@ -12,6 +12,7 @@ from rq.job import JobStatus as RQStatus
 from rq.serializers import JSONSerializer
 
 from core.adapters.redis_errors import reaching_redis
+from core.jobs.queue import queue_name
 from core.jobs.spec import Accelerator, Priority
 
 TASK = "worker.tasks.run_attempt"
@@ -26,8 +27,11 @@ class RQQueue:
         self._redis: Any = client
 
     @reaching_redis()
-    def enqueue(self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority) -> None:
-        queue = Queue(f"gaitway-{accelerator}-{priority}", connection=self._redis, serializer=JSONSerializer)
+    def enqueue(
+        self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
+    ) -> None:
+        name = queue_name(accelerator, priority, gpus)
+        queue = Queue(name, connection=self._redis, serializer=JSONSerializer)
         try:
             self._push(queue, job_id, attempt)
         except DuplicateJobError:

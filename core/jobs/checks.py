@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from core.algorithms.ppo.spec import PPOSpec, check_resumption, resolve
+from core.algorithms.ppo.spec import PPOSpec, check_resumption, check_sharing, resolve
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import EnvironmentNotFound, JobNotFound, Problem, Rejected
@@ -24,6 +24,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     info = info.under(catalog.parse_options(info, spec.environment.options))
     check_physics(spec.physics, info.id, info.cannot_run)
     check_camera(spec.video.camera, info.cameras)
+    _check_gpus(spec)
     match spec:
         case TrainSpec():
             _check_training(spec, info, store)
@@ -38,9 +39,23 @@ def _environment(spec: JobSpec) -> EnvironmentInfo:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
 
 
+def _check_gpus(spec: JobSpec) -> None:
+    if (gpus := spec.resources.gpus) == 1:
+        return
+    problems: list[Problem] = []
+    if spec.resources.accelerator == "cpu":
+        detail = f"{gpus} GPUs are asked for, and an accelerator that is a CPU."
+        problems = [Problem("/resources/accelerator", detail), Problem("/resources/gpus", detail)]
+    elif isinstance(spec, RolloutSpec):
+        detail = f"A rollout runs on one GPU, and {gpus} are asked for."
+        problems = [Problem("/resources/gpus", detail)]
+    if problems:
+        raise Rejected(problems[0].detail, problems)
+
+
 def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
-    for device in DEVICES[spec.resources.accelerator]:
-        resolve(spec.algorithm, info, device)
+    for device in DEVICES[spec.resources.kind]:
+        check_sharing(resolve(spec.algorithm, info, device), spec.resources.gpus)
     if spec.resume_from is not None:
         source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
         _check_fields(spec, store.get(spec.resume_from.job))
@@ -65,7 +80,7 @@ def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
         return
     made_with = PPOSpec.model_validate(used[-1])
     refusals: list[Rejected] = []
-    for device in DEVICES[spec.resources.accelerator]:
+    for device in DEVICES[spec.resources.kind]:
         try:
             check_resumption(resolve(spec.algorithm, info, device), made_with)
         except Rejected as refusal:

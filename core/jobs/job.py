@@ -108,7 +108,7 @@ class Job(Stored):
 
         Tuned settings differ by device, and a checkpoint fits those alone under which it was made.
         """
-        wanted = self.spec.resources.accelerator
+        wanted = self.spec.resources.kind
         made_on = next((a.device for a in reversed(self.attempts) if a.device), None)
         if wanted != "any" or made_on is None or self.newest("checkpoint") is None:
             return wanted

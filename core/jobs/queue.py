@@ -2,6 +2,7 @@
 
 from typing import Protocol
 
+from core.devices import gpu_indices
 from core.jobs.spec import Accelerator, Priority
 
 PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
@@ -13,7 +14,9 @@ class JobQueue(Protocol):
     Every method raises RecordsUnavailable when the queue cannot be reached.
     """
 
-    def enqueue(self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority) -> None:
+    def enqueue(
+        self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
+    ) -> None:
         """Hand this attempt to a worker that fits. The same attempt twice is the same as once."""
         ...
 
@@ -28,5 +31,12 @@ class JobQueue(Protocol):
 
 def queue_names(device: str) -> tuple[str, ...]:
     """The queues a worker on this device serves, most urgent first."""
-    kinds = ("gpu", "any") if device != "cpu" else ("cpu", "any")
-    return tuple(f"gaitway-{kind}-{priority}" for priority in PRIORITIES for kind in kinds)
+    if (gpus := len(gpu_indices(device))) > 1:
+        return tuple(queue_name("gpu", priority, gpus) for priority in PRIORITIES)
+    kinds: tuple[Accelerator, ...] = ("gpu", "any") if gpus else ("cpu", "any")
+    return tuple(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds)
+
+
+def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1) -> str:
+    """The queue of jobs that want this. Each number of GPUs has its own, so that none of a worker's idles."""
+    return f"gaitway-{accelerator}{gpus if gpus > 1 else ''}-{priority}"

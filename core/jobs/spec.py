@@ -75,6 +75,18 @@ class ResourcesSpec(Strict):
     """What the job needs of a worker."""
 
     accelerator: Accelerator = "any"
+    gpus: int = Field(
+        default=1,
+        ge=1,
+        le=64,
+        description="How many GPUs of one host share a training; more than one make `any` mean `gpu`. "
+        "num_envs and batch_size must be multiples of it.",
+    )
+
+    @property
+    def kind(self) -> Accelerator:
+        """What sort of worker that is."""
+        return "gpu" if self.gpus > 1 else self.accelerator
 
 
 class ResumePoint(Strict):

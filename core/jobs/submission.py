@@ -53,6 +53,12 @@ def submit(
 def dispatch(job: Job, queue: JobQueue) -> None:
     """Hand a queued job to the workers. A queue that is away is no failure: the reconciler asks again."""
     try:
-        queue.enqueue(job.id, job.next_attempt, accelerator=job.accelerator, priority=job.spec.priority)
+        queue.enqueue(
+            job.id,
+            job.next_attempt,
+            accelerator=job.accelerator,
+            priority=job.spec.priority,
+            gpus=job.spec.resources.gpus,
+        )
     except RecordsUnavailable as error:
         log.warning("dispatch_postponed", job_id=job.id, error=error.detail)

@@ -41,9 +41,9 @@ def engine_builder(name: EngineName) -> EngineBuilder:
                 from core.physics.model import with_solver
 
                 check_warp()
-                from core.physics.warp_engine import WarpEngine
+                from core.physics.warp_engine import WarpEngine, enough_iterations
 
-                return WarpEngine(with_solver(model, accelerated), num_substeps, derived)
+                return WarpEngine(enough_iterations(with_solver(model, accelerated)), num_substeps, derived)
             case _:
                 assert_never(name)
 

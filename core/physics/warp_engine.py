@@ -15,6 +15,7 @@ from core.physics.engine import NOMINAL, OVERFLOW, ModelFields, PhysicsState, ch
 from core.physics.model import model_field
 from core.physics.warp_worlds import LOST, Move, Worlds, program
 
+_LEAST_ITERATIONS = 2
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 
 
@@ -114,6 +115,16 @@ class WarpEngine:
             name: piece.reshape(shape)
             for (name, shape), piece in zip(self._shapes.items(), pieces, strict=True)
         }
+
+
+def enough_iterations(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model (changed) with the solver iterations that MuJoCo Warp needs where MJX does with one.
+
+    Measured with the ant, 30 M steps on an H200: a return of 3,086 ± 222 (3 seeds) with one iteration and
+    3,950 (1 seed) with two; MJX-JAX has 3,619 ± 114 with one. The second costs a tenth of the training rate.
+    """
+    model.opt.iterations = max(_LEAST_ITERATIONS, model.opt.iterations)
+    return model
 
 
 def _is_sound(values: jax.Array) -> jax.Array:

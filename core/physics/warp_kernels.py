@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
@@ -12,16 +12,17 @@ import warp as wp
 _BLOCK_DIM = 256  # Warp's own, where a launch does not say
 
 
-def load_kernels(program: Callable[[], None], device: Any) -> None:
-    """Compile and load the kernels that a program of launches needs, without running it.
+def load_kernels(programs: Iterable[Callable[[], None]], device: Any) -> None:
+    """Compile and load the kernels that programs of launches need, without running them.
 
     Warp compiles a module at its first launch, one after the other: half a minute for the forty modules of
     a substep. Compilers run side by side, though: 12 s on 16 cores. What is in Warp's cache is only loaded.
 
-    program: must launch the same kernels whatever the arrays hold.
+    programs: must launch the same kernels whatever the arrays hold.
     """
     with _launches_noted() as needed:
-        program()
+        for program in programs:
+            program()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(lambda one: one[0].load(device, one[1] if device.is_cuda else 1), needed))
 

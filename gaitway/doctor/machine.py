@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from core.devices import GPUS
 from core.errors import Misconfigured
 from gaitway.doctor.check import Check, ProbeFailed, probe
 from worker.device import device_of, visible_gpus
@@ -123,7 +124,7 @@ def encoder() -> Check:
 def device(settings: "WorkerSettings | None") -> Check:
     """Whether what a worker shall run on is there, also where its other settings are missing or wrong."""
     wanted = settings.device if settings is not None else os.environ.get(_DEVICE, "")
-    if settings is None and not re.fullmatch(r"gpu(:\d+)?", wanted):
+    if settings is None and not re.fullmatch(GPUS, wanted):
         return Check("device", "skip", "no settings of a worker")
     try:
         return Check("device", "pass", f"{device_of(wanted)}, for {_DEVICE}={wanted}")

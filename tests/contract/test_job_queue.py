@@ -64,6 +64,15 @@ class TestMemory:
         assert queue.contains(JOB, 3)
         assert queue.take("gpu:0") == Dispatch(JOB, 2)
 
+    def test_so_many_gpus_as_were_asked_for_take_the_job(self) -> None:
+        queue = MemoryJobQueue()
+        queue.enqueue(JOB, 1, accelerator="gpu", priority="normal", gpus=2)
+        enqueue(queue, JOB, 2)
+        assert queue.take("gpu:0,1,2") is None
+        assert queue.take("gpu:0,1") == Dispatch(JOB, 1)
+        assert queue.take("gpu:0,1") is None
+        assert queue.take("gpu:0") == Dispatch(JOB, 2)
+
 
 class TestRQ:
     def test_a_worker_finds_the_function_the_job_and_the_attempt(self, redis_client: redis.Redis) -> None:
@@ -83,6 +92,13 @@ class TestRQ:
                 )
         assert {found.name for found in Queue.all(connection=redis_client)} <= served
         assert sum(len(waiting(redis_client, name)) for name in served) == 9
+
+    def test_a_worker_with_two_gpus_takes_what_asks_for_two_and_nobody_else_does(
+        self, redis_client: redis.Redis
+    ) -> None:
+        RQQueue(redis_client).enqueue(JOB, 1, accelerator="gpu", priority="low", gpus=2)
+        assert [len(waiting(redis_client, name)) for name in queue_names("gpu:2,3")] == [0, 0, 1]
+        assert waiting_everywhere(redis_client) == []
 
     def test_the_same_attempt_twice_waits_once(self, redis_client: redis.Redis) -> None:
         queue = RQQueue(redis_client)

@@ -56,7 +56,7 @@ def test_loading_the_kernels_of_a_program_runs_none_of_them() -> None:
     def program() -> None:
         wp.launch(count, dim=1, inputs=[number])
 
-    load_kernels(program, device)
+    load_kernels([program], device)
     assert number.numpy()[0] == 0
     assert wp.launch is launch
     assert count.module.execs  # it is loaded,

@@ -74,7 +74,7 @@ class Bench:
             now=utc_now(),
         )
         assert holding is not None
-        return Supervisor(holding, self.settings, "cpu", "slot", (sys.executable, str(PROBE), behaviour))
+        return Supervisor(holding, self.settings, "cpu", ("slot",), (sys.executable, str(PROBE), behaviour))
 
     def run(self, behaviour: str, **fields: Any) -> Job:
         job = self.submit(**fields)

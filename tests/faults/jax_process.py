@@ -27,9 +27,9 @@ def program(x: jax.Array) -> jax.Array:
 
 say(type="hello", pid=os.getpid())
 jax.monitoring.register_event_listener(lambda event, **_: counted.update([event.rpartition("/")[2]]))
-# JAX keeps nothing that is compiled within a second.
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 keep_programs()
+# A program as small as this one would not be kept.
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 say(type="started", device="cpu", engine="none")
 began = time.perf_counter()
 with warnings.catch_warnings(record=True) as warned:

@@ -31,7 +31,7 @@ class Training:
         task = Task(job_id="0" * 12 + "-" + "0" * 10, attempt=1, spec=spec, device="cpu")
         (spool / "task.json").write_text(task.model_dump_json())
         lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT)
-        self.process = TrainingProcess(TRAINING, spool, data_dir, "cpu", lock)
+        self.process = TrainingProcess(TRAINING, spool, data_dir, "cpu", [lock])
         os.close(lock)
         self.said = list[str]()
         self._listener = threading.Thread(target=lambda: self.said.extend(self.process.lines()))

@@ -1,4 +1,4 @@
-"""A process that trains for one update on native physics: `python -m tests.learning.start_process CACHE`.
+"""A process that trains for one update on native physics: `python -m tests.learning.start_process CACHE LR`.
 
 Prints, as one line of JSON, how often JAX's cache had a program and had not, and which libraries of physics
 for accelerators were loaded.
@@ -15,7 +15,7 @@ from core.physics.choose import engine_builder
 from tests.learning.runs import STEPS_PER_UPDATE, small_trainer
 
 
-def run(*, learning_rate: float) -> None:
+def run(learning_rate: float) -> None:
     """Train for one update."""
     info = catalog.find("inverted_pendulum")
     environment = catalog.make(info, info.options(), engine_builder("native"))
@@ -24,12 +24,12 @@ def run(*, learning_rate: float) -> None:
         pass
 
 
-def main(cache: str) -> None:
+def main(cache: str, learning_rate: str) -> None:
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     events = Counter[str]()
     jax.monitoring.register_event_listener(lambda event, **_: events.update([event.rpartition("/")[2]]))
-    run(learning_rate=2e-3)
+    run(float(learning_rate))
     answer = {
         "hits": events["cache_hits"],
         "misses": events["cache_misses"],
@@ -39,4 +39,4 @@ def main(cache: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

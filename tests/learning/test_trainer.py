@@ -69,6 +69,11 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
     assert evaluation.metrics["eval/forward_speed"] == pytest.approx(
         evaluation.metrics["eval/episode_reward"] / 8, rel=1e-5
     )
+    evaluations = [event.metrics for event in events if isinstance(event, Evaluated)]
+    evaluating = sum(metrics["eval/epoch_eval_time"] for metrics in evaluations)
+    training = progress.metrics["training/walltime"]
+    assert evaluations[-1]["eval/walltime"] == pytest.approx(evaluating)
+    assert evaluations[-1]["eval/walltime_share"] == pytest.approx(evaluating / (evaluating + training))
 
 
 def test_a_run_that_diverges_names_step_and_quantity_and_keeps_the_last_good_state() -> None:

@@ -71,6 +71,8 @@ def test_all_that_is_wrong_is_said_at_once(environ: pytest.MonkeyPatch) -> None:
         ("GAITWAY_S3_SECURE", "perhaps", "GAITWAY_S3_SECURE is wrong"),
         ("GAITWAY_S3_STYLE", "virtual", "'path' or 'host'"),
         ("GAITWAY_DEVICE", "tpu", "GAITWAY_DEVICE is wrong"),
+        ("GAITWAY_DEVICE", "gpu:0,", "GAITWAY_DEVICE is wrong"),
+        ("GAITWAY_DEVICE", "gpu:0 1", "GAITWAY_DEVICE is wrong"),
         ("GAITWAY_GRACE", "-1", "GAITWAY_GRACE is wrong"),
         ("GAITWAY_HEARTBEAT", "10", "GAITWAY_LEASE (15 s) has to be at least three times"),
         ("GAITWAY_SECRETS_DIR", "/nowhere/at/all", "GAITWAY_SECRETS_DIR names /nowhere/at/all"),

@@ -2,6 +2,8 @@
 
 import os
 import platform
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -9,6 +11,7 @@ from typing import Any
 import jax
 
 from core.algorithms.ppo.spec import resolve
+from core.devices import gpu_indices
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import Device, EnvironmentInfo
@@ -22,7 +25,7 @@ from worker.training.compilations import keep_programs, keep_warp_kernels
 
 @dataclass(frozen=True)
 class Body:
-    """An environment, and how it came to stand on this engine."""
+    """An environment, and how it came to stand on this engine. num_devices: how many share a training."""
 
     info: EnvironmentInfo
     environment: Environment
@@ -30,6 +33,7 @@ class Body:
     device_name: str
     engine: str
     engine_reason: str
+    num_devices: int = 1
 
     def started(self, **details: Any) -> Started:
         """What the job's record shall say about this attempt."""
@@ -49,28 +53,32 @@ class Body:
 
 
 def load_body(task: Task) -> Body:
-    """Raises JobFailed("no_device") where a GPU was promised and JAX finds none.
+    """Raises JobFailed("no_device") where GPUs were promised and JAX does not find so many.
 
     And "bad_model" where the model has not got what the job randomises.
     """
     keep_programs()
     device: Device = "cpu" if task.device == "cpu" else "gpu"
-    found = jax.devices()[0]
-    if device == "gpu" and found.platform != "gpu":
-        raise JobFailed(
-            "no_device", f"The worker serves {task.device}, but JAX finds only {found.device_kind}."
-        )
+    found, num_devices = jax.devices(), len(gpu_indices(task.device)) or 1
+    if device == "gpu" and (found[0].platform != "gpu" or len(found) < num_devices):
+        raise JobFailed("no_device", f"The worker serves {task.device}, but JAX finds only {_named(found)}.")
     info = catalog.find(task.spec.environment.id)
     options = catalog.parse_options(info, task.spec.environment.options)
     info = info.under(options)
-    num_worlds = _num_worlds(task.spec, info, device)
+    num_worlds = _num_worlds(task.spec, info, device) // num_devices
     choice = choose(task.spec.physics, device, info.id, num_worlds, info.cannot_run)
     if choice.name == "warp":
         keep_warp_kernels()
     environment = catalog.make(info, options, engine_builder(choice.name))
     environment = randomize(environment, task.spec.randomization)
-    name = found.device_kind if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
-    return Body(info, environment, device, name, choice.name, choice.reason)
+    name = _named(found[:num_devices]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
+    return Body(info, environment, device, name, choice.name, choice.reason, num_devices)
+
+
+def _named(devices: Sequence[Any]) -> str:
+    """As `2 × NVIDIA H200`."""
+    kinds = Counter(device.device_kind for device in devices)
+    return ", ".join(kind if number == 1 else f"{number} × {kind}" for kind, number in kinds.items())
 
 
 def _num_worlds(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:

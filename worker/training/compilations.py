@@ -16,6 +16,8 @@ def keep_programs() -> None:
     """
     if Path(CACHE).is_dir():
         jax.config.update("jax_compilation_cache_dir", f"{CACHE}/jax")
+        # JAX keeps what took a second; an evaluation's program takes less, and a job waits for that, too.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def keep_warp_kernels() -> None:

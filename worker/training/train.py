@@ -68,7 +68,12 @@ def make_trainer(task: Task, spec: TrainSpec, settings: PPOSpec, body: Body, cha
     resume = (channel.spool / task.checkpoint).read_bytes() if task.checkpoint else None
     every_steps = spec.checkpoints.every_steps or max(1, settings.num_timesteps // _CHECKPOINTS)
     return PPOTrainer(
-        body.environment, settings, seed=spec.seed, checkpoint_every_steps=every_steps, resume=resume
+        body.environment,
+        settings,
+        seed=spec.seed,
+        checkpoint_every_steps=every_steps,
+        resume=resume,
+        devices=body.num_devices,
     )
 
 

@@ -4,6 +4,7 @@
 take, for nothing that training needs. The package's own names are loaded when somebody asks for one.
 """
 
+import importlib
 import importlib.util
 import sys
 from typing import Any
@@ -19,6 +20,8 @@ def put_off(name: str) -> None:
     def load(wanted: str) -> Any:
         if wanted.startswith("__"):  # those that Python itself looks for, and a package may lack
             raise AttributeError(wanted)
+        if importlib.util.find_spec(f"{name}.{wanted}") is not None:
+            return importlib.import_module(f"{name}.{wanted}")
         if package.__dict__.pop("__getattr__", None) is not None:
             loader.exec_module(package)
         return getattr(package, wanted)

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import jax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.ppo.spec import PPOSpec, check_sharing
 from core.environments.worlds import ENVS
 from core.errors import Rejected
 
@@ -31,11 +31,7 @@ class Layout:
         found = jax.local_devices()
         if len(found) < num_devices:
             raise Rejected(f"{num_devices} devices were asked for, and JAX finds {len(found)}.")
-        for name in ("num_envs", "batch_size"):
-            if (number := getattr(settings, name)) % num_devices:
-                raise Rejected(
-                    f"{name} = {number} is not a multiple of the {num_devices} devices that share the run."
-                )
+        check_sharing(settings, num_devices)
         _avoid_a_crash()
         return cls(Mesh(found[:num_devices], (ENVS,)))
 

@@ -169,6 +169,20 @@ def resolve(spec: PPOSpec, environment: EnvironmentInfo, device: Device) -> PPOS
     return settings
 
 
+def check_sharing(settings: PPOSpec, num_devices: int) -> None:
+    """Raises Rejected where so many devices cannot have equal parts of the worlds and the minibatches."""
+    problems = [
+        Problem(
+            f"/algorithm/{name}",
+            f"{name} = {number} is not a multiple of the {num_devices} devices that share the run.",
+        )
+        for name in ("num_envs", "batch_size")
+        if (number := getattr(settings, name)) % num_devices
+    ]
+    if problems:
+        raise Rejected(" ".join(problem.detail for problem in problems), problems)
+
+
 def _uneven_batch(settings: PPOSpec, device: Device) -> Rejected | None:
     unrolls = settings.batch_size * settings.num_minibatches
     if unrolls % settings.num_envs == 0:

@@ -62,7 +62,7 @@ class PPOTrainer:
         self._state: TrainingState | None = None
         self._updates = 0
         self._evaluated = 0
-        self._training_s = 0.0
+        self._training_s = self._evaluation_s = 0.0
         if resume is not None:
             self._restore(resume)
 
@@ -164,7 +164,14 @@ class PPOTrainer:
         started = time.perf_counter()
         totals = programs.evaluate(tuple(self._params), self._begun.eval_key, self._begun.num_updates)
         metrics = evaluation_metrics(jax.device_get(totals), self._learner.settings.action_repeat)
-        metrics["eval/epoch_eval_time"] = time.perf_counter() - started
+        seconds = time.perf_counter() - started
+        self._evaluation_s += seconds
+        share = self._evaluation_s / (self._evaluation_s + self._training_s)
+        metrics |= {
+            "eval/epoch_eval_time": seconds,
+            "eval/walltime": self._evaluation_s,
+            "eval/walltime_share": share,
+        }
         bad = [name for name, value in metrics.items() if not math.isfinite(value)]
         if bad:
             raise JobFailed(

@@ -47,6 +47,7 @@ INFO = EnvironmentInfo(
             },
             "gpu": {
                 "num_timesteps": 50_000_000,
+                "num_evals": 3,
                 "num_envs": 2048,
                 "unroll_length": 10,
                 "batch_size": 1024,

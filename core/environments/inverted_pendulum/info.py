@@ -28,6 +28,7 @@ INFO = EnvironmentInfo(
             },
             "gpu": {
                 "num_timesteps": 2_000_000,
+                "num_evals": 1,
                 "num_envs": 2048,
                 "unroll_length": 5,
                 "batch_size": 1024,

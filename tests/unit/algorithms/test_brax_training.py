@@ -15,6 +15,11 @@ import os
 os.environ["HEAVY_LOADED"] = os.environ.get("HEAVY_LOADED", "") + "once"
 from heavy.body import Body
 """
+# It asks the package for a part of it while the package would ask it for Body.
+BODY = """
+from heavy import mind
+class Body: ...
+"""
 
 
 @pytest.fixture
@@ -22,7 +27,7 @@ def heavy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A package that tells when its `__init__` runs; it uses its part `body`, and not `mind`."""
     (tmp_path / "heavy").mkdir()
     (tmp_path / "heavy/__init__.py").write_text(PACKAGE)
-    (tmp_path / "heavy/body.py").write_text("class Body: ...")
+    (tmp_path / "heavy/body.py").write_text(BODY)
     (tmp_path / "heavy/mind.py").write_text("thought = 42")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("HEAVY_LOADED", "")
@@ -42,6 +47,13 @@ def test_parts_are_loaded_without_the_package_and_the_package_when_it_is_asked_f
     assert not hasattr(package, "nothing")
     assert package.Body.__name__ == "Body"
     assert os.environ["HEAVY_LOADED"] == "once"
+
+
+@pytest.mark.usefixtures("heavy")
+def test_a_part_that_asks_for_another_part_does_not_load_the_package() -> None:
+    put_off("heavy")
+    assert importlib.import_module("heavy.body").mind.thought == 42
+    assert os.environ["HEAVY_LOADED"] == ""
 
 
 @pytest.mark.usefixtures("heavy")

@@ -47,8 +47,11 @@ def test_a_wanted_gpu_that_is_not_there_fails_with_the_worker_s_sentence(
     assert check.detail.startswith("GAITWAY_DEVICE=gpu:99, but")
 
 
-def test_it_does_also_where_the_worker_s_other_settings_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GAITWAY_DEVICE", "gpu:99")
+@pytest.mark.parametrize("device", ["gpu:99", "gpu:98,99"])
+def test_it_does_also_where_the_worker_s_other_settings_are_missing(
+    device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GAITWAY_DEVICE", device)
     check = machine.device(None)
     assert check.state == "fail"
     assert "NVIDIA Container Toolkit" in check.detail

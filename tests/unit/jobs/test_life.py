@@ -268,6 +268,51 @@ def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -
     assert [problem.pointer for problem in caught.value.problems] == ["/num_steps", "/num_episodes"]
 
 
+@pytest.mark.parametrize(
+    ("fields", "sentence", "pointers"),
+    [
+        (
+            {"resources": {"accelerator": "cpu", "gpus": 2}},
+            "2 GPUs are asked for, and an accelerator that is a CPU",
+            ["/resources/accelerator", "/resources/gpus"],
+        ),
+        (
+            {"kind": "rollout", "policy": {"kind": "zero"}, "resources": {"gpus": 2}},
+            "A rollout runs on one GPU, and 2 are asked for",
+            ["/resources/gpus"],
+        ),
+        (
+            # 6 × 4 = 24 unrolls of 8 worlds go together, but neither 6 nor 8 are shared by four or three.
+            {"resources": {"gpus": 4}, "algorithm": {"num_envs": 8, "batch_size": 6, "num_minibatches": 4}},
+            "batch_size = 6 is not a multiple of the 4 devices",
+            ["/algorithm/batch_size"],
+        ),
+        (
+            {"resources": {"gpus": 3}, "algorithm": {"num_envs": 8, "batch_size": 6, "num_minibatches": 4}},
+            "num_envs = 8 is not a multiple of the 3 devices",
+            ["/algorithm/num_envs"],
+        ),
+    ],
+)
+def test_gpus_that_cannot_share_a_job_are_refused_with_the_places(
+    fields: dict[str, Any], sentence: str, pointers: list[str], service: Service
+) -> None:
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
+    with pytest.raises(Rejected, match=sentence) as caught:
+        submit(spec, **service.parts, now=service.now)
+    assert [problem.pointer for problem in caught.value.problems] == pointers
+
+
+def test_a_job_for_two_gpus_waits_for_them_however_often_it_is_dispatched(service: Service) -> None:
+    job = service.submit(resources={"gpus": 2})
+    assert (job.accelerator, service.queue.take("cpu"), service.queue.take("gpu:0")) == ("gpu", None, None)
+    service.queue.remove(job.id, 1)  # as an emptied Redis does
+    reconcile(**service.parts, lease=LEASE, now=service.now)
+    dispatch = service.queue.take("gpu:0,1")
+    assert dispatch is not None
+    assert dispatch.job_id == job.id
+
+
 def test_a_job_of_another_shape_cannot_go_on_from_a_checkpoint(service: Service) -> None:
     job = service.submit()
     holding = service.claim(job)

@@ -53,6 +53,13 @@ def test_a_video_has_a_size_that_can_be_encoded(field: str, value: Any) -> None:
     ]
 
 
+@pytest.mark.parametrize("gpus", [0, 65, 1.5, "2", None])
+def test_a_job_asks_for_one_to_64_gpus(gpus: Any) -> None:
+    assert refused({"kind": "train", "environment": "ant", "resources": {"gpus": gpus}}) == [
+        ("train", "resources", "gpus")
+    ]
+
+
 @pytest.mark.parametrize("job", ["../../etc", "a/b", "", "x" * 1000, "019aa3c2f0b1-5be0c1d2e3\0"])
 def test_what_is_no_job_id_is_refused(job: str) -> None:
     assert refused({"kind": "rollout", "environment": "ant", "policy": {"kind": "checkpoint", "job": job}})

@@ -36,6 +36,9 @@ def add(dev: Path, *names: str) -> None:
         # A container that was given the host's third GPU alone counts from 0.
         (["nvidia2"], "gpu", "gpu:0"),
         (["dxg"], "gpu", "gpu:0"),
+        (["nvidia0", "nvidia1"], "gpu:0,1", "gpu:0,1"),
+        (["nvidia0", "nvidia1"], "gpu:1,0", "gpu:0,1"),
+        (["nvidia0", "nvidia1", "nvidia2", "nvidia3"], "gpu:0-1,3", "gpu:0,1,3"),
     ],
 )
 def test_a_worker_serves_what_it_is_told_or_what_it_finds(
@@ -59,6 +62,8 @@ def test_a_gpu_that_jax_cannot_use_is_left_alone_unless_it_is_asked_for(dev: Pat
         (["nvidia0"], "gpu:1", "GAITWAY_DEVICE=gpu:1, but only 1 is visible here"),
         (["nvidia0", "nvidia1"], "gpu:2", "GAITWAY_DEVICE=gpu:2, but only 2 are visible here"),
         (["dxg"], "gpu:1", "GAITWAY_DEVICE=gpu:1, but only 1 is visible here"),
+        (["nvidia0", "nvidia1"], "gpu:0,2", "GAITWAY_DEVICE=gpu:0,2, but only 2 are visible here"),
+        (["nvidia0", "nvidia1"], "gpu:0-7", "GAITWAY_DEVICE=gpu:0-7, but only 2 are visible here"),
     ],
 )
 def test_a_gpu_that_is_not_there_is_refused_with_the_setting_and_the_remedy(
@@ -70,6 +75,15 @@ def test_a_gpu_that_is_not_there_is_refused_with_the_setting_and_the_remedy(
     assert refusal.value.detail.startswith(seen)
     for remedy in ("NVIDIA Container Toolkit", "--profile gpu", "GAITWAY_DEVICE=cpu"):
         assert remedy in refusal.value.detail
+
+
+@pytest.mark.parametrize(
+    ("wanted", "why"), [("gpu:0,0", "a GPU twice"), ("gpu:0-1,1", "a GPU twice"), ("gpu:1-0", "no GPU")]
+)
+def test_gpus_that_cannot_be_told_apart_are_refused(dev: Path, wanted: str, why: str) -> None:
+    add(dev, "nvidia0", "nvidia1")
+    with pytest.raises(Misconfigured, match=f"GAITWAY_DEVICE={wanted} names {why}. Write gpu:0,1"):
+        device_of(wanted, dev)
 
 
 def test_gpus_are_in_the_order_of_their_numbers(dev: Path) -> None:

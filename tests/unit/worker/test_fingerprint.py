@@ -44,6 +44,14 @@ def test_another_gpu_is_another(tmp_path: Path) -> None:
     assert fingerprint("cpu", *one) == fingerprint("cpu", *other)
 
 
+def test_several_gpus_of_a_model_use_what_one_does(tmp_path: Path) -> None:
+    alike, mixed = machine(tmp_path / "1", model="NVIDIA A2"), machine(tmp_path / "2")
+    for dev, _ in (alike, mixed):
+        (dev / "nvidia0").touch()
+    assert fingerprint("gpu:0,1", *alike) == fingerprint("gpu:0", *alike)
+    assert len({fingerprint(device, *mixed) for device in ("gpu:0", "gpu:1", "gpu:0,1")}) == 3
+
+
 def test_another_version_is_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     here = machine(tmp_path / "1")
     before = fingerprint("cpu", *here)

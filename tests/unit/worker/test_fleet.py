@@ -178,6 +178,13 @@ def test_a_fleet_without_a_gpu_says_what_to_do() -> None:
         assert remedy in said
 
 
+def test_a_fleet_that_has_a_gpu_twice_is_refused() -> None:
+    done = run_fleet("gpu:0-1", "gpu:1,2")
+    assert done.returncode == EXIT_STATUS
+    (said,) = misconfigurations(done.stdout)
+    assert said.startswith("The fleet gpu:0-1 gpu:1,2 has GPU 1 twice")
+
+
 def test_the_fleet_loads_no_numerical_stack() -> None:
     code = "import sys, worker.fleet; print({'jax', 'mujoco', 'numpy'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -19,7 +19,7 @@ from worker.process import TrainingProcess
 spool = Path(sys.argv[1])
 code = "import os, worker; print(os.getcwd()); print(worker.__file__)"
 with open(os.devnull) as lock:
-    process = TrainingProcess((sys.executable, "-c", code), spool, spool.parent, "cpu", lock.fileno())
+    process = TrainingProcess((sys.executable, "-c", code), spool, spool.parent, "cpu", [lock.fileno()])
 print(*process.lines(), sep="\\n")
 list(process.messages())
 process.poll(10)
@@ -54,3 +54,7 @@ def test_a_users_own_folder_of_modules_stays_after_ours(tmp_path: Path) -> None:
 def test_a_gpu_is_numbered_as_its_device_files_are(tmp_path: Path) -> None:
     given = environment("gpu:1", tmp_path, {})
     assert (given["CUDA_VISIBLE_DEVICES"], given["CUDA_DEVICE_ORDER"]) == ("1", "PCI_BUS_ID")
+
+
+def test_a_process_on_several_gpus_sees_those(tmp_path: Path) -> None:
+    assert environment("gpu:1,3", tmp_path, {})["CUDA_VISIBLE_DEVICES"] == "1,3"

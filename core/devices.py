@@ -1,0 +1,14 @@
+"""What a worker runs on, by name: `cpu`, a GPU (`gpu:0`), or several of one host (`gpu:0,1`)."""
+
+import re
+
+# How the GPUs of a worker may be named; `gpu` is the first.
+GPUS = r"gpu(:\d{1,3}(-\d{1,3})?(,\d{1,3}(-\d{1,3})?)*)?"
+
+
+def gpu_indices(device: str) -> list[int]:
+    """The GPUs of `gpu:2`, `gpu:0,1` or `gpu:0-3`, in rising order; none of `cpu`."""
+    if not device.startswith("gpu"):
+        return []
+    ranges = re.findall(r"(\d+)(?:-(\d+))?", device) or [("0", "")]
+    return sorted(index for first, last in ranges for index in range(int(first), int(last or first) + 1))

@@ -1,0 +1,31 @@
+"""The real training process on a CPU that JAX takes for several devices, and that here calls them GPUs.
+
+Nothing else is pretended: the worker's code goes the way that it goes on a machine with GPUs. It prints,
+too, over how many devices the run is laid out.
+"""
+
+from types import SimpleNamespace
+
+import jax
+
+from core.algorithms.ppo.layout import Layout
+from core.algorithms.ppo.spec import PPOSpec
+from worker.training.__main__ import main
+
+_over = Layout.over
+
+
+def devices() -> list[SimpleNamespace]:
+    return [SimpleNamespace(platform="gpu", device_kind="Pretended") for _ in jax.local_devices()]
+
+
+def over(num_devices: int, settings: PPOSpec) -> Layout:
+    layout = _over(num_devices, settings)
+    print(f"laid out over {layout.mesh.size if layout.mesh else 1}", flush=True)
+    return layout
+
+
+if __name__ == "__main__":
+    jax.devices = devices
+    Layout.over = staticmethod(over)
+    main()
