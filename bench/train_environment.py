@@ -1,7 +1,8 @@
 """One environment, trained with its tuned defaults: how they were chosen, and how to choose better ones.
 
 `python -m bench.train_environment ANSWER.json '{"environment": "ant", "device": "cpu"}'`; `settings` in the
-request changes hyperparameters, `seed` the seed. On a GPU, leave JAX_PLATFORMS unset.
+request changes hyperparameters, `options` the environment, `seed` the seed. On a GPU, leave JAX_PLATFORMS
+unset.
 """
 
 import time
@@ -22,9 +23,11 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
 
     began = time.perf_counter()
     info = catalog.find(request["environment"])
+    options = catalog.parse_options(info, request.get("options", {}))
+    info = info.under(options)
     settings = resolve(PPOSpec(**request.get("settings", {})), info, request["device"])
-    choice = choose("auto", request["device"], info.id, settings.num_envs)
-    environment = catalog.make(info, catalog.parse_options(info, {}), engine_builder(choice.name))
+    choice = choose("auto", request["device"], info.id, settings.num_envs, info.cannot_run)
+    environment = catalog.make(info, options, engine_builder(choice.name))
     trainer = PPOTrainer(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
     curve: list[dict[str, float]] = []
     rates: list[float] = []

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 from pydantic import ValidationError
 
 from core.environments.ant.info import INFO as ANT
+from core.environments.corridor.info import INFO as CORRIDOR
 from core.environments.half_cheetah.info import INFO as HALF_CHEETAH
 from core.environments.hopper.info import INFO as HOPPER
 from core.environments.humanoid.info import INFO as HUMANOID
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 ENVIRONMENTS: dict[str, EnvironmentInfo] = {
     info.id: info
-    for info in (ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, INVERTED_PENDULUM, REACHER)
+    for info in (ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, CORRIDOR, INVERTED_PENDULUM, REACHER)
 }
 
 
@@ -64,7 +65,10 @@ def _problem(info: EnvironmentInfo, location: tuple[int | str, ...], message: st
     field = ".".join(str(part) for part in location)
     escaped = (str(part).replace("~", "~0").replace("/", "~1") for part in location)
     pointer = "/".join(("/environment/options", *escaped))
+    sentence = message.removeprefix("Value error, ")
+    if not location:
+        return Problem(pointer, f"{sentence}.")
     if location and location[0] not in info.options.model_fields:
         known = ", ".join(info.options.model_fields) or "none"
         return Problem(pointer, f"{field}: there is no such option; there are {known}.")
-    return Problem(pointer, f"{field}: {message.removeprefix('Value error, ')}.")
+    return Problem(pointer, f"{field}: {sentence}.")

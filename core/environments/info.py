@@ -1,7 +1,7 @@
 """What is known of an environment without loading it: the API reads this and imports no numerical code."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from core.model import Strict
@@ -21,6 +21,8 @@ class EnvironmentInfo:
     observation_size, action_size: with default options. dt: seconds between actions.
     cameras: the names the model gives its cameras, in their order; `track` is always there besides.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
+    cannot_run: engines that cannot run it, and why. vary: the fields above that are others under some
+    options, by name; the row itself has them as they are by default.
     """
 
     id: str
@@ -34,3 +36,9 @@ class EnvironmentInfo:
     cameras: tuple[str, ...] = ()
     options: type[Strict] = NoOptions
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
+    cannot_run: Mapping[str, str] = field(default_factory=dict[str, str])
+    vary: Callable[[Any], Mapping[str, Any]] | None = None
+
+    def under(self, options: Strict) -> "EnvironmentInfo":
+        """The row as it is under these options, which are its own."""
+        return self if self.vary is None else replace(self, **self.vary(options))

@@ -21,8 +21,8 @@ _MOST_ROLLOUT_STEPS = 1_000_000
 def check(spec: JobSpec, store: JobStore) -> None:
     """Raises Rejected with every problem of the first group that has one."""
     info = _environment(spec)
-    catalog.parse_options(info, spec.environment.options)
-    check_physics(spec.physics, spec.environment.id)
+    info = info.under(catalog.parse_options(info, spec.environment.options))
+    check_physics(spec.physics, info.id, info.cannot_run)
     check_camera(spec.video.camera, info.cameras)
     _check_gpus(spec)
     match spec:

@@ -1,5 +1,6 @@
 """Which engines there are, and which one a run gets; imports no numerical code, so that the API may ask."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Literal
@@ -10,8 +11,9 @@ EngineName = Literal["native", "mjx", "warp"]
 PhysicsChoice = Literal["auto", "native", "mjx", "warp"]
 
 # (engine, environment) that cannot be together, and why; a job that asks for it is refused when it is
-# submitted. Every engine runs every body of the catalog today.
+# submitted. What depends on an environment's options is in its row (`EnvironmentInfo.cannot_run`).
 CANNOT_RUN: dict[tuple[EngineName, str], str] = {}
+_NOTHING: Mapping[str, str] = {}
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,8 @@ class Rule:
 # Training steps a second on one H200, under the tuned settings (docs/performance.md).
 ON_A_GPU: tuple[Rule, ...] = (
     Rule("ant", 1024, "warp", "Measured on an H200: 1.23 M training steps/s, 1.10 M by mjx."),
+    Rule("corridor", 1, "warp", "Platforms make many pairs of shapes, of which MJX looks at all."),
+    Rule("corridor", 1, "native", "Platforms make many pairs of shapes, of which MJX looks at all."),
     Rule("half_cheetah", 1024, "warp", "Measured on an H200: 536 k training steps/s, 90 k by mjx."),
     Rule("hopper", 1024, "warp", "Measured on an H200: 898 k training steps/s, 137 k by mjx."),
     Rule("humanoid", 1024, "warp", "Measured on an H200: 549 k training steps/s, 457 k by mjx."),
@@ -50,17 +54,26 @@ def has_warp() -> bool:
     return find_spec("warp") is not None
 
 
-def check_physics(choice: PhysicsChoice, environment: str = "") -> None:
-    """Raises Rejected where the engine that is asked for cannot run this environment."""
-    if choice != "auto" and (why := CANNOT_RUN.get((choice, environment))):
+def check_physics(
+    choice: PhysicsChoice, environment: str = "", cannot_run: Mapping[str, str] = _NOTHING
+) -> None:
+    """Raises Rejected where the engine that is asked for cannot run this environment.
+
+    cannot_run: engines that cannot because of its options, and why.
+    """
+    if choice != "auto" and (why := CANNOT_RUN.get((choice, environment)) or cannot_run.get(choice)):
         raise Rejected(why, [Problem("/physics", why)])
 
 
 def choose(
-    choice: PhysicsChoice, device: Literal["cpu", "gpu"], environment: str = "", num_worlds: int = 1
+    choice: PhysicsChoice,
+    device: Literal["cpu", "gpu"],
+    environment: str = "",
+    num_worlds: int = 1,
+    cannot_run: Mapping[str, str] = _NOTHING,
 ) -> EngineChoice:
     """The engine for a job's `physics` on this device. Raises Rejected where it cannot run it."""
-    check_physics(choice, environment)
+    check_physics(choice, environment, cannot_run)
     if choice != "auto":
         return EngineChoice(choice, f"The job asks for {choice}.")
     if device == "cpu":
@@ -69,6 +82,8 @@ def choose(
         )
     for rule in ON_A_GPU:
         fits = rule.environment == environment and num_worlds >= rule.least_worlds
-        if fits and (rule.engine != "warp" or has_warp()):
+        if fits and rule.engine not in cannot_run and (rule.engine != "warp" or has_warp()):
             return EngineChoice(rule.engine, rule.reason)
+    if "mjx" in cannot_run:
+        return EngineChoice("native", cannot_run["mjx"])
     return EngineChoice("mjx", "On a GPU, MJX steps thousands of worlds without leaving the device.")

@@ -17,6 +17,10 @@ def rollout(**policy: Any) -> dict[str, Any]:
     return {"kind": "rollout", "environment": "ant", "policy": policy}
 
 
+def corridor(**options: Any) -> dict[str, Any]:
+    return {"kind": "train", "environment": {"id": "corridor", "options": options}}
+
+
 @pytest.fixture(autouse=True)
 def nothing_is_kept(stack: Stack) -> Iterator[None]:
     yield
@@ -82,6 +86,16 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         (rollout(kind="dance"), "/policy/kind", "known are"),
         (rollout(kind="constant", action=[0.5]), "/policy/action", "8 action components"),
         (rollout(kind="constant", action=[0, 2]), "/policy/action/1", "less than or equal to 1, not 2"),
+        (corridor() | {"video": {"camera": "walker/back"}}, "/video/camera", "walker/sideon"),
+        (corridor(walker="rodent") | {"video": {"camera": 5}}, "/video/camera", "by number 0 to 4"),
+        (corridor(walker="rodent") | {"physics": "mjx"}, "/physics", "no contacts of ellipsoids with boxes"),
+        (corridor(gap_length=[2, 1]), "/environment/options/gap_length", "low ≤ high"),
+        (corridor(gap_length=[1, 50]), "/environment/options", "gap_length reaches 50 m"),
+        (
+            corridor(walker="humanoid") | {"kind": "rollout", "policy": {"kind": "constant", "action": [1]}},
+            "/policy/action",
+            "corridor takes 56 action components; 1 were given",
+        ),
         (rollout(kind="checkpoint", job=NO_JOB), "/policy/job", "no job"),
     ],
 )  # fmt: skip

@@ -63,10 +63,12 @@ def load_body(task: Task) -> Body:
     if device == "gpu" and (found[0].platform != "gpu" or len(found) < num_devices):
         raise JobFailed("no_device", f"The worker serves {task.device}, but JAX finds only {_named(found)}.")
     info = catalog.find(task.spec.environment.id)
-    choice = choose(task.spec.physics, device, info.id, _num_worlds(task.spec, info, device) // num_devices)
+    options = catalog.parse_options(info, task.spec.environment.options)
+    info = info.under(options)
+    num_worlds = _num_worlds(task.spec, info, device) // num_devices
+    choice = choose(task.spec.physics, device, info.id, num_worlds, info.cannot_run)
     if choice.name == "warp":
         keep_warp_kernels()
-    options = catalog.parse_options(info, task.spec.environment.options)
     environment = catalog.make(info, options, engine_builder(choice.name))
     environment = randomize(environment, task.spec.randomization)
     name = _named(found[:num_devices]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"

@@ -14,7 +14,7 @@ from core.environments.info import EnvironmentInfo
 from core.physics.choose import engine_builder
 
 NUM_WORLDS = 8
-WALKERS = {"ant", "half_cheetah", "hopper", "walker2d", "humanoid", "rodent"}
+WALKERS = {"ant", "half_cheetah", "hopper", "walker2d", "humanoid", "rodent", "corridor"}
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def test_unhealthy_ends_the_episode_unless_told_otherwise(environment_id: str) -
     np.testing.assert_allclose(ended.reward - going.reward, healthy_reward, rtol=1e-5)
 
 
-@pytest.mark.parametrize("environment_id", sorted(WALKERS - {"rodent"}))
+@pytest.mark.parametrize("environment_id", sorted(WALKERS - {"rodent", "corridor"}))
 def test_hidden_positions_can_be_shown(environment_id: str) -> None:
     shown = build(environment_id, exclude_current_positions_from_observation=False)
     state = fresh(shown)
