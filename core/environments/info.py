@@ -18,7 +18,9 @@ class EnvironmentInfo:
     """One row of the catalog.
 
     factory: `module:function`, called as `factory(options, engine_factory)`; see `catalog.make`.
-    observation_size, action_size: with default options. dt: seconds between actions.
+    observation_size, action_size: with default options. dt: seconds between actions. None where these
+    depend on the model that the options name. takes_model: whether they name one; its file goes to the
+    factory as `model`.
     cameras: the names the model gives its cameras, in their order; `track` is always there besides.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
     """
@@ -26,11 +28,12 @@ class EnvironmentInfo:
     id: str
     description: str
     factory: str
-    observation_size: int
-    action_size: int
-    dt: float
+    observation_size: int | None
+    action_size: int | None
+    dt: float | None
     episode_length: int
     tracked_body: str
     cameras: tuple[str, ...] = ()
     options: type[Strict] = NoOptions
+    takes_model: bool = False
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
