@@ -158,6 +158,19 @@ class IdempotencyKeyReused(Conflict):
         super().__init__(f"The Idempotency-Key {key!r} was used before with another body; use a new key.")
 
 
+class ModelInUse(Conflict):
+    code = "model-in-use"
+    title = "Jobs need the model"
+
+    def __init__(self, model_id: str, jobs: Sequence[str]) -> None:
+        named = ", ".join(jobs[:5])
+        super().__init__(
+            f"{len(jobs)} unfinished jobs need the model ({named}): cancel them first.",
+            model=model_id,
+            jobs=list(jobs),
+        )
+
+
 class JobFinished(Conflict):
     code = "job-finished"
     title = "The job has ended"

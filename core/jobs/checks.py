@@ -1,16 +1,21 @@
 """What can be known to be wrong before a job is stored: each refusal names the place and the way out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from core.algorithms.ppo.spec import PPOSpec, check_resumption, resolve
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.mjcf.info import MjcfOptions
 from core.errors import EnvironmentNotFound, JobNotFound, Problem, Rejected
 from core.jobs.job import Artifact, Job
+from core.jobs.own_model import engines_that_cannot, own_model
 from core.jobs.spec import Accelerator, CheckpointPolicy, ConstantPolicy, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import JobStore
-from core.physics.availability import check_physics
+from core.models.record import Description
+from core.physics.availability import NO_REFUSALS, EngineName, check_physics
 from core.rendering.camera import check_camera
+from core.storage.objects import ObjectStore
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
@@ -18,11 +23,16 @@ DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": 
 _MOST_ROLLOUT_STEPS = 1_000_000
 
 
-def check(spec: JobSpec, store: JobStore) -> None:
+def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
     """Raises Rejected with every problem of the first group that has one."""
     info = _environment(spec)
-    catalog.parse_options(info, spec.environment.options)
-    check_physics(spec.physics, spec.environment.id)
+    options = catalog.parse_options(info, spec.environment.options)
+    cannot: Mapping[EngineName, str] = NO_REFUSALS
+    if isinstance(options, MjcfOptions):
+        description = own_model(options, objects)
+        info = _row_of(info, description)
+        cannot = engines_that_cannot(description)
+    check_physics(spec.physics, spec.environment.id, cannot)
     check_camera(spec.video.camera, info.cameras)
     match spec:
         case TrainSpec():
@@ -36,6 +46,12 @@ def _environment(spec: JobSpec) -> EnvironmentInfo:
         return catalog.find(spec.environment.id)
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
+
+
+def _row_of(info: EnvironmentInfo, description: Description) -> EnvironmentInfo:
+    """The catalog's row, with what depends on the model."""
+    has = description.inventory
+    return replace(info, action_size=has.sizes.nu, cameras=tuple(has.cameras))
 
 
 def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:

@@ -4,6 +4,7 @@ import os
 import platform
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -61,11 +62,13 @@ def load_body(task: Task) -> Body:
             "no_device", f"The worker serves {task.device}, but JAX finds only {found.device_kind}."
         )
     info = catalog.find(task.spec.environment.id)
-    choice = choose(task.spec.physics, device, info.id, _num_worlds(task.spec, info, device))
+    num_worlds = _num_worlds(task.spec, info, device)
+    choice = choose(task.spec.physics, device, info.id, num_worlds, task.engines_that_cannot)
     if choice.name == "warp":
         keep_warp_kernels()
     options = catalog.parse_options(info, task.spec.environment.options)
-    environment = catalog.make(info, options, engine_builder(choice.name))
+    model = Path(task.model).absolute() if task.model else None  # It lies in the spool, where we stand.
+    environment = catalog.make(info, options, engine_builder(choice.name), model)
     environment = randomize(environment, task.spec.randomization)
     name = found.device_kind if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
     return Body(info, environment, device, name, choice.name, choice.reason)

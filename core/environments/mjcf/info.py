@@ -26,8 +26,8 @@ class MjcfOptions(Strict):
     )
     termination: Annotated[list[TerminationTerm], Field(max_length=64)] | None = Field(
         default=None,
-        description="Any of them ends the episode; null: for a body that can travel, height_range from 0.4 to "
-        "2 times its height at the begin.",
+        description="Any of them ends the episode; null: for a body that can travel, height_range from "
+        "0.4 to 2 times its height at the begin.",
     )
     reset: Reset = Reset()
     n_frames: int | None = Field(

@@ -34,9 +34,7 @@ class ForwardVelocity(_Reward):
 
     kind: Literal["forward_velocity"] = "forward_velocity"
     body: Body = None
-    direction: Vector = Field(
-        default=(1.0, 0.0, 0.0), description="In the world; its length does not matter."
-    )
+    direction: Vector = Field(default=(1.0, 0.0, 0.0), description="In the world; of any length.")
     of: Literal["body", "centre_of_mass"] = "body"
 
     @model_validator(mode="after")
@@ -124,11 +122,9 @@ class JointLimits(_Cost):
 
     kind: Literal["joint_limits"] = "joint_limits"
     joints: Names | None = Field(
-        default=None, description="By name; null: all hinges and slides that have a range."
+        default=None, description="By name; null: all hinges and slides with a range."
     )
-    share: float = Field(
-        default=0.95, gt=0, le=1, description="How much of a range, about its middle, is free."
-    )
+    share: float = Field(default=0.95, gt=0, le=1, description="Of a range, about its middle, that is free.")
 
 
 class Contact(_Reward):
@@ -188,9 +184,7 @@ class Sensors(Strict):
     """What the model's sensors read; those of forces and accelerations, at the last physics step."""
 
     kind: Literal["sensors"] = "sensors"
-    names: Names | None = Field(
-        default=None, description="Which, in this order; null: all that the model has."
-    )
+    names: Names | None = Field(default=None, description="Which, in this order; null: all there are.")
 
 
 class BodyPositions(Strict):
@@ -261,7 +255,7 @@ class NotUpright(Strict):
         default=0.0,
         ge=-1,
         lt=1,
-        description="Cosine of the axis' angle to the vertical that is still upright.",
+        description="Cosine of the axis' angle to the vertical: so much is upright.",
     )
 
 
@@ -281,7 +275,7 @@ class Reset(Strict):
 
     keyframe: Name | Annotated[int, Field(ge=0)] | None = Field(
         default=None,
-        description="Of the model, by name or number; null: its custom numeric `init_qpos`, or `qpos0`.",
+        description="By name or number; null: the model's custom numeric `init_qpos`, or `qpos0`.",
     )
     qpos: Annotated[list[float], Field(min_length=1, max_length=10_000)] | None = Field(
         default=None, description="Positions, in MuJoCo's order."
