@@ -13,9 +13,9 @@ ModelStatus = Literal["validating", "ready", "refused"]
 class Description(Stored):
     """What is in a model, and what it does when it is let go.
 
-    engines: null for one that can run it, otherwise what keeps it from that; one that was not tried is not in
-    it. complete: whether none will be any more. physics_steps_per_second: C MuJoCo's, on one core, while nothing acts.
-    settled_height: the root's in metres after up to 2 s of that. notes: what people should know.
+    engines: null for one that can run it, otherwise what keeps it from that; one that was not tried is not
+    in it. complete: whether none will be any more. physics_steps_per_second: C MuJoCo's, on one core, while
+    nothing acts. settled_height: the root's in metres after up to 2 s of that. notes: for people.
     """
 
     inventory: Inventory

@@ -13,8 +13,8 @@ from worker.validation.limits import Limits, confine
 
 def main() -> None:
     folder, parent = Path(sys.argv[1]), int(sys.argv[2])
-    die_with_parent(parent)
     confine(Limits.of(sys.argv[3:]))
+    die_with_parent(parent)  # After it: what changes a process' rights ends such a promise.
     # Only now: what they load is bound already.
     from core.errors import GaitwayError
     from worker.validation.answer import Answer

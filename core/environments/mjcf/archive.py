@@ -16,6 +16,8 @@ from core.environments.mjcf.document import Document, parse
 from core.errors import BadModel
 
 MAX_FILES = 1000
+MAX_DOCUMENTS = 50
+MAX_REFERENCES, MAX_FOLDERS = 5000, 8
 MAX_FILE_BYTES = 64 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
 MAX_XML_BYTES = 16 * 2**20
@@ -66,6 +68,8 @@ def examine(body: bytes) -> Archive:
         _check_root(main, document)
         return Archive(body, main, (main,))
     names = _names(body)
+    if sum(name.lower().endswith(_DOCUMENTS) for name in names) > MAX_DOCUMENTS:
+        raise BadModel(f"The zip has more than {MAX_DOCUMENTS} documents.")
     documents = {
         name: parse(name, _content(body, name)) for name in names if name.lower().endswith(_DOCUMENTS)
     }
@@ -88,6 +92,8 @@ def _content(body: bytes, name: str) -> bytes:
 
 def _names(body: bytes) -> list[str]:
     """The files in a zip. Raises BadModel for what could hurt once it is unpacked."""
+    if body.count(b"PK\x01\x02") > 2 * MAX_FILES:  # Each entry begins so; a mesh may hold these bytes, too.
+        raise BadModel(f"The zip has more than {MAX_FILES:,} entries.")
     try:
         with zipfile.ZipFile(io.BytesIO(body)) as archive:
             entries = archive.infolist()
@@ -161,6 +167,10 @@ def _check_root(name: str, document: Document) -> None:
 def _check_references(main: str, documents: Mapping[str, Document], names: list[str]) -> None:
     """Every file that some document names is in the archive, whichever folder MuJoCo counts it from."""
     folders = ["", *{folder for document in documents.values() for folder in document.folders}]
+    if len(folders) > MAX_FOLDERS:
+        raise BadModel(f"The documents look for files in more than {MAX_FOLDERS} folders.")
+    if sum(len(document.references) for document in documents.values()) > MAX_REFERENCES:
+        raise BadModel(f"The documents name more than {MAX_REFERENCES:,} files.")
     known = set(names)
     for name, document in documents.items():
         bases = {posixpath.dirname(main), posixpath.dirname(name)}

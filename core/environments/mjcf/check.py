@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Kind
-from core.environments.mjcf.vocabulary import Qpos, Reset, Sensors
+from core.environments.mjcf.vocabulary import Activation, Qpos, Reset, Sensors
 from core.errors import Problem
 from core.model import Strict
 
@@ -45,6 +45,8 @@ def _of_term(term: Strict, pointer: str, model: Inventory) -> Iterator[Problem]:
             yield from _of_name(named, f"{pointer}/{field}", kind, model)
     if isinstance(term, Sensors) and not model.sensors:
         yield Problem(pointer, "The model has no sensors.")
+    if isinstance(term, Activation) and not model.sizes.na:
+        yield Problem(pointer, "None of the model's actuators has a state (na = 0).")
 
 
 def _of_root(root: str, pointer: str, model: Inventory) -> Iterator[Problem]:

@@ -4,6 +4,7 @@ import dataclasses
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import psutil
@@ -39,13 +40,9 @@ URDF = b"""<robot name="arm">
 
 
 def looked(body: bytes, folder: Path, limits: Limits | None = None) -> Answer:
-    answer = look(body, folder, folder, limits or Limits())
-    left = [
-        process
-        for process in psutil.Process().children(recursive=True)
-        if "worker.validation" in process.cmdline()
-    ]
-    assert left == []
+    """The last word; and nothing runs on."""
+    *_, answer = look(body, folder, folder, limits or Limits())
+    assert not [child for child in psutil.Process().children() if "worker.validation" in child.cmdline()]
     return answer
 
 
@@ -92,11 +89,11 @@ def test_a_model_that_takes_too_long_is_refused_and_its_process_is_gone(tmp_path
 
 
 def test_a_model_that_needs_too_much_memory_is_refused(tmp_path: Path) -> None:
-    texture = (
-        b'<mujoco><asset><texture name="t" type="2d" builtin="flat" width="30000" height="30000"/></asset>'
-    )
+    texture = b'<asset><texture name="t" type="2d" builtin="flat" width="30000" height="30000"/></asset>'
     limits = dataclasses.replace(Limits(), memory_bytes=2 * 2**30)
-    assert looked(XML.replace(b"<mujoco>", texture), tmp_path, limits).refusal is not None
+    answer = looked(XML.replace(b"<mujoco>", b"<mujoco>" + texture), tmp_path, limits)
+    assert answer.refusal is not None
+    assert "memory" in answer.refusal
 
 
 def test_a_urdf_gets_a_motor_for_each_joint(tmp_path: Path) -> None:
@@ -120,6 +117,22 @@ def test_a_confined_process_has_no_network_and_no_room() -> None:
     assert said[0] == "7"
     if said[1] == "0":
         pytest.skip("this system lets no process without privileges leave the network")
+
+
+def test_a_confined_process_dies_with_its_worker(tmp_path: Path) -> None:
+    (tmp_path / "slow.xml").write_bytes(SLOW)
+    program = (
+        "import sys; from pathlib import Path; from worker.validation.confined import look, Limits;"
+        "here = Path(sys.argv[1]); list(look((here / 'slow.xml').read_bytes(), here, here, Limits()))"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, str(tmp_path)]) as worker:
+        while not (confined := psutil.Process(worker.pid).children()):
+            time.sleep(0.02)
+        worker.kill()
+    until = time.monotonic() + 10
+    while confined[0].is_running() and confined[0].status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < until
+        time.sleep(0.02)
 
 
 def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(tmp_path: Path) -> None:

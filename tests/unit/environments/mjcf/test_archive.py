@@ -154,6 +154,15 @@ def test_too_many_files_are_refused() -> None:
     )
 
 
+def test_what_would_keep_the_service_busy_is_refused() -> None:
+    assert "more than 50 documents" in refusal(zipped({f"{number}.xml": PLAIN for number in range(51)}))
+    folders = b"".join(b'<compiler meshdir="%d"/>' % number for number in range(9))
+    assert "more than 8 folders" in refusal(zipped({"model.xml": b"<mujoco>%s</mujoco>" % folders}))
+    files = b'<mesh file="a.stl"/>' * 5001
+    assert "more than 5,000 files" in refusal(zipped({"model.xml": b"<mujoco>%s</mujoco>" % files}))
+    assert "more than 1,000 entries" in refusal(zipped({"a": b"PK\x01\x02" * 2001}, zipfile.ZIP_STORED))
+
+
 def test_names_that_differ_in_case_alone_are_refused() -> None:
     assert "more than once" in refusal(zipped({"model.xml": PLAIN, "a": b"", "A": b""}))
 

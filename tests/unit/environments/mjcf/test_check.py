@@ -80,6 +80,7 @@ def test_an_inventory_names_what_is_there() -> None:
             "/observation/0/names/0",
             "did you mean 'speed'?",
         ),
+        ({"observation": [{"kind": "act"}]}, PROBE, "/observation/0", "has a state"),
         ({"observation": [{"kind": "sensors"}]}, BOLTED, "/observation/0", "has no sensors"),
         (
             {"observation": [{"kind": "qpos", "root_position": "height"}]},
