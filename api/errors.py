@@ -1,5 +1,6 @@
 """Refusals that only the HTTP edge knows; their status is part of what they are."""
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 from core.errors import GaitwayError, Problem
@@ -70,19 +71,22 @@ class BodyTooLarge(EdgeError):
 
 
 class UnsupportedMediaType(EdgeError):
-    """A job is sent as application/json."""
+    """A job is sent as application/json, a model as application/xml or application/zip."""
 
     status = 415
     code = "unsupported-media-type"
     title = "Not a media type this address reads"
 
-    def __init__(self, media_type: str) -> None:
+    def __init__(
+        self, media_type: str, *, what: str = "the job", accepted: Sequence[str] = ("application/json",)
+    ) -> None:
         sent = f"{media_type[:100]!r}" if media_type else "no Content-Type"
-        super().__init__(f"Send the job as application/json; this request has {sent}.")
+        super().__init__(f"Send {what} as {' or '.join(accepted)}; this request has {sent}.")
+        self._accepted = accepted
 
     @property
     def headers(self) -> dict[str, str]:
-        return {"Accept-Post": "application/json"}
+        return {"Accept-Post": ", ".join(self._accepted)}
 
 
 class RangeNotSatisfiable(EdgeError):

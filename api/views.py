@@ -124,13 +124,16 @@ class Metrics(View):
 
 
 class EnvironmentView(View):
-    """A body in a world. dt: seconds between actions; options: JSON Schema; tuned: by algorithm, device."""
+    """A body in a world. dt: seconds between actions; options: JSON Schema; tuned: by algorithm, device.
+
+    Sizes and dt are null where they depend on the model that the options name.
+    """
 
     id: str
     description: str
-    observation_size: int
-    action_size: int
-    dt: float
+    observation_size: int | None
+    action_size: int | None
+    dt: float | None
     episode_length: int
     cameras: Sequence[str]
     options: dict[str, Any]

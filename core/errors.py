@@ -55,6 +55,16 @@ class Rejected(GaitwayError):
         self.problems = tuple(problems)
 
 
+class BadModel(Rejected):
+    """A body that somebody sends, and that cannot be one."""
+
+    code = "bad-model"
+    title = "The model cannot be used"
+
+    def __init__(self, detail: str) -> None:
+        super().__init__(detail, [Problem("", detail)])
+
+
 class Unavailable(GaitwayError):
     code = "unavailable"
     title = "Not available now"
@@ -75,6 +85,14 @@ class JobNotFound(NotFound):
 class EnvironmentNotFound(NotFound):
     code = "environment-not-found"
     title = "No such environment"
+
+
+class ModelNotFound(NotFound):
+    code = "model-not-found"
+    title = "No such model"
+
+    def __init__(self, model_id: str) -> None:
+        super().__init__(f"There is no model {model_id!r}; `POST /models` makes one.", model=model_id)
 
 
 class ArtifactNotFound(NotFound):
@@ -138,6 +156,19 @@ class IdempotencyKeyReused(Conflict):
 
     def __init__(self, key: str) -> None:
         super().__init__(f"The Idempotency-Key {key!r} was used before with another body; use a new key.")
+
+
+class ModelInUse(Conflict):
+    code = "model-in-use"
+    title = "Jobs need the model"
+
+    def __init__(self, model_id: str, jobs: Sequence[str]) -> None:
+        named = ", ".join(jobs[:5])
+        super().__init__(
+            f"{len(jobs)} unfinished jobs need the model ({named}): cancel them first.",
+            model=model_id,
+            jobs=list(jobs),
+        )
 
 
 class JobFinished(Conflict):

@@ -107,6 +107,9 @@ class ApiSettings(StoreSettings):
     """What `python -m api` reads."""
 
     max_body_bytes: int = Field(2**20, gt=0, description="Largest request body, in bytes.")
+    max_model_bytes: int = Field(
+        2**26, gt=0, description="Largest model that `POST /models` takes, in bytes, as it is sent."
+    )
     published: str | None = Field(
         None,
         description="The host address at which others reach the API, where it cannot know: behind a proxy, "

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from gaitway import policy
 from gaitway.downloading import OnBytes, download
-from gaitway.errors import NotFound, WaitTimeout
+from gaitway.errors import NotFound, Rejected, WaitTimeout
 from gaitway.following import follow_feed, follow_log
 from gaitway.transport import Retry, Transport
 from gaitway.views import (
@@ -24,12 +24,14 @@ from gaitway.views import (
     Event,
     JobView,
     MetricsRow,
+    ModelView,
     Page,
     WorkerView,
 )
 
 AnyView = TypeVar("AnyView", bound=BaseModel)
 
+_GLANCE_S = 0.5
 DEFAULT_URL = "http://127.0.0.1:8000"
 
 
@@ -226,6 +228,43 @@ class Client:
         with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
             path = download(self._transport, artifact, Path(folder) / "policy")
             return policy.load(path, is_checkpoint=final is None, deterministic=deterministic)
+
+    # Bodies of one's own
+
+    def add_model(self, path: str | Path, timeout: float = 120.0) -> ModelView:
+        """Send a model (MJCF, URDF, or a zip of it and its meshes), and wait until it is validated.
+
+        The same file is the same model. Raises Rejected where it cannot be used, and WaitTimeout after
+        `timeout` seconds without a worker that looks at it.
+        """
+        body = Path(path).read_bytes()
+        media_type = "application/zip" if body.startswith(b"PK") else "application/xml"
+        deadline = time.monotonic() + timeout
+        response = self._transport.request(
+            "POST", "/models", content=body, headers={"Content-Type": media_type}
+        )
+        model = ModelView.model_validate_json(response.content)
+        while model.status == "validating":
+            if time.monotonic() > deadline:
+                raise WaitTimeout(f"Model {model.id} is not validated after {timeout:g} s.")
+            time.sleep(_GLANCE_S)
+            model = self.model(model.id)
+        if model.status == "refused":
+            raise Rejected(422, {"detail": model.message, "type": "/problems/bad-model"})
+        return model
+
+    def model(self, model_id: str) -> ModelView:
+        """What is in a model."""
+        response = self._transport.request("GET", f"/models/{quote(model_id, safe=':')}")
+        return ModelView.model_validate_json(response.content)
+
+    def models(self) -> Sequence[ModelView]:
+        """Every model there is."""
+        return self._items("/models", ModelView)
+
+    def delete_model(self, model_id: str) -> None:
+        """Remove a model. Raises Conflict while an unfinished job needs it."""
+        self._transport.request("DELETE", f"/models/{quote(model_id, safe=':')}")
 
     # The service
 

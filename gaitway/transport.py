@@ -53,20 +53,23 @@ class Transport:
     def close(self) -> None:
         self._http.close()
 
-    def request(
+    def request(  # As httpx has it.
         self,
         method: str,
         path: str,
         *,
         params: Params | None = None,
         json: Any = None,
+        content: bytes | None = None,
         headers: Mapping[str, str] | None = None,
     ) -> httpx.Response:
         """The answer, read whole. Raises ApiError, and Unreachable when nothing answered each time."""
         for failures in range(1, self.retry.attempts + 1):
             try:
                 with _reachable(self.base_url):
-                    response = self._http.request(method, path, params=params, json=json, headers=headers)
+                    response = self._http.request(
+                        method, path, params=params, json=json, content=content, headers=headers
+                    )
                 # What a lost answer had deleted already is not there any more: that is success.
                 if response.is_success or (
                     method == "DELETE" and failures > 1 and response.status_code == 404

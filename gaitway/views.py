@@ -158,6 +158,18 @@ class EnvironmentView(BaseModel):
     description: str = ""
 
 
+class ModelView(View):
+    """A body that somebody brought. status: validating, ready or refused; description: what is in it."""
+
+    id: str
+    status: str
+    media_type: str = ""
+    size: int = 0
+    created_at: datetime | None = None
+    description: dict[str, Any] | None = None
+    message: str | None = None
+
+
 class WorkerView(View):
     """A worker that was heard of lately; job: what it works on."""
 

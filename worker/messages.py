@@ -12,6 +12,7 @@ from core.jobs.job import ArtifactRole
 from core.jobs.spec import SentSpec
 from core.jobs.status import Reason
 from core.model import Stored
+from core.physics.availability import EngineName
 
 # Finish the epoch, keep the work, make the video of how far it came, and exit.
 SHOW_AND_GO = signal.SIGTERM
@@ -108,7 +109,8 @@ class Task(Stored):
     """What the supervisor leaves in the spool, as `task.json`, for the training process.
 
     device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to go on from
-    (training), or to take the policy from (rollout). checkpoint_step: the environment step it is of.
+    (training), or to take the policy from (rollout). checkpoint_step: the environment step it is of. model:
+    path of the user's own model, where the job names one; engines that cannot run it, with what keeps them.
     """
 
     job_id: str
@@ -117,3 +119,5 @@ class Task(Stored):
     device: str
     checkpoint: str | None = None
     checkpoint_step: int = 0
+    model: str | None = None
+    engines_that_cannot: dict[EngineName, str] = {}

@@ -9,14 +9,17 @@ from pathlib import Path
 
 import structlog
 
-from core.errors import LeaseLost, NotFound, Rejected, StorageUnavailable
+from core.errors import JobFailed, LeaseLost, NotFound, Rejected, StorageUnavailable
 from core.jobs.attempts import Holding
 from core.jobs.checks import source_checkpoint
 from core.jobs.job import Artifact, Job, utc_now
+from core.jobs.own_model import engines_that_cannot, model_of
 from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
 from core.jobs.status import JobStatus, Reason
+from core.models import library
 from core.patience import CalledOff, through_outages
 from core.settings import WorkerSettings
+from core.storage import keys
 from worker.caches import Caches
 from worker.disk import is_full, what_to_do
 from worker.draining import Draining
@@ -68,6 +71,8 @@ class Supervisor:
             self._conclude(Outcome(None, Reason.WORKER_DRAINED, message))
         except SlotTaken as error:
             self._conclude(Outcome(None, Reason.WORKER_LOST, str(error)))
+        except JobFailed as error:
+            self._conclude(Outcome(JobStatus.FAILED, Reason(error.reason), error.detail))
         except (NotFound, Rejected) as error:
             self._conclude(Outcome(JobStatus.FAILED, Reason.BAD_CHECKPOINT, error.detail))
         except StorageUnavailable as error:
@@ -90,7 +95,7 @@ class Supervisor:
         )
         locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
         with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
-            caches.open(job.spec.environment.id, leaving)
+            caches.open(_cached_as(job), leaving)
             outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
             tracking = Tracking(job, self.holding, spool, self.settings, outbox)
             tracking.begin()
@@ -201,7 +206,8 @@ class _Ear:
 def write_task(job: Job, holding: Holding, device: str, spool: Path) -> None:
     """Leave in the spool what the training process needs: the task, and the checkpoint it starts from.
 
-    Raises Rejected or NotFound where the checkpoint of another job has gone meanwhile.
+    And the user's own model, where it names one. Raises Rejected or NotFound where the checkpoint of another
+    job has gone meanwhile, JobFailed("bad_model") where the model has.
     """
     checkpoint = _checkpoint_to_use(job, holding)
     task = Task(job_id=job.id, attempt=holding.number, spec=job.spec, device=device)
@@ -212,7 +218,21 @@ def write_task(job: Job, holding: Holding, device: str, spool: Path) -> None:
         task = task.model_copy(
             update={"checkpoint": "start.msgpack", "checkpoint_step": checkpoint.step or 0}
         )
+    task = _with_model(task, holding, spool)
     (spool / "task.json").write_text(task.model_dump_json())
+
+
+def _with_model(task: Task, holding: Holding, spool: Path) -> Task:
+    model_id = model_of(task.spec)
+    if model_id is None:
+        return task
+    try:
+        record = library.find(model_id, holding.objects)
+        (spool / "model").write_bytes(holding.objects.get(keys.model_source(model_id)))
+    except NotFound:
+        raise JobFailed("bad_model", f"The model {model_id} was deleted before the job began.") from None
+    cannot = dict(engines_that_cannot(record.description))
+    return task.model_copy(update={"model": "model", "engines_that_cannot": cannot})
 
 
 def _checkpoint_to_use(job: Job, holding: Holding) -> Artifact | None:
@@ -227,6 +247,12 @@ def _checkpoint_to_use(job: Job, holding: Holding) -> Artifact | None:
             return source_checkpoint(job.spec, source, step, "/policy", holding.store.get)
         case _:
             return own
+
+
+def _cached_as(job: Job) -> str:
+    """What is compiled for one model of a user is of no use to another."""
+    model_id = model_of(job.spec) or ""
+    return "-".join(filter(None, (job.spec.environment.id, model_id.removeprefix("sha256:")[:16])))
 
 
 def _checkpoints_kept(job: Job) -> int:

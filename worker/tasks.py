@@ -9,7 +9,7 @@ import structlog
 
 from core.adapters.connect import job_store, object_store
 from core.configuration import read
-from core.errors import Misconfigured
+from core.errors import Misconfigured, NotFound
 from core.jobs.attempts import claim
 from core.jobs.job import utc_now
 from core.patience import CalledOff, pause
@@ -19,8 +19,9 @@ from worker.disk import has_room, what_to_do
 from worker.draining import Draining
 from worker.lifeline import die_with_parent
 from worker.slot import slot_names
-from worker.spool import SPOOLS, remove_left_over
+from worker.spool import SPOOLS, remove_left_over, spool
 from worker.supervisor import Supervisor
+from worker.validation.confined import validate
 
 log = structlog.get_logger()
 
@@ -59,6 +60,15 @@ def run_attempt(job_id: str, attempt: int) -> None:
         log.info("dispatch_ignored")
         return
     Supervisor(holding, settings, device, places, draining=draining).run()
+
+
+def validate_model(model_id: str) -> None:
+    """Look at a model that somebody has sent; one that was deleted meanwhile is passed over."""
+    die_with_parent(signal_number=signal.SIGTERM)
+    settings = read(WorkerSettings)
+    spools = settings.data_dir.absolute() / SPOOLS
+    with spool(spools / f"{model_id.replace(':', '-')}.{os.getpid()}") as folder, suppress(NotFound):
+        validate(model_id, object_store(settings), folder, settings.data_dir.absolute())
 
 
 def _leave_to_others(reason: str, draining: Draining) -> None:

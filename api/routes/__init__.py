@@ -1,6 +1,6 @@
 """Every resource, one file each; to add one, name it here."""
 
-from api.routes import catalog, events, files, health, index, jobs, logs, metrics, problems
+from api.routes import catalog, events, files, health, index, jobs, logs, metrics, models, problems
 
 ROUTERS = (
     jobs.router,
@@ -8,6 +8,7 @@ ROUTERS = (
     metrics.router,
     logs.router,
     files.router,
+    models.router,
     catalog.router,
     health.router,
     problems.router,

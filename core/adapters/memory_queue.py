@@ -22,6 +22,7 @@ class MemoryJobQueue:
     def __init__(self) -> None:
         self._waiting: dict[Dispatch, str] = {}
         self._taken: set[Dispatch] = set()
+        self._models: list[str] = []
         self._lock = Lock()
 
     def enqueue(
@@ -42,6 +43,20 @@ class MemoryJobQueue:
         with self._lock:
             self._waiting.pop(dispatch, None)
             self._taken.discard(dispatch)
+
+    def enqueue_model(self, model_id: str) -> None:
+        with self._lock:
+            if model_id not in self._models:
+                self._models.append(model_id)
+
+    def contains_model(self, model_id: str) -> bool:
+        with self._lock:
+            return model_id in self._models
+
+    def take_model(self) -> str | None:
+        """The next model for a worker, which is done with it at once; None when none waits."""
+        with self._lock:
+            return self._models.pop(0) if self._models else None
 
     def waiting(self) -> Sequence[Dispatch]:
         """What no worker has taken, oldest first."""

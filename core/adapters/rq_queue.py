@@ -16,12 +16,16 @@ from core.jobs.queue import queue_name
 from core.jobs.spec import Accelerator, Priority
 
 TASK = "worker.tasks.run_attempt"
+MODEL_TASK = "worker.tasks.validate_model"
 _KEEP_FAILURES = timedelta(days=1)
 _NO_LIMIT = -1  # the supervisor keeps the deadline
 
 
 class RQQueue:
-    """A JobQueue whose workers are RQ's; they call `TASK` with the job's id and the attempt."""
+    """A JobQueue whose workers are RQ's; they call `TASK` with the job's id and the attempt.
+
+    And `MODEL_TASK` with a model's id.
+    """
 
     def __init__(self, client: "Redis") -> None:
         self._redis: Any = client
@@ -31,18 +35,36 @@ class RQQueue:
         self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
     ) -> None:
         name = queue_name(accelerator, priority, gpus)
-        queue = Queue(name, connection=self._redis, serializer=JSONSerializer)
-        try:
-            self._push(queue, job_id, attempt)
-        except DuplicateJobError:
-            # RQ may know an attempt that it has lost: its worker died between taking it and starting it.
-            if not self.contains(job_id, attempt):
-                self.remove(job_id, attempt)
-                self._push(queue, job_id, attempt)
+        self._enqueue(name, _rq_id(job_id, attempt), TASK, (job_id, attempt))
 
     @reaching_redis()
     def contains(self, job_id: str, attempt: int) -> bool:
-        found = self._find(job_id, attempt)
+        return self._contains(_rq_id(job_id, attempt))
+
+    @reaching_redis()
+    def remove(self, job_id: str, attempt: int) -> None:
+        self._remove(_rq_id(job_id, attempt))
+
+    @reaching_redis()
+    def enqueue_model(self, model_id: str) -> None:
+        self._enqueue("gaitway-any-high", _model_rq_id(model_id), MODEL_TASK, (model_id,))
+
+    @reaching_redis()
+    def contains_model(self, model_id: str) -> bool:
+        return self._contains(_model_rq_id(model_id))
+
+    def _enqueue(self, name: str, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
+        queue = Queue(name, connection=self._redis, serializer=JSONSerializer)
+        try:
+            _push(queue, rq_id, task, args)
+        except DuplicateJobError:
+            # RQ may know one that it has lost: its worker died between taking it and starting it.
+            if not self._contains(rq_id):
+                self._remove(rq_id)
+                _push(queue, rq_id, task, args)
+
+    def _contains(self, rq_id: str) -> bool:
+        found = self._find(rq_id)
         if found is None:
             return False
         if found.get_status(refresh=False) == RQStatus.QUEUED:
@@ -52,36 +74,40 @@ class RQQueue:
         # Started: as long as the worker that took it prolongs its entry.
         return self._redis.zcount(found.execution_registry.key, time.time(), "+inf") > 0
 
-    @reaching_redis()
-    def remove(self, job_id: str, attempt: int) -> None:
-        found = self._find(job_id, attempt)
+    def _remove(self, rq_id: str) -> None:
+        found = self._find(rq_id)
         if found is not None:
             found.delete()
 
-    def _push(self, queue: Queue, job_id: str, attempt: int) -> None:
-        queue.enqueue_call(  # pyright: ignore[reportUnknownMemberType]
-            TASK,
-            args=(job_id, attempt),
-            job_id=_rq_id(job_id, attempt),
-            unique=True,
-            timeout=_NO_LIMIT,
-            result_ttl=0,
-            failure_ttl=int(_KEEP_FAILURES.total_seconds()),
-        )
-
-    def _find(self, job_id: str, attempt: int) -> RQJob | None:
+    def _find(self, rq_id: str) -> RQJob | None:
         try:
             return RQJob.fetch(  # pyright: ignore[reportUnknownMemberType]
-                _rq_id(job_id, attempt), connection=self._redis, serializer=JSONSerializer
+                rq_id, connection=self._redis, serializer=JSONSerializer
             )
         except NoSuchJobError:
             return None
 
 
-def job_of(rq_id: str) -> str:
-    """The job that RQ's name for an attempt belongs to."""
-    return rq_id.rpartition("_")[0]
+def _push(queue: Queue, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
+    queue.enqueue_call(  # pyright: ignore[reportUnknownMemberType]
+        task,
+        args=args,
+        job_id=rq_id,
+        unique=True,
+        timeout=_NO_LIMIT,
+        result_ttl=0,
+        failure_ttl=int(_KEEP_FAILURES.total_seconds()),
+    )
+
+
+def job_of(rq_id: str) -> str | None:
+    """The job that RQ's name for an attempt belongs to; None for a model's validation."""
+    return rq_id.rpartition("_")[0] or None
 
 
 def _rq_id(job_id: str, attempt: int) -> str:
     return f"{job_id}_{attempt}"
+
+
+def _model_rq_id(model_id: str) -> str:
+    return model_id.replace(":", "-")

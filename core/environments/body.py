@@ -24,7 +24,7 @@ class Body(ABC):
         *,
         num_substeps: int,
         observation_size: int,
-        tracked_body: str,
+        tracked_body: str | int,
     ) -> None:
         self.model = model
         self.engine = engine

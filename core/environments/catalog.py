@@ -3,7 +3,8 @@
 import difflib
 from collections.abc import Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 from pydantic import ValidationError
 
@@ -14,6 +15,7 @@ from core.environments.hopper.info import INFO as HOPPER
 from core.environments.humanoid.info import INFO as HUMANOID
 from core.environments.info import EnvironmentInfo
 from core.environments.inverted_pendulum.info import INFO as INVERTED_PENDULUM
+from core.environments.mjcf.info import INFO as MJCF
 from core.environments.reacher.info import INFO as REACHER
 from core.environments.rodent.info import INFO as RODENT
 from core.environments.walker2d.info import INFO as WALKER2D
@@ -26,7 +28,10 @@ if TYPE_CHECKING:
 
 ENVIRONMENTS: dict[str, EnvironmentInfo] = {
     info.id: info
-    for info in (ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, CORRIDOR, INVERTED_PENDULUM, REACHER)
+    for info in (
+        *(ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, CORRIDOR, INVERTED_PENDULUM, REACHER),
+        MJCF,
+    )
 }
 
 
@@ -49,16 +54,37 @@ def parse_options(info: EnvironmentInfo, options: Mapping[str, object]) -> Stric
     try:
         return info.options.model_validate(dict(options))
     except ValidationError as error:
-        problems = [_problem(info, details["loc"], details["msg"]) for details in error.errors()]
+        problems = [_problem(info, _place(details, options), details["msg"]) for details in error.errors()]
         sentences = " ".join(problem.detail for problem in problems)
         raise Rejected(f"The options of {info.id!r} are not valid. {sentences}", problems) from None
 
 
-def make(info: EnvironmentInfo, options: Strict, build_engine: "EngineBuilder") -> "Environment":
-    """The environment itself; only now is its code loaded, and with it the numerical stack."""
+def make(
+    info: EnvironmentInfo, options: Strict, build_engine: "EngineBuilder", model: Path | None = None
+) -> "Environment":
+    """The environment itself; only now is its code loaded, and with it the numerical stack.
+
+    model: the file that the options name, for an environment that takes one.
+    """
     module, _, function = info.factory.partition(":")
     factory = getattr(import_module(module), function)
-    return cast("Environment", factory(options, build_engine))
+    own = {"model": model} if info.takes_model else {}
+    return cast("Environment", factory(options, build_engine, **own))
+
+
+def _place(error: Mapping[str, Any], options: object) -> tuple[int | str, ...]:
+    """Where the error is in the options: pydantic's marks of unions are not in them."""
+    place: list[int | str] = []
+    here: Any = options
+    last = len(error["loc"]) - 1
+    for number, part in enumerate(error["loc"]):
+        try:
+            here = here[part]
+        except (KeyError, IndexError, TypeError):
+            if number < last or error["type"] != "missing":
+                continue
+        place.append(part)
+    return tuple(place)
 
 
 def _problem(info: EnvironmentInfo, location: tuple[int | str, ...], message: str) -> Problem:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from core.model import Strict
+from core.physics.availability import EngineName
 
 Device = Literal["cpu", "gpu"]
 
@@ -18,7 +19,9 @@ class EnvironmentInfo:
     """One row of the catalog.
 
     factory: `module:function`, called as `factory(options, engine_factory)`; see `catalog.make`.
-    observation_size, action_size: with default options. dt: seconds between actions.
+    observation_size, action_size: with default options. dt: seconds between actions. None where these
+    depend on the model that the options name. takes_model: whether they name one; its file goes to the
+    factory as `model`.
     cameras: the names the model gives its cameras, in their order; `track` is always there besides.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
     cannot_run: engines that cannot run it, and why. vary: the fields above that are others under some
@@ -28,15 +31,16 @@ class EnvironmentInfo:
     id: str
     description: str
     factory: str
-    observation_size: int
-    action_size: int
-    dt: float
+    observation_size: int | None
+    action_size: int | None
+    dt: float | None
     episode_length: int
     tracked_body: str
     cameras: tuple[str, ...] = ()
     options: type[Strict] = NoOptions
+    takes_model: bool = False
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
-    cannot_run: Mapping[str, str] = field(default_factory=dict[str, str])
+    cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
     vary: Callable[[Any], Mapping[str, Any]] | None = None
 
     def under(self, options: Strict) -> "EnvironmentInfo":

@@ -1,16 +1,21 @@
 """What can be known to be wrong before a job is stored: each refusal names the place and the way out."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from core.algorithms.ppo.spec import PPOSpec, check_resumption, check_sharing, resolve
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.mjcf.info import MjcfOptions
 from core.errors import EnvironmentNotFound, JobNotFound, Problem, Rejected
 from core.jobs.job import Artifact, Job
+from core.jobs.own_model import engines_that_cannot, own_model
 from core.jobs.spec import Accelerator, CheckpointPolicy, ConstantPolicy, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import JobStore
+from core.models.record import Description
 from core.physics.availability import check_physics
 from core.rendering.camera import check_camera
+from core.storage.objects import ObjectStore
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
@@ -18,10 +23,13 @@ DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": 
 _MOST_ROLLOUT_STEPS = 1_000_000
 
 
-def check(spec: JobSpec, store: JobStore) -> None:
+def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
     """Raises Rejected with every problem of the first group that has one."""
     info = _environment(spec)
-    info = info.under(catalog.parse_options(info, spec.environment.options))
+    options = catalog.parse_options(info, spec.environment.options)
+    info = info.under(options)
+    if isinstance(options, MjcfOptions):
+        info = _row_of(info, own_model(options, objects))
     check_physics(spec.physics, info.id, info.cannot_run)
     check_camera(spec.video.camera, info.cameras)
     _check_gpus(spec)
@@ -51,6 +59,17 @@ def _check_gpus(spec: JobSpec) -> None:
         problems = [Problem("/resources/gpus", detail)]
     if problems:
         raise Rejected(problems[0].detail, problems)
+
+
+def _row_of(info: EnvironmentInfo, description: Description) -> EnvironmentInfo:
+    """The catalog's row, with what depends on the model."""
+    has = description.inventory
+    return replace(
+        info,
+        action_size=has.sizes.nu,
+        cameras=tuple(has.cameras),
+        cannot_run=engines_that_cannot(description),
+    )
 
 
 def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:

@@ -4,12 +4,15 @@ from typing import Protocol
 
 from core.devices import gpu_indices
 from core.jobs.spec import Accelerator, Priority
+from core.models.queue import ModelQueue
 
 PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
 
 
-class JobQueue(Protocol):
-    """At-least-once dispatch; a job handed out twice is claimed once, by the store's compare-and-set.
+class JobQueue(ModelQueue, Protocol):
+    """At-least-once dispatch, of jobs and of models.
+
+    A job handed out twice is claimed once, by the store's compare-and-set.
 
     Every method raises RecordsUnavailable when the queue cannot be reached.
     """

@@ -33,7 +33,7 @@ def submit(
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
         return known
-    check(spec, store)
+    check(spec, store, objects)
     job = Job(id=new_job_id(now), spec=spec, created_at=now)
     objects.put(keys.spec(job.id), job.model_dump_json().encode(), media_type="application/json")
     try:

@@ -3,13 +3,14 @@
 import copy
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.physics.engine import SolverSettings
+if TYPE_CHECKING:  # What only reads a model shall not load JAX.
+    from core.physics.engine import SolverSettings
 
 _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
 
@@ -51,7 +52,7 @@ def initial_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
     return model.qpos0.copy()
 
 
-def with_solver(model: mujoco.MjModel, settings: SolverSettings | None) -> mujoco.MjModel:
+def with_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
     """A copy of the model under these solver settings; without any, an unchanged copy."""
     changed = copy.copy(model)
     if settings is None:

@@ -4,6 +4,8 @@ jobs/<id>/spec.json                            the submission, before it is answ
 jobs/<id>/record.json                          the job as it was after its newest transition that mattered
 jobs/<id>/attempts/<n>/manifest.json           what readers may see of an attempt, written after its files
 jobs/<id>/attempts/<n>/<name>                  its files
+models/<hash>/source                           a user's own model, as it was sent
+models/<hash>/record.json                      what a worker found in it
 caches/<machine>/<environment>/<when>/<name>   what machines of a kind compiled for it; all of it may be lost
 """
 
@@ -26,6 +28,23 @@ def manifest(job_id: str, attempt: int) -> str:
 
 def artifact(job_id: str, attempt: int, name: str) -> str:
     return f"jobs/{job_id}/attempts/{attempt}/{name}"
+
+
+def models() -> str:
+    return "models/"
+
+
+def model(model_id: str) -> str:
+    """model_id: `sha256:` and the hash."""
+    return f"models/{model_id.removeprefix('sha256:')}/"
+
+
+def model_source(model_id: str) -> str:
+    return f"{model(model_id)}source"
+
+
+def model_record(model_id: str) -> str:
+    return f"{model(model_id)}record.json"
 
 
 def caches() -> str:

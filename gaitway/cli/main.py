@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli import doctor, files, jobs, services, submit, watch
+from gaitway.cli import doctor, files, jobs, models, services, submit, watch
 from gaitway.cli.errors import Group
 from gaitway.client import Client
 
@@ -46,5 +46,6 @@ for command in (
     services.up,
 ):
     app.command()(command)
+app.add_typer(models.models, name="models")
 for command in (services.demo, services.api, services.worker):
     app.command(context_settings=services.PASS_ON)(command)

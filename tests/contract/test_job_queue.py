@@ -12,12 +12,13 @@ from rq.serializers import JSONSerializer
 
 from core.adapters.connect import connect_redis
 from core.adapters.memory_queue import Dispatch, MemoryJobQueue
-from core.adapters.rq_queue import TASK, RQQueue
+from core.adapters.rq_queue import MODEL_TASK, TASK, RQQueue, job_of
 from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_names
 from gaitway.embedded.valkey import Valkey
 
 JOB = "019aa3c2f0b1-5be0c1d2e3"
+MODEL = "sha256:" + "0" * 64
 OTHER = "019aa3c2f0b2-5be0c1d2e3"
 
 
@@ -50,6 +51,13 @@ class TestEveryQueue:
         queue.remove(JOB, 1)
         assert queue.contains(JOB, 2)
 
+    def test_a_model_that_was_enqueued_is_contained_and_no_job(self, queue: JobQueue) -> None:
+        queue.enqueue_model(MODEL)
+        queue.enqueue_model(MODEL)
+        assert queue.contains_model(MODEL)
+        assert not queue.contains_model(MODEL.replace("0", "1"))
+        assert not queue.contains(JOB, 1)
+
 
 class TestMemory:
     def test_workers_take_the_most_urgent_that_fits_once(self) -> None:
@@ -81,6 +89,12 @@ class TestRQ:
         assert (rq_job.func_name, tuple(rq_job.args)) == (TASK, (JOB, 3))
         # RQ must neither stop the job, nor keep its result, nor start a second copy of it.
         assert (rq_job.timeout, rq_job.result_ttl, rq_job.retries_left) == (-1, 0, None)
+
+    def test_a_worker_finds_the_model_before_all_jobs(self, redis_client: redis.Redis) -> None:
+        RQQueue(redis_client).enqueue_model(MODEL)
+        (rq_job,) = waiting(redis_client, "gaitway-any-high")
+        assert (rq_job.func_name, tuple(rq_job.args)) == (MODEL_TASK, (MODEL,))
+        assert job_of(rq_job.id) is None
 
     def test_every_queue_is_served_by_some_worker(self, redis_client: redis.Redis) -> None:
         served = {*queue_names("cpu"), *queue_names("gpu:0")}

@@ -4,8 +4,9 @@ import os
 import platform
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -65,11 +66,14 @@ def load_body(task: Task) -> Body:
     info = catalog.find(task.spec.environment.id)
     options = catalog.parse_options(info, task.spec.environment.options)
     info = info.under(options)
+    if task.model:
+        info = replace(info, cannot_run=task.engines_that_cannot)
     num_worlds = _num_worlds(task.spec, info, device) // num_devices
     choice = choose(task.spec.physics, device, info.id, num_worlds, info.cannot_run)
     if choice.name == "warp":
         keep_warp_kernels()
-    environment = catalog.make(info, options, engine_builder(choice.name))
+    model = Path(task.model).absolute() if task.model else None  # It lies in the spool, where we stand.
+    environment = catalog.make(info, options, engine_builder(choice.name), model)
     environment = randomize(environment, task.spec.randomization)
     name = _named(found[:num_devices]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
     return Body(info, environment, device, name, choice.name, choice.reason, num_devices)

@@ -31,7 +31,9 @@ def build(environment_id: str, **options: object) -> Case:
     return Case(info, environment, jax.jit(jax.vmap(environment.reset)), jax.jit(jax.vmap(environment.step)))
 
 
-@pytest.fixture(scope="module", params=list(catalog.ENVIRONMENTS))
+@pytest.fixture(
+    scope="module", params=[name for name, info in catalog.ENVIRONMENTS.items() if not info.takes_model]
+)
 def case(request: pytest.FixtureRequest) -> Case:
     return build(request.param)
 

@@ -82,8 +82,8 @@ def test_tuned_values_are_complete_and_go_together(info: EnvironmentInfo, device
 @pytest.mark.parametrize("info", INFOS, ids=lambda info: info.id)
 def test_an_environment_can_be_described_in_json(info: EnvironmentInfo) -> None:
     schema = info.options.model_json_schema()
-    described = info.options().model_dump_json()
-    assert info.options.model_validate_json(described) == info.options()
+    options = info.options(**({"model": "sha256:" + "0" * 64} if info.takes_model else {}))
+    assert info.options.model_validate_json(options.model_dump_json()) == options
     assert set(schema.get("properties", {})) == set(info.options.model_fields)
 
 

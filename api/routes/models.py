@@ -1,0 +1,140 @@
+"""Bodies that users bring: send one, look at what is in it, forget it."""
+
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Annotated, Any, Self
+
+from anyio import sleep
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Depends, Path, Request, Response
+from pydantic import Field
+
+from api.dependencies import Service, ServiceDep
+from api.errors import BodyTooLarge, UnsupportedMediaType
+from api.problems import refusals
+from api.submissions import read_body
+from api.views import Listing, View
+from core.environments.mjcf.archive import is_zip
+from core.errors import BadModel, ModelInUse, ModelNotFound, RecordsUnavailable, StorageUnavailable
+from core.jobs.job import utc_now
+from core.jobs.model_removal import remove_model
+from core.models import library
+from core.models.record import Description, ModelRecord, ModelStatus
+
+router = APIRouter(tags=["models"])
+
+XML, ZIP = "application/xml", "application/zip"
+_KNOWN = {XML: XML, "text/xml": XML, ZIP: ZIP, "application/x-zip-compressed": ZIP}
+# How long a client waits for the answer itself, before it is told where to ask for it.
+_PATIENCE_S = 5.0
+_GLANCE_S = 0.1
+_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            XML: {"schema": {"type": "string", "description": "MJCF or URDF that names no other file."}},
+            ZIP: {
+                "schema": {
+                    "type": "string",
+                    "format": "binary",
+                    "description": "The same with its meshes and textures.",
+                }
+            },
+        },
+    }
+}
+ModelId = Annotated[str, Path(description="What `POST /models` answered.", examples=["sha256:9f86d08188…"])]
+
+
+class ModelView(View):
+    """A model. description: once it is `ready`; message: why it was `refused`; size: bytes."""
+
+    id: str
+    status: ModelStatus
+    media_type: str
+    size: int
+    created_at: datetime
+    description: Description | None = Field(description="What is in it, and which engines can run it.")
+    message: str | None
+    links: dict[str, str]
+
+    @classmethod
+    def of(cls, record: ModelRecord) -> Self:
+        return cls(**dict(record), links={"self": f"/models/{record.id}"})
+
+
+async def _sent(request: Request, service: ServiceDep) -> tuple[bytes, str]:
+    said = request.headers.get("content-type", "")
+    media_type = _KNOWN.get(said.partition(";")[0].strip().lower())
+    if media_type is None:
+        raise UnsupportedMediaType(said, what="a model", accepted=(XML, ZIP))
+    body = await read_body(request, service.settings.max_model_bytes)
+    if (media_type == ZIP) != is_zip(body):
+        raise BadModel(f"The file is {'a' if is_zip(body) else 'no'} zip, and was sent as {media_type}.")
+    return body, media_type
+
+
+@router.post(
+    "/models",
+    status_code=201,
+    openapi_extra=_BODY,
+    response_model=ModelView,
+    response_description="It can be used",
+    responses={
+        200: {"model": ModelView, "description": "It is known already"},
+        202: {"model": ModelView, "description": "A worker has yet to look at it; ask at the Location"},
+        **refusals(BodyTooLarge, UnsupportedMediaType, BadModel, StorageUnavailable, RecordsUnavailable),
+    },
+)
+async def add_model(
+    sent: Annotated[tuple[bytes, str], Depends(_sent)], service: ServiceDep, response: Response
+) -> ModelView:
+    """Bring a body of your own: MJCF, or URDF. The same bytes are the same model."""
+    record = await run_sync(_add, *sent, service)
+    response.status_code = 200 if record.status == "ready" else 201
+    record = await _settled(record, service)
+    if record.status == "refused":
+        raise await run_sync(library.refused, record, service.objects)
+    if record.status == "validating":
+        response.status_code = 202
+    if not record.is_settled:
+        response.headers["Retry-After"] = "2"
+    response.headers["Location"] = f"/models/{record.id}"
+    return ModelView.of(record)
+
+
+@router.get("/models", responses=refusals(StorageUnavailable))
+def list_models(service: ServiceDep) -> Listing[ModelView]:
+    """Every model there is."""
+    items: Sequence[ModelView] = [ModelView.of(record) for record in library.every(service.objects)]
+    return Listing[ModelView](items=items)
+
+
+@router.get("/models/{model_id}", responses=refusals(ModelNotFound, StorageUnavailable))
+def read_model(model_id: ModelId, service: ServiceDep) -> ModelView:
+    """What is in a model, or how far its validation is."""
+    return ModelView.of(library.ask_again(library.find(model_id, service.objects), service.queue))
+
+
+@router.delete(
+    "/models/{model_id}",
+    status_code=204,
+    responses=refusals(ModelNotFound, ModelInUse, StorageUnavailable, RecordsUnavailable),
+)
+def delete_model(model_id: ModelId, service: ServiceDep) -> None:
+    """Remove a model that no unfinished job needs."""
+    remove_model(model_id, store=service.store, objects=service.objects)
+
+
+def _add(body: bytes, media_type: str, service: Service) -> ModelRecord:
+    return library.add(body, media_type, objects=service.objects, queue=service.queue, now=utc_now())
+
+
+async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
+    """The record once a worker is done with the model, or as it is when patience ends."""
+    until = time.monotonic() + _PATIENCE_S
+    while not record.is_settled and time.monotonic() < until and not service.stopping:
+        await sleep(_GLANCE_S)
+        record = await run_sync(library.find, record.id, service.objects)
+    return record

@@ -1,0 +1,200 @@
+"""The file that a model comes as: one XML, or a zip of it and its meshes and textures.
+
+Checked without unpacking anything, and without MuJoCo: the API does it before it stores a byte.
+"""
+
+import io
+import posixpath
+import stat
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from core.environments.mjcf.document import Document, parse
+from core.errors import BadModel
+
+MAX_FILES = 1000
+MAX_DOCUMENTS = 50
+MAX_REFERENCES, MAX_FOLDERS = 5000, 8
+MAX_FILE_BYTES = 64 * 2**20
+MAX_TOTAL_BYTES = 256 * 2**20
+MAX_XML_BYTES = 16 * 2**20
+# No mesh and no texture packs so well; a little that does is harmless.
+_MAX_RATIO, _HARMLESS_BYTES = 100, 2**20
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_DOCUMENTS = (".xml", ".mjcf", ".urdf")
+# Of several documents that no other includes, the one that is meant.
+_MAIN = ("scene", "model")
+_ZIP = b"PK\x03\x04"
+# What zipfile raises at files that are none, or not whole.
+_BROKEN = (zipfile.BadZipFile, EOFError, OSError, RuntimeError, ValueError)
+_LITTER = ("__MACOSX", ".DS_Store")
+
+
+@dataclass(frozen=True)
+class Archive:
+    """main: the document's path among the files. names: of all files, in the archive."""
+
+    body: bytes
+    main: str
+    names: tuple[str, ...]
+
+    def unpack(self, folder: Path) -> Path:
+        """Write the files below an empty folder; where the main document is then."""
+        for name in self.names:
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(_content(self.body, name))
+        return folder / self.main
+
+
+def is_zip(body: bytes) -> bool:
+    return body.startswith(_ZIP)
+
+
+def examine(body: bytes) -> Archive:
+    """What is in the file. Raises BadModel where it may not be unpacked, or lacks what it names."""
+    if not is_zip(body):
+        if len(body) > MAX_XML_BYTES:
+            raise BadModel(f"The document has {len(body):,} bytes, and {MAX_XML_BYTES:,} are allowed.")
+        document = parse("the document", body)
+        main = "model.urdf" if document.root == "robot" else "model.xml"
+        if document.references:
+            raise BadModel(
+                f"The document names the file {document.references[0].file!r}: send both in a zip."
+            )
+        _check_root(main, document)
+        return Archive(body, main, (main,))
+    names = _names(body)
+    if sum(name.lower().endswith(_DOCUMENTS) for name in names) > MAX_DOCUMENTS:
+        raise BadModel(f"The zip has more than {MAX_DOCUMENTS} documents.")
+    documents = {
+        name: parse(name, _content(body, name)) for name in names if name.lower().endswith(_DOCUMENTS)
+    }
+    main = _main(documents)
+    _check_root(main, documents[main])
+    _check_references(main, documents, names)
+    return Archive(body, main, tuple(names))
+
+
+def _content(body: bytes, name: str) -> bytes:
+    if not is_zip(body):
+        return body
+    try:
+        with zipfile.ZipFile(io.BytesIO(body)) as archive, archive.open(name) as file:
+            # Never more than was announced, whatever is packed.
+            return file.read(MAX_FILE_BYTES)
+    except (*_BROKEN, zlib.error) as error:
+        raise BadModel(f"{name!r} cannot be unpacked: {error}.") from None
+
+
+def _names(body: bytes) -> list[str]:
+    """The files in a zip. Raises BadModel for what could hurt once it is unpacked."""
+    if body.count(b"PK\x01\x02") > 2 * MAX_FILES:  # Each entry begins so; a mesh may hold these bytes, too.
+        raise BadModel(f"The zip has more than {MAX_FILES:,} entries.")
+    try:
+        with zipfile.ZipFile(io.BytesIO(body)) as archive:
+            entries = archive.infolist()
+    except _BROKEN as error:
+        raise BadModel(f"The zip cannot be read: {error}.") from None
+    if len(entries) > MAX_FILES:
+        raise BadModel(f"The zip has {len(entries):,} entries, and {MAX_FILES:,} are allowed.")
+    files = [entry for entry in entries if not entry.is_dir() and not _is_litter(entry.filename)]
+    for entry in entries:
+        _check_entry(entry)
+    total, packed = sum(entry.file_size for entry in files), max(1, len(body))
+    if total > MAX_TOTAL_BYTES:
+        raise BadModel(f"Unpacked, the zip has {total:,} bytes, and {MAX_TOTAL_BYTES:,} are allowed.")
+    if total > _HARMLESS_BYTES and total / packed > _MAX_RATIO:
+        raise BadModel(f"The zip unpacks to {total / packed:.0f} times its size; {_MAX_RATIO} is the most.")
+    names = [entry.filename for entry in files]
+    folded = [name.casefold() for name in names]
+    if twice := next((name for name in names if folded.count(name.casefold()) > 1), None):
+        raise BadModel(f"The zip has {twice!r} more than once.")
+    return names
+
+
+def _is_litter(name: str) -> bool:
+    return any(part in _LITTER for part in name.split("/"))
+
+
+def _check_entry(entry: zipfile.ZipInfo) -> None:
+    name = entry.filename
+    parts = name.removesuffix("/").split("/")
+    if name.startswith("/") or "\\" in name or ":" in name or not name.isprintable():
+        raise BadModel(f"{name!r} is no path below the archive.")
+    if any(part in ("", ".", "..") for part in parts) or len(name.encode()) > 500 or len(parts) > 20:
+        raise BadModel(f"{name!r} is no path below the archive.")
+    kind = stat.S_IFMT(entry.external_attr >> 16)
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        raise BadModel(f"{name!r} is a link or a device; only files and folders are allowed.")
+    if entry.flag_bits & 1:
+        raise BadModel(f"{name!r} is encrypted.")
+    if entry.compress_type not in _METHODS:
+        raise BadModel(f"{name!r} is packed in a way other than `deflate`.")
+    limit = MAX_XML_BYTES if name.lower().endswith(_DOCUMENTS) else MAX_FILE_BYTES
+    if entry.file_size > limit:
+        raise BadModel(f"{name!r} has {entry.file_size:,} bytes, and {limit:,} are allowed.")
+
+
+def _main(documents: Mapping[str, Document]) -> str:
+    """The document that no other includes."""
+    included = {
+        posixpath.basename(reference.file)
+        for document in documents.values()
+        for reference in document.references
+        if reference.element in ("include", "model")
+    }
+    free = [name for name in documents if posixpath.basename(name) not in included]
+    named = [name for word in _MAIN for name in free if posixpath.basename(name).partition(".")[0] == word]
+    if len(free) == 1 or named:
+        return (named or free)[0]
+    if not free:
+        raise BadModel("The zip has no .xml or .urdf that no other includes.")
+    raise BadModel(
+        f"The zip has {len(free)} documents that no other includes ({', '.join(sorted(free)[:5])}): call the "
+        "one that is meant scene.xml or model.xml."
+    )
+
+
+def _check_root(name: str, document: Document) -> None:
+    if document.root not in ("mujoco", "robot"):
+        raise BadModel(f"{name}: its root is <{document.root[:60]}>, and MJCF's is <mujoco>, URDF's <robot>.")
+
+
+def _check_references(main: str, documents: Mapping[str, Document], names: list[str]) -> None:
+    """Every file that some document names is in the archive, whichever folder MuJoCo counts it from."""
+    folders = ["", *{folder for document in documents.values() for folder in document.folders}]
+    if len(folders) > MAX_FOLDERS:
+        raise BadModel(f"The documents look for files in more than {MAX_FOLDERS} folders.")
+    if sum(len(document.references) for document in documents.values()) > MAX_REFERENCES:
+        raise BadModel(f"The documents name more than {MAX_REFERENCES:,} files.")
+    known = set(names)
+    for name, document in documents.items():
+        bases = {posixpath.dirname(main), posixpath.dirname(name)}
+        for folder in document.folders:
+            for base in bases:
+                _inside(name, posixpath.join(base, folder), folder)
+        for reference in document.references:
+            file = reference.file.removeprefix("package://")
+            paths = [
+                _inside(name, posixpath.join(base, folder, file), file)
+                for base in bases
+                for folder in folders
+            ]
+            bare = posixpath.basename(file)  # With the compiler's `strippath`, and in every URDF.
+            paths += [
+                posixpath.normpath(posixpath.join(base, folder, bare)) for base in bases for folder in folders
+            ]
+            if not known.intersection(paths):
+                raise BadModel(f"{name} names the file {reference.file!r}, which is not in the zip.")
+
+
+def _inside(name: str, path: str, said: str) -> str:
+    """The path made plain; raises BadModel where it leaves the archive."""
+    plain = posixpath.normpath(path)
+    if said.startswith("/") or "\\" in said or ":" in said or plain.split("/")[0] == "..":
+        raise BadModel(f"{name} names {said!r}, which is outside the archive.")
+    return plain

@@ -1,0 +1,87 @@
+"""Whether the terms of a job go together with the model that it names."""
+
+import difflib
+from collections.abc import Iterator, Sequence
+
+from core.environments.mjcf.info import MjcfOptions
+from core.environments.mjcf.inventory import Inventory, Kind
+from core.environments.mjcf.vocabulary import Activation, Qpos, Reset, Sensors
+from core.errors import Problem
+from core.model import Strict
+
+_OPTIONS = "/environment/options"
+_MOST_NAMES = 20
+# The fields of terms that name something, and of what kind.
+_NAMING: dict[str, Kind] = {
+    "body": "body",
+    "target": "body",
+    "bodies": "body",
+    "geoms": "geom",
+    "against": "geom",
+    "joints": "joint",
+    "names": "sensor",
+}
+
+
+def problems(options: MjcfOptions, model: Inventory) -> list[Problem]:
+    """Each place where the options ask for what the model has not got."""
+    found = list(_of_name(options.root, f"{_OPTIONS}/root", "body", model))
+    for field in ("reward", "observation", "termination"):
+        terms: Sequence[Strict] = getattr(options, field) or ()
+        for number, term in enumerate(terms):
+            found += _of_term(term, f"{_OPTIONS}/{field}/{number}", model)
+            if isinstance(term, Qpos) and term.root_position is not None:
+                found += _of_root(options.root or model.root, f"{_OPTIONS}/{field}/{number}", model)
+    return [*found, *_of_reset(options.reset, model)]
+
+
+def _of_term(term: Strict, pointer: str, model: Inventory) -> Iterator[Problem]:
+    for field, kind in _NAMING.items():
+        named: str | list[str] | None = getattr(term, field, None)
+        if isinstance(named, list):
+            for number, name in enumerate(named):
+                yield from _of_name(name, f"{pointer}/{field}/{number}", kind, model)
+        else:
+            yield from _of_name(named, f"{pointer}/{field}", kind, model)
+    if isinstance(term, Sensors) and not model.sensors:
+        yield Problem(pointer, "The model has no sensors.")
+    if isinstance(term, Activation) and not model.sizes.na:
+        yield Problem(pointer, "None of the model's actuators has a state (na = 0).")
+
+
+def _of_root(root: str, pointer: str, model: Inventory) -> Iterator[Problem]:
+    if not any(joint.type == "free" and joint.body == root for joint in model.joints):
+        yield Problem(
+            f"{pointer}/root_position",
+            f"The body {root!r} has no free joint, so qpos does not hold its position: leave "
+            "root_position out.",
+        )
+
+
+def _of_name(name: str | None, pointer: str, kind: Kind, model: Inventory) -> Iterator[Problem]:
+    known = model.names(kind)
+    if name is None or name in known:
+        return
+    what = "joint with a range" if kind == "joint" else kind
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    if near:
+        hint = f"did you mean {' or '.join(map(repr, near))}?"
+    elif known:
+        hint = f"it has {', '.join(known[:_MOST_NAMES])}{', …' if len(known) > _MOST_NAMES else ''}."
+    else:
+        hint = "it has none that has a name."
+    yield Problem(pointer, f"The model has no {what} {name!r}; {hint}")
+
+
+def _of_reset(reset: Reset, model: Inventory) -> Iterator[Problem]:
+    if reset.qpos is not None and len(reset.qpos) != model.sizes.nq:
+        yield Problem(
+            f"{_OPTIONS}/reset/qpos",
+            f"The model has {model.sizes.nq} positions (nq); {len(reset.qpos)} were given.",
+        )
+    known = model.keyframes
+    there = reset.keyframe in known if isinstance(reset.keyframe, str) else (reset.keyframe or 0) < len(known)
+    if reset.keyframe is not None and not there:
+        named = ", ".join(filter(None, known))
+        has = f"it has {len(known)}{f', among them {named}' if named else ''}" if known else "it has none"
+        yield Problem(f"{_OPTIONS}/reset/keyframe", f"The model has no keyframe {reset.keyframe!r}; {has}.")

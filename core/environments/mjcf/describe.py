@@ -1,0 +1,96 @@
+"""What is in a compiled model."""
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+from core.environments.mjcf.inventory import Actuator, Inventory, Joint, Sensor, Sizes
+from core.physics.model import initial_qpos
+
+_TYPES: dict[Any, Literal["free", "ball", "slide", "hinge"]] = {
+    mujoco.mjtJoint.mjJNT_FREE: "free",
+    mujoco.mjtJoint.mjJNT_BALL: "ball",
+    mujoco.mjtJoint.mjJNT_SLIDE: "slide",
+    mujoco.mjtJoint.mjJNT_HINGE: "hinge",
+}
+
+
+def inventory(model: mujoco.MjModel) -> Inventory:
+    """The model's parts, by name."""
+    root = root_of(model)
+    kinds = _joint_types(model, root)
+    return Inventory(
+        joints=[_joint(model, number) for number in range(model.njnt)],
+        actuators=[_actuator(model, number) for number in range(model.nu)],
+        sensors=[_sensor(model, number) for number in range(model.nsensor)],
+        bodies=_names(model.body, model.nbody),
+        geoms=_names(model.geom, model.ngeom),
+        cameras=[model.camera(number).name for number in range(model.ncam)],
+        keyframes=[model.key(number).name for number in range(model.nkey)],
+        sizes=Sizes(**{name: int(getattr(model, name)) for name in Sizes.model_fields}),
+        root=model.body(root).name,
+        has_free_joint="free" in kinds,
+        travels=bool({"free", "slide"} & set(kinds)),
+        initial_height=height_of(model, initial_qpos(model), root),
+        mass_kg=float(model.body_mass.sum()),
+        timestep_s=float(model.opt.timestep),
+    )
+
+
+def root_of(model: mujoco.MjModel) -> int:
+    """The first body with a free joint, else the first with a slide, else the first below the world.
+
+    A scene may begin with things that are bolted down.
+    """
+    for wanted in ("free", "slide"):
+        for body in range(1, model.nbody):
+            if wanted in _joint_types(model, body):
+                return body
+    return min(1, model.nbody - 1)
+
+
+def height_of(model: mujoco.MjModel, qpos: np.ndarray, body: int) -> float:
+    """Of the body in metres, in these positions [nq]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return float(data.xpos[body, 2])
+
+
+def _joint_types(model: mujoco.MjModel, body: int) -> list[str]:
+    first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    return [_TYPES[mujoco.mjtJoint(kind)] for kind in model.jnt_type[first : first + number]]
+
+
+def _names(get: Callable[[int], Any], count: int) -> list[str]:
+    return [name for number in range(count) if (name := get(number).name)]
+
+
+def _joint(model: mujoco.MjModel, number: int) -> Joint:
+    joint = model.joint(number)
+    kind = _TYPES[mujoco.mjtJoint(int(joint.type[0]))]
+    limited = kind in ("slide", "hinge") and bool(model.jnt_limited[number])
+    low, high = map(float, joint.range)
+    return Joint(
+        name=joint.name,
+        type=kind,
+        body=model.body(int(joint.bodyid[0])).name,
+        qpos_start=int(joint.qposadr[0]),
+        qvel_start=int(joint.dofadr[0]),
+        range=(low, high) if limited else None,
+    )
+
+
+def _actuator(model: mujoco.MjModel, number: int) -> Actuator:
+    low, high = map(float, model.actuator_ctrlrange[number])
+    return Actuator(
+        name=model.actuator(number).name,
+        control_range=(low, high) if model.actuator_ctrllimited[number] else None,
+    )
+
+
+def _sensor(model: mujoco.MjModel, number: int) -> Sensor:
+    kind = mujoco.mjtSensor(int(model.sensor_type[number])).name.removeprefix("mjSENS_").lower()
+    return Sensor(name=model.sensor(number).name, type=kind, size=int(model.sensor_dim[number]))

@@ -1,0 +1,164 @@
+"""A body made of a user's own model and of terms."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from core.environments.body import Body
+from core.environments.environment import State
+from core.environments.mjcf import binding
+from core.environments.mjcf.check import problems
+from core.environments.mjcf.describe import height_of, inventory, root_of
+from core.environments.mjcf.info import MjcfOptions, metric_names
+from core.environments.mjcf.inventory import Inventory
+from core.environments.mjcf.model import compiled, read
+from core.environments.mjcf.moment import Moment, Parts
+from core.environments.mjcf.vocabulary import (
+    Alive,
+    ControlCost,
+    ForwardVelocity,
+    ObservationTerm,
+    OutsideHeightRange,
+    Qpos,
+    Qvel,
+    RewardTerm,
+    TerminationTerm,
+)
+from core.errors import JobFailed
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+from core.physics.model import initial_qpos
+
+_SECONDS_PER_ACTION = 0.02
+_LOWEST, _HIGHEST = 0.4, 2.0
+_OF_THE_BODY = ("x_position", "y_position", "height", "x_velocity", "y_velocity", "distance_from_start")
+
+
+def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None = None) -> "Mjcf":
+    """The body under these options, of the file that holds the model.
+
+    Raises JobFailed("bad_model") where there is none, it does not compile, or the terms do not fit it.
+    """
+    if model is None:
+        raise JobFailed("bad_model", f"The file of the model {options.model} is not here.")
+    with read(model) as spec:
+        original = inventory(compiled(spec))
+        if found := problems(options, original):
+            raise JobFailed("bad_model", " ".join(problem.detail for problem in found))
+        return Mjcf(options, original, compiled(spec, options.timestep, options.contacts), build_engine)
+
+
+class Mjcf(Body):
+    """Reward: the sum of the terms, each by its weight. Ends where one of the terminations says so.
+
+    An action's ends are the ends of the controls' ranges; without a range it is the control itself.
+    """
+
+    def __init__(
+        self,
+        options: MjcfOptions,
+        parts: Inventory,
+        model: mujoco.MjModel,
+        build_engine: EngineBuilder,
+    ) -> None:
+        root = model.body(options.root).id if options.root else root_of(model)
+        named = Parts(model, root)
+        terms = options.reward or _default_reward()
+        self._names = metric_names(terms)
+        self._weights = [binding.sign(term) * term.weight for term in terms]
+        self._rewards = [binding.reward(term, named) for term in terms]
+        self._seen = [binding.observation(term, named) for term in options.observation or _default_seen()]
+        start = _start(model, options)
+        height = height_of(model, start, root)
+        ends = _default_ends(parts, height) if options.termination is None else options.termination
+        self._ends = [binding.termination(term, named) for term in ends]
+        where, self._position = named.position(root)
+        fields = {field for one in (*self._rewards, *self._seen, *self._ends) for field in one.derived}
+        num_substeps = options.n_frames or max(1, round(_SECONDS_PER_ACTION / model.opt.timestep))
+        accelerated = SolverSettings(
+            options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
+        )
+        engine = build_engine(
+            model, num_substeps, tuple(sorted(fields | set(where))), accelerated=accelerated
+        )
+        super().__init__(model, engine, num_substeps=num_substeps, observation_size=0, tracked_body=root)
+        self.initial_qpos = jnp.asarray(start, jnp.float32)
+        self._reset = options.reset
+        self._low, self._high = _control_range(model)
+        self.observation_size = jax.eval_shape(self.reset, jax.random.key(0)).obs.shape[0]
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        key_position, key_velocity = jax.random.split(key)
+        noise, nv = self._reset.position_noise, self.model.nv
+        qpos = self.initial_qpos + jax.random.uniform(
+            key_position, (self.model.nq,), minval=-noise, maxval=noise
+        )
+        scale = self._reset.velocity_noise
+        if self._reset.velocity_distribution == "normal":
+            qvel = scale * jax.random.normal(key_velocity, (nv,))
+        else:
+            qvel = jax.random.uniform(key_velocity, (nv,), minval=-scale, maxval=scale)
+        physics = self.engine.reset(qpos, qvel, model)
+        nothing, zero = jnp.zeros(self.action_size), jnp.zeros(())
+        moment = Moment(physics, physics, nothing, nothing, self.dt)
+        info = {"previous_action": nothing, "start": self._position(physics)}
+        metrics = dict.fromkeys((*self._names, *_OF_THE_BODY), zero)
+        return State(physics, self._observe(moment), zero, zero, metrics, info)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        physics = self.engine.step(state.physics, self._control(action))
+        moment = Moment(state.physics, physics, action, state.info["previous_action"], self.dt)
+        earned = [
+            weight * term.measure(moment) for weight, term in zip(self._weights, self._rewards, strict=True)
+        ]
+        metrics = dict(zip(self._names, earned, strict=True)) | self._of_the_body(state, physics)
+        ended = [term.measure(moment) for term in self._ends]
+        done = jnp.max(jnp.stack(ended)) if ended else jnp.zeros(())
+        info = {**state.info, "previous_action": action}
+        return State(physics, self._observe(moment), sum(earned, jnp.zeros(())), done, metrics, info)
+
+    def _observe(self, moment: Moment) -> jax.Array:
+        return jnp.concatenate([term.measure(moment) for term in self._seen])
+
+    def _control(self, action: jax.Array) -> jax.Array:
+        return self._low + (action + 1.0) * (self._high - self._low) * 0.5
+
+    def _of_the_body(self, state: State, physics: PhysicsState) -> dict[str, jax.Array]:
+        """Where the root is and how fast it goes: m, m/s."""
+        position = self._position(physics)
+        velocity = (position - self._position(state.physics)) / self.dt
+        distance = jnp.linalg.norm((position - state.info["start"])[:2])
+        values = (position[0], position[1], position[2], velocity[0], velocity[1], distance)
+        return dict(zip(_OF_THE_BODY, values, strict=True))
+
+
+def _default_reward() -> list[RewardTerm]:
+    return [ForwardVelocity(), Alive(), ControlCost(weight=0.05)]
+
+
+def _default_seen() -> list[ObservationTerm]:
+    return [Qpos(), Qvel()]
+
+
+def _default_ends(parts: Inventory, height: float) -> Sequence[TerminationTerm]:
+    if not parts.travels or height <= 0:
+        return []
+    return [OutsideHeightRange(range=(_LOWEST * height, _HIGHEST * height))]
+
+
+def _start(model: mujoco.MjModel, options: MjcfOptions) -> np.ndarray:
+    """Positions [nq] at an episode's begin, before noise."""
+    reset = options.reset
+    if reset.qpos is not None:
+        return np.array(reset.qpos)
+    return initial_qpos(model) if reset.keyframe is None else np.array(model.key(reset.keyframe).qpos)
+
+
+def _control_range(model: mujoco.MjModel) -> tuple[jax.Array, jax.Array]:
+    """Lowest and highest control [nu]; -1 and 1 where an actuator has no range."""
+    limited = model.actuator_ctrllimited.astype(bool)
+    low, high = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]])
+    return jnp.asarray(low, jnp.float32), jnp.asarray(high, jnp.float32)

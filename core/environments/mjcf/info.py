@@ -1,0 +1,107 @@
+"""The catalog's row of a user's own model."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from core.environments.info import EnvironmentInfo
+from core.environments.mjcf.vocabulary import Name, ObservationTerm, Reset, RewardTerm, TerminationTerm
+from core.model import Strict
+
+ModelId = Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$", description="What `POST /models` answered.")]
+
+
+class MjcfOptions(Strict):
+    """A model, and what a body made of it earns, sees and may not do; all but the model has a default."""
+
+    model: ModelId
+    root: Name | None = Field(
+        default=None, description="The body that terms mean which name none; null: the first that can travel."
+    )
+    reward: Annotated[list[RewardTerm], Field(min_length=1, max_length=64)] | None = Field(
+        default=None, description="Added up; null: forward_velocity, alive, and control_cost of weight 0.05."
+    )
+    observation: Annotated[list[ObservationTerm], Field(min_length=1, max_length=64)] | None = Field(
+        default=None, description="One after the other; null: qpos and qvel."
+    )
+    termination: Annotated[list[TerminationTerm], Field(max_length=64)] | None = Field(
+        default=None,
+        description="Any of them ends the episode; null: for a body that can travel, height_range from "
+        "0.4 to 2 times its height at the begin.",
+    )
+    reset: Reset = Reset()
+    n_frames: int | None = Field(
+        default=None, ge=1, le=1000, description="Physics steps for each action; null: as fill 0.02 s."
+    )
+    timestep: float | None = Field(
+        default=None, ge=1e-5, le=0.1, description="Seconds of a physics step; null: the model's."
+    )
+    solver: Literal["newton", "cg"] = Field(
+        default="newton", description="On mjx and warp; native keeps the model's."
+    )
+    iterations: int = Field(default=4, ge=1, le=100, description="Of the solver, on mjx and warp.")
+    ls_iterations: int = Field(default=8, ge=1, le=100, description="Of its line search, on mjx and warp.")
+
+    @model_validator(mode="after")
+    def _has_a_metric_for_each_term(self) -> Self:
+        names = metric_names(self.reward or [])
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"two reward terms are called {', '.join(twice)}: give them a `name` each")
+        return self
+
+    @property
+    def contacts(self) -> list[tuple[str, str | None]]:
+        """The geoms that some term asks about, each with the one that it is to touch, None for any."""
+        terms = [*(self.reward or []), *(self.termination or [])]
+        asked = [(geom, term.against) for term in terms if term.kind == "contact" for geom in term.geoms]
+        return list(dict.fromkeys(asked))
+
+
+def metric_names(terms: list[RewardTerm]) -> list[str]:
+    """Of each term: `reward_`, and its name or its kind."""
+    return [f"reward_{term.name or term.kind}" for term in terms]
+
+
+INFO = EnvironmentInfo(
+    id="mjcf",
+    description="A model of your own (POST /models); terms say what it earns, what it sees and when it ends.",
+    factory="core.environments.mjcf.environment:make",
+    observation_size=None,
+    action_size=None,
+    dt=None,
+    episode_length=1000,
+    tracked_body="",
+    options=MjcfOptions,
+    takes_model=True,
+    tuned={
+        "ppo": {
+            "cpu": {
+                "num_timesteps": 3_000_000,
+                "num_envs": 256,
+                "unroll_length": 10,
+                "batch_size": 256,
+                "num_minibatches": 8,
+                "num_updates_per_batch": 4,
+                "learning_rate": 3e-4,
+                "discounting": 0.97,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 0.1,
+                "normalize_observations": True,
+            },
+            "gpu": {
+                "num_timesteps": 50_000_000,
+                "num_envs": 2048,
+                "unroll_length": 10,
+                "batch_size": 512,
+                "num_minibatches": 8,
+                "num_updates_per_batch": 4,
+                "learning_rate": 3e-4,
+                "discounting": 0.97,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 0.1,
+                "normalize_observations": True,
+            },
+        }
+    },
+)

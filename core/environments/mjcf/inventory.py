@@ -1,0 +1,79 @@
+"""What a model has, by name; the API checks terms against it, so nothing numerical is imported."""
+
+from typing import Literal
+
+from core.model import Stored
+
+Kind = Literal["body", "geom", "joint", "sensor"]
+
+
+class Joint(Stored):
+    """qpos_start, qvel_start: where it begins in qpos and qvel. range: rad or m; None where it has none."""
+
+    name: str
+    type: Literal["free", "ball", "slide", "hinge"]
+    body: str
+    qpos_start: int
+    qvel_start: int
+    range: tuple[float, float] | None = None
+
+
+class Actuator(Stored):
+    """control_range: of `ctrl`; None where it has none, and an action is the control itself."""
+
+    name: str
+    control_range: tuple[float, float] | None = None
+
+
+class Sensor(Stored):
+    """type: MuJoCo's. size: how many numbers it gives."""
+
+    name: str
+    type: str
+    size: int
+
+
+class Sizes(Stored):
+    """By MuJoCo's names: positions, velocities, controls, activations, and how many of each kind."""
+
+    nq: int
+    nv: int
+    nu: int
+    na: int
+    nbody: int
+    ngeom: int
+
+
+class Inventory(Stored):
+    """A compiled model's parts. Bodies and geoms without a name are left out; of others it is empty.
+
+    root: the first body that can travel, else the first. has_free_joint: whether the root has one.
+    travels: whether it can leave its place. initial_height: the root's in metres, as the model begins.
+    """
+
+    joints: list[Joint]
+    actuators: list[Actuator]
+    sensors: list[Sensor]
+    bodies: list[str]
+    geoms: list[str]
+    cameras: list[str]
+    keyframes: list[str]
+    sizes: Sizes
+    root: str
+    has_free_joint: bool
+    travels: bool
+    initial_height: float
+    mass_kg: float
+    timestep_s: float
+
+    def names(self, kind: Kind) -> list[str]:
+        """Of the parts of a kind that have a name; of joints, those that have a range."""
+        match kind:
+            case "body":
+                return self.bodies
+            case "geom":
+                return self.geoms
+            case "joint":
+                return [joint.name for joint in self.joints if joint.name and joint.range is not None]
+            case "sensor":
+                return [sensor.name for sensor in self.sensors if sensor.name]

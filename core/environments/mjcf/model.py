@@ -1,0 +1,68 @@
+"""From a model's file to a compiled model."""
+
+import tempfile
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+
+from core.environments.mjcf.archive import examine
+from core.environments.mjcf.contacts import add_sensors
+from core.errors import BadModel, JobFailed
+
+
+@contextmanager
+def read(file: Path) -> Generator[mujoco.MjSpec]:
+    """The specification in a file as it was uploaded; inside, compilation finds its meshes.
+
+    Raises JobFailed("bad_model"), with MuJoCo's own words where it cannot read it.
+    """
+    try:
+        archive = examine(file.read_bytes())
+    except BadModel as error:
+        raise JobFailed("bad_model", error.detail) from None
+    with tempfile.TemporaryDirectory(prefix=".model-", dir=file.parent) as folder:
+        main = archive.unpack(Path(folder))
+        try:
+            spec = mujoco.MjSpec.from_file(str(main))
+        except (ValueError, mujoco.FatalError) as error:
+            raise JobFailed("bad_model", _sentence(error, folder)) from None
+        # Files reserve gigabytes for the contacts of each world: what is needed is known when it is.
+        spec.nconmax = spec.njmax = -1
+        if main.suffix == ".urdf":
+            _add_motors(spec)
+        yield spec
+
+
+def compiled(
+    spec: mujoco.MjSpec, timestep: float | None = None, contacts: list[tuple[str, str | None]] | None = None
+) -> mujoco.MjModel:
+    """The model, with sensors for these contacts. Raises JobFailed("bad_model")."""
+    if timestep is not None:
+        spec.option.timestep = timestep
+    add_sensors(spec, contacts or [])
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise JobFailed("bad_model", _sentence(error, spec.modelfiledir)) from None
+
+
+def _add_motors(spec: mujoco.MjSpec) -> None:
+    """URDF knows joints with a greatest effort, and no actuators: one motor for each, as strong as that."""
+    for joint in spec.joints:
+        if joint.actfrcrange[1] > 0:
+            spec.add_actuator(
+                name=joint.name,
+                target=joint.name,
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                gear=[joint.actfrcrange[1], 0, 0, 0, 0, 0],
+                ctrllimited=True,
+                ctrlrange=[-1, 1],
+            )
+
+
+def _sentence(error: Exception, folder: str) -> str:
+    """MuJoCo's words in one line, without where we put the file."""
+    words = " ".join(str(error).replace(folder, "").split())
+    return f"MuJoCo cannot compile the model: {words[:500]}"

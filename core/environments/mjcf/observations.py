@@ -1,0 +1,44 @@
+"""What of a state a body can see: which numbers, and in which order."""
+
+from typing import Literal
+
+import jax
+import mujoco
+import numpy as np
+
+from core.environments.mjcf.contacts import is_ours
+from core.environments.mjcf.moment import Parts
+
+
+def visible_positions(parts: Parts, root_position: Literal["all", "height", "none"] | None) -> np.ndarray:
+    """Places in qpos that are seen: without the root's x and y, without its z, too, or all."""
+    start = parts.free_joint(parts.root)
+    if start is None or root_position == "all":
+        hidden = []
+    elif root_position == "none":
+        hidden = [start, start + 1, start + 2]
+    else:
+        hidden = [start, start + 1]
+    return np.setdiff1d(np.arange(parts.model.nq), hidden)
+
+
+def sensor_places(parts: Parts, names: list[str] | None) -> np.ndarray:
+    """Places in sensordata: of the named sensors in their order, or of all that the model came with."""
+    if names is not None:
+        return parts.sensors(names)
+    own = [sensor for sensor in range(parts.model.nsensor) if not is_ours(parts.model.sensor(sensor).name)]
+    starts, sizes = parts.model.sensor_adr, parts.model.sensor_dim
+    return np.concatenate([np.arange(starts[sensor], starts[sensor] + sizes[sensor]) for sensor in own])
+
+
+def positions(xpos: jax.Array, bodies: np.ndarray, origin: int) -> jax.Array:
+    """p_b − p_o of each of the bodies, in metres: [bodies * 3]. xpos: [nbody, 3]; origin: a body's number."""
+    return (xpos[bodies] - xpos[origin]).ravel()
+
+
+def limited_joints(parts: Parts, names: list[str] | None) -> np.ndarray:
+    """Numbers of these joints; without names, of all hinges and slides that have a range."""
+    if names is not None:
+        return np.array([parts.model.joint(name).id for name in names])
+    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    return np.flatnonzero(parts.model.jnt_limited.astype(bool) & np.isin(parts.model.jnt_type, kinds))

@@ -1,0 +1,19 @@
+"""Forgetting a model for good."""
+
+from core.errors import ModelInUse
+from core.jobs.store import JobStore
+from core.models import library
+from core.storage import keys
+from core.storage.objects import ObjectStore
+
+
+def remove_model(model_id: str, *, store: JobStore, objects: ObjectStore) -> None:
+    """Remove its file and its record. Raises ModelNotFound, and ModelInUse while a job needs it.
+
+    Jobs that have ended keep what they made; nothing more can be done with their policies here.
+    """
+    library.find(model_id, objects)
+    users = [job.id for job in store.unfinished() if job.spec.environment.options.get("model") == model_id]
+    if users:
+        raise ModelInUse(model_id, users)
+    objects.delete_prefix(keys.model(model_id))

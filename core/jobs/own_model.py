@@ -1,0 +1,49 @@
+"""A user's own model, as a job that names it needs it."""
+
+from collections.abc import Mapping
+
+from core.environments import catalog
+from core.environments.mjcf.check import problems
+from core.environments.mjcf.info import MjcfOptions
+from core.errors import ModelNotFound, Problem, Rejected
+from core.jobs.spec import RolloutSpec, TrainSpec
+from core.models import library
+from core.models.record import Description
+from core.physics.availability import EngineName
+from core.storage.objects import ObjectStore
+
+_POINTER = "/environment/options/model"
+
+
+def own_model(options: MjcfOptions, objects: ObjectStore) -> Description:
+    """What is in the model that the options name.
+
+    Raises Rejected where there is none, it is not validated yet, or the terms do not fit it.
+    """
+    try:
+        record = library.find(options.model, objects)
+    except ModelNotFound as error:
+        raise Rejected(error.detail, [Problem(_POINTER, error.detail)]) from None
+    if record.status != "ready" or record.description is None:
+        detail = (
+            f"The model {options.model} was refused: {record.message}"
+            if record.status == "refused"
+            else f"The model {options.model} is still being validated; ask GET /models/{options.model}."
+        )
+        raise Rejected(detail, [Problem(_POINTER, detail)])
+    if found := problems(options, record.description.inventory):
+        raise Rejected(" ".join(problem.detail for problem in found[:5]), found)
+    return record.description
+
+
+def model_of(spec: TrainSpec | RolloutSpec) -> str | None:
+    """The id of the user's own model that a job names, which was checked when it was submitted."""
+    if not catalog.find(spec.environment.id).takes_model:
+        return None
+    return str(spec.environment.options["model"])
+
+
+def engines_that_cannot(description: Description | None) -> Mapping[EngineName, str]:
+    """Engines that cannot run the model, each with what keeps it."""
+    tried = {} if description is None else description.engines
+    return {name: why for name, why in tried.items() if why is not None}

@@ -1,0 +1,196 @@
+"""Models over HTTP, with the worker's part played by the test; and jobs that name them."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import httpx
+import mujoco
+import pytest
+
+from api.routes import models as route
+from core.environments.mjcf.describe import inventory
+from core.models import library
+from core.models.record import Description
+from core.storage import keys
+from tests.api.conftest import Stack
+from tests.api.problems import problem
+from tests.unit.environments.mjcf.probe import XML
+from tests.unit.environments.mjcf.test_archive import zipped
+
+DESCRIPTION = Description(
+    inventory=inventory(mujoco.MjModel.from_xml_string(XML.decode())),
+    engines={"native": None, "mjx": "Ellipsoids and boxes are not implemented.", "warp": None},
+    physics_steps_per_second=1000.0,
+    settled_height=0.5,
+    complete=True,
+)
+
+
+def send(http: httpx.Client, body: bytes = XML, media_type: str = "application/xml") -> httpx.Response:
+    return http.post("/models", content=body, headers={"Content-Type": media_type})
+
+
+@contextmanager
+def worker(stack: Stack, **found: Any) -> Iterator[None]:
+    """A worker that finds this in every model."""
+    idle = threading.Event()
+
+    def work() -> None:
+        while not idle.is_set():
+            if model_id := stack.queue.take_model():
+                record = library.find(model_id, stack.objects)
+                library.keep(record.model_copy(update=found), stack.objects)
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield
+    idle.set()
+    thread.join()
+
+
+@pytest.fixture
+def model(stack: Stack) -> str:
+    """A model that is ready."""
+    with worker(stack, status="ready", description=DESCRIPTION):
+        return send(stack.http).json()["id"]
+
+
+def job(model: str, **options: Any) -> dict[str, Any]:
+    return {"kind": "train", "environment": {"id": "mjcf", "options": {"model": model, **options}}}
+
+
+def test_a_model_is_answered_with_what_is_in_it(stack: Stack) -> None:
+    with worker(stack, status="ready", description=DESCRIPTION):
+        answer = send(stack.http)
+    assert answer.status_code == 201
+    document = answer.json()
+    assert answer.headers["location"] == f"/models/{document['id']}" == document["links"]["self"]
+    assert document["id"] == library.identity(XML)
+    assert document["description"]["inventory"]["sizes"]["nu"] == 1
+    assert document["description"]["engines"]["mjx"] == "Ellipsoids and boxes are not implemented."
+    assert stack.http.get(f"/models/{document['id']}").json() == document
+    assert stack.http.get("/models").json()["items"] == [document]
+
+
+def test_the_same_bytes_are_the_same_model(stack: Stack, model: str) -> None:
+    again = send(stack.http)
+    assert (again.status_code, again.json()["id"]) == (200, model)
+    assert not stack.queue.contains_model(model)
+
+
+def test_a_slow_validation_is_asked_for_elsewhere(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(route, "_PATIENCE_S", 0.05)
+    answer = send(stack.http)
+    assert (answer.status_code, answer.headers["retry-after"]) == (202, "2")
+    model_id = answer.json()["id"]
+    assert stack.http.get(answer.headers["location"]).json()["status"] == "validating"
+    refused = problem(stack.http.post("/jobs", json=job(model_id)), 422, "invalid-request")
+    assert "still being validated" in refused["detail"]
+    # Whatever the queue has lost is asked for again.
+    assert stack.queue.take_model() == model_id
+    stack.http.get(f"/models/{model_id}")
+    assert stack.queue.contains_model(model_id)
+    assert send(stack.http).status_code == 202
+
+
+def test_a_refused_model_leaves_nothing_behind(stack: Stack) -> None:
+    with worker(stack, status="refused", message="The model has no actuators."):
+        document = problem(send(stack.http), 422, "bad-model")
+    assert document["detail"] == "The model has no actuators."
+    assert stack.is_empty()
+
+
+@pytest.mark.parametrize(
+    ("body", "media_type", "sentence"),
+    [
+        (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "application/xml", "document type"),
+        (b'<mujoco><include file="/etc/passwd"/></mujoco>', "application/xml", "send both in a zip"),
+        (zipped({"../model.xml": XML}), "application/zip", "no path below the archive"),
+        (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "application/zip", "times its size"),
+        (XML, "application/zip", "The file is no zip"),
+        (zipped({"model.xml": XML}), "text/xml", "The file is a zip"),
+    ],
+)
+def test_what_needs_no_worker_to_be_wrong_is_refused_at_once(
+    body: bytes, media_type: str, sentence: str, stack: Stack
+) -> None:
+    document = problem(send(stack.http, body, media_type), 422, "bad-model")
+    assert sentence in document["detail"]
+    assert stack.is_empty()
+
+
+def test_a_body_of_another_type_is_refused(stack: Stack) -> None:
+    answer = send(stack.http, b"{}", "application/json")
+    document = problem(answer, 415, "unsupported-media-type")
+    assert "Send a model as application/xml or application/zip" in document["detail"]
+    assert answer.headers["accept-post"] == "application/xml, application/zip"
+
+
+def test_a_body_that_is_too_long_is_refused(stack: Stack) -> None:
+    limit = stack.service.settings.max_model_bytes
+    document = problem(send(stack.http, b" " * (limit + 1)), 413, "body-too-large")
+    assert document["limit_bytes"] == limit
+    assert stack.is_empty()
+
+
+@pytest.mark.parametrize("name", ["ant", "sha256:0", "sha256:" + "0" * 64, "sha256:.."])
+def test_an_unknown_model_is_not_found(name: str, stack: Stack) -> None:
+    problem(stack.http.get(f"/models/{name}"), 404, "model-not-found")
+    problem(stack.http.delete(f"/models/{name}"), 404, "model-not-found")
+
+
+def test_a_job_may_name_a_model(stack: Stack, model: str) -> None:
+    terms = {
+        "reward": [{"kind": "forward_velocity", "body": "ball"}, {"kind": "control_cost", "weight": 0.05}]
+    }
+    assert stack.http.post("/jobs", json=job(model, **terms)).status_code == 202
+    camera = {**job(model), "video": {"camera": "above"}}
+    assert stack.http.post("/jobs", json=camera).status_code == 202
+
+
+@pytest.mark.parametrize(
+    ("changes", "pointer", "sentence"),
+    [
+        ({"environment": {"id": "mjcf"}}, "/environment/options/model", "required"),
+        (
+            job("sha256:" + "0" * 64),
+            "/environment/options/model",
+            "There is no model",
+        ),
+        ({"physics": "mjx"}, "/physics", "Ellipsoids and boxes are not implemented."),
+        ({"video": {"camera": "below"}}, "/video/camera", "known are track, above"),
+        (
+            {"kind": "rollout", "policy": {"kind": "constant", "action": [0.0, 0.0]}},
+            "/policy/action",
+            "takes 1 action components; 2 were given",
+        ),
+    ],
+)
+def test_a_job_that_does_not_go_with_its_model_is_refused(
+    changes: dict[str, Any], pointer: str, sentence: str, stack: Stack, model: str
+) -> None:
+    document = problem(stack.http.post("/jobs", json={**job(model), **changes}), 422, "invalid-request")
+    assert [error["pointer"] for error in document["errors"]] == [pointer]
+    assert sentence in document["detail"]
+
+
+def test_a_term_that_names_what_is_not_there_is_refused_with_the_nearest(stack: Stack, model: str) -> None:
+    spec = job(model, termination=[{"kind": "contact", "geoms": ["spere"]}])
+    document = problem(stack.http.post("/jobs", json=spec), 422, "invalid-request")
+    (error,) = document["errors"]
+    assert error["pointer"] == "/environment/options/termination/0/geoms/0"
+    assert error["detail"] == "The model has no geom 'spere'; did you mean 'sphere'?"
+
+
+def test_a_model_stays_while_a_job_needs_it(stack: Stack, model: str) -> None:
+    submitted = stack.http.post("/jobs", json=job(model)).json()["id"]
+    document = problem(stack.http.delete(f"/models/{model}"), 409, "model-in-use")
+    assert document["jobs"] == [submitted]
+    stack.http.post(f"/jobs/{submitted}/cancel")
+    assert stack.http.delete(f"/models/{model}").status_code == 204
+    assert list(stack.objects.list(keys.models())) == []
+    problem(stack.http.get(f"/models/{model}"), 404, "model-not-found")

@@ -1,0 +1,91 @@
+"""A body that a user brings, with real parts: from its file to its video."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gaitway.client import Client
+from gaitway.embedded.processes import free_ports
+from gaitway.errors import Rejected
+from tests.unit.environments.mjcf.probe import XML
+from tests.unit.environments.mjcf.test_archive import zipped
+
+# A tetrahedron; MuJoCo wants a mesh to have a volume.
+MESH = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+ASSET = b'<asset><mesh name="hat" file="hat.obj"/></asset><worldbody>'
+HAT = b'<geom type="mesh" mesh="hat" mass="0.1" contype="0" conaffinity="0"/><site name="middle"/>'
+WITH_MESH = XML.replace(b"<worldbody>", ASSET).replace(b'<site name="middle"/>', HAT)
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """A client of a stack with one worker."""
+    data = tmp_path_factory.mktemp("stack")
+    port = free_ports(1)[0]
+    command = [sys.executable, "-m", "gaitway.embedded.up", "--data", str(data), "--port", str(port)]
+    stack = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    with stack, Client(f"http://127.0.0.1:{port}") as client:
+        assert stack.stdout is not None
+        assert stack.stdout.readline()
+        yield client
+        stack.send_signal(signal.SIGTERM)
+        stack.communicate(timeout=60)
+
+
+def test_a_body_goes_from_its_file_to_its_video(client: Client, tmp_path: Path) -> None:
+    file = tmp_path / "ball.zip"
+    file.write_bytes(zipped({"ball/model.xml": WITH_MESH, "ball/hat.obj": MESH}))
+    model = client.add_model(file, timeout=60)
+    assert model.status == "ready"
+    assert model.description is not None
+    assert model.description["inventory"]["root"] == "ball"
+    assert [found.id for found in client.models()] == [model.id]
+    options = {
+        "model": model.id,
+        "reward": [
+            {"kind": "upright", "body": "ball", "weight": 0.5},
+            {"kind": "contact", "geoms": ["sphere"], "weight": -1.0, "name": "fallen"},
+            {"kind": "energy", "weight": 0.01},
+        ],
+        "observation": [{"kind": "qpos"}, {"kind": "qvel"}, {"kind": "sensors"}],
+        "termination": [{"kind": "height_range", "range": [0.2, 2.0]}],
+    }
+    algorithm = {
+        "num_timesteps": 1280,
+        "num_envs": 64,
+        "unroll_length": 10,
+        "batch_size": 16,
+        "num_minibatches": 4,
+        "num_evals": 2,
+        "num_eval_envs": 4,
+        "episode_length": 50,
+        "policy_hidden_layer_sizes": [16],
+        "value_hidden_layer_sizes": [16],
+    }
+    job = client.wait(
+        client.submit(
+            environment={"id": "mjcf", "options": options},
+            algorithm=algorithm,
+            video={"camera": "above", "width": 160, "height": 120, "seconds": 0.5},
+        ).id,
+        timeout=110,
+    )
+    assert job.succeeded, job.message
+    assert job.newest("video") is not None
+    names = {name for row in client.metrics(job.id) for name in row.values}
+    assert {f"eval/episode_reward_{term}" for term in ("upright", "fallen", "energy")} <= names
+    client.delete_model(model.id)
+    assert list(client.models()) == []
+
+
+def test_a_body_that_nothing_moves_is_refused_and_the_service_goes_on(client: Client, tmp_path: Path) -> None:
+    file = tmp_path / "ball.xml"
+    file.write_bytes(b'<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>')
+    with pytest.raises(Rejected, match="no actuators"):
+        client.add_model(file, timeout=60)
+    (worker,) = client.workers()
+    assert worker.job is None

@@ -1,0 +1,143 @@
+"""What a job asks for and its model has not got, as the API sees it: from the inventory alone."""
+
+from typing import Any
+
+import mujoco
+import pytest
+
+from core.environments import catalog
+from core.environments.mjcf.check import problems
+from core.environments.mjcf.describe import inventory
+from core.environments.mjcf.info import MjcfOptions
+from core.environments.mjcf.inventory import Inventory
+from core.errors import Rejected
+from tests.unit.environments.mjcf.probe import MODEL, XML
+
+PROBE = inventory(mujoco.MjModel.from_xml_string(XML.decode()))
+BOLTED = inventory(
+    mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="a"><joint axis="0 1 0"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+)
+
+
+def parsed(**given: Any) -> MjcfOptions:
+    options = catalog.parse_options(catalog.find("mjcf"), {"model": MODEL, **given})
+    assert isinstance(options, MjcfOptions)
+    return options
+
+
+def test_an_inventory_names_what_is_there() -> None:
+    assert (PROBE.root, PROBE.has_free_joint, PROBE.travels) == ("ball", True, True)
+    assert (PROBE.bodies, PROBE.geoms) == (["world", "ball", "arm"], ["floor", "sphere", "rod"])
+    assert [(joint.name, joint.type, joint.range) for joint in PROBE.joints] == [
+        ("root", "free", None),
+        ("elbow", "hinge", (pytest.approx(-1.0), pytest.approx(1.0))),
+    ]
+    assert [(one.name, one.control_range) for one in PROBE.actuators] == [("elbow", (-0.5, 1.5))]
+    assert [(one.name, one.type, one.size) for one in PROBE.sensors] == [
+        ("speed", "velocimeter", 3),
+        ("angle", "jointpos", 1),
+    ]
+    assert (PROBE.cameras, PROBE.keyframes) == (["above"], ["raised"])
+    assert (PROBE.sizes.nq, PROBE.sizes.nv, PROBE.sizes.nu) == (8, 7, 1)
+    assert (PROBE.initial_height, PROBE.mass_kg) == (pytest.approx(0.5), pytest.approx(1.1))
+    assert (BOLTED.root, BOLTED.has_free_joint, BOLTED.travels) == ("a", False, False)
+
+
+@pytest.mark.parametrize(
+    ("given", "model", "pointer", "sentence"),
+    [
+        ({"root": "bal"}, PROBE, "/root", "no body 'bal'; did you mean 'ball'?"),
+        ({"reward": [{"kind": "upright", "body": "x"}]}, PROBE, "/reward/0/body", "it has world, ball, arm."),
+        (
+            {"reward": [{"kind": "alive"}, {"kind": "distance", "target": "harm"}]},
+            PROBE,
+            "/reward/1/target",
+            "did you mean 'arm'?",
+        ),
+        (
+            {"termination": [{"kind": "contact", "geoms": ["rod", "spere"]}]},
+            PROBE,
+            "/termination/0/geoms/1",
+            "did you mean 'sphere'?",
+        ),
+        (
+            {"reward": [{"kind": "contact", "geoms": ["rod"], "against": "flor"}]},
+            PROBE,
+            "/reward/0/against",
+            "did you mean 'floor'?",
+        ),
+        (
+            {"reward": [{"kind": "joint_limits", "joints": ["root"]}]},
+            PROBE,
+            "/reward/0/joints/0",
+            "no joint with a range 'root'; it has elbow.",
+        ),
+        (
+            {"observation": [{"kind": "sensors", "names": ["sped"]}]},
+            PROBE,
+            "/observation/0/names/0",
+            "did you mean 'speed'?",
+        ),
+        ({"observation": [{"kind": "act"}]}, PROBE, "/observation/0", "has a state"),
+        ({"observation": [{"kind": "sensors"}]}, BOLTED, "/observation/0", "has no sensors"),
+        (
+            {"observation": [{"kind": "qpos", "root_position": "height"}]},
+            BOLTED,
+            "/observation/0/root_position",
+            "has no free joint",
+        ),
+        (
+            {"root": "arm", "observation": [{"kind": "qpos", "root_position": "all"}]},
+            PROBE,
+            "/observation/0/root_position",
+            "'arm' has no free joint",
+        ),
+        ({"reset": {"qpos": [0.0]}}, PROBE, "/reset/qpos", "8 positions (nq); 1 were given"),
+        ({"reset": {"keyframe": "low"}}, PROBE, "/reset/keyframe", "it has 1, among them raised"),
+        ({"reset": {"keyframe": 1}}, PROBE, "/reset/keyframe", "no keyframe 1"),
+        ({"reset": {"keyframe": 0}}, BOLTED, "/reset/keyframe", "it has none"),
+    ],
+)
+def test_what_the_model_has_not_got_is_named_with_what_it_has(
+    given: dict[str, Any], model: Inventory, pointer: str, sentence: str
+) -> None:
+    (problem,) = problems(parsed(**given), model)
+    assert problem.pointer == f"/environment/options{pointer}"
+    assert sentence in problem.detail
+
+
+def test_what_the_model_has_is_no_problem() -> None:
+    terms = {
+        "reward": [{"kind": "contact", "geoms": ["rod"], "against": "floor"}, {"kind": "joint_limits"}],
+        "observation": [{"kind": "qpos", "root_position": "none"}, {"kind": "sensors"}],
+        "reset": {"keyframe": 0},
+    }
+    assert problems(parsed(**terms), PROBE) == []
+    assert problems(parsed(), BOLTED) == []
+
+
+@pytest.mark.parametrize(
+    ("given", "pointer", "sentence"),
+    [
+        ({"model": "ant"}, "/model", "match"),
+        ({"reward": []}, "/reward", "at least 1"),
+        ({"reward": [{"kind": "forward_velocit"}]}, "/reward/0", "forward_velocity"),
+        ({"reward": [{"kind": "alive", "weigt": 1}]}, "/reward/0/weigt", "not permitted"),
+        ({"reward": [{"kind": "alive"}, {"kind": "alive"}]}, "", "two reward terms are called reward_alive"),
+        ({"reward": [{"kind": "distance"}]}, "/reward/0", "either point or target"),
+        ({"reward": [{"kind": "upright", "axis": [0, 0, 0]}]}, "/reward/0", "axis must not be"),
+        ({"reward": [{"kind": "forward_velocity", "direction": [0, 0, 0]}]}, "/reward/0", "direction"),
+        ({"termination": [{"kind": "height_range"}]}, "/termination/0/range", "required"),
+        ({"termination": [{"kind": "height_range", "range": [2, 1]}]}, "/termination/0/range", "low < high"),
+        ({"observation": [{}]}, "/observation/0", "kind"),
+        ({"reset": {"keyframe": 0, "qpos": [0.0]}}, "/reset", "either keyframe or qpos"),
+    ],
+)
+def test_terms_that_do_not_go_together_are_refused_with_their_place(
+    given: dict[str, Any], pointer: str, sentence: str
+) -> None:
+    with pytest.raises(Rejected, match=sentence) as refusal:
+        parsed(**given)
+    assert [problem.pointer for problem in refusal.value.problems] == [f"/environment/options{pointer}"]

@@ -1,0 +1,225 @@
+"""A body made of terms: each term reads the right numbers, and together they make the bodies we know."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from core.environments import catalog
+from core.environments.environment import State
+from core.environments.mjcf.describe import inventory
+from core.environments.mjcf.environment import Mjcf
+from core.environments.mjcf.info import MjcfOptions
+from core.errors import JobFailed
+from core.physics.choose import engine_builder
+from core.physics.model import brax_model
+from tests.unit.environments.mjcf.probe import KEY, MODEL, build, options
+
+# Half a turn about z: the body's x points to the world's -x.
+TURNED = [0.0, 0.0, 0.0, 1.0]
+# Lying on its side: a quarter turn about x.
+ON_ITS_SIDE = [0.70710678, 0.70710678, 0.0, 0.0]
+
+
+def moving(state: State, *, qpos: list[float] | None = None, qvel: list[float] | None = None) -> State:
+    """The same state, elsewhere or in motion."""
+    physics = state.physics
+    changed = replace(
+        physics,
+        qpos=physics.qpos if qpos is None else jnp.array(qpos),
+        qvel=physics.qvel if qvel is None else jnp.array(qvel),
+    )
+    return replace(state, physics=changed)
+
+
+def reward_of(folder: Path, term: dict[str, Any], **where: Any) -> float:
+    """What the term earns in a step of 0.01 s from there."""
+    environment = build(folder, reward=[term], termination=[])
+    state = moving(environment.reset(KEY), **where)
+    after = environment.step(state, NO_TORQUE)
+    name = term.get("name", term["kind"])
+    assert float(after.metrics[f"reward_{name}"]) == pytest.approx(float(after.reward), abs=1e-6)
+    return float(after.reward)
+
+
+NO_TORQUE = jnp.array([-0.5])  # The middle of the control's range is not zero.
+FAST = [0.3, 0.4, 0, 0, 0, 0, 0]  # m/s of the ball
+
+
+@pytest.mark.parametrize(
+    ("term", "where", "expected"),
+    [
+        ({"kind": "alive", "weight": 0.7}, {}, 0.7),
+        ({"kind": "forward_velocity", "weight": 2.0}, {"qvel": FAST}, 0.6),
+        ({"kind": "forward_velocity", "direction": [0, -3, 0]}, {"qvel": FAST}, -0.4),
+        ({"kind": "forward_velocity", "body": "arm", "name": "arm"}, {"qvel": FAST}, 0.3),
+        ({"kind": "forward_velocity", "of": "centre_of_mass"}, {"qvel": FAST}, 0.3),
+        # Half turned, -x is forward and -y is left.
+        ({"kind": "velocity_tracking", "velocity": [-0.3, -0.4]}, {"qpos": TURNED, "qvel": FAST}, 1.0),
+        ({"kind": "velocity_tracking", "velocity": [0.3, 0.4], "frame": "world"}, {"qvel": FAST}, 1.0),
+        ({"kind": "velocity_tracking", "velocity": [0, 0]}, {"qvel": FAST}, 0.367879),
+        ({"kind": "upright"}, {}, 1.0),
+        ({"kind": "upright"}, {"qpos": ON_ITS_SIDE}, 0.0),
+        ({"kind": "upright", "axis": [0, 2, 0]}, {"qpos": ON_ITS_SIDE}, 1.0),
+        ({"kind": "height_range", "range": [0.4, 0.6]}, {}, 1.0),
+        ({"kind": "height_range", "range": [0.6, 0.8]}, {}, 0.0),
+        # The ball is 0.5 m up: 3-4-5 to the point, times 0.1.
+        ({"kind": "distance", "point": [0.3, 0.0, 0.1], "weight": 10.0}, {}, -5.0),
+        ({"kind": "distance", "body": "ball", "target": "arm"}, {}, 0.0),
+        ({"kind": "joint_limits", "share": 0.5}, {"elbow": 0.75}, -0.25),
+        ({"kind": "joint_limits", "share": 0.5, "joints": ["elbow"]}, {"elbow": -0.6}, -0.1),
+        ({"kind": "contact", "geoms": ["sphere"]}, {}, 0.0),
+        ({"kind": "contact", "geoms": ["sphere", "rod"], "weight": -3.0}, {"height": 0.09}, -3.0),
+        ({"kind": "contact", "geoms": ["sphere"], "against": "floor"}, {"height": 0.09}, 1.0),
+        ({"kind": "contact", "geoms": ["sphere"], "against": "rod"}, {"height": 0.09}, 0.0),
+    ],
+)
+def test_a_term_earns_what_it_says(
+    term: dict[str, Any], where: dict[str, Any], expected: float, tmp_path: Path
+) -> None:
+    rotation = where.get("qpos", [1.0, 0, 0, 0])
+    qpos = [0, 0, where.get("height", 0.5), *rotation, where.get("elbow", 0.0)]
+    assert reward_of(tmp_path, term, qpos=qpos, qvel=where.get("qvel")) == pytest.approx(expected, abs=2e-4)
+
+
+def test_an_action_is_a_share_of_the_controls_range(tmp_path: Path) -> None:
+    # The range [-0.5, 1.5] has 0.5 in its middle, and the gear of 2 makes 1 N m of that.
+    environment = build(tmp_path, reward=[{"kind": "energy"}])
+    state = environment.step(environment.reset(KEY), jnp.zeros(1))
+    assert float(state.reward) == pytest.approx(-abs(1.0 * float(state.physics.qvel[6])), rel=1e-3)
+
+
+def test_costs_of_actions_know_the_one_before(tmp_path: Path) -> None:
+    terms = [{"kind": "control_cost", "weight": 0.5}, {"kind": "action_rate", "weight": 2.0}]
+    environment = build(tmp_path, reward=terms, observation=[{"kind": "previous_action"}])
+    state = environment.step(environment.reset(KEY), jnp.array([0.5]))
+    assert float(state.reward) == pytest.approx(-0.5 * 0.25 - 2 * 0.25)
+    assert state.obs.tolist() == [0.5]
+    state = environment.step(state, jnp.array([-0.5]))
+    assert float(state.metrics["reward_control_cost"]) == pytest.approx(-0.125)
+    assert float(state.metrics["reward_action_rate"]) == pytest.approx(-2.0)  # 2 × (-0.5 - 0.5)²
+
+
+@pytest.mark.parametrize(
+    ("term", "expected"),
+    [
+        ({"kind": "qpos"}, [0.5, 1, 0, 0, 0, 0]),
+        ({"kind": "qpos", "root_position": "none"}, [1, 0, 0, 0, 0]),
+        ({"kind": "qpos", "root_position": "all"}, [0, 0, 0.5, 1, 0, 0, 0, 0]),
+        ({"kind": "qvel"}, FAST),
+        ({"kind": "sensors"}, [0.3, 0.4, 0, 0]),
+        ({"kind": "sensors", "names": ["angle"]}, [0]),
+        ({"kind": "body_positions", "bodies": ["arm"]}, [0.003, 0.004, 0.5]),
+        ({"kind": "body_positions", "relative": True}, [0, 0, 0, 0, 0, 0]),
+        ({"kind": "body_orientations", "bodies": ["ball"]}, [1, 0, 0, 0, 1, 0, 0, 0, 1]),
+        ({"kind": "cvel", "bodies": ["ball"]}, [0, 0, 0, 0.3, 0.4, 0]),
+        ({"kind": "qfrc_actuator"}, [0] * 7),
+        # Its mass is at the end.
+        ({"kind": "cinert", "bodies": ["ball"]}, None),
+    ],
+)
+def test_an_observation_shows_what_it_says(
+    term: dict[str, Any], expected: list[float] | None, tmp_path: Path
+) -> None:
+    environment = build(tmp_path, observation=[term], termination=[{"kind": "contact", "geoms": ["sphere"]}])
+    state = environment.step(moving(environment.reset(KEY), qvel=FAST), NO_TORQUE)
+    assert environment.observation_size == state.obs.shape[0]
+    if expected is None:
+        assert state.obs.shape == (10,)
+        assert float(state.obs[9]) == pytest.approx(1.0)
+    else:
+        shown = state.obs if term["kind"] != "qpos" else jnp.round(state.obs, 1)
+        np.testing.assert_allclose(shown, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("term", "height", "rotation", "ends"),
+    [
+        ({"kind": "height_range", "range": [0.4, 0.6]}, 0.5, [1.0, 0, 0, 0], 0),
+        ({"kind": "height_range", "range": [0.4, 0.6]}, 0.3, [1.0, 0, 0, 0], 1),
+        ({"kind": "upright", "least": 0.5}, 0.5, [1.0, 0, 0, 0], 0),
+        ({"kind": "upright", "least": 0.5}, 0.5, ON_ITS_SIDE, 1),
+        ({"kind": "contact", "geoms": ["sphere"]}, 0.5, [1.0, 0, 0, 0], 0),
+        ({"kind": "contact", "geoms": ["sphere"]}, 0.09, [1.0, 0, 0, 0], 1),
+    ],
+)
+def test_an_episode_ends_where_a_term_says_so(
+    term: dict[str, Any], height: float, rotation: list[float], ends: int, tmp_path: Path
+) -> None:
+    environment = build(tmp_path, termination=[term])
+    start = moving(environment.reset(KEY), qpos=[0, 0, height, *rotation, 0])
+    assert float(environment.step(start, jnp.zeros(1)).done) == ends
+
+
+def test_without_a_word_a_body_that_can_travel_ends_when_it_falls(tmp_path: Path) -> None:
+    environment = build(tmp_path)
+    start = environment.reset(KEY)
+    names = {"reward_forward_velocity", "reward_alive", "reward_control_cost", "height", "x_velocity"}
+    assert names <= set(start.metrics)
+    for height, ends in ((0.21, 0), (0.19, 1), (0.99, 0), (1.01, 1)):  # 0.4 and 2 times 0.5 m
+        state = moving(start, qpos=[0, 0, height, 1, 0, 0, 0, 0])
+        assert float(environment.step(state, jnp.zeros(1)).done) == ends
+
+
+def test_an_episode_begins_as_the_reset_says(tmp_path: Path) -> None:
+    still = {"position_noise": 0.0, "velocity_noise": 0.0}
+    raised = build(tmp_path, reset={"keyframe": "raised", **still}).reset(KEY).physics.qpos
+    np.testing.assert_allclose(raised, [0, 0, 0.8, 1, 0, 0, 0, 0.5])
+    by_number = build(tmp_path, reset={"keyframe": 0, **still}).reset(KEY).physics.qpos
+    np.testing.assert_array_equal(by_number, raised)
+    given = build(tmp_path, reset={"qpos": [1, 2, 3, 1, 0, 0, 0, 0.1], **still}).reset(KEY).physics.qpos
+    np.testing.assert_allclose(given, [1, 2, 3, 1, 0, 0, 0, 0.1])
+    noisy = build(tmp_path, reset={"position_noise": 0.1, "velocity_noise": 0.0}).reset(KEY).physics
+    assert 0 < float(jnp.abs(noisy.qpos - jnp.array([0, 0, 0.5, 1, 0, 0, 0, 0])).max()) <= 0.1
+    assert not noisy.qvel.any()
+
+
+ANT = {
+    "reward": [
+        {"kind": "forward_velocity", "body": "torso"},
+        {"kind": "alive"},
+        {"kind": "control_cost", "weight": 0.5},
+    ],
+    "termination": [{"kind": "height_range", "body": "torso", "range": [0.2, 1.0]}],
+    "n_frames": 5,
+}
+
+
+def test_the_ant_made_of_terms_is_the_ant() -> None:
+    info = catalog.find("ant")
+    builtin = catalog.make(info, catalog.parse_options(info, {}), engine_builder("native"))
+    model = brax_model("ant")
+    chosen = catalog.parse_options(catalog.find("mjcf"), options(**ANT))
+    assert isinstance(chosen, MjcfOptions)
+    made = Mjcf(chosen, inventory(model), model, engine_builder("native"))
+    assert (made.observation_size, made.dt) == (builtin.observation_size, pytest.approx(builtin.dt))
+    step, again = jax.jit(jax.vmap(builtin.step)), jax.jit(jax.vmap(made.step))
+    ants = jax.vmap(builtin.reset)(jax.random.split(jax.random.key(1), 16))
+    blank = jax.vmap(made.reset)(jax.random.split(jax.random.key(2), 16))
+    ended = 0.0
+    for number in range(60):
+        action = jax.random.uniform(jax.random.key(number), (16, 8), minval=-1.0, maxval=1.0)
+        rebuilt = again(replace(blank, physics=ants.physics), action)
+        ants = step(ants, action)
+        np.testing.assert_allclose(rebuilt.reward, ants.reward, atol=2e-4)
+        np.testing.assert_allclose(rebuilt.obs, ants.obs, atol=2e-4)
+        np.testing.assert_array_equal(rebuilt.done, ants.done)
+        ended += float(ants.done.sum())
+    assert ended > 0  # Some have been on both sides of the healthy range.
+
+
+def test_a_term_that_does_not_fit_the_file_ends_the_job_with_the_reason(tmp_path: Path) -> None:
+    with pytest.raises(JobFailed, match="no body 'bal'; did you mean 'ball'") as failure:
+        build(tmp_path, root="bal")
+    assert failure.value.reason == "bad_model"
+    assert [file.name for file in tmp_path.iterdir()] == ["model"]
+
+
+def test_without_its_file_there_is_no_body() -> None:
+    info = catalog.find("mjcf")
+    with pytest.raises(JobFailed, match="is not here"):
+        catalog.make(info, catalog.parse_options(info, {"model": MODEL}), engine_builder("native"))

@@ -1,0 +1,156 @@
+"""A model in its confined process: what is found in it, and what it cannot do to the worker."""
+
+import dataclasses
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory_queue import MemoryJobQueue
+from core.environments.mjcf.describe import inventory
+from core.environments.mjcf.model import compiled, read
+from core.errors import ModelNotFound
+from core.jobs.job import utc_now
+from core.models import library
+from core.storage import keys
+from tests.unit.environments.mjcf.probe import XML
+from worker.validation.answer import Answer
+from worker.validation.confined import look, validate
+from worker.validation.limits import Limits
+
+NO_MOTOR = XML.replace(
+    b'<motor name="elbow" joint="elbow" gear="2" ctrllimited="true" ctrlrange="-0.5 1.5"/>', b""
+)
+SLOW = b"""<mujoco><asset><mesh name="m" builtin="sphere" params="9"/></asset>
+  <worldbody>%s</worldbody></mujoco>""" % (
+    b"".join(b'<body><freejoint/><geom type="mesh" mesh="m"/></body>' for _ in range(50))
+)
+URDF = b"""<robot name="arm">
+  <link name="base"/>
+  <link name="fore"><inertial><mass value="1"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <joint name="elbow" type="revolute"><parent link="base"/><child link="fore"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="5" velocity="1"/></joint>
+</robot>"""
+
+
+def looked(body: bytes, folder: Path, limits: Limits | None = None) -> Answer:
+    """The last word; and nothing runs on."""
+    *_, answer = look(body, folder, folder, limits or Limits())
+    assert not [child for child in psutil.Process().children() if "worker.validation" in child.cmdline()]
+    return answer
+
+
+def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path: Path) -> None:
+    # MJX has no contacts of ellipsoids with boxes.
+    body = XML.replace(b'<body name="ball"', b'<geom type="box" size="1 1 1" pos="0 0 -1"/><body name="ball"')
+    body = body.replace(b'name="sphere" size="0.1"', b'name="sphere" type="ellipsoid" size="0.1 0.1 0.2"')
+    first, last = look(body, tmp_path, tmp_path, Limits())
+    assert first.description is not None
+    assert (first.description.engines, first.description.complete) == ({"native": None}, False)
+    found = last.description
+    assert found is not None
+    assert found.complete
+    assert found.inventory.bodies == ["world", "ball", "arm"]
+    assert found.physics_steps_per_second > 1000
+    assert found.settled_height == pytest.approx(0.5)  # There is no gravity.
+    assert found.notes == []
+    assert (found.engines["native"], found.engines["warp"]) == (None, None)
+    why = found.engines["mjx"]
+    assert why is not None
+    assert "not implemented" in why
+
+
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        (NO_MOTOR, "no actuators"),
+        (XML.replace(b'joint="elbow"', b'joint="knee"'), "MuJoCo cannot compile the model: Error: unknown"),
+        (XML.replace(b"<mujoco>", b'<mujoco><size memory="900G"/>'), "memory"),
+        (XML.replace(b'mass="0.1"', b'mass="1e309"'), "number is too large"),
+    ],
+)
+def test_a_model_that_no_job_could_use_is_refused(body: bytes, sentence: str, tmp_path: Path) -> None:
+    answer = looked(body, tmp_path)
+    assert answer.description is None
+    assert answer.refusal is not None
+    assert sentence in answer.refusal
+    assert str(tmp_path) not in answer.refusal
+
+
+def test_a_model_that_takes_too_long_is_refused_and_its_process_is_gone(tmp_path: Path) -> None:
+    answer = looked(SLOW, tmp_path, Limits(wall_s=0.2))
+    assert answer.refusal == "MuJoCo was not done with the model within 0.2 s; make it smaller."
+
+
+def test_a_model_that_needs_too_much_memory_is_refused(tmp_path: Path) -> None:
+    texture = b'<asset><texture name="t" type="2d" builtin="flat" width="30000" height="30000"/></asset>'
+    limits = dataclasses.replace(Limits(), memory_bytes=2 * 2**30)
+    answer = looked(XML.replace(b"<mujoco>", b"<mujoco>" + texture), tmp_path, limits)
+    assert answer.refusal is not None
+    assert "memory" in answer.refusal
+
+
+def test_a_urdf_gets_a_motor_for_each_joint(tmp_path: Path) -> None:
+    (tmp_path / "model").write_bytes(URDF)
+    with read(tmp_path / "model") as spec:
+        has = inventory(compiled(spec))
+    assert [(one.name, one.control_range) for one in has.actuators] == [("elbow", (-1.0, 1.0))]
+
+
+def test_a_confined_process_has_no_network_and_no_room() -> None:
+    program = (
+        "import resource, socket; from worker.validation.limits import *; confine(Limits(cpu_s=7));"
+        "print(resource.getrlimit(resource.RLIMIT_CPU)[1]);"
+        "print(socket.socket().connect_ex(('127.0.0.1', int(__import__('sys').argv[1]))))"
+    )
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = str(server.getsockname()[1])
+        said = subprocess.run(
+            [sys.executable, "-c", program, port], capture_output=True, text=True, check=True
+        ).stdout.split()
+    assert said[0] == "7"
+    if said[1] == "0":
+        pytest.skip("this system lets no process without privileges leave the network")
+
+
+def test_a_confined_process_dies_with_its_worker(tmp_path: Path) -> None:
+    (tmp_path / "slow.xml").write_bytes(SLOW)
+    program = (
+        "import sys; from pathlib import Path; from worker.validation.confined import look, Limits;"
+        "here = Path(sys.argv[1]); list(look((here / 'slow.xml').read_bytes(), here, here, Limits()))"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, str(tmp_path)]) as worker:
+        while not (confined := psutil.Process(worker.pid).children()):
+            time.sleep(0.02)
+        worker.kill()
+    until = time.monotonic() + 10
+    while confined[0].is_running() and confined[0].status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(tmp_path: Path) -> None:
+    objects, queue = MemoryObjectStore(), MemoryJobQueue()
+    record = library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
+    assert queue.take_model() == record.id
+    validate(record.id, objects, tmp_path, tmp_path)
+    found = library.find(record.id, objects)
+    assert (found.status, found.message) == (
+        "refused",
+        "The model has no actuators, so no policy could move it.",
+    )
+    assert [info.key for info in objects.list("")] == [keys.model_record(record.id)]
+    # Sent again, it is looked at again.
+    again = library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
+    assert (again.status, queue.contains_model(record.id)) == ("validating", True)
+
+
+def test_a_model_that_was_deleted_meanwhile_does_not_come_back(tmp_path: Path) -> None:
+    with pytest.raises(ModelNotFound):
+        validate(f"sha256:{'0' * 64}", MemoryObjectStore(), tmp_path, tmp_path)

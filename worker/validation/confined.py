@@ -1,0 +1,122 @@
+"""A model is looked at in a process of its own, that can do no harm: the worker's side of it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import structlog
+
+from core.models import library
+from core.storage import keys
+from core.storage.objects import ObjectStore
+from worker.process import environment
+from worker.validation.answer import Answer
+from worker.validation.limits import Limits
+
+ANSWER = "answer.json"
+_GLANCE_S = 0.05
+log = structlog.get_logger()
+
+_UNFINISHED = "Trying the engines took too long; those that are not listed were not tried."
+
+
+def validate(
+    model_id: str, objects: ObjectStore, folder: Path, data_dir: Path, limits: Limits | None = None
+) -> None:
+    """Look at a model that waits for it, and store what is found; of one that is refused, only that.
+
+    folder: an empty one, for files that are needed meanwhile. Raises ModelNotFound, ObjectNotFound.
+    """
+    record = library.find(model_id, objects)
+    if record.status != "validating":
+        return
+    body = objects.get(keys.model_source(model_id))
+    # Once it is described it can be used; loading all the engines takes longer than everything before.
+    for answer in look(body, folder, data_dir, limits or Limits()):
+        library.find(model_id, objects)  # Raises, where somebody has deleted it meanwhile.
+        if answer.description is not None:
+            found = record.model_copy(update={"status": "ready", "description": answer.description})
+        else:
+            found = record.model_copy(update={"status": "refused", "message": answer.refusal})
+            objects.delete_prefix(keys.model_source(model_id))
+        library.keep(found, objects)
+        log.info("model_validated", model=model_id, status=found.status, detail=found.message)
+
+
+def look(body: bytes, folder: Path, data_dir: Path, limits: Limits) -> Iterator[Answer]:
+    """What a confined process says of the file, first and last; where it says nothing, why."""
+    (folder / "model").write_bytes(body)
+    said = folder / ANSWER
+    with (folder / "log").open("wb") as text:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "worker.validation", str(folder), str(os.getpid()), *limits.arguments()],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=text,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            # One thread each: libraries of linear algebra take room for as many as there are cores.
+            env={
+                **environment("cpu", data_dir, os.environ),
+                "OMP_NUM_THREADS": "1",
+                "OPENBLAS_NUM_THREADS": "1",
+                "MALLOC_ARENA_MAX": "2",
+            },
+        )
+        try:
+            until, heard = time.monotonic() + limits.wall_s, False
+            while (status := _ended(child)) is None and time.monotonic() < until:
+                if not heard and said.exists():
+                    heard = True
+                    if (first := _read(said)).description is not None:
+                        yield first
+        finally:
+            _kill(child)
+    yield _answer(folder, status, limits)
+
+
+def _ended(child: "subprocess.Popen[bytes]") -> int | None:
+    """Its exit status, where it has ended by the next glance."""
+    try:
+        return child.wait(_GLANCE_S)
+    except subprocess.TimeoutExpired:
+        return None
+
+
+def _read(said: Path) -> Answer:
+    return Answer.model_validate_json(said.read_bytes()) if said.exists() else Answer()
+
+
+def _answer(folder: Path, status: int | None, limits: Limits) -> Answer:
+    answer = _read(folder / ANSWER)
+    if answer.refusal is not None or (answer.description is not None and status == 0):
+        return answer
+    if answer.description is not None:  # It compiles and moves: only the engines were too much.
+        changes = {"notes": [*answer.description.notes, _UNFINISHED], "complete": True}
+        return Answer(description=answer.description.model_copy(update=changes))
+    log.warning("model_not_understood", status=status, text=_last_words(folder / "log"))
+    return Answer(refusal=_why(status, limits))
+
+
+def _why(status: int | None, limits: Limits) -> str:
+    if status is None or status in (-signal.SIGXCPU, -signal.SIGKILL):
+        return f"MuJoCo was not done with the model within {limits.wall_s:g} s; make it smaller."
+    if status < 0:
+        return f"MuJoCo crashed over the model ({signal.Signals(-status).name})."
+    return "The model could not be read; it may need more memory than a model may."
+
+
+def _last_words(path: Path) -> str:
+    return path.read_bytes()[-1000:].decode(errors="replace")
+
+
+def _kill(child: "subprocess.Popen[bytes]") -> None:
+    """End it and everything that it started."""
+    with suppress(ProcessLookupError):
+        os.killpg(child.pid, signal.SIGKILL)
+    child.wait()

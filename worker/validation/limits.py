@@ -1,0 +1,53 @@
+"""What a process that reads a stranger's model may use. Imported before anything numerical."""
+
+import contextlib
+import ctypes
+import os
+import resource
+import sys
+from dataclasses import asdict, dataclass
+
+_CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
+
+
+@dataclass(frozen=True)
+class Limits:
+    """wall_s: from start to kill. cpu_s: of all its threads. memory_bytes: of its address space."""
+
+    wall_s: float = 90.0
+    cpu_s: int = 90
+    memory_bytes: int = 6 * 2**30
+    file_bytes: int = 512 * 2**20
+    num_files: int = 256
+    num_cores: int = 2
+
+    def arguments(self) -> list[str]:
+        return [str(value) for value in asdict(self).values()]
+
+    @classmethod
+    def of(cls, arguments: list[str]) -> "Limits":
+        wall, *rest = arguments
+        return cls(float(wall), *map(int, rest))
+
+
+def confine(limits: Limits) -> None:
+    """Bind this process and all it starts to the limits, for good; and cut it off from the network.
+
+    The latter where the system lets a process without privileges do that. Nothing in here speaks to a
+    network anyway: it is for what a broken parser might be made to do.
+    """
+    for what, most in (
+        (resource.RLIMIT_CPU, limits.cpu_s),
+        (resource.RLIMIT_FSIZE, limits.file_bytes),
+        (resource.RLIMIT_NOFILE, limits.num_files),
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_AS, limits.memory_bytes),
+    ):
+        _, hard = resource.getrlimit(what)
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        with contextlib.suppress(ValueError, OSError):  # macOS does not know all of them.
+            resource.setrlimit(what, (most, most))
+    if sys.platform == "linux":
+        # Libraries start a thread for each core that they see, and each takes room.
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: limits.num_cores])
+        ctypes.CDLL(None).unshare(_CLONE_NEWUSER | _CLONE_NEWNET)
