@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from core.adapters.memory_jobs import MemoryJobStore
+from core.adapters.memory_objects import MemoryObjectStore
 from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.environments import catalog
 from core.environments.corridor import compose
@@ -333,7 +334,7 @@ def test_a_job_is_judged_by_the_walker_that_it_asks_for() -> None:
     environment: dict[str, Any] = {"id": "corridor", "options": {"walker": "rodent", "episode_length": 300}}
     policy = {"kind": "constant", "action": [0.0] * 38}
     job = {"kind": "rollout", "environment": environment, "policy": policy, "video": {"camera": "walker/top"}}
-    check(JOB_SPEC.validate_python(job), MemoryJobStore())
+    check(JOB_SPEC.validate_python(job), MemoryJobStore(), MemoryObjectStore())
     info = catalog.find("corridor")
     row = info.under(catalog.parse_options(info, environment["options"]))
     assert resolve(PPOSpec(), row, "cpu").episode_length == 300
