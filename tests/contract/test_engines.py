@@ -286,17 +286,17 @@ def ant() -> mujoco.MjModel:
 
 
 BODIES = [name for name, info in catalog.ENVIRONMENTS.items() if not info.takes_model]
-# MJX takes up to a minute to compile a body, and many minutes for the rodent.
+# Warp compiles a body's kernels for some seconds, MJX its program for up to a minute, and the rodent's for many.
+FAST = [("mjx", "ant"), *(("warp", body) for body in ("ant", "humanoid", "rodent"))]
 SLOW = [
-    pytest.param("mjx", body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
+    pytest.param(engine, body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
+    for engine in ("mjx", "warp")
     for body in BODIES
-    if body not in ("ant", "rodent")
+    if (engine, body) not in [*FAST, ("mjx", "rodent")]
 ]
 
 
-@pytest.mark.parametrize(
-    ("name", "environment"), [("mjx", "ant"), *(("warp", body) for body in BODIES), *SLOW]
-)
+@pytest.mark.parametrize(("name", "environment"), [*FAST, *SLOW])
 def test_the_engines_move_every_body_alike(
     name: EngineName, environment: str, request: pytest.FixtureRequest
 ) -> None:
