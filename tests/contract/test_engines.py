@@ -286,7 +286,7 @@ def ant() -> mujoco.MjModel:
 
 
 BODIES = [name for name, info in catalog.ENVIRONMENTS.items() if not info.takes_model]
-# Warp compiles a body's kernels for some seconds, MJX its program for up to a minute, and the rodent's for many.
+# Warp compiles kernels for some seconds, MJX its program for up to a minute, the rodent's for many.
 FAST = [("mjx", "ant"), *(("warp", body) for body in ("ant", "humanoid", "rodent"))]
 SLOW = [
     pytest.param(engine, body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
