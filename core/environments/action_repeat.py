@@ -4,34 +4,21 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
-import mujoco
 
-from core.environments.environment import Environment, ObservationSize, State
+from core.environments.environment import Environment, State
+from core.environments.wrapped import Wrapped
 from core.environments.wrappers import select
 from core.physics.engine import NOMINAL, ModelFields
 
 
 @dataclass(frozen=True)
-class RepeatedAction:
+class RepeatedAction(Wrapped):
     """An environment in which every action is taken `num_repeats` times, and rewards add up.
 
     A step that ends the episode is the last one taken; metrics are those of the last one, as in Brax.
     """
 
-    environment: Environment
     num_repeats: int
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        return self.environment.model
-
-    @property
-    def observation_size(self) -> ObservationSize:
-        return self.environment.observation_size
-
-    @property
-    def action_size(self) -> int:
-        return self.environment.action_size
 
     @property
     def dt(self) -> float:
@@ -40,10 +27,6 @@ class RepeatedAction:
     @property
     def episode_length(self) -> int:
         return -(-self.environment.episode_length // self.num_repeats)
-
-    @property
-    def tracked_body(self) -> int:
-        return self.environment.tracked_body
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         return self.environment.reset(key, model)

@@ -15,8 +15,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.environments.environment import Environment, ObservationSize, State
+from core.environments.environment import Environment, State
 from core.environments.randomization import FIELDS, FieldName, Kind, Randomization
+from core.environments.wrapped import Wrapped
 from core.errors import JobFailed
 from core.physics.engine import CONSTANTS, NOMINAL, ModelFields
 from core.physics.model import model_field
@@ -27,26 +28,13 @@ _Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class RandomizedEnvironment:
+class RandomizedEnvironment(Wrapped):
     """An environment in which every fresh start takes one of the models of a pool.
 
     pool: fields of the model [NUM_MODELS, ...]; the same for every seed, which decides who takes which.
     """
 
-    environment: Environment
     pool: Mapping[str, NDArray[np.float32]]
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        return self.environment.model
-
-    @property
-    def observation_size(self) -> ObservationSize:
-        return self.environment.observation_size
-
-    @property
-    def action_size(self) -> int:
-        return self.environment.action_size
 
     @property
     def dt(self) -> float:
@@ -55,10 +43,6 @@ class RandomizedEnvironment:
     @property
     def episode_length(self) -> int:
         return self.environment.episode_length
-
-    @property
-    def tracked_body(self) -> int:
-        return self.environment.tracked_body
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         reset_key, model_key = jax.random.split(key)

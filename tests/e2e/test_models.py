@@ -1,15 +1,10 @@
 """A body that a user brings, with real parts: from its file to its video."""
 
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from gaitway.client import Client
-from gaitway.embedded.processes import free_ports
 from gaitway.errors import Rejected
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
@@ -19,21 +14,6 @@ MESH = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3
 ASSET = b'<asset><mesh name="hat" file="hat.obj"/></asset><worldbody>'
 HAT = b'<geom type="mesh" mesh="hat" mass="0.1" contype="0" conaffinity="0"/><site name="middle"/>'
 WITH_MESH = XML.replace(b"<worldbody>", ASSET).replace(b'<site name="middle"/>', HAT)
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    """A client of a stack with one worker."""
-    data = tmp_path_factory.mktemp("stack")
-    port = free_ports(1)[0]
-    command = [sys.executable, "-m", "gaitway.embedded.up", "--data", str(data), "--port", str(port)]
-    stack = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
-    with stack, Client(f"http://127.0.0.1:{port}") as client:
-        assert stack.stdout is not None
-        assert stack.stdout.readline()
-        yield client
-        stack.send_signal(signal.SIGTERM)
-        stack.communicate(timeout=60)
 
 
 def test_a_body_goes_from_its_file_to_its_video(client: Client, tmp_path: Path) -> None:

@@ -2,9 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +13,6 @@ import pytest
 
 from core.environments import trajectory
 from gaitway.client import Client
-from gaitway.embedded.processes import free_ports
 from gaitway.views import Event, JobView
 
 # Updates of 64 × 10 = 640 steps; some ten seconds of training, so that it can be disturbed in the middle.
@@ -42,21 +38,6 @@ SMALL: dict[str, Any] = {
 
 # What a training job keeps in any case.
 KEPT = {"checkpoint", "metrics", "policy", "poster", "tensorboard", "video"}
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    """A client of a stack with one worker."""
-    data = tmp_path_factory.mktemp("stack")
-    port = free_ports(1)[0]
-    command = [sys.executable, "-m", "gaitway.embedded.up", "--data", str(data), "--port", str(port)]
-    stack = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
-    with stack, Client(f"http://127.0.0.1:{port}") as client:
-        assert stack.stdout is not None
-        assert stack.stdout.readline()
-        yield client
-        stack.send_signal(signal.SIGTERM)
-        stack.communicate(timeout=60)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,30 @@
+"""What an environment around another passes on unchanged."""
+
+from dataclasses import dataclass
+
+import mujoco
+
+from core.environments.environment import Environment, ObservationSize
+
+
+@dataclass(frozen=True)
+class Wrapped:
+    """Body, sizes and names are those of the environment inside."""
+
+    environment: Environment
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        return self.environment.model
+
+    @property
+    def observation_size(self) -> ObservationSize:
+        return self.environment.observation_size
+
+    @property
+    def action_size(self) -> int:
+        return self.environment.action_size
+
+    @property
+    def tracked_body(self) -> int:
+        return self.environment.tracked_body
