@@ -6,6 +6,7 @@ FOLDER afterwards, and `job.json` with what the process said of itself. The vide
 
 import argparse
 import json
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -31,10 +32,13 @@ def main() -> None:
     (folder / "task.json").write_text(task.model_dump_json())
     began = time.perf_counter()
     process = TrainingProcess(TRAINING, folder, folder / "data", device, [])
+    # Read beside the messages: a full pipe would stop the process.
+    printing = threading.Thread(target=lambda: print(*process.lines(), sep="\n"))
+    printing.start()
     story = _Story(folder, began)
     for message in process.messages():
         story.take(message)
-    print(*process.lines(), sep="\n")
+    printing.join()
     story.write()
     if isinstance(spec, TrainSpec) and story.rows:
         learning_curve(story.rows, folder / "curve.png", title=arguments.spec.stem)
