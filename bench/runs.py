@@ -4,11 +4,13 @@ So a bench may be spread over several calls, and what one of them made is not lo
 """
 
 import json
+import os
 import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -62,17 +64,31 @@ class Runs:
     def make(self, works: Iterable[Work]) -> None:
         """Those that are missing, in their order; a failure is kept like an answer."""
         for work in works:
-            record = self._kept(work)
-            if record is None and fnmatchcase(work.name, self._only) and self._has_its_cache(work):
-                record = self._made(work)
-            if record is None:
-                self.left.append(work.name)
-                continue
-            self._machines[work.name] = Machine.model_validate(record["machine"])
-            if "failure" in record:
-                self.failed[work.name] = record["failure"]
-            else:
-                self.done[work.name] = record["answer"]
+            self._take(work, self._record(work))
+
+    def make_together(self, works: Iterable[Work], at_once: int) -> None:
+        """The same, several at a time: where what is asked of them is not how long they take."""
+        wanted = list(works)
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # One process would take the card.
+        with ThreadPoolExecutor(at_once) as pool:
+            for work, record in zip(wanted, pool.map(self._record, wanted), strict=True):
+                self._take(work, record)
+
+    def _record(self, work: Work) -> Run | None:
+        record = self._kept(work)
+        if record is None and fnmatchcase(work.name, self._only) and self._has_its_cache(work):
+            record = self._made(work)
+        return record
+
+    def _take(self, work: Work, record: Run | None) -> None:
+        if record is None:
+            self.left.append(work.name)
+            return
+        self._machines[work.name] = Machine.model_validate(record["machine"])
+        if "failure" in record:
+            self.failed[work.name] = record["failure"]
+        else:
+            self.done[work.name] = record["answer"]
 
     def _has_its_cache(self, work: Work) -> bool:
         """Whether what it is to find compiled is on this machine; if not, it is made, if that may be."""
@@ -115,14 +131,14 @@ class Runs:
             return None
         timeout_s = min(work.timeout_s, left_s)
         record: Run = {"request": work.request, "machine": this_machine().model_dump()}
-        print(f"{work.name} …", end=" ", file=sys.stderr, flush=True)
+        print(f"{work.name} …", file=sys.stderr, flush=True)
         began = time.perf_counter()
         try:
             answer = run_child(work.module, self._with_cache(work), timeout_s=timeout_s)
             record["answer"] = answer
         except TookTooLong as slow:
             if timeout_s < work.timeout_s:
-                print("no time left", file=sys.stderr)
+                print(f"{work.name}: no time left", file=sys.stderr)
                 return None
             record["failure"] = slow.reason
         except ChildFailed as failure:
@@ -131,7 +147,10 @@ class Runs:
         else:
             self._marker(work).parent.mkdir(parents=True, exist_ok=True)
             self._marker(work).touch()
-        print(f"{record.get('failure', 'done')}, {time.perf_counter() - began:.0f} s", file=sys.stderr)
+        print(
+            f"{work.name}: {record.get('failure', 'done')}, {time.perf_counter() - began:.0f} s",
+            file=sys.stderr,
+        )
         self._folder.mkdir(parents=True, exist_ok=True)
         self._path(work).write_text(json.dumps(record, indent=1) + "\n")
         return record

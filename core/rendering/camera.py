@@ -8,6 +8,11 @@ TRACK = "track"
 POINTER = "/video/camera"
 
 
+def camera_choices(cameras: Sequence[str]) -> list[str | int]:
+    """`track`, and each of the model's as a job names it; by number where a name would not reach it."""
+    return [TRACK, *(name if name and name != TRACK else number for number, name in enumerate(cameras))]
+
+
 def check_camera(camera: str | int, cameras: Sequence[str]) -> None:
     """Raises Rejected unless `camera` is `track` or one of a model's, by name or by number."""
     model_camera(camera, cameras)

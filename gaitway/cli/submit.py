@@ -44,8 +44,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
     if num_timesteps is not None:
         put(spec, "algorithm.num_timesteps", num_timesteps)
     for text in assignments or ():
-        path, value = _assignment(text)
-        put(spec, path, _value(value))
+        assigned(spec, text)
     if isinstance(spec.get("algorithm"), dict):
         spec["algorithm"].setdefault("kind", "ppo")
     client = client_of(context)
@@ -57,6 +56,12 @@ def submit(  # noqa: PLR0913 # A command line's options.
     elif not watch:
         print(job.id)
     raise typer.Exit(end_code(job) if watch and job.is_final else 0)
+
+
+def assigned(spec: dict[str, Any], text: str) -> None:
+    """Put what `a.b.c=VALUE` says; a value that is JSON is what it means."""
+    path, value = _assignment(text)
+    put(spec, path, _value(value))
 
 
 def put(spec: dict[str, Any], path: str, value: Any) -> None:

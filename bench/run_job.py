@@ -1,0 +1,85 @@
+"""A job without the service: its training process alone, on a machine that has no stores.
+
+`python -m bench.run_job FOLDER SPEC.json [--gpu]`: the job's files, `metrics.jsonl` and `curve.png` are in
+FOLDER afterwards, and `job.json` with what the process said of itself. The video is drawn as in the service.
+"""
+
+import argparse
+import json
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from core.jobs.spec import JOB_SPEC, TrainSpec
+from gaitway.plots import learning_curve
+from worker.messages import Advanced, Failed, Finished, Measured, Message, Noted, PhaseEnded, Started, Task
+from worker.process import TRAINING, TrainingProcess
+
+
+def main() -> None:
+    """Run it to its end. Exits with 1 where it fails."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("spec", type=Path)
+    parser.add_argument("--gpu", action="store_true", help="on the first GPU; else on the CPU")
+    arguments = parser.parse_args()
+    folder = arguments.folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    spec = JOB_SPEC.validate_json(arguments.spec.read_bytes())
+    device = "gpu:0" if arguments.gpu else "cpu"
+    task = Task(job_id="bench", attempt=1, spec=spec, device=device)
+    (folder / "task.json").write_text(task.model_dump_json())
+    began = time.perf_counter()
+    process = TrainingProcess(TRAINING, folder, folder / "data", device, [])
+    # Read beside the messages: a full pipe would stop the process.
+    printing = threading.Thread(target=lambda: print(*process.lines(), sep="\n"))
+    printing.start()
+    story = _Story(folder, began)
+    for message in process.messages():
+        story.take(message)
+    printing.join()
+    story.write()
+    if isinstance(spec, TrainSpec) and story.rows:
+        learning_curve(story.rows, folder / "curve.png", title=arguments.spec.stem)
+    raise SystemExit(0 if process.poll(60) == 0 and "failed" not in story.told else 1)
+
+
+class _Story:
+    """What the process says, kept and printed as it comes."""
+
+    def __init__(self, folder: Path, began: float) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self.told: dict[str, Any] = {"phases": {}, "notes": []}
+        self._folder, self._began = folder, began
+
+    def take(self, message: Message) -> None:
+        wall_s = round(time.perf_counter() - self._began, 2)
+        match message:
+            case Started(device=device, engine=engine, details=details):
+                self.told |= {"device": device, "engine": engine, "details": details}
+            case PhaseEnded(name=name, seconds=seconds):
+                self.told["phases"][name] = seconds
+            case Measured(step=step, values=values):
+                self.rows.append({"step": step, "values": values, "wall_s": wall_s})
+            case Advanced(step=step, total=total, steps_per_second=rate):
+                self.told |= {"step": step, "total": total}
+                print(f"{wall_s:8.1f} s  {step:,}/{total:,}  {rate or 0:,.0f}/s", flush=True)
+            case Noted(text=text):
+                self.told["notes"].append(text)
+            case Failed(message=text):
+                self.told["failed"] = text
+                print(text, flush=True)
+            case Finished():
+                self.told["wall_s"] = wall_s
+            case _:
+                pass
+
+    def write(self) -> None:
+        lines = (json.dumps(row) + "\n" for row in self.rows)
+        (self._folder / "metrics.jsonl").write_text("".join(lines))
+        (self._folder / "job.json").write_text(json.dumps(self.told, indent=1, default=str) + "\n")
+
+
+if __name__ == "__main__":
+    main()
