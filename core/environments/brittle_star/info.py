@@ -78,7 +78,7 @@ class BrittleStarOptions(Strict):
     )
     random_initial_rotation: bool = Field(False, description="About the vertical, in each episode.")
     joint_randomization_noise_scale: NoiseScale = Field(
-        0.0, description="Of the joints' initial positions and velocities, uniform in ± this: rad, rad/s."
+        0.01, description="Of the joints' initial positions and velocities, uniform in ± this: rad, rad/s."
     )
     num_physics_steps_per_control_step: int = Field(10, ge=1, le=100)
     time_scale: float = Field(2.0, ge=0.25, le=5, description="A physics step is this times 2 ms.")

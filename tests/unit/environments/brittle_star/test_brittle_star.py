@@ -123,7 +123,7 @@ def test_what_indexers_read_says_where_the_target_is() -> None:
 
 @pytest.mark.parametrize(("walls", "furthest"), [("bound", 4.875), ("contacts", 4.9)])
 def test_walls_hold_it(walls: str, furthest: float) -> None:
-    # Thrown at the wall of y = 5 m with 2 m/s, in water. The disk's radius, 0.125 m, is as far as the bound is,
+    # Thrown at the wall of y = 5 m with 2 m/s, in water. The bound is a disk's radius, 0.125 m, before it,
     # but for what a limit gives way. biorobot's walls hold at their middle, 5.1 m, and first touch a tip
     # 0.25 m from the centre of the disk, 18° off the way: 5.1 - 0.25 cos 18° = 4.86, and joints give way.
     environment = build(walls=walls, num_segments_per_arm=1, target_position=(0.0, 3.0))
