@@ -1,6 +1,7 @@
 """What an action is."""
 
 from core.environments.brittle_star.info import Options
+from core.environments.cpg.actions import steered_by_oscillators
 from core.environments.environment import Environment
 
 
@@ -9,3 +10,5 @@ def controlled(star: Environment, options: Options) -> Environment:
     match options.control:
         case "joints":
             return star
+        case "cpg":
+            return steered_by_oscillators(star, options.num_arms, options.cpg)

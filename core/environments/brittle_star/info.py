@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from core.environments.cpg.options import CPGOptions
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.options import NoiseScale
 from core.model import Strict
@@ -52,6 +53,8 @@ OF_THE_BODY: tuple[BodyObservable, ...] = (
     "segment_contact",
 )
 OF_THE_TARGET: tuple[TargetObservable, ...] = ("unit_xy_direction_to_target", "xy_distance_to_target")
+# What a State's `info` tells of the target.
+OF_THE_WAY = ("target_position", "xy_direction_to_target", "xy_distance_to_target")
 OF_THE_LIGHT: tuple[LightObservable, ...] = ("segment_light_intake", "disk_light_intake")
 
 
@@ -65,8 +68,13 @@ class BrittleStarOptions(Strict):
     actuation: Literal["p_control", "torque_control"] = Field(
         "p_control", description="What moves a joint: a servo that an action gives an angle, or a torque."
     )
-    control: Literal["joints"] = Field(
-        "joints", description="What an action is: the joints' angles or torques."
+    control: Literal["joints", "cpg"] = Field(
+        "joints",
+        description="What an action is: the joints' angles or torques, or the parameters of a central "
+        "pattern generator that moves them.",
+    )
+    cpg: CPGOptions = Field(
+        CPGOptions.model_validate({}), description="Of the pattern generator, where there is one."
     )
     arena_size: Annotated[tuple[_Metres, _Metres], Field(strict=False)] = Field(
         (10, 5), description="Half lengths in x and y, in metres."
@@ -148,6 +156,8 @@ class BrittleStarOptions(Strict):
                 f"simulation_time = {self.simulation_time:g} s are {self.episode_length} control steps of "
                 f"{self.dt:g} s, and {_MOST_STEPS} are the most"
             )
+        if self.control == "cpg":
+            self.cpg.check_steps(self.dt)
         room = min(self.arena_size[0] - abs(self.start_x), self.arena_size[1])
         if room < self.reach:
             raise ValueError(
@@ -257,7 +267,9 @@ def _under(options: Options) -> Mapping[str, Any]:
     length = {"episode_length": options.episode_length}
     return {
         "observation_size": sum(_size(name, total) for name in observed(options)),
-        "action_size": 2 * total,
+        # Of a pattern generator's: see `core.environments.cpg.encoding`, which loads JAX.
+        "action_size": 2 * total if options.control == "joints" else 7 * options.num_arms + 1,
+        "has_cpg": options.control == "cpg",
         "dt": options.dt,
         "episode_length": options.episode_length,
         "cannot_run": _cannot_run(total),
@@ -303,6 +315,10 @@ def _row(id: str, task: str, description: str, options: type[Options]) -> Enviro
         factory=f"core.environments.brittle_star.environment:{task}",
         tracked_body=DISK,
         cameras=("top_camera", "BrittleStarMorphology/side_camera"),
+        info=(
+            *("disk_position", "disk_rotation"),
+            *(OF_THE_WAY if options is DirectedOptions else ()),
+        ),
         options=options,
         vary=_under,
         **_under(options.model_validate({})),

@@ -44,6 +44,10 @@ def build(task: str = "brittle_star", **options: Any) -> Any:
     return environment
 
 
+def environment_options(task: str = "brittle_star", **options: Any) -> Any:
+    return catalog.parse_options(catalog.find(task), options)
+
+
 def _listed(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
@@ -93,6 +97,27 @@ def test_actions_reach_from_end_to_end_of_the_joints_ranges() -> None:
         environment = build(actuation=actuation, num_segments_per_arm=1)
         state = environment.step(environment.reset(jax.random.key(0)), jnp.ones(10))
         np.testing.assert_allclose(state.physics.derived["qfrc_actuator"][6:], 3.75, rtol=1e-6)
+
+
+def test_a_pattern_generator_may_move_the_joints() -> None:
+    # Arm 0 leads, held up by three quarters of 30°, and the others row: the star leaves its place towards +x
+    # by more than its own noise in two seconds.
+    environment = build(control="cpg", num_segments_per_arm=3)
+    assert catalog.find("brittle_star").under(environment_options(control="cpg")).has_cpg
+    state, step = environment.reset(jax.random.key(0)), jax.jit(environment.step)
+    action = environment.leading_arm(0)
+    assert action.shape == (7 * 5 + 1,)
+    for _ in range(75):
+        state = step(state, action)
+    lifted = state.physics.qpos[8:13:2]
+    assert float(jnp.min(lifted)) > 0.1
+    assert float(state.metrics["x_position"]) > 0.02
+
+
+def test_its_row_names_what_its_states_tell() -> None:
+    for task in STARS:
+        state = jax.eval_shape(build(task, num_segments_per_arm=1).reset, jax.random.key(0))
+        assert set(catalog.find(task).info) == set(state.info)
 
 
 def test_targets_differ_between_worlds_and_stay_for_an_episode() -> None:
