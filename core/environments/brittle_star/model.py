@@ -22,6 +22,8 @@ def star_model(options: Options) -> mujoco.MjModel:
     spec.option.timestep = options.timestep
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP  # as biorobot has it
     spec.stat.extent = _EXTENT_M
+    for light in spec.lights:  # without, one sees no arm lift
+        light.diffuse = [0.6] * 3
     reads_contacts = "segment_contact" in options.observables
     for sensor in list(spec.sensors):
         if sensor.type != mujoco.mjtSensor.mjSENS_TOUCH or not reads_contacts:
