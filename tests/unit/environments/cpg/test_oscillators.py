@@ -88,7 +88,7 @@ def test_who_has_no_amplitude_is_followed_by_nobody() -> None:
     np.testing.assert_allclose(ahead(after), decayed(WEIGHT * 0.5), atol=1e-4)  # one pulls instead of two
 
 
-@pytest.mark.parametrize(("integrator", "order", "num_steps"), [("euler", 1, 64), ("rk4", 4, 32)])
+@pytest.mark.parametrize(("integrator", "order", "num_steps"), [("euler", 1, 64), ("rk4", 4, 16)])
 def test_halving_the_step_divides_the_error_of_the_coupled_system_by_two_to_the_order(
     integrator: Integrator, order: int, num_steps: int
 ) -> None:
@@ -102,7 +102,7 @@ def test_halving_the_step_divides_the_error_of_the_coupled_system_by_two_to_the_
         return np.abs(np.array([ahead(now), now.amplitudes[0]]) - exact)
 
     with jax.enable_x64(True):
-        np.testing.assert_allclose(np.log2(error(num_steps) / error(2 * num_steps)), order, atol=0.15)
+        np.testing.assert_allclose(np.log2(error(num_steps) / error(2 * num_steps)), order, atol=0.2)
 
 
 def test_the_output_swings_about_the_offset() -> None:
