@@ -17,31 +17,42 @@ _NEIGHBOURS = 3
 class GaitOptions(Strict):
     """How the star rows where only the leading arm, or each arm's role, is chosen."""
 
-    frequency_hz: float = Field(1.0, ge=0, le=10, description="Strokes per second.")
-    sweep: float = Field(0.5, ge=0, le=1, description="A rower's amplitude in the plane, of its range.")
-    stroke: float = Field(0.75, ge=0, le=1, description="A rower's amplitude out of the plane, of its range.")
-    lift: float = Field(0.75, ge=-1, le=1, description="How far the leading arm is held up, of its range.")
+    frequency_hz: float = Field(default=1.0, ge=0, le=10, description="Strokes per second.")
+    sweep: float = Field(
+        default=0.5, ge=0, le=1, description="A rower's amplitude in the plane, of its range."
+    )
+    stroke: float = Field(
+        default=0.75, ge=0, le=1, description="A rower's amplitude out of the plane, of its range."
+    )
+    lift: float = Field(
+        default=0.75, ge=-1, le=1, description="How far the leading arm is held up, of its range."
+    )
 
 
 class CPGOptions(Strict):
     """Amplitude-controlled phase oscillators, two for each arm. Amplitudes and offsets are parts of what
     the actuators can do: 1 is the end of their range."""
 
-    integrator: Literal["rk4", "euler"] = Field("rk4", description="Of order 4, or of order 1.")
-    num_steps: int = Field(1, ge=1, le=100, description="Integration steps for each control step.")
+    integrator: Literal["rk4", "euler"] = Field(default="rk4", description="Of order 4, or of order 1.")
+    num_steps: int = Field(default=1, ge=1, le=100, description="Integration steps for each control step.")
     coupling_weight: float = Field(
-        10.0, ge=0, le=1000, description="How strongly phases follow, per second and unit of amplitude."
+        default=10.0,
+        ge=0,
+        le=1000,
+        description="How strongly phases follow, per second and unit of amplitude.",
     )
     amplitude_gain: float = Field(
-        20.0, gt=0, le=1000, description="Twice the rate at which amplitudes settle, 1/s."
+        default=20.0, gt=0, le=1000, description="Twice the rate at which amplitudes settle, 1/s."
     )
-    offset_gain: float = Field(20.0, gt=0, le=1000, description="The same of offsets.")
+    offset_gain: float = Field(default=20.0, gt=0, le=1000, description="The same of offsets.")
     initial_phase_spread: float = Field(
-        0.01, ge=0, le=pi, description="First phases are uniform in ± this, in rad."
+        default=0.01, ge=0, le=pi, description="First phases are uniform in ± this, in rad."
     )
-    max_frequency_hz: float = Field(2.0, gt=0, le=10, description="The action's 1; its -1 is standstill.")
-    max_amplitude: float = Field(1.0, gt=0, le=1, description="The action's 1; its -1 is none.")
-    max_offset: float = Field(1.0, gt=0, le=1, description="The action's 1; its -1 is minus this.")
+    max_frequency_hz: float = Field(
+        default=2.0, gt=0, le=10, description="The action's 1; its -1 is standstill."
+    )
+    max_amplitude: float = Field(default=1.0, gt=0, le=1, description="The action's 1; its -1 is none.")
+    max_offset: float = Field(default=1.0, gt=0, le=1, description="The action's 1; its -1 is minus this.")
     gait: GaitOptions = GaitOptions()
 
     @property

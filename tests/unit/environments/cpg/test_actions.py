@@ -57,9 +57,7 @@ def star() -> CPGActions:
 
 
 def test_every_segment_follows_its_arm_by_the_actuators_names(star: CPGActions) -> None:
-    state = star.reset(jax.random.key(0))
-    action = star.leading_arm(1)
-    step = jax.jit(star.step)
+    state, action, step = jax.jit(star.reset)(jax.random.key(0)), star.leading_arm(1), jax.jit(star.step)
     for _ in range(40):
         state = step(state, action)
     now = oscillators_in(state.info)
@@ -72,11 +70,11 @@ def test_every_segment_follows_its_arm_by_the_actuators_names(star: CPGActions) 
 
 
 def test_the_state_carries_the_oscillators_beside_the_environments_own(star: CPGActions) -> None:
-    first = star.reset(jax.random.key(0))
+    first = jax.jit(star.reset)(jax.random.key(0))
     assert set(first.info) == {
         *("own", "cpg_phases", "cpg_amplitudes", "cpg_amplitude_rates", "cpg_offsets", "cpg_offset_rates")
     }
-    batch = jax.vmap(star.reset)(jax.random.split(jax.random.key(1), 4))
+    batch = jax.jit(jax.vmap(star.reset))(jax.random.split(jax.random.key(1), 4))
     after = jax.jit(jax.vmap(star.step))(batch, jnp.zeros((4, star.action_size)))
     assert jax.tree.structure(after) == jax.tree.structure(batch)
     assert after.info["cpg_phases"].shape == (4, 6)
@@ -85,7 +83,7 @@ def test_the_state_carries_the_oscillators_beside_the_environments_own(star: CPG
 
 
 def test_what_leaves_the_range_of_the_joints_or_the_action_is_cut_off(star: CPGActions) -> None:
-    state = star.reset(jax.random.key(0))
+    state = jax.jit(star.reset)(jax.random.key(0))
     wild, most, step = state, state, jax.jit(star.step)
     for _ in range(25):
         wild, most = step(wild, jnp.full(star.action_size, 7.0)), step(most, jnp.ones(star.action_size))

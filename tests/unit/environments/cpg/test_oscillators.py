@@ -88,7 +88,7 @@ def test_who_has_no_amplitude_is_followed_by_nobody() -> None:
     np.testing.assert_allclose(ahead(after), decayed(WEIGHT * 0.5), atol=1e-4)  # one pulls instead of two
 
 
-@pytest.mark.parametrize(("integrator", "order", "num_steps"), [("euler", 1, 64), ("rk4", 4, 4)])
+@pytest.mark.parametrize(("integrator", "order", "num_steps"), [("euler", 1, 64), ("rk4", 4, 16)])
 def test_halving_the_step_divides_the_error_of_the_coupled_system_by_two_to_the_order(
     integrator: Integrator, order: int, num_steps: int
 ) -> None:
@@ -99,10 +99,10 @@ def test_halving_the_step_divides_the_error_of_the_coupled_system_by_two_to_the_
 
     def error(num_steps: int) -> NDArray[np.float64]:
         now = advance(PAIR, towards(), a_pair(), seconds, integrator, num_steps)
-        return np.abs(np.array([ahead(now), now.amplitudes[0]], np.float64) - exact)
+        return np.abs(np.array([ahead(now), now.amplitudes[0]]) - exact)
 
-    print(error(num_steps), error(2 * num_steps))
-    np.testing.assert_allclose(np.log2(error(num_steps) / error(2 * num_steps)), order, atol=0.35)
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(np.log2(error(num_steps) / error(2 * num_steps)), order, atol=0.2)
 
 
 def test_the_output_swings_about_the_offset() -> None:

@@ -3,13 +3,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.environments.cpg import integration, star
+from core.environments.cpg import integration, roles, star
 from core.environments.cpg.encoding import action_size, decode, encode
 from core.environments.cpg.options import CPGOptions
 from core.environments.cpg.oscillators import Network, at_rest
-from core.environments.cpg.roles import Gait, Role, modulation, roles_under
+from core.environments.cpg.roles import Gait, Role, roles_under
 
 advance = jax.jit(integration.advance, static_argnames=("integrator", "num_steps"))
+modulation = jax.jit(roles.modulation)
 GAIT = Gait(frequency=2 * np.pi, sweep=0.5, stroke=0.75, lift=0.6)
 LEADING, LEFT, RIGHT, TRAILING = Role
 
@@ -21,7 +22,7 @@ def test_arms_row_on_both_sides_of_the_leading_one() -> None:
     assert roles_under(0, 3).tolist() == [LEADING, LEFT, RIGHT]
 
 
-@pytest.mark.parametrize("num_arms", [3, 4, 5])
+@pytest.mark.parametrize("num_arms", [3, 6])
 def test_another_leading_arm_is_the_same_star_turned(num_arms: int) -> None:
     first = modulation(roles_under(0, num_arms), GAIT)
     for arm in (1, num_arms - 1):
@@ -42,34 +43,36 @@ def test_each_role_has_its_amplitudes_and_offset() -> None:
     np.testing.assert_allclose(pairs[TRAILING], [[0, 0], [0.75, 0]])
 
 
-def lock(roles: jax.Array, seconds: float = 10.0) -> np.ndarray:
+def lock(played: jax.Array, spread: float = np.pi, seconds: float = 10.0) -> np.ndarray:
     """Phases [2 num_arms] of arms that have long been in these roles."""
-    num_arms = len(roles)
+    num_arms = len(played)
     network = Network(jnp.asarray(star.weights(num_arms, 10.0)), 20.0, 20.0)
-    phases = jax.random.uniform(jax.random.key(num_arms), (2 * num_arms,), minval=-np.pi, maxval=np.pi)
+    phases = jax.random.uniform(jax.random.key(num_arms), (2 * num_arms,), minval=-spread, maxval=spread)
     return np.asarray(
         advance(
-            network, modulation(roles, GAIT), at_rest(phases), seconds, num_steps=int(seconds / 0.04)
+            network, modulation(played, GAIT), at_rest(phases), seconds, num_steps=int(seconds / 0.04)
         ).phases
     )
 
 
-@pytest.mark.parametrize("num_arms", range(3, 9))
+@pytest.mark.parametrize("num_arms", [3, 4, 8])
 def test_rowers_lock_in_step_whoever_leads(num_arms: int) -> None:
-    roles = roles_under(1, num_arms)
-    phases = lock(roles).reshape(num_arms, 2)
-    rhythm = phases[np.asarray(roles) == LEFT][0, 1]  # out of the plane
+    played = roles_under(1, num_arms)
+    phases = lock(played).reshape(num_arms, 2)
+    rhythm = phases[np.asarray(played) == LEFT][0, 1]  # out of the plane
     due = {LEFT: (np.pi / 2, 0.0), RIGHT: (-np.pi / 2, 0.0), TRAILING: (None, 0.0)}
-    for role, arm in zip(roles.tolist(), phases, strict=True):
+    for role, arm in zip(played.tolist(), phases, strict=True):
         for phase, bias in zip(arm, due.get(Role(role), (None, None)), strict=True):
             if bias is not None:
                 np.testing.assert_allclose(np.exp(1j * (phase - rhythm - bias)), 1, atol=1e-3)
 
 
 def test_arms_that_choose_their_own_roles_lock_too() -> None:
-    roles = jnp.array([LEFT, RIGHT, LEFT, TRAILING, RIGHT, RIGHT])
-    phases = lock(roles).reshape(6, 2)
-    np.testing.assert_allclose(np.exp(1j * (phases[:, 1] - phases[0, 1])), np.ones(6), atol=1e-3)
+    # Nobody leads, so the ring is closed: from phases that are far apart it may also lock in a wave that
+    # runs around it.
+    played = jnp.array([LEFT, RIGHT, LEFT, TRAILING, RIGHT, RIGHT, LEFT, LEFT])
+    phases = lock(played, spread=0.01).reshape(8, 2)
+    np.testing.assert_allclose(np.exp(1j * (phases[:, 1] - phases[0, 1])), np.ones(8), atol=1e-3)
 
 
 def test_every_oscillator_is_coupled_to_three_others() -> None:
@@ -81,11 +84,12 @@ def test_every_oscillator_is_coupled_to_three_others() -> None:
         star.edges(2)
 
 
-@pytest.mark.parametrize("num_arms", [3, 6])
-def test_an_action_stands_for_a_modulation_and_back(num_arms: int) -> None:
+def test_an_action_stands_for_a_modulation_and_back() -> None:
+    num_arms = 6
     options = CPGOptions(max_amplitude=0.8, max_offset=0.9, max_frequency_hz=1.5)
+    both = jax.jit(lambda action: encode(decode(action, options), options))
     actions = jax.random.uniform(jax.random.key(0), (4, action_size(num_arms)), minval=-1, maxval=1)
-    np.testing.assert_allclose(encode(decode(actions, options), options), actions, atol=1e-6)
+    np.testing.assert_allclose(both(actions), actions, atol=1e-6)
     for arm in (0, 2):
         wanted = modulation(roles_under(arm, num_arms), GAIT)
         action = encode(wanted, options)
