@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from pydantic import ValidationError
 
 from core.environments.ant.info import INFO as ANT
+from core.environments.brittle_star.info import INFOS as BRITTLE_STARS
 from core.environments.corridor.info import INFO as CORRIDOR
 from core.environments.half_cheetah.info import INFO as HALF_CHEETAH
 from core.environments.hopper.info import INFO as HOPPER
@@ -30,6 +31,7 @@ ENVIRONMENTS: dict[str, EnvironmentInfo] = {
     info.id: info
     for info in (
         *(ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, CORRIDOR, INVERTED_PENDULUM, REACHER),
+        *BRITTLE_STARS,
         MJCF,
     )
 }

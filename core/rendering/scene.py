@@ -49,7 +49,7 @@ class View:
 def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> View:
     """A view of the body's whole kinematic tree, as it stands in `qpos` [nq].
 
-    A free body is seen from behind its right side, one in a vertical plane from its side, and one
+    One that turns freely is seen from behind its right side, one in a vertical plane from its side, and one
     that turns about vertical axes only from above.
     """
     data = mujoco.MjData(model)
@@ -87,7 +87,7 @@ def _travels(model: mujoco.MjModel, root: int) -> bool:
 def _angles(model: mujoco.MjModel, root: int) -> tuple[float, float]:
     joints = np.flatnonzero(model.body_rootid[model.jnt_bodyid] == root)
     kinds = model.jnt_type[joints]
-    if mujoco.mjtJoint.mjJNT_FREE in kinds:
+    if np.isin(kinds, [mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL]).any():
         return 62.0, -20.0
     hinges = model.jnt_axis[joints][kinds == mujoco.mjtJoint.mjJNT_HINGE]
     if len(hinges) and np.abs(hinges[:, 2]).min() > 0.99:

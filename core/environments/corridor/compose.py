@@ -1,8 +1,5 @@
 """A walker of dm_control's in a corridor of dm_control's, as that library composes them."""
 
-import os
-from collections.abc import Generator
-from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -11,6 +8,7 @@ import numpy as np
 
 from core.environments.corridor.info import CorridorOptions
 from core.environments.corridor.walkers import WALKERS
+from core.environments.headless import without_a_display
 from core.errors import JobFailed
 
 
@@ -21,7 +19,7 @@ def composed(options: CorridorOptions) -> tuple[mujoco.MjSpec, list[float]]:
     give equal corridors: lengths are drawn from `arena_seed` alone.
     Raises JobFailed("bad_model") where dm_control, which brings both, is not installed.
     """
-    with _without_a_display():
+    with without_a_display():
         arena = _arena(options)
         walker = _named(WALKERS[options.walker].source)()
     arena.regenerate(np.random.RandomState(options.arena_seed))
@@ -75,17 +73,3 @@ def _module(name: str) -> Any:
             f"Corridors and their walkers come with dm_control, and this worker does not have it ({error}). "
             "Install it there with `pip install 'gaitway[dm-control]'`, or ask for another environment.",
         ) from error
-
-
-@contextmanager
-def _without_a_display() -> Generator[None]:
-    """Whatever of dm_control is imported here looks for no display; the renderer's setting stays."""
-    before = os.environ.get("MUJOCO_GL")
-    os.environ["MUJOCO_GL"] = "disable"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["MUJOCO_GL"]
-        else:
-            os.environ["MUJOCO_GL"] = before

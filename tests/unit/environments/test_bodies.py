@@ -17,6 +17,9 @@ from core.physics.choose import engine_builder
 
 NUM_WORLDS = 8
 WALKERS = {"ant", "half_cheetah", "hopper", "walker2d", "humanoid", "rodent", "corridor"}
+STARS = {"brittle_star", "brittle_star_undirected", "brittle_star_light_escape"}
+# The other stars are the same body.
+SLOW = {"brittle_star_undirected"}
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,12 @@ def build(environment_id: str, **options: object) -> Case:
 
 
 @pytest.fixture(
-    scope="module", params=[name for name, info in catalog.ENVIRONMENTS.items() if not info.takes_model]
+    scope="module",
+    params=[
+        pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else [])
+        for name, info in catalog.ENVIRONMENTS.items()
+        if not info.takes_model
+    ],
 )
 def case(request: pytest.FixtureRequest) -> Case:
     return build(request.param)
@@ -55,7 +63,7 @@ def test_the_catalogs_row_is_true(case: Case) -> None:
     assert info.observation_size == environment.observation_size == fresh(case).obs.shape[-1]
     assert info.action_size == environment.action_size == model.nu
     assert info.dt == pytest.approx(environment.dt)
-    assert info.episode_length == environment.episode_length == 1000
+    assert info.episode_length == environment.episode_length == (500 if info.id in STARS else 1000)
     assert info.tracked_body == model.body(environment.tracked_body).name
     names = [model.camera(index).name for index in range(model.ncam)]
     assert info.cameras == tuple(name for name in names if name)
@@ -97,7 +105,7 @@ def test_rollouts_without_a_policy_work_on_every_body(case: Case) -> None:
 
 def test_a_body_on_its_way_says_how_fast_it_goes(case: Case) -> None:
     state = case.step(fresh(case), some_actions(case))
-    assert ("x_velocity" in state.metrics) == (case.info.id in WALKERS)
+    assert ("x_velocity" in state.metrics) == (case.info.id in WALKERS | STARS)
 
 
 def test_initial_states_differ_by_key_and_by_nothing_else(case: Case) -> None:

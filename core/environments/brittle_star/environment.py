@@ -1,0 +1,146 @@
+"""Brittle stars that learn to move. Source: biorobot's environments; the physics are our engines'."""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from core.environments.body import Body, scaled_to_control
+from core.environments.brittle_star.control import controlled
+from core.environments.brittle_star.info import (
+    DISK,
+    OF_THE_BODY,
+    DirectedOptions,
+    LightEscapeOptions,
+    Options,
+    UndirectedOptions,
+    observed,
+)
+from core.environments.brittle_star.light import show
+from core.environments.brittle_star.model import star_model
+from core.environments.brittle_star.observation import (
+    NUM_ROOT_POSITIONS,
+    NUM_ROOT_VELOCITIES,
+    about_the_vertical,
+    observe_body,
+    roll_pitch_yaw,
+)
+from core.environments.brittle_star.tasks import Directed, LightEscape, Measured, Task, Undirected
+from core.environments.environment import Environment, State
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+
+
+def directed(options: DirectedOptions, build_engine: EngineBuilder) -> Environment:
+    """Locomotion towards a target, moved by the engine that `build_engine` makes."""
+    return controlled(BrittleStar(options, star_model(options), Directed(options), build_engine), options)
+
+
+def undirected(options: UndirectedOptions, build_engine: EngineBuilder) -> Environment:
+    """Locomotion away from the start, moved by the engine that `build_engine` makes."""
+    return controlled(BrittleStar(options, star_model(options), Undirected(), build_engine), options)
+
+
+def light_escape(options: LightEscapeOptions, build_engine: EngineBuilder) -> Environment:
+    """Locomotion out of the light, moved by the engine that `build_engine` makes."""
+    model = star_model(options)
+    task = LightEscape(options, model)
+    show(model, task.light_map)
+    return controlled(BrittleStar(options, model, task, build_engine), options)
+
+
+class BrittleStar(Body):
+    """Reward: by how much the task's potential has grown. Ends where the task says so.
+
+    Of every state, `info` has `disk_position` [3] in the world, in metres; `disk_rotation` [3], roll, pitch
+    and yaw in rad; and what the task adds. An action's ends are the ends of the joints' ranges, or of the
+    torques'.
+    """
+
+    def __init__(
+        self, options: Options, model: mujoco.MjModel, task: Task, build_engine: EngineBuilder
+    ) -> None:
+        self._observed = observed(options)
+        accelerated = SolverSettings(options.iterations, options.ls_iterations, implicit_damping=False)
+        num_substeps = options.num_physics_steps_per_control_step
+        derived = (*_derived(self._observed), *task.derived)
+        super().__init__(
+            model,
+            build_engine(model, num_substeps, derived, accelerated=accelerated),
+            num_substeps=num_substeps,
+            observation_size=0,
+            tracked_body=DISK,
+        )
+        self.num_arms = options.num_arms
+        self.episode_length = options.episode_length
+        self._options, self._task = options, task
+        self.observation_size = jax.eval_shape(self.reset, jax.random.key(0)).obs.shape[0]
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        key_task, key_rotation, key_position, key_velocity = jax.random.split(key, 4)
+        scale = self._options.joint_randomization_noise_scale
+        joints = (self.action_size,)
+        position = jax.random.uniform(key_position, joints, minval=-scale, maxval=scale)
+        velocity = jax.random.uniform(key_velocity, joints, minval=-scale, maxval=scale)
+        qpos = self.initial_qpos.at[NUM_ROOT_POSITIONS:].add(position)
+        if self._options.random_initial_rotation:
+            angle = jax.random.uniform(key_rotation, minval=-jnp.pi, maxval=jnp.pi)
+            qpos = qpos.at[3:7].set(about_the_vertical(angle))
+        qvel = jnp.concatenate([jnp.zeros(NUM_ROOT_VELOCITIES), velocity])
+        physics = self.engine.reset(qpos, qvel, model)
+        drawn = self._task.draw(key_task)
+        measured = self._task.measure(physics, drawn)
+        zero = jnp.zeros(())
+        metrics = dict.fromkeys(self._metrics(physics, physics, measured), zero)
+        return State(
+            physics, self._observe(physics, measured), zero, zero, metrics, _info(physics, drawn, measured)
+        )
+
+    def step(self, state: State, action: jax.Array) -> State:
+        physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
+        before = self._task.measure(state.physics, state.info)
+        after = self._task.measure(physics, state.info)
+        return State(
+            physics,
+            self._observe(physics, after),
+            after.potential - before.potential,
+            after.done,
+            self._metrics(state.physics, physics, after),
+            _info(physics, state.info, after),
+        )
+
+    def _observe(self, physics: PhysicsState, measured: Measured) -> jax.Array:
+        """Those that were asked for, in biorobot's order."""
+        of_the_body = {name: observe_body(physics, name) for name in OF_THE_BODY if name in self._observed}
+        every = {**of_the_body, **measured.observables}
+        return jnp.concatenate([every[name] for name in self._observed])
+
+    def _metrics(self, before: PhysicsState, after: PhysicsState, measured: Measured) -> dict[str, jax.Array]:
+        """Where the disk is and how fast it goes: m, m/s."""
+        x, y, height = after.qpos[:3]
+        velocity = (after.qpos - before.qpos)[:2] / self.dt
+        return {
+            "x_position": x,
+            "y_position": y,
+            "height": height,
+            "x_velocity": velocity[0],
+            "y_velocity": velocity[1],
+            "distance_from_origin": jnp.linalg.norm(after.qpos[:2]),
+            **measured.metrics,
+        }
+
+
+def _derived(observed: list[str]) -> tuple[str, ...]:
+    """The fields that engines shall compute for these observables."""
+    forces = not {"joint_actuator_force", "actuator_force"}.isdisjoint(observed)
+    contacts = "segment_contact" in observed
+    return (*(("qfrc_actuator",) if forces else ()), *(("sensordata",) if contacts else ()))
+
+
+def _info(physics: PhysicsState, info: Mapping[str, jax.Array], measured: Measured) -> dict[str, jax.Array]:
+    return {
+        **info,
+        **measured.info,
+        "disk_position": physics.qpos[:3],
+        "disk_rotation": roll_pitch_yaw(physics.qpos[3:7]),
+    }

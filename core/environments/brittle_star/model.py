@@ -1,0 +1,95 @@
+"""The composed brittle star as it is stepped: biorobot's physics, without what nothing reads."""
+
+import mujoco
+import numpy as np
+
+from core.environments.brittle_star.compose import composed
+from core.environments.brittle_star.info import DISK, DISK_RADIUS_M, DirectedOptions, Options
+
+# What a picture is fitted to, in metres: the star's surroundings, not the whole arena.
+_EXTENT_M = 4.0
+_START_HEIGHT_M = 0.11
+_FREE_BODY = "BrittleStarMorphology/"
+
+
+def star_model(options: Options) -> mujoco.MjModel:
+    """The star in its aquarium; the numeric `init_qpos` is where it begins.
+
+    A fixed target stands where it is to be. Without contacts with the walls, slides with limits and a ball
+    joint take the free joint's place: the same coordinates and the same motion, up to the limits.
+    """
+    spec = composed(options)
+    spec.option.timestep = options.timestep
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP  # as biorobot has it
+    spec.stat.extent = _EXTENT_M
+    for light in spec.lights:  # without, one sees no arm lift
+        light.diffuse = [0.6] * 3
+    reads_contacts = "segment_contact" in options.observables
+    for sensor in list(spec.sensors):
+        if sensor.type != mujoco.mjtSensor.mjSENS_TOUCH or not reads_contacts:
+            spec.delete(sensor)
+    if options.num_arms != 5:
+        _shape_disk(spec, options.num_arms)
+    if options.walls == "bound":
+        _bound(spec, [size - DISK_RADIUS_M for size in options.arena_size])
+    if isinstance(options, DirectedOptions) and options.target_position is not None:
+        spec.body("target").pos[:2] = options.target_position
+    start = [options.start_x, 0.0, _START_HEIGHT_M, 1.0, 0.0, 0.0, 0.0]
+    spec.add_numeric(name="init_qpos", data=[*start, *[0.0] * 2 * sum(options.segments)], size=0)
+    return spec.compile()
+
+
+def _shape_disk(spec: mujoco.MjSpec, num_arms: int) -> None:
+    """biorobot's disk is a pentagon with five sockets for arms: this one has a side and a socket for each."""
+    half = np.pi / num_arms
+    inner = DISK_RADIUS_M * np.cos(half) / 2
+    _repeat(
+        spec, "pentagon_side", num_arms, first=half, radius=inner, size=(inner, DISK_RADIUS_M * np.sin(half))
+    )
+    _repeat(spec, "arm_connector", num_arms, first=0.0)
+
+
+def _repeat(
+    spec: mujoco.MjSpec,
+    kind: str,
+    number: int,
+    *,
+    first: float,
+    radius: float | None = None,
+    size: tuple[float, float] | None = None,
+) -> None:
+    """So many geoms of this kind around the disk, from the angle `first` on; otherwise as there were five."""
+    disk = spec.body(DISK)
+    old = [geom for geom in disk.geoms if f"_{kind}_" in geom.name]
+    like = old[0]
+    distance = float(np.linalg.norm(like.pos)) if radius is None else radius
+    extents = like.size.copy() if size is None else np.array([*size, like.size[2]])
+    look = {
+        name: getattr(like, name) for name in ("type", "rgba", "contype", "conaffinity", "condim", "mass")
+    }
+    for geom in old:
+        spec.delete(geom)
+    for index in range(number):
+        angle = first + 2 * np.pi * index / number
+        disk.add_geom(
+            name=f"{DISK}_{kind}_{index}",
+            pos=[distance * np.cos(angle), distance * np.sin(angle), 0.0],
+            quat=[np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)],
+            size=extents,
+            **look,
+        )
+
+
+def _bound(spec: mujoco.MjSpec, reach: list[float]) -> None:
+    """The disk's centre stays within ± reach [2], in metres; the walls are only seen."""
+    for geom in list(spec.worldbody.geoms):
+        if geom.name.endswith("_wall_collider"):
+            spec.delete(geom)
+    body = spec.body(_FREE_BODY)
+    for joint in list(body.joints):
+        spec.delete(joint)
+    slide, ball = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL
+    for name, axis, bound in zip("xy", np.eye(3), reach, strict=False):
+        body.add_joint(name=name, type=slide, axis=axis, limited=True, range=[-bound, bound])
+    body.add_joint(name="z", type=slide, axis=[0, 0, 1])
+    body.add_joint(name="rotation", type=ball)

@@ -1,0 +1,106 @@
+"""A star that is steered by its oscillators: an action says what these tend to, and they move the joints."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from math import pi
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from core.environments.cpg import star
+from core.environments.cpg.actuators import oscillator_of_actuator
+from core.environments.cpg.encoding import action_size, decode, encode
+from core.environments.cpg.integration import advance
+from core.environments.cpg.options import CPGOptions
+from core.environments.cpg.oscillators import Network, Oscillators, at_rest, output
+from core.environments.cpg.roles import Gait, modulation, roles_under
+from core.environments.environment import Environment, State
+from core.environments.wrapped import Wrapped
+from core.physics.engine import NOMINAL, ModelFields
+
+# So that the body starts as it would without oscillators.
+_OWN_KEY = 0x637067
+_PREFIX = "cpg_"
+
+
+@dataclass(frozen=True)
+class CPGActions(Wrapped):
+    """An environment of joint actions, with oscillators before it.
+
+    Its action [7 num_arms + 1] is what `encoding` says. The oscillators' state is in `State.info`, each of
+    the fields of `Oscillators` [2 num_arms] as cpg_<name>. oscillators: [nu], which one moves which actuator.
+    """
+
+    num_arms: int
+    options: CPGOptions
+    oscillators: NDArray[np.intp]
+
+    @property
+    def action_size(self) -> int:
+        return action_size(self.num_arms)
+
+    @property
+    def dt(self) -> float:
+        return self.environment.dt
+
+    @property
+    def episode_length(self) -> int:
+        return self.environment.episode_length
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        state = self.environment.reset(key, model)
+        spread = self.options.initial_phase_spread
+        shape = (star.num_oscillators(self.num_arms),)
+        phases = jax.random.uniform(jax.random.fold_in(key, _OWN_KEY), shape, minval=-spread, maxval=spread)
+        return _with(state, at_rest(phases))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        options = self.options
+        after = advance(
+            self._network,
+            decode(jnp.clip(action, -1, 1), options),
+            oscillators_in(state.info),
+            self.dt,
+            options.integrator,
+            options.num_steps,
+        )
+        joints = jnp.clip(output(after), -1, 1)[self.oscillators]
+        return _with(self.environment.step(state, joints), after)
+
+    def leading_arm(self, arm: jax.Array | int) -> jax.Array:
+        """The action [7 num_arms + 1] that has this arm [] lead."""
+        return self.of_roles(roles_under(arm, self.num_arms))
+
+    def of_roles(self, roles: jax.Array) -> jax.Array:
+        """The action [7 num_arms + 1] that has every arm play its role [num_arms]."""
+        gait = self.options.gait
+        rowing = Gait(2 * pi * gait.frequency_hz, gait.sweep, gait.stroke, gait.lift)
+        return encode(modulation(roles, rowing), self.options)
+
+    @property
+    def _network(self) -> Network:
+        options = self.options
+        weights = star.weights(self.num_arms, options.coupling_weight)
+        return Network(jnp.asarray(weights), options.amplitude_gain, options.offset_gain)
+
+
+def steered_by_oscillators(environment: Environment, num_arms: int, options: CPGOptions) -> CPGActions:
+    """The environment with oscillators before its joints.
+
+    Raises ValueError for integration steps that diverge, JobFailed("bad_model") for actuators that are not
+    those of the arms.
+    """
+    options.check_steps(environment.dt)
+    return CPGActions(environment, num_arms, options, oscillator_of_actuator(environment.model, num_arms))
+
+
+def oscillators_in(info: Mapping[str, jax.Array]) -> Oscillators:
+    """The oscillators in a `State.info`; raises KeyError where there are none."""
+    return Oscillators(**{field.name: info[_PREFIX + field.name] for field in fields(Oscillators)})
+
+
+def _with(state: State, oscillators: Oscillators) -> State:
+    own = {_PREFIX + field.name: getattr(oscillators, field.name) for field in fields(Oscillators)}
+    return replace(state, info={**state.info, **own})

@@ -1,0 +1,87 @@
+"""Amplitude-controlled phase oscillators: what drives them, how they change, and what they put out.
+
+Source: Ijspeert, Crespi, Ryczko & Cabelguen, From swimming to walking with a salamander robot driven by a
+spinal cord model (Science, 2007), supporting material; Sproewitz, Moeckel, Maye & Ijspeert, Learning to move
+in modular robots using central pattern generators and online optimization (2008), section 3.
+
+Every function takes leading batch axes, written [...]; n is the number of oscillators. Angles are in rad,
+rates per second; amplitudes and offsets are in the unit of the output.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+
+@struct.dataclass
+class Oscillators:
+    """Where n oscillators are; all fields [..., n].
+
+    It also serves for their derivative by time, as states and derivatives have the same fields.
+    """
+
+    phases: jax.Array
+    amplitudes: jax.Array
+    amplitude_rates: jax.Array
+    offsets: jax.Array
+    offset_rates: jax.Array
+
+
+@struct.dataclass
+class Modulation:
+    """What a controller sets, and the oscillators then tend to.
+
+    amplitudes (R of the paper), offsets (X): [..., n]. frequencies (ω): [..., n] in rad/s, or [..., 1] for
+    one that all share. phase_biases (φ_ij): [..., n, n], by how much j shall be ahead of i; read only where i
+    and j are coupled, and antisymmetric if it is to be reached.
+    """
+
+    amplitudes: jax.Array
+    offsets: jax.Array
+    frequencies: jax.Array
+    phase_biases: jax.Array
+
+
+@struct.dataclass
+class Network:
+    """What stays as it is. weights (w_ij): [n, n], how strongly i follows j, per second and unit of j's
+    amplitude. The gains (a_i) are twice the rate, in 1/s, at which amplitudes and offsets come to rest."""
+
+    weights: jax.Array
+    amplitude_gain: float
+    offset_gain: float
+
+
+def at_rest(phases: jax.Array) -> Oscillators:
+    """Oscillators with these phases [..., n] and no amplitude yet."""
+    zeros = jnp.zeros_like(phases)
+    return Oscillators(phases, zeros, zeros, zeros, zeros)
+
+
+def derivative(network: Network, modulation: Modulation, now: Oscillators) -> Oscillators:
+    """The time derivative of the whole state.
+
+    φ'_i = ω_i + Σ_j w_ij r_j sin(φ_j - φ_i - φ_ij);  r''_i = a (a/4 (R_i - r_i) - r'_i);  the offset as r.
+    Source: Sproewitz et al. (2008), eq. 1-3.
+    """
+    ahead = now.phases[..., None, :] - now.phases[..., :, None] - modulation.phase_biases
+    pull = network.weights * now.amplitudes[..., None, :] * jnp.sin(ahead)
+    return Oscillators(
+        phases=modulation.frequencies + jnp.sum(pull, axis=-1),
+        amplitudes=now.amplitude_rates,
+        amplitude_rates=_towards(
+            modulation.amplitudes, network.amplitude_gain, now.amplitudes, now.amplitude_rates
+        ),
+        offsets=now.offset_rates,
+        offset_rates=_towards(modulation.offsets, network.offset_gain, now.offsets, now.offset_rates),
+    )
+
+
+def output(now: Oscillators) -> jax.Array:
+    """[..., n]: x + r cos φ. Source: Sproewitz et al. (2008), eq. 4."""
+    return now.offsets + now.amplitudes * jnp.cos(now.phases)
+
+
+def _towards(target: jax.Array, gain: float, value: jax.Array, rate: jax.Array) -> jax.Array:
+    """The acceleration of a critically damped approach."""
+    return gain * (gain / 4 * (target - value) - rate)

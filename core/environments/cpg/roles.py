@@ -1,0 +1,107 @@
+"""Rowing: what each arm does for the star to move in the direction of one of them.
+
+The leading arm is held up. The arms beside it row: they sweep in the plane, and a quarter of a period apart
+move up and down, so that they sweep back on the ground and forward above it, both sides in step. An arm
+right opposite the leading one, which there is in a star of an even number, trails: it moves up and down with
+the others, and does not sweep. So it passes the rhythm on from one side to the other; were it still, nothing
+would, and the star would walk in a curve.
+
+Source: the leading-arm modulation of the tutorial notebook for five arms, here for any number and by roles:
+the bias between two oscillators depends on the roles of their arms alone, so that arms which choose their own
+roles row as well as arms that are told.
+"""
+
+from enum import IntEnum
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from numpy.typing import NDArray
+
+from core.environments.cpg import star
+from core.environments.cpg.oscillators import Modulation
+
+
+class Role(IntEnum):
+    """What an arm does. Left and right are those of who looks from above in the direction of the walk, where
+    arms are numbered counter-clockwise; the notebook calls them the other way round."""
+
+    LEADING = 0
+    LEFT = 1
+    RIGHT = 2
+    TRAILING = 3
+
+
+@struct.dataclass
+class Gait:
+    """How rowers row. frequency in rad/s; in the unit of the output, sweep: the amplitude in the plane,
+    stroke: that out of it, lift: how far the leading arm is held up."""
+
+    frequency: float
+    sweep: float
+    stroke: float
+    lift: float
+
+
+# By role: whether an arm moves in the plane, whether out of it, and whether it is held up.
+_SWEEPS = np.array([0, 1, 1, 0], np.float32)
+_STROKES = np.array([0, 1, 1, 1], np.float32)
+_IS_UP = np.array([1, 0, 0, 0], np.float32)
+_QUARTER = np.pi / 2
+# By how much an arm's movement out of the plane is ahead of the one in it.
+_WITHIN = np.array([0, -_QUARTER, _QUARTER, 0], np.float32)
+
+
+def _between(**ahead: float) -> NDArray[np.float32]:
+    """[4, 4]: by how much the second role is ahead of the first, and behind it the other way round."""
+    table = np.zeros((len(Role),) * 2, np.float32)
+    for pair, bias in ahead.items():
+        first, second = (Role[name.upper()] for name in pair.split("_"))
+        table[first, second], table[second, first] = bias, -bias
+    return table
+
+
+# Those who row have consistent biases, so that they lock whoever they are. The leading arm's own amplitude is
+# 0, so that nobody follows it, and its biases matter only while its amplitude falls; they are the notebook's.
+_IN_PLANE = _between(right_left=np.pi, right_leading=np.pi / 4, leading_left=np.pi / 4)
+_OUT_OF_PLANE = _between(leading_right=np.pi / 4, left_leading=np.pi / 4)
+
+
+def roles_under(leading_arm: jax.Array | int, num_arms: int) -> jax.Array:
+    """[..., num_arms] int32: what each arm does where `leading_arm` [...] leads.
+
+    Half of the others on each side; where their number is odd, the arm opposite to the leading one is
+    TRAILING.
+    """
+    steps = np.arange(num_arms)
+    # By the number of steps from the leading arm, around in the order of the arms.
+    table = np.where(2 * steps < num_arms, Role.LEFT, Role.RIGHT)
+    table = np.where(2 * steps == num_arms, Role.TRAILING, table)
+    table[0] = Role.LEADING
+    behind = (steps - jnp.asarray(leading_arm)[..., None]) % num_arms
+    return jnp.asarray(table, jnp.int32)[behind]
+
+
+def modulation(roles: jax.Array, gait: Gait) -> Modulation:
+    """For arms in these roles [..., num_arms], which may be any."""
+    in_plane, out_of_plane, offset = (jnp.asarray(table)[roles] for table in (_SWEEPS, _STROKES, _IS_UP))
+    zeros = jnp.zeros_like(in_plane)
+    return Modulation(
+        amplitudes=_alternating(gait.sweep * in_plane, gait.stroke * out_of_plane),
+        offsets=_alternating(zeros, gait.lift * offset),
+        frequencies=jnp.broadcast_to(jnp.asarray(gait.frequency)[..., None], (*roles.shape[:-1], 1)),
+        phase_biases=star.between_all(_biases(roles)),
+    )
+
+
+def _biases(roles: jax.Array) -> jax.Array:
+    """[..., 3 num_arms]: in the order of the edges."""
+    following = jnp.roll(roles, -1, axis=-1)
+    tables = jnp.asarray(_IN_PLANE)[roles, following], jnp.asarray(_OUT_OF_PLANE)[roles, following]
+    return jnp.concatenate([jnp.asarray(_WITHIN)[roles], *tables], axis=-1)
+
+
+def _alternating(in_plane: jax.Array, out_of_plane: jax.Array) -> jax.Array:
+    """[..., 2 num_arms] in the order of the oscillators, from [..., num_arms] each."""
+    return jnp.stack([in_plane, out_of_plane], axis=-1).reshape(*in_plane.shape[:-1], -1)

@@ -1,0 +1,19 @@
+"""Importing what looks for a display when it is imported."""
+
+import os
+from collections.abc import Generator
+from contextlib import contextmanager
+
+
+@contextmanager
+def without_a_display() -> Generator[None]:
+    """Whatever of dm_control is imported here looks for no display; the renderer's setting stays."""
+    before = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["MUJOCO_GL"]
+        else:
+            os.environ["MUJOCO_GL"] = before
