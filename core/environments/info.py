@@ -23,6 +23,8 @@ class EnvironmentInfo:
     depend on the model that the options name. takes_model: whether they name one; its file goes to the
     factory as `model`.
     cameras: the names the model gives its cameras, in their order; `track` is always there besides.
+    info: what `State.info` names besides the observation, for who reads states from it. has_cpg: whether an
+    action modulates a central pattern generator instead of joints.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
     cannot_run: engines that cannot run it, and why. vary: the fields above that are others under some
     options, by name; the row itself has them as they are by default.
@@ -39,6 +41,8 @@ class EnvironmentInfo:
     cameras: tuple[str, ...] = ()
     options: type[Strict] = NoOptions
     takes_model: bool = False
+    info: tuple[str, ...] = ()
+    has_cpg: bool = False
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
     vary: Callable[[Any], Mapping[str, Any]] | None = None
