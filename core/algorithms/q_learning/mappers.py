@@ -25,7 +25,10 @@ class Mapper:
 
 
 def make_mapper(options: MapperOptions, environment: Environment) -> Mapper:
-    """The mapper that these options name. Raises JobFailed("bad_model") where the environment cannot take it."""
+    """The mapper that these options name.
+
+    Raises JobFailed("bad_model") where the environment lacks what it needs, or takes other actions.
+    """
     arms = num_arms(environment)
     match options:
         case ActionList(actions=actions):

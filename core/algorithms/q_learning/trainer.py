@@ -111,7 +111,7 @@ class QLearningTrainer:
     def policy(self) -> bytes:
         """The table of the agent that is the policy; see `policy.read_policy`."""
         state, agent = self._begun, self._policy_agent
-        table, visits = np.asarray(state.table[agent]), np.asarray(state.visits[agent])
+        table, visits = np.asarray(state.table)[agent], np.asarray(state.visits)[agent]
         return write_policy(LearntTable(table, visits, self._facts))
 
     @property
