@@ -263,7 +263,7 @@ class Learner:
             **{name: jnp.mean(seen[name], axis=0) for name in learning},
             "episode_reward": score,
             "episode_length": length * self.settings.decision_steps,
-            "termination_rate": 1 - jnp.mean(self._by_agent(alive.astype(jnp.float32)), axis=1),
+            "termination_rate": jnp.mean(self._by_agent(1.0 - alive), axis=1),
         }
 
 

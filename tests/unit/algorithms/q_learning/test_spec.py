@@ -1,6 +1,8 @@
 """What a client may ask of Q-learning, and what is refused with its place."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -138,3 +140,11 @@ def test_a_table_of_another_shape_or_another_algorithm_cannot_go_on() -> None:
 def test_several_gpus_are_refused() -> None:
     with pytest.raises(Rejected, match="runs on one device, and 2 GPUs are asked for"):
         parsed(**VALID).check_sharing(2)
+
+
+def test_the_jobs_of_the_page_are_jobs() -> None:
+    page = (Path(__file__).parents[4] / "docs" / "q_learning.md").read_text()
+    jobs = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
+    assert len(jobs) == 2
+    for job in jobs:
+        assert JOB_SPEC.validate_json(job).algorithm.kind == "q_learning"  # pyright: ignore
