@@ -229,7 +229,8 @@ class Client:
             raise NotFound(404, {"detail": f"Job {job_id} has no {which}; its checkpoints: {kept}."})
         with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
             path = download(self._transport, artifact, Path(folder) / "policy")
-            return policy.load(path, is_checkpoint=final is None, deterministic=deterministic)
+            algorithm = job.spec.get("algorithm", {}).get("kind", "ppo")
+            return policy.load(path, algorithm, is_checkpoint=final is None, deterministic=deterministic)
 
     # Bodies of one's own
 

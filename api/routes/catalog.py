@@ -34,9 +34,11 @@ def list_algorithms() -> Listing[AlgorithmView]:
     return Listing[AlgorithmView](
         items=[
             AlgorithmView(
-                kind=kind, description=inspect.getdoc(spec) or "", parameters=spec.model_json_schema()
+                kind=kind,
+                description=inspect.getdoc(row.spec) or "",
+                parameters=row.spec.model_json_schema(),
             )
-            for kind, spec in ALGORITHMS.items()
+            for kind, row in ALGORITHMS.items()
         ]
     )
 

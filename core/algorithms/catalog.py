@@ -1,8 +1,59 @@
-"""The algorithms a job may name. To add one: a member of the union here, and its arm in `worker.trainers`."""
+"""The algorithms a job may name. To add one: its package, a member of the union, and its row."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Annotated, Any
+
+from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.q_learning.spec import QLearningSpec
+from core.algorithms.spec import BaseSpec
 
-# A union discriminated by `kind` once it has a second member.
-AlgorithmSpec = PPOSpec
 
-ALGORITHMS: dict[str, type[AlgorithmSpec]] = {"ppo": PPOSpec}
+def _ppo_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
+    if not isinstance(value, Mapping) or "kind" in value:
+        return parse(value)
+    spec = parse({**value, "kind": "ppo"})
+    spec.model_fields_set.discard("kind")  # What a client leaves out stays out (decision 2).
+    return spec
+
+
+AlgorithmSpec = Annotated[
+    PPOSpec | QLearningSpec, Field(discriminator="kind"), WrapValidator(_ppo_unless_it_says)
+]
+
+
+@dataclass(frozen=True)
+class AlgorithmInfo:
+    """One row: what is known of an algorithm without loading it.
+
+    trainer: `module:name`, called as `trainer(environment, settings, seed=, checkpoint_every_steps=, resume=,
+    devices=)`; it is a `core.algorithms.trainer.Trainer`. policy: `module:name`, called as
+    `policy(content, is_checkpoint=, deterministic=)`, a `core.algorithms.policy.TrainedPolicy` out of one of
+    its checkpoints or policy files.
+    """
+
+    spec: type[BaseSpec]
+    trainer: str
+    policy: str
+
+
+ALGORITHMS: dict[str, AlgorithmInfo] = {
+    row.spec.algorithm(): row
+    for row in (
+        AlgorithmInfo(PPOSpec, "core.algorithms.ppo.trainer:PPOTrainer", "core.algorithms.ppo.policy:load"),
+        AlgorithmInfo(
+            QLearningSpec,
+            "core.algorithms.q_learning.trainer:QLearningTrainer",
+            "core.algorithms.q_learning.policy:load",
+        ),
+    )
+}
+
+
+def loaded(name: str) -> Callable[..., Any]:
+    """What a row's `module:name` names; only now is its code loaded, and with it the numerical stack."""
+    module, _, function = name.partition(":")
+    return getattr(import_module(module), function)

@@ -52,6 +52,11 @@ class Trainer(Protocol):
         """Environment steps taken so far, those before a resumption included."""
         ...
 
+    @property
+    def total(self) -> int:
+        """Environment steps at the end of the run: the budget, rounded up to whole updates."""
+        ...
+
     def events(self) -> Iterator[Event]:
         """Train to the end of the budget. Raises JobFailed("diverged", ...) on a value that is not finite."""
         ...

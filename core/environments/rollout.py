@@ -15,8 +15,8 @@ from core.environments.trajectory import Episode, Trajectory, describe
 
 # (observation [observation_size], or several by name, key) -> action [action_size]
 Policy = Callable[[Any, jax.Array], jax.Array]
-# (parameters, observation, key) -> action: parameters may change without another compilation.
-ParametricPolicy = Callable[[Any, Any, jax.Array], jax.Array]
+# (parameters, state, key) -> action: parameters may change without another compilation.
+ParametricPolicy = Callable[[Any, State, jax.Array], jax.Array]
 
 _STEPS_PER_CALL = 200
 _MOST_WORLDS = 64
@@ -106,7 +106,7 @@ def rollout(
     """Episodes of the policy, each until the environment ends it, or `num_steps` actions."""
     roller = Roller(
         environment,
-        lambda parameters, observation, key: policy(observation, key),
+        lambda parameters, state, key: policy(state.obs, key),
         num_worlds=min(num_episodes, _MOST_WORLDS),
     )
     episodes = list(roller.episodes(None, key, num_steps=num_steps, num_episodes=num_episodes))
@@ -168,7 +168,7 @@ def _advance(
 
     def step(state: State, number: jax.Array) -> tuple[State, dict[str, Any]]:
         step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, number + 1)
-        action = jax.vmap(policy, (None, 0, 0))(parameters, state.obs, step_keys)
+        action = jax.vmap(policy, (None, 0, 0))(parameters, state, step_keys)
         state = jax.vmap(environment.step)(state, action)
         kept = {"action": action, "reward": state.reward, "done": state.done, "metrics": dict(state.metrics)}
         return state, kept | _observed(state)

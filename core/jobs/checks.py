@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from core.algorithms.ppo.spec import PPOSpec, check_resumption, check_sharing, resolve
+from core.algorithms.catalog import ALGORITHMS
+from core.algorithms.spec import check_resumption, resolve
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
@@ -85,7 +86,7 @@ def _row_of(info: EnvironmentInfo, description: Description) -> EnvironmentInfo:
 
 def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
     for device in DEVICES[spec.resources.kind]:
-        check_sharing(resolve(spec.algorithm, info, device), spec.resources.gpus)
+        resolve(spec.algorithm, info, device).check_sharing(spec.resources.gpus)
     if spec.resume_from is not None:
         source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
         _check_fields(spec, store.get(spec.resume_from.job))
@@ -108,7 +109,7 @@ def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
     used = [a.details["hyperparameters"] for a in source.attempts if "hyperparameters" in a.details]
     if not used:
         return
-    made_with = PPOSpec.model_validate(used[-1])
+    made_with = ALGORITHMS[used[-1]["kind"]].spec.model_validate(used[-1])
     refusals: list[Rejected] = []
     for device in DEVICES[spec.resources.kind]:
         try:

@@ -18,6 +18,7 @@ _SPEED = ("eval/forward_speed", "training/forward_speed")
 class JobProgress:
     """Feed it events and jobs; it shows steps, steps/s, return, forward speed, elapsed time and ETA.
 
+    And episodes, where the algorithm's budget counts these.
     every_s: seconds between two plain lines. Use it as a context manager.
     """
 
@@ -63,6 +64,9 @@ class JobProgress:
     def facts(self) -> str:
         """The numbers as one line; what is not known yet is left out."""
         parts = [f"{self.step:,}/{self.total:,} steps"] if self.total else []
+        if (episodes := self.metrics.get("training/num_episodes")) is not None:
+            done = self.metrics.get("training/episodes", 0.0)
+            parts.insert(0, f"{done:,.0f}/{episodes:,.0f} episodes")
         if self.steps_per_second:
             parts.append(f"{self.steps_per_second:,.0f} steps/s")
         if (reward := self._first(_RETURN)) is not None:

@@ -17,6 +17,10 @@ def rollout(**policy: Any) -> dict[str, Any]:
     return {"kind": "rollout", "environment": "ant", "policy": policy}
 
 
+def q_learning(**options: Any) -> dict[str, Any]:
+    return MINIMAL | {"algorithm": {"kind": "q_learning", **options}}
+
+
 def corridor(**options: Any) -> dict[str, Any]:
     return {"kind": "train", "environment": {"id": "corridor", "options": options}}
 
@@ -38,13 +42,28 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         ({"kind": "zzz", "environment": "ant"}, "/kind", "known are `train`, `rollout`."),
         ([], "", "must be an object"),
         ("text", "", "must be an object"),
-        (MINIMAL | {"algorithm": {"kind": "sac"}}, "/algorithm/kind", "'ppo'"),
+        (MINIMAL | {"algorithm": {"kind": "sac"}}, "/algorithm/kind", "known are `ppo`, `q_learning`"),
         (MINIMAL | {"algorithm": "ppo"}, "/algorithm", "must be an object"),
         (
             MINIMAL | {"algorithm": {"kind": "ppo", "clip_epsilon": 0.2}},
             "/algorithm/clip_epsilon",
             "`clip_epsilon` is not a field here; did you mean `clipping_epsilon`?",
         ),
+        (q_learning(), "/algorithm/mapper", "8 continuous numbers, and a table has columns"),
+        (q_learning(indexer={"kind": "arm_role"}), "/algorithm/indexer", "ant tells nothing besides"),
+        (q_learning(mapper={"kind": "leading_arm"}), "/algorithm/mapper", "central pattern generator"),
+        (q_learning(epsilon={"start": 1.5}), "/algorithm/epsilon/start", "less than or equal to 1, not 1.5"),
+        (
+            q_learning(indexer={"kind": "disk_position_grid", "cells": [0, 5]}),
+            "/algorithm/indexer/cells/0",
+            "greater than or equal to 1, not 0",
+        ),
+        (
+            q_learning(epsilon={"decay_episodes": 500}),
+            "/algorithm/epsilon/decay_episodes",
+            "the run has 100 episodes",
+        ),
+        (q_learning(epsilom={}), "/algorithm/epsilom", "did you mean `epsilon`?"),
         (MINIMAL | {"enviroment": "ant"}, "/enviroment", "did you mean `environment`?"),
         (MINIMAL | {"a/b~c": 1}, "/a~1b~0c", "not a field here"),
         (MINIMAL | {"video": {"camera": "moon"}}, "/video/camera", "no camera 'moon'"),

@@ -119,6 +119,45 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     assert job.newest("video") is not None
 
 
+def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) -> None:
+    # Rounds of 8 worlds, 25 decisions of 2 steps: 400 steps. Angle and its velocity are seen.
+    components = [
+        {"index": index, "range": [-bound, bound], "cells": 6} for index, bound in ((1, 0.2), (3, 2.0))
+    ]
+    algorithm = {
+        "kind": "q_learning",
+        "indexer": {"kind": "observation_grid", "components": components},
+        "mapper": {"kind": "actions", "actions": [[-0.5], [0.0], [0.5]]},
+        "num_episodes": 80,
+        "num_envs": 8,
+        "decisions_per_episode": 25,
+        "decision_steps": 2,
+        "num_evals": 2,
+    }
+    job = client.wait(client.submit({**SMALL, "algorithm": algorithm, "checkpoints": {}}).id, timeout=110)
+    assert job.succeeded, job.message
+    assert (job.progress.step, job.progress.total) == (4000, 4000)
+    assert job.progress.metrics["training/episodes"] == 80
+    assert {a.role for a in job.artifacts} == KEPT
+    assert job.attempts[0].details["hyperparameters"]["indexer"]["kind"] == "observation_grid"
+    assert len(client.checkpoints(job.id)) == 5
+    names = {name for row in client.metrics(job.id) for name in row.values}
+    assert {"eval/episode_reward", "training/epsilon", "training/td_error", "training/q_max"} <= names
+    column = client.load_policy(job.id)({"observation": np.zeros(4, np.float32)})
+    assert column.shape == (1,)
+
+    policy = {"kind": "checkpoint", "job": job.id}
+    spec = {**SMALL, "kind": "rollout", "policy": policy, "num_steps": 20, "num_episodes": 2}
+    for field in ("algorithm", "checkpoints"):
+        del spec[field]
+    shown = client.wait(client.submit(spec).id, timeout=110)
+    assert shown.succeeded, shown.message
+    path = client.download(shown.id, "trajectory.npz", tmp_path / "table.npz")
+    [episode, _] = trajectory.load(path).episodes
+    assert set(np.unique(episode.action)) <= {-0.5, 0.0, 0.5}
+    np.testing.assert_array_equal(episode.action[0:-1:2], episode.action[1::2])
+
+
 def test_a_killed_training_process_changes_nothing_in_the_result(
     client: Client, undisturbed: JobView
 ) -> None:

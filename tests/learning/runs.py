@@ -5,7 +5,7 @@ from typing import Any
 
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.trainer import PPOTrainer
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event
+from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Trainer
 from core.environments.environment import Environment
 
 # 32 environments of 4 steps, in 4 minibatches of 32 unrolls: 512 environment steps in an update.
@@ -61,7 +61,7 @@ def last_evaluation(events: Iterator[Event]) -> dict[str, float]:
     return dict(evaluations[-1].metrics)
 
 
-def checkpoints(trainer: PPOTrainer) -> dict[int, bytes]:
+def checkpoints(trainer: Trainer) -> dict[int, bytes]:
     """Every checkpoint that a run asks for, by its step."""
     return {
         event.step: trainer.checkpoint() for event in trainer.events() if isinstance(event, CheckpointReady)

@@ -1,16 +1,18 @@
 """A run's result depends on its settings and its seed, not on how it was cut into pieces."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 import pytest
 
 from core.algorithms.ppo.checkpoint import read
-from core.algorithms.trainer import Progress
+from core.algorithms.trainer import Progress, Trainer
 from core.environments import catalog, probes
 from core.environments.environment import Environment
 from core.errors import JobFailed
 from core.physics.native import NativeEngine
+from tests.learning.q_probes import q_settings, q_trainer, two_rooms
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
 
 
@@ -25,19 +27,41 @@ def ant() -> Environment:
     )
 
 
-@pytest.mark.parametrize("environment", [probe, ant])
-def test_a_resumed_run_equals_an_uninterrupted_one(environment: Callable[[], Environment]) -> None:
-    # Six updates; kept after three and at the end. Short epochs first, one long one after the resumption.
-    budget = {"num_timesteps": 6 * STEPS_PER_UPDATE, "episode_length": 5}
-    straight = checkpoints(
-        small_trainer(
-            environment(), checkpoint_every_steps=3 * STEPS_PER_UPDATE, epoch_s=0.0, num_evals=2, **budget
-        )
-    )
-    assert list(straight) == [3 * STEPS_PER_UPDATE, 6 * STEPS_PER_UPDATE]
-    resumed = small_trainer(environment(), resume=straight[3 * STEPS_PER_UPDATE], num_evals=2, **budget)
-    assert resumed.step == 3 * STEPS_PER_UPDATE
-    assert checkpoints(resumed) == {6 * STEPS_PER_UPDATE: straight[6 * STEPS_PER_UPDATE]}
+# Six updates of so many steps, with two evaluations, of each algorithm.
+Begin = Callable[..., Trainer]
+
+
+def ppo(environment: Callable[[], Environment]) -> tuple[Begin, int]:
+    budget = {"num_timesteps": 6 * STEPS_PER_UPDATE, "episode_length": 5, "num_evals": 2}
+    return lambda **run: small_trainer(environment(), **budget, **run), STEPS_PER_UPDATE
+
+
+def q_learning(**options: Any) -> tuple[Begin, int]:
+    """Rounds of an episode in 8 worlds for each agent, of 6 decisions of 2 steps."""
+    epsilon = {"start": 1.0, "end": 0.2, "decay_decisions": 200}
+    budget = {"num_episodes": 48, "decision_steps": 2, "num_evals": 2, "epsilon": epsilon}
+    settings = q_settings(**budget, **options)
+    return lambda **run: q_trainer(two_rooms(), settings, **run), settings.env_steps_per_update
+
+
+REPLAYED: dict[str, Any] = {
+    "agents": [{}, {"seed": 7, "learning_rate": 0.2}],
+    "replay": {"buffer_size": 50, "batch_size": 4},
+}
+
+
+@pytest.mark.parametrize(
+    ("begin", "update"),
+    [ppo(probe), ppo(ant), q_learning(**REPLAYED)],
+    ids=["ppo-probe", "ppo-ant", "q_learning-replay-agents"],
+)
+def test_a_resumed_run_equals_an_uninterrupted_one(begin: Begin, update: int) -> None:
+    # Kept after three updates and at the end. Short epochs first, one long one after the resumption.
+    straight = checkpoints(begin(checkpoint_every_steps=3 * update, epoch_s=0.0))
+    assert list(straight) == [3 * update, 6 * update]
+    resumed = begin(resume=straight[3 * update])
+    assert resumed.step == 3 * update
+    assert checkpoints(resumed) == {6 * update: straight[6 * update]}
 
 
 @pytest.mark.parametrize("reset_pool_size", [0, 3])
@@ -67,21 +91,21 @@ def test_a_checkpoint_holds_first_states_only_where_a_run_goes_back_to_them() ->
         small_trainer(probe(), resume=kept, **budget)
 
 
-def test_a_run_that_was_stopped_anywhere_goes_on_as_if_it_had_not() -> None:
-    straight = checkpoints(small_trainer(probe(), num_timesteps=4 * STEPS_PER_UPDATE))
-    stopped = small_trainer(probe(), num_timesteps=4 * STEPS_PER_UPDATE)
+@pytest.mark.parametrize(("begin", "update"), [ppo(probe), q_learning(**REPLAYED)], ids=["ppo", "q_learning"])
+def test_a_run_that_was_stopped_anywhere_goes_on_as_if_it_had_not(begin: Begin, update: int) -> None:
+    straight = checkpoints(begin())
+    stopped = begin()
     next(event for event in stopped.events() if isinstance(event, Progress))
-    assert stopped.step == STEPS_PER_UPDATE
-    resumed = small_trainer(probe(), resume=stopped.checkpoint(), num_timesteps=4 * STEPS_PER_UPDATE)
-    assert checkpoints(resumed) == straight
+    assert stopped.step == update
+    assert checkpoints(begin(resume=stopped.checkpoint())) == straight
+    assert checkpoints(begin(seed=1)) != straight
 
 
-def test_the_partition_into_epochs_changes_nothing_and_the_seed_does() -> None:
+def test_the_partition_into_epochs_changes_nothing() -> None:
     budget = {"num_timesteps": 5 * STEPS_PER_UPDATE, "num_evals": 0}
     one_by_one = checkpoints(small_trainer(probe(), epoch_s=0.0, **budget))
     all_at_once = checkpoints(small_trainer(probe(), epoch_s=1000.0, **budget))
     assert one_by_one == all_at_once
-    assert checkpoints(small_trainer(probe(), seed=1, **budget)) != one_by_one
 
 
 def test_a_finished_run_resumes_to_its_end_at_once() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 
-from core.algorithms.ppo.spec import resolve
+from core.algorithms.spec import resolve
 from core.devices import gpu_indices
 from core.environments import catalog
 from core.environments.environment import Environment
@@ -89,6 +89,6 @@ def _num_worlds(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
     """How many worlds the job steps side by side for most of its time."""
     match spec:
         case TrainSpec():
-            return resolve(spec.algorithm, info, device).num_envs
+            return resolve(spec.algorithm, info, device).num_worlds
         case RolloutSpec():
             return spec.num_episodes

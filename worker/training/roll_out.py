@@ -7,11 +7,11 @@ from typing import Any
 
 import jax
 
-from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint
+from core.algorithms.policy import policy_from_checkpoint
 from core.environments import trajectory
-from core.environments.action_repeat import repeat_action
+from core.environments.environment import Environment
 from core.environments.rollout import (
-    Policy,
+    ParametricPolicy,
     Roller,
     constant_policy,
     cut,
@@ -37,8 +37,8 @@ def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stoppi
     There is nothing to keep for an attempt elsewhere: that one begins anew.
     """
     channel.send(body.started(policy=spec.policy.model_dump()))
-    policy, action_repeat = _policy(task, spec, body, channel)
-    body = replace(body, environment=repeat_action(body.environment, action_repeat))
+    policy, world = _policy(task, spec, body, channel)
+    body = replace(body, environment=world)
     episodes = _act(spec, body, policy, channel, stopping)
     differs = (
         {"randomization": [rule.model_dump() for rule in spec.randomization]} if spec.randomization else {}
@@ -56,18 +56,18 @@ def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stoppi
     summary = trajectory.summary(shown)
     channel.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
     _report(summary, channel)
-    film = Film(spec, body, lambda _, observation, key: policy(observation, key), channel)
+    film = Film(spec, body, policy, channel)
     film.show("video", _first_seconds(episodes, spec.video.seconds, body.environment.dt), None)
     return len(episodes) < spec.num_episodes
 
 
 def _act(
-    spec: RolloutSpec, body: Body, policy: Policy, channel: Channel, stopping: Stopping
+    spec: RolloutSpec, body: Body, policy: ParametricPolicy, channel: Channel, stopping: Stopping
 ) -> list[Episode]:
     """The episodes asked for; after a stop, those there are by then."""
     key = jax.random.PRNGKey(spec.seed)
     worlds = min(spec.num_episodes, _WORLDS)
-    roller = Roller(body.environment, lambda _, observation, key: policy(observation, key), num_worlds=worlds)
+    roller = Roller(body.environment, policy, num_worlds=worlds)
     episodes = list[Episode]()
     for episode in roller.episodes(None, key, num_steps=spec.num_steps, num_episodes=spec.num_episodes):
         episodes.append(episode)
@@ -79,20 +79,24 @@ def _act(
     return episodes
 
 
-def _policy(task: Task, spec: RolloutSpec, body: Body, channel: Channel) -> tuple[Policy, int]:
-    """The policy, and how many times it takes each action."""
+def _policy(
+    task: Task, spec: RolloutSpec, body: Body, channel: Channel
+) -> tuple[ParametricPolicy, Environment]:
+    """The policy, of no parameters, and the environment that it acts in."""
     size = body.environment.action_size
     match spec.policy:
         case CheckpointPolicy():
-            params = policy_from_checkpoint((channel.spool / str(task.checkpoint)).read_bytes())
-            policy = make_inference(params, deterministic=spec.deterministic)
-            return policy, params.design.action_repeat
+            content = (channel.spool / str(task.checkpoint)).read_bytes()
+            trained = policy_from_checkpoint(content, deterministic=spec.deterministic)
+            world, act = trained.acting(body.environment)
+            return lambda _, state, key: act(trained.parameters, state, key), world
         case RandomPolicy():
-            return random_policy(size), 1
+            policy = random_policy(size)
         case ZeroPolicy():
-            return zero_policy(size), 1
+            policy = zero_policy(size)
         case ConstantPolicy(action=action):
-            return constant_policy(action), 1
+            policy = constant_policy(action)
+    return lambda _, state, key: policy(state.obs, key), body.environment
 
 
 def _report(summary: dict[str, Any], channel: Channel) -> None:

@@ -4,14 +4,10 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import jax
-
-from core.algorithms.ppo.networks import PolicyParams
-from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint
-from core.algorithms.ppo.spec import PPOSpec, resolve
-from core.algorithms.ppo.trainer import PPOTrainer
+from core.algorithms.catalog import ALGORITHMS, loaded
+from core.algorithms.policy import policy_from_checkpoint
+from core.algorithms.spec import BaseSpec, resolve
 from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, Trainer
-from core.environments.action_repeat import repeat_action
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
 from worker.messages import Advanced, Measured, Noted, PhaseEnded, Task
@@ -32,9 +28,8 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
     settings = resolve(spec.algorithm, body.info, body.device)
     channel.send(body.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     trainer = make_trainer(task, spec, settings, body, channel)
-    report = Report(channel, trainer, settings)
-    shown = replace(body, environment=repeat_action(body.environment, settings.action_repeat))
-    film = Film(spec, shown, _act, channel)
+    report = Report(channel, trainer)
+    shots = Shots(spec, body, channel, trainer)
     try:
         for event in trainer.events():
             if isinstance(event, Progress):
@@ -44,30 +39,22 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
                 break
             if isinstance(event, CheckpointReady) and spec.video.every_checkpoint:
                 with stopping.nothing_to_keep():
-                    film.shoot(f"video-{event.step:012d}", _policy(trainer), event.step)
+                    shots.take(f"video-{event.step:012d}")
     except JobFailed:
         report.keep_checkpoint()  # The last good one.
         raise
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
         channel.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
-        film.shoot("video", _policy(trainer), trainer.step)
-    return stopping.asked and trainer.step < settings.num_timesteps
+        shots.take("video")
+    return stopping.asked and trainer.step < trainer.total
 
 
-def _policy(trainer: Trainer) -> PolicyParams:
-    return policy_from_checkpoint(trainer.checkpoint())
-
-
-def _act(parameters: PolicyParams, observation: jax.Array, key: jax.Array) -> jax.Array:
-    return make_inference(parameters)(observation, key)
-
-
-def make_trainer(task: Task, spec: TrainSpec, settings: PPOSpec, body: Body, channel: Channel) -> Trainer:
+def make_trainer(task: Task, spec: TrainSpec, settings: BaseSpec, body: Body, channel: Channel) -> Trainer:
     """The trainer that the algorithm's kind names, set up to go on from the task's checkpoint."""
     resume = (channel.spool / task.checkpoint).read_bytes() if task.checkpoint else None
-    every_steps = spec.checkpoints.every_steps or max(1, settings.num_timesteps // _CHECKPOINTS)
-    return PPOTrainer(
+    every_steps = spec.checkpoints.every_steps or max(1, settings.budget // _CHECKPOINTS)
+    return loaded(ALGORITHMS[settings.algorithm()].trainer)(
         body.environment,
         settings,
         seed=spec.seed,
@@ -78,12 +65,30 @@ def make_trainer(task: Task, spec: TrainSpec, settings: PPOSpec, body: Body, cha
 
 
 @dataclass
+class Shots:
+    """Videos of a run's policy as it is at the time; it is compiled for the first of them."""
+
+    spec: TrainSpec
+    body: Body
+    channel: Channel
+    trainer: Trainer
+    _film: Film | None = None
+
+    def take(self, name: str) -> None:
+        """As `<name>.mp4`, of the present step."""
+        policy = policy_from_checkpoint(self.trainer.checkpoint())
+        if self._film is None:
+            world, act = policy.acting(self.body.environment)
+            self._film = Film(self.spec, replace(self.body, environment=world), act, self.channel)
+        self._film.shoot(name, policy.parameters, self.trainer.step)
+
+
+@dataclass
 class Report:
     """Turns a trainer's events into messages; remembers the newest metrics, and the last checkpoint kept."""
 
     channel: Channel
     trainer: Trainer
-    settings: PPOSpec
     _metrics: dict[str, float] = field(default_factory=dict[str, float])
     _kept_step: int | None = None
     _warned: bool = False
@@ -101,9 +106,7 @@ class Report:
             case Evaluated(step=step, metrics=metrics):
                 self._metrics.update(metrics)
                 self.channel.send(Measured(step=step, values=dict(metrics)))
-                # The last update may pass the budget, as in Brax: that is where the run ends.
-                total = self.settings.num_updates * self.settings.env_steps_per_update
-                self.channel.send(self._advanced(step, total))
+                self.channel.send(self._advanced(step, self.trainer.total))
             case CheckpointReady():
                 self.keep_checkpoint()
 

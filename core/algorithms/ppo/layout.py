@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import jax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from core.algorithms.ppo.spec import PPOSpec, check_sharing
+from core.algorithms.ppo.spec import PPOSpec
 from core.environments.worlds import ENVS
 from core.errors import Rejected
 
@@ -31,7 +31,7 @@ class Layout:
         found = jax.local_devices()
         if len(found) < num_devices:
             raise Rejected(f"{num_devices} devices were asked for, and JAX finds {len(found)}.")
-        check_sharing(settings, num_devices)
+        settings.check_sharing(num_devices)
         _avoid_a_crash()
         return cls(Mesh(found[:num_devices], (ENVS,)))
 

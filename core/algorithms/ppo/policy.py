@@ -11,11 +11,13 @@ import jax
 import numpy as np
 from flax import serialization
 
+from core.algorithms.policy import Acting, TrainedPolicy
 from core.algorithms.ppo import checkpoint
 from core.algorithms.ppo.brax_training import make_inference_fn
 from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, make_networks
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments.environment import ObservationSize
+from core.environments.action_repeat import repeat_action
+from core.environments.environment import Environment, ObservationSize
 from core.errors import JobFailed
 
 Inference = Callable[[Any, jax.Array], jax.Array]
@@ -51,6 +53,22 @@ def make_inference(params: PolicyParams | Triple, *, deterministic: bool = True)
         return policy(observation, key)[0]
 
     return act
+
+
+def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
+    """What a checkpoint or a policy file holds, ready to act. Raises JobFailed if it is damaged."""
+    params = policy_from_checkpoint(content) if is_checkpoint else read_policy(content)
+
+    def answer(params: PolicyParams, observation: Any, key: jax.Array) -> jax.Array:
+        return make_inference(params, deterministic=deterministic)(observation, key)
+
+    def acting(environment: Environment) -> Acting:
+        return Acting(
+            repeat_action(environment, params.design.action_repeat),
+            lambda params, state, key: answer(params, state.obs, key),
+        )
+
+    return TrainedPolicy(params, acting, answer)
 
 
 def policy_from_checkpoint(content: bytes) -> PolicyParams:

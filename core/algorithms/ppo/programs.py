@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from core.algorithms.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.ppo.brax_training import make_inference_fn
-from core.algorithms.ppo.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.ppo.layout import Layout
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.update import Failure, Hyperparameters, Learner, TrainingState

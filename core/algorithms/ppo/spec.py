@@ -1,38 +1,39 @@
 """PPO's hyperparameters, by Brax's names and under Brax's constraints (brax.training.agents.ppo.train)."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from core.algorithms.spec import BaseSpec, check_resumption, resolve
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
-from core.model import Strict
 
-# What a run that resumes must have in common with its checkpoint; everything else may change.
-FIXED_BY_CHECKPOINT = (
-    "num_envs",
-    "env_steps_per_update",
-    "action_repeat",
-    "policy_hidden_layer_sizes",
-    "value_hidden_layer_sizes",
-    "activation",
-    "policy_obs_key",
-    "value_obs_key",
-    "normalize_observations",
-    "returns_to_first_state",
-)
+__all__ = ["Activation", "PPOSpec", "check_resumption", "resolve"]
 
 Activation = Literal["swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus"]
 ObservationName = Annotated[str, Field(min_length=1, max_length=64)]
 LayerSizes = Annotated[list[Annotated[int, Field(ge=1, le=8192)]], Field(min_length=1, max_length=16)]
 
 
-class PPOSpec(Strict):
+class PPOSpec(BaseSpec):
     """Proximal policy optimisation (Schulman et al., 2017).
 
     A field that is not given takes the value tuned for the environment and the device, if there is
     one, and otherwise the default shown here; `GET /environments/{id}` lists the tuned values.
     """
+
+    fixed_by_checkpoint: ClassVar[tuple[str, ...]] = (
+        "num_envs",
+        "env_steps_per_update",
+        "action_repeat",
+        "policy_hidden_layer_sizes",
+        "value_hidden_layer_sizes",
+        "activation",
+        "policy_obs_key",
+        "value_obs_key",
+        "normalize_observations",
+        "returns_to_first_state",
+    )
 
     kind: Literal["ppo"] = "ppo"
     num_timesteps: int = Field(
@@ -152,35 +153,34 @@ class PPOSpec(Strict):
         """Updates that reach the budget; the last may pass it, as in Brax."""
         return -(-self.num_timesteps // self.env_steps_per_update)
 
+    @property
+    def num_worlds(self) -> int:
+        return self.num_envs
 
-def resolve(spec: PPOSpec, environment: EnvironmentInfo, device: Device) -> PPOSpec:
-    """Every hyperparameter of a run on this device: the job's word, else the tuned one, else the default.
+    @property
+    def budget(self) -> int:
+        return self.num_timesteps
 
-    Raises Rejected where the values do not go together (Brax asserts the same).
-    """
-    tuned = environment.tuned.get("ppo", {}).get(device, {})
-    settings = PPOSpec.model_validate({**tuned, **spec.model_dump(exclude_unset=True)})
-    if refusal := (
-        _uneven_batch(settings, device)
-        or _crossed_learning_rates(settings)
-        or _unknown_observation(settings, environment)
-    ):
-        raise refusal
-    return settings
-
-
-def check_sharing(settings: PPOSpec, num_devices: int) -> None:
-    """Raises Rejected where so many devices cannot have equal parts of the worlds and the minibatches."""
-    problems = [
-        Problem(
-            f"/algorithm/{name}",
-            f"{name} = {number} is not a multiple of the {num_devices} devices that share the run.",
+    def refusal(self, environment: EnvironmentInfo, device: Device) -> Rejected | None:
+        """The same as what Brax asserts, and what it does not look at."""
+        return (
+            _uneven_batch(self, device)
+            or _crossed_learning_rates(self)
+            or _unknown_observation(self, environment)
         )
-        for name in ("num_envs", "batch_size")
-        if (number := getattr(settings, name)) % num_devices
-    ]
-    if problems:
-        raise Rejected(" ".join(problem.detail for problem in problems), problems)
+
+    def check_sharing(self, num_devices: int) -> None:
+        """Worlds and minibatches are dealt out in equal parts."""
+        problems = [
+            Problem(
+                f"/algorithm/{name}",
+                f"{name} = {number} is not a multiple of the {num_devices} devices that share the run.",
+            )
+            for name in ("num_envs", "batch_size")
+            if (number := getattr(self, name)) % num_devices
+        ]
+        if problems:
+            raise Rejected(" ".join(problem.detail for problem in problems), problems)
 
 
 def _uneven_batch(settings: PPOSpec, device: Device) -> Rejected | None:
@@ -220,17 +220,3 @@ def _unknown_observation(settings: PPOSpec, environment: EnvironmentInfo) -> Rej
         if (key := getattr(settings, name)) != "state"
     ]
     return Rejected(problems[0].detail, problems) if problems else None
-
-
-def check_resumption(wanted: PPOSpec, made_with: PPOSpec) -> None:
-    """Raises Rejected where a run under `wanted` cannot go on from a checkpoint of one under `made_with`."""
-    problems = [
-        Problem(f"/algorithm/{name}", f"The checkpoint was made with {name} = {had}; this job has {has}.")
-        for name in FIXED_BY_CHECKPOINT
-        if (had := getattr(made_with, name)) != (has := getattr(wanted, name))
-    ]
-    if problems:
-        raise Rejected(
-            "The job cannot go on from that checkpoint. " + " ".join(problem.detail for problem in problems),
-            problems,
-        )

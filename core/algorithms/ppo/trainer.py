@@ -1,24 +1,25 @@
 """A PPO run: Brax's networks, loss, normaliser and distributions in a loop of our own."""
 
-import math
 import time
 from collections.abc import Generator, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from core.algorithms.evaluation import evaluation_metrics
+from core.algorithms.loop import Loop
 from core.algorithms.ppo import checkpoint
-from core.algorithms.ppo.evaluation import evaluation_metrics
 from core.algorithms.ppo.layout import Layout
 from core.algorithms.ppo.networks import Design, PolicyParams
 from core.algorithms.ppo.policy import write_policy
 from core.algorithms.ppo.programs import Programs, place, trace
-from core.algorithms.ppo.schedule import Schedule
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import QUANTITIES, Failure, Hyperparameters, Learner, TrainingState
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.schedule import Schedule
+from core.algorithms.trainer import Event, Phase
 from core.environments.action_repeat import repeat_action
 from core.environments.environment import Environment
 from core.errors import JobFailed
@@ -51,66 +52,46 @@ class PPOTrainer:
         epoch_s: float = 1.0,
     ) -> None:
         self._seed = jnp.uint32(seed)
-        self._epoch_s = epoch_s
         layout = Layout.over(devices, settings)
         self._learner = Learner(repeat_action(environment, settings.action_repeat), settings, layout)
         self._hyperparameters = jax.device_put(Hyperparameters.of(settings), layout.sharding())
         self._description = checkpoint.describe(environment, settings)
-        self._schedule = Schedule(
-            settings.num_updates, settings.env_steps_per_update, settings.num_evals, checkpoint_every_steps
+        self._loop = Loop(
+            Schedule(
+                settings.num_updates,
+                settings.env_steps_per_update,
+                settings.num_evals,
+                checkpoint_every_steps,
+            ),
+            epoch_s,
         )
         self._state: TrainingState | None = None
-        self._updates = 0
-        self._evaluated = 0
-        self._training_s = self._evaluation_s = 0.0
         if resume is not None:
             self._restore(resume)
 
     @property
     def step(self) -> int:
         """Environment steps taken so far, those before a resumption included."""
-        return self._updates * self._schedule.steps_per_update
+        return self._loop.step
+
+    @property
+    def total(self) -> int:
+        """Environment steps at the end."""
+        return self._loop.total
 
     def events(self) -> Iterator[Event]:
         """Train to the end of the budget, rounded up to whole updates.
 
-        Phase trace and compile; then for each epoch Progress, and at their updates Evaluated and
-        CheckpointReady, the last of each at the end. Phase first_update comes before the first Progress.
+        Phase trace and compile; then what `Loop.events` says.
         Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state
         before the update that brought it.
         """
         programs = yield from self._prepare()
-        yield from self._evaluate_if_due(programs)  # a run may be stopped before an evaluation that was due
-        if self._updates >= self._schedule.num_updates:
-            yield CheckpointReady(self.step)
-        until = self._updates + 1
-        while self._updates < self._schedule.num_updates:
-            before, first = self._updates, not self._training_s
-            started = time.perf_counter()
-            metrics = self._train(programs, until)
-            seconds, updates = time.perf_counter() - started, self._updates - before
-            self._training_s += seconds
-            if first:
-                yield Phase("first_update", seconds)
-            yield Progress(
-                self.step,
-                self._schedule.num_updates * self._schedule.steps_per_update,
-                {
-                    "training/sps": updates * self._schedule.steps_per_update / seconds,
-                    "training/walltime": self._training_s,
-                    **metrics,
-                },
-            )
-            yield from self._evaluate_if_due(programs)
-            if self._schedule.checkpoint_due(self._updates):
-                yield CheckpointReady(self.step)
-            affordable = max(1, round(self._epoch_s * updates / seconds))
-            until = min(self._updates + affordable, self._schedule.next_stop(self._updates))
+        yield from self._loop.events(partial(self._train, programs), partial(self._evaluate, programs))
 
     def checkpoint(self) -> bytes:
         """The whole state of the run: equal states give equal bytes. Valid between two events."""
-        progress = {"step": self.step, "updates": self._updates, "evaluated": self._evaluated}
-        return checkpoint.pack(self._description, progress, self._begun)
+        return checkpoint.pack(self._description, self._loop.progress, self._begun)
 
     def policy(self) -> bytes:
         """(normaliser, policy, value) in the file that `brax.io.model.load_params` reads."""
@@ -132,7 +113,7 @@ class PPOTrainer:
         template = jax.eval_shape(self._learner.init, self._seed)
         progress, state = checkpoint.unpack(content, self._description, template)
         self._state = place(self._learner.layout, state)
-        self._updates, self._evaluated = progress["updates"], progress["evaluated"]
+        self._loop.resume(progress)
 
     def _prepare(self) -> Generator[Event, None, Programs]:
         started = time.perf_counter()
@@ -151,37 +132,16 @@ class PPOTrainer:
         state, sums, failure = programs.epoch(self._begun, self._hyperparameters, np.int32(until))
         self._state = state
         failure = jax.device_get(failure)
-        before, self._updates = self._updates, int(state.num_updates)
+        before, self._loop.updates = self._loop.updates, int(state.num_updates)
         if failure.quantities.any():
             raise self._diverged(failure)
         return _training_metrics(
-            jax.device_get(sums), self._updates - before, self._learner.settings.action_repeat
+            jax.device_get(sums), self._loop.updates - before, self._learner.settings.action_repeat
         )
 
-    def _evaluate_if_due(self, programs: Programs) -> Iterator[Event]:
-        if self._evaluated == self._updates or not self._schedule.evaluation_due(self._updates):
-            return
-        started = time.perf_counter()
+    def _evaluate(self, programs: Programs) -> dict[str, float]:
         totals = programs.evaluate(tuple(self._params), self._begun.eval_key, self._begun.num_updates)
-        metrics = evaluation_metrics(jax.device_get(totals), self._learner.settings.action_repeat)
-        seconds = time.perf_counter() - started
-        self._evaluation_s += seconds
-        share = self._evaluation_s / (self._evaluation_s + self._training_s)
-        metrics |= {
-            "eval/epoch_eval_time": seconds,
-            "eval/walltime": self._evaluation_s,
-            "eval/walltime_share": share,
-        }
-        bad = [name for name, value in metrics.items() if not math.isfinite(value)]
-        if bad:
-            raise JobFailed(
-                "diverged",
-                f"The evaluation at environment step {self.step} gave a value that is not finite: {bad[0]}.",
-                step=self.step,
-                quantity=bad[0],
-            )
-        self._evaluated = self._updates
-        yield Evaluated(self.step, metrics)
+        return evaluation_metrics(jax.device_get(totals), self._learner.settings.action_repeat)
 
     def _diverged(self, failure: Failure) -> JobFailed:
         """What to tell of a failure in the update that follows the present state."""

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.ppo.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
+from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
 from core.environments.probes import Probe
 
 

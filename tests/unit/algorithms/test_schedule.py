@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.algorithms.ppo.schedule import Schedule
+from core.algorithms.schedule import Schedule
 
 schedules = st.builds(
     Schedule,

@@ -33,6 +33,11 @@ def test_without_a_terminal_each_piece_of_news_is_one_plain_line() -> None:
     ]
 
 
+def test_a_budget_of_episodes_is_told_in_episodes() -> None:
+    [line] = shown(progress(500, **{"training/episodes": 50.0, "training/num_episodes": 100.0}))
+    assert line.startswith("queued · 50/100 episodes · 500/1,000 steps")
+
+
 def test_plain_lines_keep_their_distance_except_for_a_change_of_status_and_the_end() -> None:
     lines = shown(
         progress(1), progress(2), progress(3), Event(kind="status", data={"status": "succeeded"}), every_s=1e6

@@ -31,7 +31,7 @@ def test_two_words_are_a_job() -> None:
 
 def test_an_unknown_field_is_refused_where_it_stands() -> None:
     places = refused({"kind": "train", "environment": "ant", "algorithm": {"kind": "ppo", "clip_ratio": 0.2}})
-    assert places == [("train", "algorithm", "clip_ratio")]
+    assert places == [("train", "algorithm", "ppo", "clip_ratio")]
 
 
 @pytest.mark.parametrize("value", [0, -1, 1.5, "3", None, True, 10**30, float("nan"), float("inf")])

@@ -28,14 +28,24 @@ class _Trial:
 
 
 def run_episodes(
-    environment: Environment, policy: Any, key: jax.Array, *, num_envs: int, episode_length: int
+    environment: Environment,
+    policy: Any,
+    key: jax.Array,
+    *,
+    num_envs: int,
+    episode_length: int,
+    copies: int = 1,
 ) -> EpisodeTotals:
     """One episode in each environment, until it ends or is `episode_length` actions long.
+
+    copies: as many times `num_envs` environments, one after the other, each time with the same starts.
 
     policy: (observations [N, obs], key) -> (actions [N, act], extras). Stops when the last one has ended.
     """
     reset_key, act_key = jax.random.split(key)
-    state = jax.vmap(environment.reset)(jax.random.split(reset_key, num_envs))
+    starts = jax.random.split(reset_key, num_envs)
+    num_envs *= copies
+    state = jax.vmap(environment.reset)(jnp.tile(starts, (copies, 1)) if copies > 1 else starts)
     zeros = jnp.zeros(num_envs)
     totals = EpisodeTotals({name: zeros for name in ("reward", *state.metrics)}, zeros)
     trial = _Trial(state, totals, jnp.ones(num_envs, bool), jnp.int32(0))

@@ -1,0 +1,117 @@
+"""A checkpoint's bytes: a description of the run's shape, and everything in its state. Never pickle.
+
+MessagePack of {"header", "sha256", "state"}; equal states give equal bytes. The header's `format` is
+`gaitway-<kind of algorithm>-<version>`.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from flax import serialization
+from pydantic import BaseModel
+
+from core.algorithms.spec import BaseSpec
+from core.environments.environment import Environment
+from core.errors import JobFailed
+
+_CANNOT_BE_READ = "The checkpoint cannot be read: it is cut off, or no checkpoint of this service."
+
+
+@dataclass(frozen=True)
+class Format:
+    """How one algorithm writes its checkpoints down. name: stands in each of them."""
+
+    name: str
+
+    def pack(self, description: Mapping[str, Any], progress: Mapping[str, int], state: Any) -> bytes:
+        """The checkpoint of a state; progress: the counters that live outside it."""
+        body = serialization.msgpack_serialize(jax.device_get(serialization.to_state_dict(state)))
+        header = {"format": self.name, **description, "progress": dict(progress)}
+        parts = {"header": header, "sha256": hashlib.sha256(body).hexdigest(), "state": body}
+        return serialization.msgpack_serialize(parts)
+
+    def read(self, content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The header and the state as nested dicts of arrays. Raises JobFailed where they are damaged."""
+        try:
+            parts = _decode(content)
+            header, body = parts["header"], parts["state"]
+            intact = hashlib.sha256(body).hexdigest() == parts["sha256"]
+        except Exception as error:  # whatever a decoder makes of damaged bytes
+            raise _bad(_CANNOT_BE_READ) from error
+        if header["format"] != self.name:
+            raise _bad(
+                f"The checkpoint has the format {header['format']!r}; this version reads {self.name!r}."
+            )
+        if not intact:
+            raise _bad("The checkpoint is damaged: its content does not have the recorded SHA-256.")
+        return header, _decode(body)
+
+    def unpack(
+        self, content: bytes, description: Mapping[str, Any], template: Any
+    ) -> tuple[dict[str, int], Any]:
+        """The counters and the state, in the shape of `template`, a tree of arrays or of their shapes.
+
+        Raises JobFailed("bad_checkpoint") that names what differs.
+        """
+        header, saved = self.read(content)
+        differences = [
+            f"{name} is {header[name]} in the checkpoint and {wanted} in this job"
+            for name, wanted in description.items()
+            if header[name] != wanted
+        ]
+        differences = differences or _differences(saved, serialization.to_state_dict(template))
+        if differences:
+            raise _bad(f"The checkpoint does not fit this job: {'; '.join(differences)}.")
+        return header["progress"], serialization.from_state_dict(template, saved)
+
+
+def describe(environment: Environment, settings: BaseSpec) -> dict[str, Any]:
+    """What a checkpoint and the run that resumes from it must have in common."""
+    sizes = {"observation_size": environment.observation_size, "action_size": environment.action_size}
+    return sizes | {name: _plain(getattr(settings, name)) for name in settings.fixed_by_checkpoint}
+
+
+def kind_of(content: bytes) -> str:
+    """Which algorithm wrote the checkpoint. Raises JobFailed where that cannot be read."""
+    try:
+        _, kind, _ = _decode(content)["header"]["format"].split("-")
+    except Exception as error:  # whatever a decoder makes of damaged bytes
+        raise _bad(_CANNOT_BE_READ) from error
+    return kind
+
+
+def _differences(saved: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """Where two nested dicts of arrays differ in names, shapes or types."""
+    have, need = _forms(saved), _forms(wanted)
+    return [
+        f"{name} is {have.get(name, 'missing')} in the checkpoint and {need.get(name, 'missing')} in this job"
+        for name in sorted(have.keys() | need.keys())
+        if have.get(name) != need.get(name)
+    ]
+
+
+def _forms(tree: Mapping[str, Any]) -> dict[str, str]:
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return {
+        jax.tree_util.keystr(
+            path, simple=True, separator="."
+        ): f"{np.dtype(leaf.dtype).name}{list(leaf.shape)}"
+        for path, leaf in leaves
+    }
+
+
+def _plain(value: Any) -> Any:
+    return value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+
+
+def _decode(content: bytes) -> dict[str, Any]:
+    decoded: Any = serialization.msgpack_restore(content)
+    return decoded
+
+
+def _bad(detail: str) -> JobFailed:
+    return JobFailed("bad_checkpoint", detail)

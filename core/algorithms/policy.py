@@ -1,0 +1,50 @@
+"""A trained policy, whatever has trained it: for rollouts, videos and notebooks."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+
+from core.algorithms.catalog import ALGORITHMS, loaded
+from core.algorithms.checkpoint import kind_of
+from core.environments.environment import Environment
+from core.environments.rollout import ParametricPolicy
+
+
+class Acting(NamedTuple):
+    """How a policy acts in an environment. environment: itself, or one that also remembers what was decided.
+    act: (parameters, state, key) -> action [action_size]."""
+
+    environment: Environment
+    act: ParametricPolicy
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """Functions of parameters that may be exchanged for those of a later checkpoint without a compilation.
+
+    acting: how it acts in an environment such as it was trained in. answer: (parameters, what it looks at,
+    key) -> what it says, for those who have no environment.
+    """
+
+    parameters: Any
+    acting: Callable[[Environment], Acting]
+    answer: Callable[[Any, Any, jax.Array], jax.Array]
+
+
+def policy_from_checkpoint(content: bytes, *, deterministic: bool = True) -> TrainedPolicy:
+    """The policy in a checkpoint. Raises JobFailed where it is damaged."""
+    return load_policy(content, kind_of(content), is_checkpoint=True, deterministic=deterministic)
+
+
+def load_policy(
+    content: bytes, algorithm: str, *, is_checkpoint: bool, deterministic: bool = True
+) -> TrainedPolicy:
+    """The policy in a checkpoint or in a policy file of this algorithm.
+
+    deterministic: without the exploration's noise. Raises JobFailed where the file is damaged.
+    """
+    return loaded(ALGORITHMS[algorithm].policy)(
+        content, is_checkpoint=is_checkpoint, deterministic=deterministic
+    )

@@ -1,0 +1,132 @@
+"""An environment as a table sees it: a row is observed, a column is chosen, and held for several steps."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from core.algorithms.q_learning.indexers import Indexer, make_indexer
+from core.algorithms.q_learning.mappers import Mapper, make_mapper, num_arms
+from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
+from core.environments.action_repeat import repeat_action
+from core.environments.environment import Environment, State
+from core.environments.wrapped import Wrapped
+from core.errors import JobFailed
+from core.physics.engine import NOMINAL, ModelFields
+
+# What the environments below keep in `State.info`, besides what is there.
+_OBSERVATION, _HELD, _STEPS = "inner_observation", "held_action", "steps_taken"
+
+
+@dataclass(frozen=True)
+class Tabular:
+    """How a table's rows and columns mean something in an environment."""
+
+    indexer: Indexer
+    mapper: Mapper
+
+    @classmethod
+    def of(cls, indexer: IndexerOptions, mapper: MapperOptions, environment: Environment) -> "Tabular":
+        """Raises JobFailed("bad_model") where the environment has not got what they need."""
+        table = cls(make_indexer(indexer, num_arms(environment)), make_mapper(mapper, environment))
+        _check_what_is_seen(table.indexer, environment)
+        return table
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.indexer.num_states, self.mapper.num_choices
+
+    def check_shape(self, shape: tuple[int, ...]) -> None:
+        """Raises JobFailed("bad_checkpoint") where a table of this shape is one of another environment."""
+        if shape != self.shape:
+            raise JobFailed(
+                "bad_checkpoint",
+                f"The table is {list(shape)}, and this environment needs {list(self.shape)}.",
+            )
+
+
+@dataclass(frozen=True)
+class Decisions(Wrapped):
+    """The finite decision process: `obs` is [num_readers] int32 rows, an action [num_readers] int32 columns.
+
+    A step is `decision_steps` of the environment's, whose rewards add up; one that ends the episode is the
+    last one taken.
+    """
+
+    table: Tabular
+    decision_steps: int
+
+    @property
+    def dt(self) -> float:
+        return self._held.dt
+
+    @property
+    def episode_length(self) -> int:
+        return self._held.episode_length
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        return self._read(self._held.reset(key, model))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        inner = replace(state, obs=state.info[_OBSERVATION], info=_without(state.info, _OBSERVATION))
+        return self._read(self._held.step(inner, self.table.mapper.act(action)))
+
+    @property
+    def _held(self) -> Environment:
+        return repeat_action(self.environment, self.decision_steps)
+
+    def _read(self, state: State) -> State:
+        rows = self.table.indexer(self.table.indexer.look(state))
+        return replace(state, obs=rows, info={**state.info, _OBSERVATION: state.obs})
+
+
+@dataclass(frozen=True)
+class Holding(Wrapped):
+    """The environment step by step, which remembers the action that is held, and since when."""
+
+    @property
+    def dt(self) -> float:
+        return self.environment.dt
+
+    @property
+    def episode_length(self) -> int:
+        return self.environment.episode_length
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        return _remembering(self.environment.reset(key, model), jnp.zeros(self.action_size), jnp.int32(0))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        steps = state.info[_STEPS]
+        inner = replace(state, info=_without(state.info, _HELD, _STEPS))
+        return _remembering(self.environment.step(inner, action), action, steps + 1)
+
+    @staticmethod
+    def is_due(state: State, decision_steps: int) -> jax.Array:
+        """[] bool: whether the next step begins a decision."""
+        return state.info[_STEPS] % decision_steps == 0
+
+    @staticmethod
+    def held(state: State) -> jax.Array:
+        """[action_size]: the action of the last step."""
+        return state.info[_HELD]
+
+
+def _remembering(state: State, action: jax.Array, steps: jax.Array) -> State:
+    return replace(state, info={**state.info, _HELD: action, _STEPS: steps})
+
+
+def _without(info: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: value for name, value in info.items() if name not in names}
+
+
+def _check_what_is_seen(indexer: Indexer, environment: Environment) -> None:
+    state = jax.eval_shape(environment.reset, jax.random.PRNGKey(0))
+    missing = [name for name in indexer.needs if name not in ("observation", *state.info)]
+    if missing:
+        told = ", ".join(sorted(state.info)) or "nothing besides its observation"
+        raise JobFailed(
+            "bad_model", f"The indexer looks at {', '.join(missing)}, and the environment tells {told}."
+        )

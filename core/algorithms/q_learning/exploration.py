@@ -1,0 +1,50 @@
+"""How much is tried at random, and when."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+
+from core.algorithms.q_learning.spec import QLearningSpec
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """What of the schedule is compiled in. decisions: of an agent in one round, in all of its worlds."""
+
+    by_episodes: bool
+    shape: Literal["linear", "exponential"]
+    decisions_per_round: int
+    worlds: int
+
+    @classmethod
+    def of(cls, settings: QLearningSpec) -> "Exploration":
+        return cls(
+            by_episodes=settings.epsilon.decay_episodes is not None,
+            shape=settings.epsilon.shape,
+            decisions_per_round=settings.num_envs * settings.decisions_per_episode,
+            worlds=settings.num_envs,
+        )
+
+    def epsilon(
+        self, start: jax.Array, end: jax.Array, length: jax.Array, rounds: jax.Array, decision: jax.Array
+    ) -> jax.Array:
+        """Epsilon in the decision [] int32 of an episode, after so many whole rounds [] int32.
+
+        From `start` to `end`, in `length` episodes or decisions, and then it stays.
+        """
+        per_round = self.worlds if self.by_episodes else self.decisions_per_round
+        within = 0 if self.by_episodes else decision * self.worlds
+        # In float32 from the beginning: a long run has more decisions than an int32 counts.
+        done = rounds.astype(jnp.float32) * per_round + within
+        share = jnp.clip(done / length, 0.0, 1.0)
+        if self.shape == "linear":
+            return start + (end - start) * share
+        return start * (end / start) ** share
+
+
+def decay_length(settings: QLearningSpec) -> int:
+    """In the schedule's own unit: episodes, or an agent's decisions."""
+    epsilon = settings.epsilon
+    return epsilon.decay_episodes or epsilon.decay_decisions or settings.num_decisions

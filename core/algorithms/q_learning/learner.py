@@ -1,0 +1,295 @@
+"""Rounds of Q-learning: one episode in each world of each agent, and many of them in one compiled loop."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from core.algorithms.evaluation import EpisodeTotals, run_episodes
+from core.algorithms.q_learning import replay as replays
+from core.algorithms.q_learning.decisions import Decisions
+from core.algorithms.q_learning.exploration import Exploration, decay_length
+from core.algorithms.q_learning.spec import AgentSpec, QLearningSpec
+from core.algorithms.q_learning.table import Transitions, epsilon_greedy, greedy, learn, td_errors
+from core.environments.environment import State
+from core.environments.worlds import Worlds
+from core.environments.wrappers import select
+
+# What is looked at in each round, in the order in which one spoils the next.
+QUANTITIES = ("observation", "reward", "table")
+
+
+@struct.dataclass
+class Hyperparameters:
+    """What may change without recompiling. [agents] float32 each, but decay_length []."""
+
+    learning_rate: jax.Array
+    discounting: jax.Array
+    epsilon_start: jax.Array
+    epsilon_end: jax.Array
+    decay_length: jax.Array
+
+    @classmethod
+    def of(cls, settings: QLearningSpec) -> "Hyperparameters":
+        common = {
+            "learning_rate": settings.learning_rate,
+            "discounting": settings.discounting,
+            "epsilon_start": settings.epsilon.start,
+            "epsilon_end": settings.epsilon.end,
+        }
+
+        def of_each(name: str) -> jax.Array:
+            own = [getattr(agent, name) for agent in settings.agents]
+            return jnp.array([common[name] if value is None else value for value in own], jnp.float32)
+
+        return cls(
+            **{name: of_each(name) for name in common}, decay_length=jnp.float32(decay_length(settings))
+        )
+
+
+@struct.dataclass
+class TrainingState:
+    """Everything that a run's future depends on, besides its settings. No world: each round begins anew.
+
+    table: [agents, S, A] float32. visits: [agents, S, A] int32, transitions that each cell has learnt
+    from, replayed ones not counted. replay: with [agents] in front; None without. key: [agents, 2], the next
+    round's randomness. eval_key: the evaluations', the same throughout. eval_return: [agents], mean return
+    in the last evaluation, 0 before the first. num_updates: [] int32, rounds so far.
+    """
+
+    table: jax.Array
+    visits: jax.Array
+    replay: replays.Replay | None
+    key: jax.Array
+    eval_key: jax.Array
+    eval_return: jax.Array
+    num_updates: jax.Array
+
+
+class Failure(NamedTuple):
+    """Which of QUANTITIES were not finite in a round, [len(QUANTITIES)] bool, and at the end of which of its
+    decisions, [] int32; the number of decisions if none was."""
+
+    quantities: jax.Array
+    decision: jax.Array
+
+
+class _Learning(NamedTuple):
+    """What one agent carries from decision to decision."""
+
+    table: jax.Array
+    visits: jax.Array
+    replay: replays.Replay | None
+
+
+@dataclass(frozen=True)
+class Learner:
+    """The pure functions of a run. environment: the decision process; settings: what fixes shapes."""
+
+    environment: Decisions
+    settings: QLearningSpec
+
+    def init(self, keys: jax.Array) -> TrainingState:
+        """The state before the first round; keys: [agents, 2], one for each agent's seed."""
+        table_keys, round_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        table = jax.vmap(self._initial_table)(table_keys)
+        size, agents = self.settings.replay_buffer_size, self.settings.num_agents
+        one = replays.empty(size) if size else None
+        return TrainingState(
+            table=table,
+            visits=jnp.zeros(table.shape, jnp.int32),
+            replay=jax.tree.map(lambda x: jnp.repeat(x[None], agents, axis=0), one),
+            key=round_keys,
+            eval_key=jax.random.fold_in(keys[0], 1),
+            eval_return=jnp.zeros(agents),
+            num_updates=jnp.int32(0),
+        )
+
+    def epoch(
+        self, state: TrainingState, hyperparameters: Hyperparameters, until: jax.Array
+    ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
+        """Rounds until `until` [] int32 are made, or one of them brings a value that is not finite.
+
+        Returns the state after the last good round, metrics [agents] summed over the good ones, and what went
+        wrong in the bad one. How a run is cut into epochs changes nothing in it.
+        """
+        update = jax.jit(self.update, inline=True)  # traced once for both places below
+
+        def going(carry: tuple[TrainingState, Any, Failure]) -> jax.Array:
+            state, _, failure = carry
+            return (state.num_updates < until) & ~jnp.any(failure.quantities)
+
+        def advance(carry: tuple[TrainingState, Any, Failure]) -> tuple[TrainingState, Any, Failure]:
+            state, sums, _ = carry
+            new, metrics, failure = update(state, hyperparameters)
+            good = ~jnp.any(failure.quantities)
+            keep = partial(jax.tree.map, lambda a, b: jnp.where(good, a, b))
+            return keep(new, state), keep(jax.tree.map(jnp.add, sums, metrics), sums), failure
+
+        shapes = jax.eval_shape(update, state, hyperparameters)[1:]
+        sums, failure = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+        return jax.lax.while_loop(going, advance, (state, sums, failure))
+
+    def update(
+        self, state: TrainingState, hyperparameters: Hyperparameters
+    ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
+        """One round: a fresh episode in every world, learnt from decision by decision.
+
+        A world whose episode has ended stands still, and nothing is learnt from it.
+        """
+        settings = self.settings
+        next_key, reset_key, act_key = jnp.moveaxis(
+            jax.vmap(partial(jax.random.split, num=3))(state.key), 1, 0
+        )
+        reset_keys = jax.vmap(partial(jax.random.split, num=settings.num_envs))(reset_key)
+        worlds = Worlds(self.environment).reset(reset_keys.reshape(-1, reset_keys.shape[-1]))
+        explore = partial(
+            Exploration.of(settings).epsilon,
+            hyperparameters.epsilon_start,
+            hyperparameters.epsilon_end,
+            hyperparameters.decay_length,
+            state.num_updates,
+        )
+
+        def decide(carry: Any, decision: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+            learning, worlds, alive = carry
+            keys = jax.vmap(jax.random.fold_in, (0, None))(act_key, decision)
+            choose_key, replay_key = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+            rows = self._by_agent(worlds.obs)
+            epsilon = explore(decision)
+            choices = jax.vmap(epsilon_greedy)(learning.table, rows, epsilon, choose_key)
+            after = self._step(worlds, choices.reshape(worlds.obs.shape), alive)
+            steps = _transitions(rows, choices, after, self._by_agent(after.obs), alive)
+            learning, error = jax.vmap(self._learn)(
+                learning, steps, hyperparameters.learning_rate, hyperparameters.discounting, replay_key
+            )
+            seen = self._seen(after, alive) | {"td_error": error, "epsilon": epsilon}
+            return (learning, after, alive & (after.done == 0)), seen
+
+        learning = _Learning(state.table, state.visits, state.replay)
+        alive = jnp.ones(settings.num_worlds, bool)
+        decisions = jnp.arange(settings.decisions_per_episode)
+        (learning, worlds, alive), seen = jax.lax.scan(decide, (learning, worlds, alive), decisions)
+        failure = _failure(seen.pop("unseen"), seen["score"], learning.table)
+        new = replace(
+            state,
+            table=learning.table,
+            visits=learning.visits,
+            replay=learning.replay,
+            key=next_key,
+            num_updates=state.num_updates + 1,
+        )
+        return new, self._summarise(seen, alive), failure
+
+    def evaluate(self, table: jax.Array, key: jax.Array, update: jax.Array) -> EpisodeTotals:
+        """Totals [agents, num_eval_envs] of episodes without exploration, the same starts for every agent."""
+        agents, episodes = self.settings.num_agents, self.settings.num_eval_envs
+
+        def policy(rows: jax.Array, _: jax.Array) -> tuple[jax.Array, tuple[()]]:
+            by_agent = rows.reshape(agents, episodes, -1)
+            return jax.vmap(greedy)(table, by_agent).reshape(rows.shape), ()
+
+        totals = run_episodes(
+            self.environment,
+            policy,
+            jax.random.fold_in(key, update),
+            num_envs=episodes,
+            episode_length=self.settings.decisions_per_episode,
+            copies=agents,
+        )
+        return jax.tree.map(lambda x: x.reshape(agents, episodes), totals)
+
+    def _initial_table(self, key: jax.Array) -> jax.Array:
+        settings, shape = self.settings, self.environment.table.shape
+        match settings.initial_table:
+            case "identity":
+                return jnp.eye(*shape)
+            case "constant":
+                return jnp.full(shape, settings.initial_value)
+            case "random":
+                scale = settings.initial_scale
+                noise = jax.random.uniform(key, shape, minval=-scale, maxval=scale)
+                return settings.initial_value + noise
+
+    def _by_agent(self, values: jax.Array) -> jax.Array:
+        """[agents, num_envs, ...] of [agents * num_envs, ...]."""
+        return values.reshape(self.settings.num_agents, self.settings.num_envs, *values.shape[1:])
+
+    def _step(self, worlds: State, choices: jax.Array, alive: jax.Array) -> State:
+        after = Worlds(self.environment).step(worlds, choices)
+        return select(alive, after, worlds)
+
+    def _learn(
+        self,
+        learning: _Learning,
+        steps: Transitions,
+        learning_rate: jax.Array,
+        discounting: jax.Array,
+        key: jax.Array,
+    ) -> tuple[_Learning, jax.Array]:
+        """One agent after a decision in all of its worlds; and the mean size of the TD errors, []."""
+        settings = self.settings
+        update = partial(learn, learning_rate=learning_rate, compound=settings.world_updates == "compound")
+        errors = td_errors(learning.table, steps, discounting)
+        table, visits = update(learning.table, steps, errors)
+        replay = learning.replay
+        if replay is not None and settings.replay is not None:
+            replay = replays.add(replay, steps)
+            again = replays.draw(replay, key, settings.replay.batch_size)
+            table, _ = update(table, again, td_errors(table, again, discounting))
+        size = jnp.sum(steps.weight * jnp.abs(errors)) / jnp.maximum(jnp.sum(steps.weight), 1)
+        return _Learning(table, learning.visits + visits.astype(jnp.int32), replay), size
+
+    def _seen(self, after: State, alive: jax.Array) -> dict[str, jax.Array]:
+        """Of one decision, means over an agent's worlds [agents]; of worlds that stand still, nothing."""
+        values = {name: values for name, values in after.metrics.items() if name != "x_velocity"}
+        if (speed := after.metrics.get("x_velocity")) is not None:
+            values["forward_speed"] = speed
+        values |= {"score": after.reward, "alive": jnp.ones_like(after.reward)}
+        still = {name: jnp.where(alive, value, 0.0) for name, value in values.items()}
+        means = {name: jnp.mean(self._by_agent(value), axis=1) for name, value in still.items()}
+        return means | {"unseen": jnp.any(after.obs < 0)}
+
+    def _summarise(self, seen: dict[str, jax.Array], alive: jax.Array) -> dict[str, jax.Array]:
+        """Of one round, [agents]: means over its episodes; of the environment's metrics, over decisions."""
+        totals = {name: jnp.sum(values, axis=0) for name, values in seen.items()}
+        length = totals.pop("alive")
+        score = totals.pop("score")
+        learning = ("epsilon", "td_error")
+        return {name: total / length for name, total in totals.items() if name not in learning} | {
+            **{name: jnp.mean(seen[name], axis=0) for name in learning},
+            "episode_reward": score,
+            "episode_length": length * self.settings.decision_steps,
+            "termination_rate": jnp.mean(self._by_agent(1.0 - alive), axis=1),
+        }
+
+
+def agent_keys(agents: list[AgentSpec], seed: int) -> jax.Array:
+    """[agents, 2]: each agent's own, by its seed; without one, by the job's plus its number."""
+    seeds = [seed + number if agent.seed is None else agent.seed for number, agent in enumerate(agents)]
+    return jnp.stack([jax.random.PRNGKey(own % 2**32) for own in seeds])
+
+
+def _transitions(
+    rows: jax.Array, choices: jax.Array, after: State, next_rows: jax.Array, alive: jax.Array
+) -> Transitions:
+    """[agents, num_envs * num_readers] each, of rows and choices [agents, num_envs, num_readers]."""
+
+    def spread(values: jax.Array) -> jax.Array:
+        """One value of each world for all who read in it."""
+        return jnp.broadcast_to(values.astype(jnp.float32).reshape(*rows.shape[:2], 1), rows.shape)
+
+    steps = Transitions(rows, choices, spread(after.reward), next_rows, spread(after.done), spread(alive))
+    return jax.tree.map(lambda x: x.reshape(len(rows), -1), steps)
+
+
+def _failure(unseen: jax.Array, score: jax.Array, table: jax.Array) -> Failure:
+    """unseen: [decisions] bool, where a row could not be read; score: [decisions, agents]."""
+    bad_score = ~jnp.all(jnp.isfinite(score), axis=1)
+    bad_table = ~jnp.all(jnp.isfinite(table))
+    bad = unseen | bad_score
+    first = jnp.where(jnp.any(bad), jnp.argmax(bad), len(bad)).astype(jnp.int32)
+    return Failure(jnp.stack([jnp.any(unseen), jnp.any(bad_score), bad_table]), first)

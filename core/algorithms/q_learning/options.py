@@ -1,0 +1,116 @@
+"""How a world becomes the rows of a table, and a column an action: the options that name it."""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from core.environments.options import Range
+from core.model import Strict
+
+# A table of so many cells, its visits and a copy take 120 MB.
+MOST_CELLS = 10_000_000
+
+Cells = Annotated[int, Field(ge=1, le=100_000)]
+ActionVector = Annotated[list[Annotated[float, Field(ge=-1, le=1)]], Field(min_length=1, max_length=1000)]
+Actions = Annotated[list[ActionVector], Field(min_length=1, max_length=10_000)]
+
+
+class ArmTowardsTarget(Strict):
+    """The arm in whose sector the target lies, seen from the disk: as many states as arms."""
+
+    kind: Literal["arm_towards_target"]
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("disk_rotation", "xy_direction_to_target")
+
+
+class ArmRole(Strict):
+    """Decentralised: each arm reads how many arms to its left the target's sector lies, 0 to arms - 1.
+
+    All arms share one table, and each picks its own column.
+    """
+
+    kind: Literal["arm_role"]
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("disk_rotation", "xy_direction_to_target")
+
+
+class DiskPositionGrid(Strict):
+    """The cell of a grid in which the disk is; outside of the grid, the nearest one."""
+
+    kind: Literal["disk_position_grid"]
+    x: Range = Field(default=(-5.0, 5.0), description="Metres, in the world.")
+    y: Range = Field(default=(-5.0, 5.0), description="Metres, in the world.")
+    cells: list[Cells] = Field(
+        default=[10, 10], min_length=2, max_length=2, description="How many along x, and along y."
+    )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("disk_position",)
+
+    @property
+    def num_cells(self) -> int:
+        return math.prod(self.cells)
+
+
+class Component(Strict):
+    """One component of the observation, cut into equal cells; outside of the range, the nearest one."""
+
+    index: int = Field(ge=0, le=100_000)
+    range: Range
+    cells: Cells
+
+
+class ObservationGrid(Strict):
+    """The cell of a grid over components of the observation: for any environment."""
+
+    kind: Literal["observation_grid"]
+    components: list[Component] = Field(min_length=1, max_length=16)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("observation",)
+
+    @property
+    def num_cells(self) -> int:
+        return math.prod(component.cells for component in self.components)
+
+
+IndexerOptions = Annotated[
+    ArmTowardsTarget | ArmRole | DiskPositionGrid | ObservationGrid, Field(discriminator="kind")
+]
+
+
+class LeadingArm(Strict):
+    """A choice is the arm that leads; the central pattern generator of a brittle star does the rest."""
+
+    kind: Literal["leading_arm"]
+
+
+class ArmRoles(Strict):
+    """A choice of each arm is its role in the central pattern generator: to lead, to row on the left, to row
+    on the right, or to trail."""
+
+    kind: Literal["arm_roles"]
+
+
+class ActionList(Strict):
+    """A choice is one of these actions."""
+
+    kind: Literal["actions"]
+    actions: Actions = Field(description="Each as long as the environment's action.")
+
+
+class ArmActions(Strict):
+    """A choice of each arm is one of these parts of an action; the arms' parts follow one another."""
+
+    kind: Literal["arm_actions"]
+    actions: Actions = Field(description="Each as long as the environment's action divided by its arms.")
+
+
+MapperOptions = Annotated[LeadingArm | ArmRoles | ActionList | ArmActions, Field(discriminator="kind")]

@@ -1,0 +1,283 @@
+"""Tabular Q-learning's hyperparameters, and which of them go together."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from core.algorithms.q_learning.options import (
+    MOST_CELLS,
+    ActionList,
+    ArmActions,
+    ArmRole,
+    ArmRoles,
+    DiskPositionGrid,
+    IndexerOptions,
+    LeadingArm,
+    MapperOptions,
+    ObservationGrid,
+)
+from core.algorithms.spec import BaseSpec
+from core.environments.info import Device, EnvironmentInfo
+from core.errors import Problem, Rejected
+from core.model import Strict
+
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class EpsilonSchedule(Strict):
+    """The share of choices that are made at random: from `start` to `end`, and then it stays."""
+
+    start: Share = 0.5
+    end: Share = 0.05
+    decay_episodes: int | None = Field(
+        default=None, ge=1, le=10**9, description="Episodes until `end`; constant within an episode."
+    )
+    decay_decisions: int | None = Field(
+        default=None,
+        ge=1,
+        le=10**12,
+        description="Decisions of an agent until `end`, those in all of its worlds. Without either: all of "
+        "the run's.",
+    )
+    shape: Literal["linear", "exponential"] = "linear"
+
+
+class ReplaySpec(Strict):
+    """Past transitions, to learn from again."""
+
+    buffer_size: int = Field(default=10_000, ge=1, le=10**7, description="The newest so many are kept.")
+    batch_size: int = Field(default=64, ge=1, le=10**6, description="Drawn after each decision.")
+
+
+class AgentSpec(Strict):
+    """One of several learners with a table of its own; what it leaves out is what the algorithm says."""
+
+    seed: int | None = Field(
+        default=None, ge=0, le=2**31 - 1, description="By default the job's, plus the agent's number."
+    )
+    learning_rate: Share | None = None
+    discounting: Share | None = None
+    epsilon_start: Share | None = None
+    epsilon_end: Share | None = None
+
+
+class QLearningSpec(BaseSpec):
+    """Tabular Q-learning (Watkins & Dayan, 1992).
+
+    A field that is not given takes the value tuned for the environment and the device, if there is one,
+    and otherwise the default shown here; `GET /environments/{id}` lists the tuned values.
+    """
+
+    fixed_by_checkpoint: ClassVar[tuple[str, ...]] = (
+        "num_agents",
+        "env_steps_per_update",
+        "decision_steps",
+        "indexer",
+        "mapper",
+        "replay_buffer_size",
+    )
+
+    kind: Literal["q_learning"] = "q_learning"
+    indexer: IndexerOptions | None = Field(
+        default=None, description="How what is seen becomes a row of the table."
+    )
+    mapper: MapperOptions | None = Field(
+        default=None, description="How a column of the table becomes an action."
+    )
+    num_episodes: int = Field(
+        default=100,
+        ge=1,
+        le=10**9,
+        description="Episodes of each agent, rounded up to whole rounds: one in each of its worlds.",
+    )
+    num_envs: int = Field(default=10, ge=1, le=2**20, description="Worlds of each agent, side by side.")
+    decisions_per_episode: int = Field(
+        default=50, ge=1, le=10**6, description="Decisions after which an episode is cut off."
+    )
+    decision_steps: int = Field(
+        default=10,
+        ge=1,
+        le=10**4,
+        description="Environment steps for which a choice is held; their rewards add up.",
+    )
+    learning_rate: float = Field(default=0.1, ge=0, le=1, description="0: nothing is learnt.")
+    discounting: float = Field(default=0.99, ge=0, le=1, description="For each decision.")
+    epsilon: EpsilonSchedule = EpsilonSchedule()
+    world_updates: Literal["mean", "compound"] = Field(
+        default="mean",
+        description="How worlds that visit the same cell at once change it. mean: one step towards the mean "
+        "of their targets. compound: as far as one step of each, after another, would go: 1 - (1 - "
+        "learning_rate)^n of the way.",
+    )
+    initial_table: Literal["constant", "random", "identity"] = Field(
+        default="random",
+        description="identity: 1 where row and column agree. With arms towards the target and leading arms "
+        "that steers without any learning, which checks all the rest.",
+    )
+    initial_value: float = Field(
+        default=0.0,
+        ge=-1e6,
+        le=1e6,
+        description="Of every cell (constant), or of their middle (random); above what can be earned, the "
+        "table is optimistic, and what is unknown is tried.",
+    )
+    initial_scale: float = Field(
+        default=1e-3, gt=0, le=1e6, description="random: uniform up to so far from the middle."
+    )
+    replay: ReplaySpec | None = None
+    agents: list[AgentSpec] = Field(
+        default=[AgentSpec()], min_length=1, max_length=1024, description="Side by side in one program."
+    )
+    policy_agent: Literal["best", "first"] = Field(
+        default="best", description="Whose table is the policy: best in the last evaluation, or the first's."
+    )
+    num_evals: int = Field(
+        default=5, ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end."
+    )
+    num_eval_envs: int = Field(
+        default=16, ge=1, le=2**16, description="Episodes of each agent in an evaluation, the same for all."
+    )
+
+    @property
+    def num_agents(self) -> int:
+        return len(self.agents)
+
+    @property
+    def replay_buffer_size(self) -> int:
+        """0 where nothing is replayed."""
+        return self.replay.buffer_size if self.replay else 0
+
+    @property
+    def num_worlds(self) -> int:
+        return self.num_agents * self.num_envs
+
+    @property
+    def num_updates(self) -> int:
+        """Rounds: one episode in each world."""
+        return -(-self.num_episodes // self.num_envs)
+
+    @property
+    def env_steps_per_update(self) -> int:
+        """Environment steps of one round, of all agents."""
+        return self.num_worlds * self.decisions_per_episode * self.decision_steps
+
+    @property
+    def budget(self) -> int:
+        return self.num_updates * self.env_steps_per_update
+
+    @property
+    def num_decisions(self) -> int:
+        """Decisions of one agent in the whole run."""
+        return self.num_updates * self.num_envs * self.decisions_per_episode
+
+    def refusal(self, environment: EnvironmentInfo, device: Device) -> Rejected | None:
+        problems = [
+            *_of_the_table(self, environment),
+            *_of_the_schedule(self),
+            *_of_the_replay(self),
+        ]
+        if not problems:
+            return None
+        return Rejected(" ".join(dict.fromkeys(problem.detail for problem in problems)), problems)
+
+    def check_sharing(self, num_devices: int) -> None:
+        if num_devices > 1:
+            detail = f"Q-learning runs on one device, and {num_devices} GPUs are asked for."
+            raise Rejected(detail, [Problem("/resources/gpus", detail)])
+
+
+def _of_the_table(settings: QLearningSpec, environment: EnvironmentInfo) -> list[Problem]:
+    """Whether the environment can feed the indexer and be fed by the mapper, as far as its row tells."""
+    indexer, mapper = settings.indexer, settings.mapper
+    problems: list[Problem] = []
+    if indexer is None:
+        detail = (
+            f"Name an `indexer`: Q-learning needs a row of its table for what it sees in {environment.id}."
+        )
+        problems.append(Problem("/algorithm/indexer", detail))
+    elif missing := [name for name in indexer.needs if name not in ("observation", *environment.info)]:
+        told = ", ".join(environment.info) or "nothing besides its observation"
+        detail = (
+            f"The indexer {indexer.kind!r} looks at {', '.join(missing)}, and {environment.id} tells {told}."
+        )
+        problems.append(Problem("/algorithm/indexer", detail))
+    if mapper is None:
+        size = environment.action_size
+        detail = (
+            f"Name a `mapper`: the action of {environment.id} is "
+            f"{'continuous' if size is None else f'{size} continuous numbers'}, and a table has columns."
+        )
+        problems.append(Problem("/algorithm/mapper", detail))
+    elif isinstance(mapper, LeadingArm | ArmRoles) and not environment.has_cpg:
+        detail = (
+            f"The mapper {mapper.kind!r} sets a central pattern generator, and {environment.id} has none as "
+            f'it is asked for here; a brittle star has one with the option "control": "cpg".'
+        )
+        problems.append(Problem("/algorithm/mapper", detail))
+    if problems or indexer is None or mapper is None:
+        return problems
+    return [*_of_the_shape(indexer, mapper, environment), *_of_the_size(settings)]
+
+
+def _of_the_shape(
+    indexer: IndexerOptions, mapper: MapperOptions, environment: EnvironmentInfo
+) -> list[Problem]:
+    """Whether as many choose as read, and what they choose is an action of the environment."""
+    size, problems = environment.action_size, list[Problem]()
+    if isinstance(indexer, ArmRole) != isinstance(mapper, ArmRoles | ArmActions):
+        detail = (
+            f"The indexer {indexer.kind!r} and the mapper {mapper.kind!r} do not go together: either each "
+            f"arm has a state and a choice (arm_role with arm_roles or arm_actions), or all have one."
+        )
+        problems += [Problem("/algorithm/indexer", detail), Problem("/algorithm/mapper", detail)]
+    if isinstance(mapper, ActionList | ArmActions):
+        lengths = {len(action) for action in mapper.actions}
+        if len(lengths) > 1 or (isinstance(mapper, ActionList) and size is not None and lengths != {size}):
+            detail = (
+                f"{environment.id} takes {size} action components; the mapper's actions have "
+                f"{', '.join(str(length) for length in sorted(lengths))}."
+            )
+            problems.append(Problem("/algorithm/mapper/actions", detail))
+    return problems
+
+
+def _of_the_size(settings: QLearningSpec) -> list[Problem]:
+    if not isinstance(settings.indexer, DiskPositionGrid | ObservationGrid):
+        return []
+    columns = len(settings.mapper.actions) if isinstance(settings.mapper, ActionList) else 1
+    cells = settings.indexer.num_cells * columns * settings.num_agents
+    if cells <= MOST_CELLS:
+        return []
+    detail = f"The tables would have {cells:,} cells; {MOST_CELLS:,} are allowed."
+    return [Problem("/algorithm/indexer", detail)]
+
+
+def _of_the_schedule(settings: QLearningSpec) -> list[Problem]:
+    epsilon = settings.epsilon
+    where = "/algorithm/epsilon"
+    lengths = (
+        ("decay_episodes", epsilon.decay_episodes, settings.num_updates * settings.num_envs, "episodes"),
+        ("decay_decisions", epsilon.decay_decisions, settings.num_decisions, "decisions of an agent"),
+    )
+    problems = [
+        Problem(f"{where}/{name}", f"{name} = {length:,}, and the run has {most:,} {unit}.")
+        for name, length, most, unit in lengths
+        if length is not None and length > most
+    ]
+    if epsilon.decay_episodes is not None and epsilon.decay_decisions is not None:
+        detail = "epsilon decays over episodes or over decisions, not over both."
+        problems += [Problem(f"{where}/decay_episodes", detail), Problem(f"{where}/decay_decisions", detail)]
+    ends = [epsilon.start, epsilon.end, *(agent.epsilon_start for agent in settings.agents)]
+    ends += [agent.epsilon_end for agent in settings.agents]
+    if epsilon.shape == "exponential" and 0.0 in ends:
+        detail = "An exponential schedule of epsilon never comes from or to 0; take a small number."
+        problems.append(Problem(f"{where}/shape", detail))
+    return problems
+
+
+def _of_the_replay(settings: QLearningSpec) -> list[Problem]:
+    if settings.replay is None or settings.replay.buffer_size >= settings.num_envs:
+        return []
+    size, brought = settings.replay.buffer_size, settings.num_envs
+    detail = f"buffer_size = {size}, and each decision brings {brought} transitions."
+    return [Problem("/algorithm/replay/buffer_size", detail)]

@@ -1,0 +1,68 @@
+"""The table's own arithmetic: how a choice is made of it, and how it learns from many transitions at once."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+
+class Transitions(NamedTuple):
+    """N steps of the decision process, [N] each.
+
+    row, choice, next_row: int32. reward: summed over the decision. ended: 1 where the environment ended the
+    episode, so that nothing follows; 0 also where its length cut it off. weight: 1, or 0 where nothing is to
+    be learnt.
+    """
+
+    row: jax.Array
+    choice: jax.Array
+    reward: jax.Array
+    next_row: jax.Array
+    ended: jax.Array
+    weight: jax.Array
+
+
+def greedy(table: jax.Array, rows: jax.Array) -> jax.Array:
+    """The best columns [...] int32 of these rows [...], of equal ones the first."""
+    return jnp.argmax(table[rows], axis=-1).astype(jnp.int32)
+
+
+def epsilon_greedy(table: jax.Array, rows: jax.Array, epsilon: jax.Array, key: jax.Array) -> jax.Array:
+    """The best columns [...] int32, but with probability epsilon [] any.
+
+    Source: Sutton & Barto, Reinforcement Learning (2018), section 2.2.
+    """
+    explore_key, choose_key = jax.random.split(key)
+    explores = jax.random.uniform(explore_key, rows.shape) < epsilon
+    any_column = jax.random.randint(choose_key, rows.shape, 0, table.shape[-1])
+    return jnp.where(explores, any_column, greedy(table, rows))
+
+
+def td_errors(table: jax.Array, steps: Transitions, discounting: jax.Array) -> jax.Array:
+    """[N]: r + γ max_a Q(s', a) - Q(s, a), without the middle term where the episode ended.
+
+    Source: Watkins & Dayan, Q-learning (1992); Sutton & Barto (2018), eq. 6.8.
+    """
+    follows = discounting * (1 - steps.ended) * jnp.max(table[steps.next_row], axis=-1)
+    return steps.reward + follows - table[steps.row, steps.choice]
+
+
+def learn(
+    table: jax.Array,
+    steps: Transitions,
+    errors: jax.Array,
+    learning_rate: jax.Array,
+    *,
+    compound: bool = False,
+) -> tuple[jax.Array, jax.Array]:
+    """The table [S, A] after these transitions, and how many each of its cells had, [S, A] float32.
+
+    All errors [N] are taken before any of it is learnt. A cell that n of the transitions visit takes one
+    step towards the mean of their targets: α of the way, or with `compound` 1 - (1 - α)^n, as far as n steps
+    of α towards that mean lead. For n = 1 both are Q-learning's own step.
+    """
+    cells = (steps.row, steps.choice)
+    visits = jnp.zeros_like(table).at[cells].add(steps.weight)
+    sums = jnp.zeros_like(table).at[cells].add(steps.weight * errors)
+    rate = 1 - (1 - learning_rate) ** visits if compound else learning_rate
+    return table + rate * sums / jnp.maximum(visits, 1), visits

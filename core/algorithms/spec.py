@@ -1,0 +1,71 @@
+"""What every algorithm's hyperparameters tell those who run a job without knowing which algorithm it has."""
+
+from abc import abstractmethod
+from typing import ClassVar, TypeVar
+
+from core.environments.info import Device, EnvironmentInfo
+from core.errors import Problem, Rejected
+from core.model import Strict
+
+
+class BaseSpec(Strict):
+    """An algorithm's hyperparameters; a subclass adds `kind` and its fields.
+
+    fixed_by_checkpoint: names of what a run that resumes must have in common with its checkpoint; everything
+    else may change.
+    """
+
+    fixed_by_checkpoint: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def algorithm(cls) -> str:
+        """The only value of `kind`."""
+        return cls.model_fields["kind"].default
+
+    @property
+    @abstractmethod
+    def num_worlds(self) -> int:
+        """How many worlds a run steps side by side for most of its time."""
+
+    @property
+    @abstractmethod
+    def budget(self) -> int:
+        """Environment steps that the run was asked to take; a last update may pass it."""
+
+    @abstractmethod
+    def refusal(self, environment: EnvironmentInfo, device: Device) -> Rejected | None:
+        """Why these values do not go together, or not with this environment; None where they do."""
+
+    @abstractmethod
+    def check_sharing(self, num_devices: int) -> None:
+        """Raises Rejected where so many devices cannot share the run."""
+
+
+AnySpec = TypeVar("AnySpec", bound=BaseSpec)
+
+
+def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnySpec:
+    """Every hyperparameter of a run on this device: the job's word, else the tuned one, else the default.
+
+    Raises Rejected where the values do not go together.
+    """
+    tuned = environment.tuned.get(spec.algorithm(), {}).get(device, {})
+    settings = type(spec).model_validate({**tuned, **spec.model_dump(exclude_unset=True)})
+    if refusal := settings.refusal(environment, device):
+        raise refusal
+    return settings
+
+
+def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:
+    """Raises Rejected where a run under `wanted` cannot go on from a checkpoint of one under `made_with`."""
+    names = ("kind",) if type(wanted) is not type(made_with) else wanted.fixed_by_checkpoint
+    problems = [
+        Problem(f"/algorithm/{name}", f"The checkpoint was made with {name} = {had}; this job has {has}.")
+        for name in names
+        if (had := getattr(made_with, name)) != (has := getattr(wanted, name))
+    ]
+    if problems:
+        raise Rejected(
+            "The job cannot go on from that checkpoint. " + " ".join(problem.detail for problem in problems),
+            problems,
+        )

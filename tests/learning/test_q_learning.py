@@ -1,0 +1,200 @@
+"""What tables learn, where the right answer is known."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from core.algorithms.policy import load_policy, policy_from_checkpoint
+from core.algorithms.q_learning.policy import FORMAT, LearntTable, read_policy, table_from_checkpoint
+from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.environments.environment import Environment
+from core.environments.rollout import Roller
+from core.errors import JobFailed, Rejected
+from tests.learning.q_probes import STAR, PlanarStar, q_settings, q_trainer, two_rooms
+from tests.learning.runs import last_evaluation
+
+# Two rooms, γ = 0.5. In room 1 the end brings 2, in room 0 the way there 0.5 · 2 = 1; so staying is worth
+# 0.4 + 0.5 · 1 = 0.9, and going back 0.5 · 1.
+OPTIMUM = [[0.9, 1.0], [0.5, 2.0]]
+KEY = jax.random.PRNGKey(0)
+
+
+def learnt(environment: Environment, settings: Any, **run: Any) -> LearntTable:
+    trainer = q_trainer(environment, settings, **run)
+    list(trainer.events())
+    return read_policy(trainer.policy())
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {
+            "replay": {"buffer_size": 100, "batch_size": 16},
+            "world_updates": "compound",
+            "initial_table": "constant",
+            "initial_value": 5.0,
+        },
+    ],
+    ids=["mean", "replay-compound-optimistic"],
+)
+def test_a_known_optimum_is_found(options: dict[str, Any]) -> None:
+    np.testing.assert_allclose(two_rooms().values(0.5), OPTIMUM)
+    found = learnt(two_rooms(), q_settings(**{"num_episodes": 160, **options}))
+    np.testing.assert_allclose(found.table, OPTIMUM, atol=0.01)
+    assert found.visits.min() > 0
+
+
+def test_agents_side_by_side_learn_what_each_learns_alone_and_the_best_is_the_policy() -> None:
+    # The second learns nothing: with a table of equal cells it stays in room 0 for 6 · 0.4 = 2.4; the first
+    # learns that 1 and then 2 are worth more than 0.4 a time under γ = 0.5, and gets 2.
+    agents = [{"seed": 3, "learning_rate": 0.25}, {"seed": 4, "learning_rate": 0.0}]
+    common = {"num_episodes": 80, "initial_table": "constant"}
+    trainer = q_trainer(two_rooms(), q_settings(agents=agents, **common))
+    events = list(trainer.events())
+    evaluated = last_evaluation(iter(events))
+    assert evaluated["eval/agent_0/episode_reward"] == pytest.approx(2.0)
+    assert evaluated["eval/agent_1/episode_reward"] == pytest.approx(2.4)
+    assert evaluated["eval/episode_reward"] == pytest.approx(2.4)
+    progress = [event.metrics for event in events if isinstance(event, Progress)][-1]
+    assert progress["training/agent_0/q_max"] == pytest.approx(2.0, abs=0.01)
+    assert progress["training/agent_1/q_max"] == 0.0
+    tables = FORMAT.read(trainer.checkpoint())[1]["table"]
+    np.testing.assert_array_equal(table_from_checkpoint(trainer.checkpoint()).table, tables[1])
+    alone = learnt(two_rooms(), q_settings(learning_rate=0.25, **common), seed=3)
+    np.testing.assert_array_equal(tables[0], alone.table)
+
+
+def test_a_star_learns_to_be_led_by_the_arm_towards_its_target() -> None:
+    trainer = q_trainer(PlanarStar(), q_settings(STAR, num_episodes=300, discounting=0.5))
+    evaluated = last_evaluation(trainer.events())
+    np.testing.assert_array_equal(read_policy(trainer.policy()).table.argmax(axis=1), np.arange(5))
+    # From 1 m to within 0.2 m, a decision is 0.25 m: of 20 steps, all of them arrive in at most 30.
+    assert evaluated["eval/episode_reward"] >= 0.8
+    assert evaluated["eval/avg_episode_length"] <= 30
+
+
+def test_an_identity_table_steers_without_any_learning() -> None:
+    settings = q_settings(STAR, learning_rate=0.0, initial_table="identity", num_episodes=10)
+    trainer = q_trainer(PlanarStar(), settings)
+    assert last_evaluation(trainer.events())["eval/episode_reward"] >= 0.8
+    np.testing.assert_array_equal(read_policy(trainer.policy()).table, np.eye(5))
+    oblong = q_settings(
+        initial_table="identity", mapper={"kind": "actions", "actions": [[-1.0], [0.0], [1.0]]}
+    )
+    with pytest.raises(Rejected, match="this one has 2 rows and 3 columns"):
+        q_trainer(two_rooms(), oblong)
+
+
+def test_arms_that_read_and_choose_for_themselves_bring_the_star_to_its_target() -> None:
+    options = {
+        "indexer": {"kind": "arm_role"},
+        "mapper": {"kind": "arm_actions", "actions": [[0.0], [1.0]]},
+        "num_episodes": 300,
+        "learning_rate": 0.05,
+        "discounting": 0.5,
+        "epsilon": {"start": 1.0, "end": 0.5},
+    }
+    trainer = q_trainer(PlanarStar(speed=0.5), q_settings(STAR, **options))
+    assert last_evaluation(trainer.events())["eval/episode_reward"] >= 0.75
+    # One table for all arms: the one towards the target pulls, those that look away do not.
+    np.testing.assert_array_equal(read_policy(trainer.policy()).table.argmax(axis=1), [1, 1, 0, 0, 1])
+
+
+def test_a_learnt_table_acts_step_by_step_and_holds_each_action_for_a_decision() -> None:
+    star, settings = (
+        PlanarStar(),
+        q_settings(STAR, learning_rate=0.0, initial_table="identity", num_episodes=10),
+    )
+    trainer = q_trainer(star, settings)
+    list(trainer.events())
+    policy = policy_from_checkpoint(trainer.checkpoint())
+    world, act = policy.acting(star)
+    [episode] = Roller(world, act).episodes(policy.parameters, KEY, num_steps=100, num_episodes=1)
+    assert episode.terminated
+    assert episode.action.shape[1] == 5
+    np.testing.assert_array_equal(episode.action.sum(axis=1), 1.0)  # one arm at a time
+    changes = np.flatnonzero((episode.action[1:] != episode.action[:-1]).any(axis=1)) + 1
+    assert (changes % 5 == 0).all()
+    # For who has no environment, it says which arm is to lead.
+    file = load_policy(trainer.policy(), "q_learning", is_checkpoint=False)
+    sight = {"xy_direction_to_target": jnp.array([-1.0, -0.1]), "disk_rotation": jnp.zeros(3)}
+    assert file.answer(file.parameters, sight, KEY).tolist() == [3]
+    with pytest.raises(JobFailed, match=r"The table is \[5, 5\], and this environment needs \[7, 5\]"):
+        policy.acting(SevenSectors())
+
+
+class SevenSectors(PlanarStar):
+    """Five actuators, and seven arms to tell of."""
+
+    def __init__(self) -> None:
+        super().__init__(num_arms=7)
+
+    @property
+    def action_size(self) -> int:
+        return 5
+
+
+def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> None:
+    compilations = list[str]()
+
+    def note(event: str, duration: float, **_: object) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compilations.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    # Five rounds of 48 steps; evaluations after 3 and 5, checkpoints at 100 (round 3) and 200 (round 5).
+    trainer = q_trainer(two_rooms(), q_settings(num_evals=2), checkpoint_every_steps=100, epoch_s=1000.0)
+    events, compiled = list[Event](), 0
+    for event in trainer.events():
+        if isinstance(event, Phase) and event.name == "compile":
+            compiled = len(compilations)
+        if isinstance(event, CheckpointReady):
+            trainer.checkpoint()
+            trainer.policy()
+        events.append(event)
+    assert len(compilations) == compiled
+    told = [(type(event).__name__, event.step) for event in events if not isinstance(event, Phase)]
+    assert told == [
+        ("Progress", 48), ("Progress", 144), ("Evaluated", 144), ("CheckpointReady", 144),
+        ("Progress", 240), ("Evaluated", 240), ("CheckpointReady", 240),
+    ]  # fmt: skip
+    last = [event for event in events if isinstance(event, Progress)][-1]
+    assert (last.total, trainer.total) == (240, 240)
+    assert last.metrics["training/episodes"] == last.metrics["training/num_episodes"] == 40
+    names = (
+        "episode_reward",
+        "episode_length",
+        "epsilon",
+        "td_error",
+        "q_max",
+        "visits",
+        "cells_visited",
+        "sps",
+    )
+    assert {f"training/{name}" for name in names} <= last.metrics.keys()
+    evaluation = [event.metrics for event in events if isinstance(event, Evaluated)][-1]
+    assert {"eval/episode_reward", "eval/avg_episode_length", "eval/walltime"} <= evaluation.keys()
+
+
+def test_a_reward_that_is_no_number_ends_the_run_with_the_last_good_table() -> None:
+    # With epsilon 1, one of 8 worlds takes the end of room 1 in the first round.
+    trainer = q_trainer(two_rooms(breaks=True), q_settings())
+    with pytest.raises(JobFailed, match="reward became non-finite at environment step") as failure:
+        list(trainer.events())
+    assert failure.value.reason == "diverged"
+    assert failure.value.facts["quantity"] == "reward"
+    assert trainer.step == 0
+    assert np.isfinite(FORMAT.read(trainer.checkpoint())[1]["table"]).all()
+
+
+def test_a_checkpoint_of_another_table_is_refused_with_both_shapes() -> None:
+    trainer = q_trainer(two_rooms(), q_settings())
+    next(event for event in trainer.events() if isinstance(event, Progress))
+    finer = {"kind": "observation_grid", "components": [{"index": 0, "range": [-0.5, 1.5], "cells": 4}]}
+    with pytest.raises(JobFailed, match=r"indexer is .*'cells': 2.* and .*'cells': 4") as failure:
+        q_trainer(two_rooms(), q_settings(indexer=finer), resume=trainer.checkpoint())
+    assert failure.value.reason == "bad_checkpoint"

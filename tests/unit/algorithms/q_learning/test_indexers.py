@@ -1,0 +1,113 @@
+"""Which row a world is in, and which action a column is."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from pydantic import TypeAdapter
+
+from core.algorithms.q_learning.decisions import Tabular
+from core.algorithms.q_learning.indexers import Indexer, make_indexer
+from core.algorithms.q_learning.mappers import make_mapper
+from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
+from core.environments import probes
+from core.environments.randomized import RandomizedEnvironment
+from core.errors import JobFailed
+from tests.learning.q_probes import PlanarStar
+
+INDEXER: TypeAdapter[Any] = TypeAdapter(IndexerOptions)
+MAPPER: TypeAdapter[Any] = TypeAdapter(MapperOptions)
+
+
+def indexer(num_arms: int = 5, **options: Any) -> Indexer:
+    return make_indexer(INDEXER.validate_python(options), num_arms)
+
+
+def seen(bearing_deg: float, yaw_deg: float = 0.0) -> dict[str, Any]:
+    bearing, yaw = np.deg2rad([bearing_deg, yaw_deg])
+    return {
+        "xy_direction_to_target": jnp.array([np.cos(bearing), np.sin(bearing)]),
+        "disk_rotation": jnp.array([0.0, 0.0, yaw]),
+    }
+
+
+@pytest.mark.parametrize(
+    ("bearing", "yaw", "arm"),
+    # Five arms: sectors of 72° around 0°, 72°, 144°, 216°, 288°, as in the notebook's bins.
+    [(0, 0, 0), (35, 0, 0), (37, 0, 1), (-35, 0, 0), (-37, 0, 4), (180, 0, 3), (179, 0, 2), (-145, 0, 3),
+     (0, 72, 4), (170, -170, 0), (-170, 170, 0)],
+)  # fmt: skip
+def test_the_arm_towards_the_target_is_that_of_its_sector_however_the_disk_lies(
+    bearing: float, yaw: float, arm: int
+) -> None:
+    np.testing.assert_array_equal(indexer(kind="arm_towards_target")(seen(bearing, yaw)), [arm])
+
+
+def test_each_arm_reads_how_far_round_the_target_lies_from_itself() -> None:
+    # Towards arm 1: it reads 0, the arm before it 1 step on, and those behind it the way around.
+    np.testing.assert_array_equal(indexer(kind="arm_role")(seen(72)), [1, 0, 4, 3, 2])
+    np.testing.assert_array_equal(indexer(3, kind="arm_role")(seen(240)), [2, 1, 0])
+
+
+def test_a_grid_counts_along_its_last_component_and_ends_at_its_edges() -> None:
+    grid = indexer(kind="disk_position_grid", x=[-1.0, 1.0], y=[0.0, 3.0], cells=[2, 3])
+    places = [(-0.5, 0.5), (-0.5, 2.5), (0.5, 0.5), (0.0, 1.0), (9.0, 9.0), (-9.0, -9.0)]
+    rows = [int(grid({"disk_position": jnp.array([x, y, 0.1])})[0]) for x, y in places]
+    assert rows == [0, 2, 3, 4, 5, 0]
+    assert grid.num_states == 6
+    parts = [{"index": 2, "range": [0.0, 4.0], "cells": 4}, {"index": 0, "range": [0.0, 2.0], "cells": 2}]
+    three = indexer(kind="observation_grid", components=[*parts, {"index": 1, "range": [0, 1], "cells": 1}])
+    assert three({"observation": jnp.array([1.5, 0.0, 3.5])}).tolist() == [3 * 2 + 1]
+
+
+def test_what_is_not_finite_has_no_row() -> None:
+    broken = seen(0) | {"disk_rotation": jnp.array([0.0, 0.0, jnp.nan])}
+    assert indexer(kind="arm_towards_target")(broken).tolist() == [-1]
+    assert indexer(kind="arm_role")(broken).tolist() == [-1] * 5
+
+
+def test_arms_put_their_parts_of_an_action_one_after_the_other() -> None:
+    mapper = make_mapper(
+        MAPPER.validate_python({"kind": "arm_actions", "actions": [[-1.0], [0.5]]}), PlanarStar()
+    )
+    assert mapper.act(jnp.array([0, 1, 0, 0, 1])).tolist() == [-1.0, 0.5, -1.0, -1.0, 0.5]
+
+
+class Generator(PlanarStar):
+    """What `core.environments.cpg` offers besides: an action for a leading arm, and for roles."""
+
+    def leading_arm(self, arm: Any) -> Any:
+        return jnp.eye(5)[arm]
+
+    def of_roles(self, roles: Any) -> Any:
+        return roles / 4
+
+
+def test_a_generator_is_told_which_arm_leads_or_which_roles_there_are_through_what_is_around_it() -> None:
+    wrapped = RandomizedEnvironment(Generator(), {})
+    leading = make_mapper(MAPPER.validate_python({"kind": "leading_arm"}), wrapped)
+    assert (leading.num_choices, leading.act(jnp.array([3])).tolist()) == (5, [0, 0, 0, 1, 0])
+    roles = make_mapper(MAPPER.validate_python({"kind": "arm_roles"}), wrapped)
+    assert (roles.num_choices, roles.act(jnp.array([0, 1, 2, 3, 0])).tolist()) == (4, [0, 0.25, 0.5, 0.75, 0])
+
+
+@pytest.mark.parametrize(
+    ("reads", "chooses", "environment", "sentence"),
+    [
+        ("arm_towards_target", {"kind": "leading_arm"}, PlanarStar(), "no central pattern generator"),
+        (
+            "arm_towards_target",
+            {"kind": "actions", "actions": [[0.5]]},
+            probes.endless(),
+            "looks at disk_rotation, xy_direction_to_target, and the environment tells nothing",
+        ),
+        ("arm_role", {"kind": "arm_actions", "actions": [[1, 1]]}, PlanarStar(), "have 10 components, .* 5"),
+    ],
+)
+def test_an_environment_that_lacks_what_is_needed_ends_the_job_with_the_reason(
+    reads: str, chooses: dict[str, Any], environment: Any, sentence: str
+) -> None:
+    with pytest.raises(JobFailed, match=sentence) as failure:
+        Tabular.of(INDEXER.validate_python({"kind": reads}), MAPPER.validate_python(chooses), environment)
+    assert failure.value.reason == "bad_model"

@@ -1,0 +1,150 @@
+"""What a client may ask of Q-learning, and what is refused with its place."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.q_learning.spec import QLearningSpec
+from core.algorithms.spec import check_resumption, resolve
+from core.environments import catalog
+from core.errors import Rejected
+from core.jobs.spec import JOB_SPEC
+
+STAR = replace(
+    catalog.find("ant"),
+    id="star",
+    action_size=5,
+    info=("disk_position", "disk_rotation", "xy_direction_to_target"),
+    tuned={"q_learning": {"cpu": {"num_envs": 4}}},
+)
+GRID = {"kind": "observation_grid", "components": [{"index": 0, "range": [-1.0, 1.0], "cells": 4}]}
+ARM = {"kind": "arm_towards_target"}
+ACTIONS = {"kind": "actions", "actions": [[1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0]]}
+VALID: dict[str, Any] = {"indexer": ARM, "mapper": ACTIONS}
+
+
+def parsed(**fields: Any) -> QLearningSpec:
+    document = {"kind": "train", "environment": "ant", "algorithm": {"kind": "q_learning", **fields}}
+    spec = JOB_SPEC.validate_python(document)
+    assert spec.model_dump(mode="json", exclude_unset=True)["algorithm"] == {"kind": "q_learning", **fields}
+    return spec.algorithm  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"indexer": {"kind": "disk_position_grid", "cells": [0, 3]}},
+        {"indexer": {"kind": "disk_position_grid", "x": [1.0, 1.0]}},
+        {"indexer": {"kind": "observation_grid", "components": []}},
+        {"indexer": {"kind": "sectors"}},
+        {"epsilon": {"start": 1.1}},
+        {"epsilon": {"end": -0.1}},
+        {"agents": []},
+        {"agents": [{"learning_rate": 2.0}]},
+        {"replay": {"buffer_size": 0}},
+        {"mapper": {"kind": "actions", "actions": [[1.5]]}},
+    ],
+)
+def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        parsed(**fields)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence", "pointers"),
+    [
+        ({"mapper": None}, "Name a `mapper`: the action of star is 5 continuous numbers", ["mapper"]),
+        ({"indexer": None}, "Name an `indexer`", ["indexer"]),
+        ({"mapper": {"kind": "leading_arm"}}, "star has none as it is asked for here", ["mapper"]),
+        (
+            {"indexer": {"kind": "arm_role"}},
+            "'arm_role' and the mapper 'actions' do not go together",
+            ["indexer", "mapper"],
+        ),
+        (
+            {"mapper": {"kind": "actions", "actions": [[1.0], [1.0, 0.0]]}},
+            "takes 5 action components; the mapper's actions have 1, 2",
+            ["mapper/actions"],
+        ),
+        (
+            {"epsilon": {"decay_episodes": 101}, "num_episodes": 100},
+            "decay_episodes = 101, and the run has 100 episodes",
+            ["epsilon/decay_episodes"],
+        ),
+        (
+            {"epsilon": {"decay_decisions": 5001}, "decisions_per_episode": 50},
+            "decay_decisions = 5,001, and the run has 5,000 decisions",
+            ["epsilon/decay_decisions"],
+        ),
+        (
+            {"epsilon": {"decay_decisions": 10, "decay_episodes": 10}},
+            "not over both",
+            ["epsilon/decay_episodes", "epsilon/decay_decisions"],
+        ),
+        ({"epsilon": {"end": 0.0, "shape": "exponential"}}, "never comes from or to 0", ["epsilon/shape"]),
+        ({"replay": {"buffer_size": 3}}, "each decision brings 4 transitions", ["replay/buffer_size"]),
+        (
+            {"indexer": {"kind": "disk_position_grid", "cells": [10_000, 10_000]}},
+            "would have 200,000,000 cells",
+            ["indexer"],
+        ),
+    ],
+)
+def test_what_does_not_go_together_is_refused_with_its_places(
+    change: dict[str, Any], sentence: str, pointers: list[str]
+) -> None:
+    spec = QLearningSpec.model_validate({**VALID, **change})
+    with pytest.raises(Rejected, match=sentence) as caught:
+        resolve(spec, STAR, "cpu")
+    assert [problem.pointer for problem in caught.value.problems] == [f"/algorithm/{p}" for p in pointers]
+
+
+def test_an_environment_that_tells_no_direction_cannot_feed_an_indexer_of_directions() -> None:
+    with pytest.raises(Rejected, match="ant tells nothing besides its observation") as caught:
+        resolve(parsed(**VALID), catalog.find("ant"), "cpu")
+    assert [problem.pointer for problem in caught.value.problems] == ["/algorithm/indexer"]
+
+
+def test_tuned_values_lie_under_the_jobs_word_and_budgets_are_whole_rounds() -> None:
+    # 10 episodes in 4 worlds are 3 rounds of 4; 2 agents of 4 worlds, 5 decisions of 2 steps: 80 steps each.
+    fields = {
+        **VALID,
+        "num_episodes": 10,
+        "decisions_per_episode": 5,
+        "decision_steps": 2,
+        "agents": [{}, {}],
+    }
+    settings = resolve(parsed(**fields), STAR, "cpu")
+    assert (settings.num_envs, settings.num_worlds, settings.num_updates) == (4, 8, 3)
+    assert (settings.env_steps_per_update, settings.budget, settings.num_decisions) == (80, 240, 60)
+    assert resolve(parsed(**VALID), STAR, "gpu").num_envs == 10
+
+
+def test_a_table_of_another_shape_or_another_algorithm_cannot_go_on() -> None:
+    made_with = parsed(indexer=GRID, mapper=ACTIONS)
+    finer = {"kind": "observation_grid", "components": [{"index": 0, "range": [-1.0, 1.0], "cells": 8}]}
+    with pytest.raises(Rejected, match="The checkpoint was made with indexer") as caught:
+        check_resumption(parsed(indexer=finer, mapper=ACTIONS), made_with)
+    assert [problem.pointer for problem in caught.value.problems] == ["/algorithm/indexer"]
+    with pytest.raises(Rejected, match="made with kind = q_learning; this job has ppo"):
+        check_resumption(PPOSpec(), made_with)
+    free = {"learning_rate": 0.9, "num_episodes": 5, "epsilon": {"start": 0.1}, "policy_agent": "first"}
+    check_resumption(parsed(indexer=GRID, mapper=ACTIONS, **free), made_with)
+
+
+def test_several_gpus_are_refused() -> None:
+    with pytest.raises(Rejected, match="runs on one device, and 2 GPUs are asked for"):
+        parsed(**VALID).check_sharing(2)
+
+
+def test_the_jobs_of_the_page_are_jobs() -> None:
+    page = (Path(__file__).parents[4] / "docs" / "q_learning.md").read_text()
+    jobs = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
+    assert len(jobs) == 2
+    for job in jobs:
+        assert JOB_SPEC.validate_json(job).algorithm.kind == "q_learning"  # pyright: ignore
