@@ -14,7 +14,7 @@ from core.jobs.spec import Accelerator, CheckpointPolicy, ConstantPolicy, JobSpe
 from core.jobs.store import JobStore
 from core.models.record import Description
 from core.physics.availability import check_physics
-from core.rendering.camera import check_camera
+from core.rendering.camera import check_cameras, check_width, model_camera
 from core.storage.objects import ObjectStore
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
@@ -31,7 +31,7 @@ def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
     if isinstance(options, MjcfOptions):
         info = _row_of(info, own_model(options, objects))
     check_physics(spec.physics, info.id, info.cannot_run)
-    check_camera(spec.video.camera, info.cameras)
+    _check_cameras(spec, info)
     _check_gpus(spec)
     match spec:
         case TrainSpec():
@@ -45,6 +45,14 @@ def _environment(spec: JobSpec) -> EnvironmentInfo:
         return catalog.find(spec.environment.id)
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
+
+
+def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
+    if spec.video.cameras is None:
+        model_camera(spec.video.camera, info.cameras)
+    else:
+        check_cameras(spec.video.cameras, info.cameras)
+        check_width(spec.video.width, len(spec.video.cameras))
 
 
 def _check_gpus(spec: JobSpec) -> None:

@@ -26,6 +26,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
     seed: Annotated[int | None, typer.Option()] = None,
     name: Annotated[str | None, typer.Option()] = None,
     label: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
+    camera: Annotated[
+        list[str] | None, typer.Option(help="`track` or one of the model's; several are shown side by side.")
+    ] = None,
     assignments: Assignments = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay and show the progress.")] = False,
     as_json: AsJson = False,
@@ -43,9 +46,10 @@ def submit(  # noqa: PLR0913 # A command line's options.
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
     if num_timesteps is not None:
         put(spec, "algorithm.num_timesteps", num_timesteps)
-    for text in assignments or ():
-        path, value = _assignment(text)
-        put(spec, path, _value(value))
+    wishes: dict[str, Any] = {"video.cameras": camera} if camera else {}
+    wishes |= {path: _value(value) for path, value in map(_assignment, assignments or ())}
+    for path, value in wishes.items():
+        put(spec, path, value)
     if isinstance(spec.get("algorithm"), dict):
         spec["algorithm"].setdefault("kind", "ppo")
     client = client_of(context)

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 
 import jax
@@ -10,13 +11,14 @@ from core.algorithms.ppo.networks import PolicyParams
 from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint
 from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.algorithms.ppo.trainer import PPOTrainer
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, Trainer
+from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, ShowsTables, Trainer
 from core.environments.action_repeat import repeat_action
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
 from worker.messages import Advanced, Measured, Noted, PhaseEnded, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
+from worker.training.pictures import kept_with_tables
 from worker.training.stopping import Stopping
 from worker.training.video import Film
 
@@ -51,8 +53,16 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
         channel.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
-        film.shoot("video", _policy(trainer), trainer.step)
+        with _tables(trainer, spec, channel):
+            film.shoot("video", _policy(trainer), trainer.step)
     return stopping.asked and trainer.step < settings.num_timesteps
+
+
+def _tables(trainer: Trainer, spec: TrainSpec, channel: Channel) -> AbstractContextManager[None]:
+    """Keeps what the trainer shows of itself, if it does; drawn while the block runs."""
+    if not isinstance(trainer, ShowsTables):
+        return nullcontext()
+    return kept_with_tables(channel, trainer.tables(), trainer.step, spec.environment.id)
 
 
 def _policy(trainer: Trainer) -> PolicyParams:
