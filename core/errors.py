@@ -208,6 +208,26 @@ class RecordsRefuse(RecordsUnavailable):
     title = "Redis refuses"
 
 
+class NoWorker(Unavailable):
+    code = "no-worker"
+    title = "No worker is there"
+
+
+class TooManyPreviews(Unavailable):
+    code = "too-many-previews"
+    title = "Too many previews wait"
+
+    def __init__(self, waiting: int) -> None:
+        super().__init__(f"{waiting} previews wait to be drawn already; ask again later.", waiting=waiting)
+
+
+class NothingDraws(Unavailable):
+    """A worker tried; another one, or the same after its remedy, may succeed."""
+
+    code = "nothing-draws"
+    title = "The worker cannot draw"
+
+
 class Misconfigured(GaitwayError):
     """The sentence names the setting and the remedy."""
 

@@ -1,5 +1,6 @@
 """A Gaitway service, as a typed Python object."""
 
+import json
 import os
 import tempfile
 import time
@@ -26,6 +27,7 @@ from gaitway.views import (
     MetricsRow,
     ModelView,
     Page,
+    PreviewView,
     WorkerView,
 )
 
@@ -266,6 +268,39 @@ class Client:
         """Remove a model. Raises Conflict while an unfinished job needs it."""
         self._transport.request("DELETE", f"/models/{quote(model_id, safe=':')}")
 
+    # Looking at a body
+
+    def preview(
+        self,
+        environment: str,
+        folder: str | Path | None = None,
+        *,
+        options: Mapping[str, Any] | None = None,
+        camera: str | int | None = None,
+        size: tuple[int, int] = (640, 480),
+        timeout: float = 120.0,
+    ) -> Mapping[str | int, Path]:
+        """How a body looks as an episode begins: a PNG in `folder` (by default here) from each camera.
+
+        camera: from this one alone. size: width and height in pixels. Raises Rejected for options or a
+        camera that there are not, and WaitTimeout after `timeout` seconds without a worker that draws.
+        """
+        asked: dict[str, Any] = {"options": json.dumps(options or {}), "width": size[0], "height": size[1]}
+        path = f"/environments/{quote(environment)}/preview"
+        if camera is None:
+            found = PreviewView.model_validate_json(self._drawn(path, asked, timeout).content)
+            bodies = {
+                still.camera: self._transport.request("GET", still.href).content for still in found.stills
+            }
+        else:
+            bodies = {camera: self._drawn(path, {**asked, "camera": camera}, timeout).content}
+        target = Path(folder or ".")
+        target.mkdir(parents=True, exist_ok=True)
+        pictures = {seen: target / f"{environment}-{seen}.png".replace("/", "-") for seen in bodies}
+        for seen, file in pictures.items():
+            file.write_bytes(bodies[seen])
+        return pictures
+
     # The service
 
     def environments(self) -> Sequence[EnvironmentView]:
@@ -285,6 +320,15 @@ class Client:
 
     def _items(self, path: str, view: type[AnyView]) -> Sequence[AnyView]:
         return [view.model_validate(item) for item in self._transport.request("GET", path).json()["items"]]
+
+    def _drawn(self, path: str, asked: Mapping[str, Any], timeout: float) -> httpx.Response:
+        """The answer once a worker has drawn."""
+        deadline = time.monotonic() + timeout
+        while (answer := self._transport.request("GET", path, params=asked)).status_code == 202:
+            if time.monotonic() > deadline:
+                raise WaitTimeout(f"No worker has drawn it after {timeout:g} s; they may be busy with jobs.")
+            time.sleep(_GLANCE_S)
+        return answer
 
     def _newest(
         self, job_id: str, role: str, path: str | Path | None, step: int | None, on_bytes: OnBytes | None

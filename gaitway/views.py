@@ -170,6 +170,23 @@ class ModelView(View):
     message: str | None = None
 
 
+class StillView(View):
+    """A picture of a body. camera: as a job's `video` names it; href: the PNG's path on the service."""
+
+    camera: str | int
+    size: int = 0
+    href: str
+
+
+class PreviewView(View):
+    """A body as an episode begins. options: all of them, defaults filled in; stills: one a camera."""
+
+    environment: str
+    options: dict[str, Any] = Field(default_factory=dict[str, Any])
+    status: str
+    stills: tuple[StillView, ...] = ()
+
+
 class WorkerView(View):
     """A worker that was heard of lately; job: what it works on."""
 

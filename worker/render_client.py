@@ -1,7 +1,6 @@
 """Starts the render process, for whoever has a trajectory and wants to see it."""
 
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -9,11 +8,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from core.rendering.gl import Backend, RenderingFailed, backends, last_line, no_gl
+from core.rendering.gl import DRIVER_CRASHES, Backend, RenderingFailed, backends, last_line, no_gl
 from core.rendering.request import RenderFailure, RenderRequest, RenderResult
 
 _ENTRY = "worker.rendering"
-_DRIVER_CRASHES = (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL)
 
 
 def render(request: RenderRequest, *, timeout_s: float) -> RenderResult:
@@ -66,7 +64,7 @@ def _understood(done: subprocess.CompletedProcess[str]) -> RenderResult | Render
         how = f"signal {-done.returncode}" if done.returncode < 0 else f"exit status {done.returncode}"
         message = f"The render process ended with {how}: {last_line(done.stderr) or 'it said nothing'}"
         # A broken GL driver takes its process along; another back-end may work.
-        reason = "no_gl" if -done.returncode in _DRIVER_CRASHES else "crashed"
+        reason = "no_gl" if -done.returncode in DRIVER_CRASHES else "crashed"
         return RenderFailure(reason=reason, message=message)
 
 

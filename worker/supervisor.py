@@ -223,7 +223,7 @@ def write_task(job: Job, holding: Holding, device: str, spool: Path) -> None:
 
 
 def _with_model(task: Task, holding: Holding, spool: Path) -> Task:
-    model_id = model_of(task.spec)
+    model_id = model_of(task.spec.environment)
     if model_id is None:
         return task
     try:
@@ -251,7 +251,7 @@ def _checkpoint_to_use(job: Job, holding: Holding) -> Artifact | None:
 
 def _cached_as(job: Job) -> str:
     """What is compiled for one model of a user is of no use to another."""
-    model_id = model_of(job.spec) or ""
+    model_id = model_of(job.spec.environment) or ""
     return "-".join(filter(None, (job.spec.environment.id, model_id.removeprefix("sha256:")[:16])))
 
 

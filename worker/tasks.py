@@ -13,11 +13,13 @@ from core.errors import Misconfigured, NotFound
 from core.jobs.attempts import claim
 from core.jobs.job import utc_now
 from core.patience import CalledOff, pause
+from core.previews.record import PreviewRequest
 from core.settings import WorkerSettings
 from worker.device import device_of
 from worker.disk import has_room, what_to_do
 from worker.draining import Draining
 from worker.lifeline import die_with_parent
+from worker.preview.drawing import draw
 from worker.slot import slot_names
 from worker.spool import SPOOLS, remove_left_over, spool
 from worker.supervisor import Supervisor
@@ -69,6 +71,16 @@ def validate_model(model_id: str) -> None:
     spools = settings.data_dir.absolute() / SPOOLS
     with spool(spools / f"{model_id.replace(':', '-')}.{os.getpid()}") as folder, suppress(NotFound):
         validate(model_id, object_store(settings), folder, settings.data_dir.absolute())
+
+
+def draw_preview(document: str) -> None:
+    """Draw the stills that a request asks for; of a model that was deleted meanwhile there are none."""
+    die_with_parent(signal_number=signal.SIGTERM)
+    request = PreviewRequest.model_validate_json(document)
+    settings = read(WorkerSettings)
+    data = settings.data_dir.absolute()
+    with spool(data / SPOOLS / f"preview-{request.id}.{os.getpid()}") as folder, suppress(NotFound):
+        draw(request, object_store(settings), folder, data)
 
 
 def _leave_to_others(reason: str, draining: Draining) -> None:

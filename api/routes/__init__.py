@@ -1,6 +1,6 @@
 """Every resource, one file each; to add one, name it here."""
 
-from api.routes import catalog, events, files, health, index, jobs, logs, metrics, models, problems
+from api.routes import catalog, events, files, health, index, jobs, logs, metrics, models, previews, problems
 
 ROUTERS = (
     jobs.router,
@@ -9,6 +9,7 @@ ROUTERS = (
     logs.router,
     files.router,
     models.router,
+    previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,
     health.router,
     problems.router,

@@ -6,6 +6,7 @@ from threading import Lock
 
 from core.jobs.queue import queue_name, queue_names
 from core.jobs.spec import Accelerator, Priority
+from core.previews.record import PreviewRequest
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class MemoryJobQueue:
         self._waiting: dict[Dispatch, str] = {}
         self._taken: set[Dispatch] = set()
         self._models: list[str] = []
+        self._previews: list[PreviewRequest] = []
         self._lock = Lock()
 
     def enqueue(
@@ -57,6 +59,24 @@ class MemoryJobQueue:
         """The next model for a worker, which is done with it at once; None when none waits."""
         with self._lock:
             return self._models.pop(0) if self._models else None
+
+    def enqueue_preview(self, request: PreviewRequest) -> None:
+        with self._lock:
+            if request not in self._previews:
+                self._previews.append(request)
+
+    def contains_preview(self, preview_id: str) -> bool:
+        with self._lock:
+            return any(request.id == preview_id for request in self._previews)
+
+    def num_previews(self) -> int:
+        with self._lock:
+            return len(self._previews)
+
+    def take_preview(self) -> PreviewRequest | None:
+        """The next request for a worker, which is done with it at once; None when none waits."""
+        with self._lock:
+            return self._previews.pop(0) if self._previews else None
 
     def waiting(self) -> Sequence[Dispatch]:
         """What no worker has taken, oldest first."""

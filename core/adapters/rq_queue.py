@@ -12,11 +12,13 @@ from rq.job import JobStatus as RQStatus
 from rq.serializers import JSONSerializer
 
 from core.adapters.redis_errors import reaching_redis
-from core.jobs.queue import queue_name
+from core.jobs.queue import FIRST, queue_name
 from core.jobs.spec import Accelerator, Priority
+from core.previews.record import PreviewRequest
 
 TASK = "worker.tasks.run_attempt"
 MODEL_TASK = "worker.tasks.validate_model"
+PREVIEW_TASK = "worker.tasks.draw_preview"
 _KEEP_FAILURES = timedelta(days=1)
 _NO_LIMIT = -1  # the supervisor keeps the deadline
 
@@ -24,7 +26,7 @@ _NO_LIMIT = -1  # the supervisor keeps the deadline
 class RQQueue:
     """A JobQueue whose workers are RQ's; they call `TASK` with the job's id and the attempt.
 
-    And `MODEL_TASK` with a model's id.
+    And `MODEL_TASK` with a model's id, `PREVIEW_TASK` with a request as JSON.
     """
 
     def __init__(self, client: "Redis") -> None:
@@ -47,11 +49,24 @@ class RQQueue:
 
     @reaching_redis()
     def enqueue_model(self, model_id: str) -> None:
-        self._enqueue("gaitway-any-high", _model_rq_id(model_id), MODEL_TASK, (model_id,))
+        self._enqueue(FIRST, _model_rq_id(model_id), MODEL_TASK, (model_id,))
 
     @reaching_redis()
     def contains_model(self, model_id: str) -> bool:
         return self._contains(_model_rq_id(model_id))
+
+    @reaching_redis()
+    def enqueue_preview(self, request: PreviewRequest) -> None:
+        self._enqueue(FIRST, _preview_rq_id(request.id), PREVIEW_TASK, (request.model_dump_json(),))
+
+    @reaching_redis()
+    def contains_preview(self, preview_id: str) -> bool:
+        return self._contains(_preview_rq_id(preview_id))
+
+    @reaching_redis()
+    def num_previews(self) -> int:
+        waiting = Queue(FIRST, connection=self._redis, serializer=JSONSerializer).job_ids
+        return sum(rq_id.startswith(_preview_rq_id("")) for rq_id in waiting)
 
     def _enqueue(self, name: str, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
         queue = Queue(name, connection=self._redis, serializer=JSONSerializer)
@@ -101,7 +116,7 @@ def _push(queue: Queue, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
 
 
 def job_of(rq_id: str) -> str | None:
-    """The job that RQ's name for an attempt belongs to; None for a model's validation."""
+    """The job that RQ's name for an attempt belongs to; None where it is of none."""
     return rq_id.rpartition("_")[0] or None
 
 
@@ -111,3 +126,7 @@ def _rq_id(job_id: str, attempt: int) -> str:
 
 def _model_rq_id(model_id: str) -> str:
     return model_id.replace(":", "-")
+
+
+def _preview_rq_id(preview_id: str) -> str:
+    return f"preview-{preview_id}"

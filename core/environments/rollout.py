@@ -117,6 +117,12 @@ def rollout(
     return trajectory_of(environment, episodes)
 
 
+def initial_positions(environment: Environment, seed: int) -> NDArray[np.float64]:
+    """Where the first episode of a rollout job with this seed begins: qpos [nq]."""
+    key = jax.random.fold_in(jax.random.PRNGKey(seed), 0)
+    return np.asarray(jax.jit(environment.reset)(key).physics.qpos, np.float64)
+
+
 def footage(roller: Roller, parameters: Any, key: jax.Array, *, dt: float, seconds: float) -> list[Episode]:
     """What a video of `seconds` shows: an episode, and the next ones where it ends early."""
     left = max(1, round(seconds / dt))

@@ -10,8 +10,17 @@ from core.environments.mjcf.info import MjcfOptions
 from core.errors import EnvironmentNotFound, JobNotFound, Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.own_model import engines_that_cannot, own_model
-from core.jobs.spec import Accelerator, CheckpointPolicy, ConstantPolicy, JobSpec, RolloutSpec, TrainSpec
+from core.jobs.spec import (
+    Accelerator,
+    CheckpointPolicy,
+    ConstantPolicy,
+    EnvironmentSpec,
+    JobSpec,
+    RolloutSpec,
+    TrainSpec,
+)
 from core.jobs.store import JobStore
+from core.model import Strict
 from core.models.record import Description
 from core.physics.availability import check_physics
 from core.rendering.camera import check_cameras, check_width, model_camera
@@ -25,11 +34,7 @@ _MOST_ROLLOUT_STEPS = 1_000_000
 
 def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
     """Raises Rejected with every problem of the first group that has one."""
-    info = _environment(spec)
-    options = catalog.parse_options(info, spec.environment.options)
-    info = info.under(options)
-    if isinstance(options, MjcfOptions):
-        info = _row_of(info, own_model(options, objects))
+    info, _ = chosen(spec.environment, objects)
     check_physics(spec.physics, info.id, info.cannot_run)
     _check_cameras(spec, info)
     _check_gpus(spec)
@@ -40,11 +45,17 @@ def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
             _check_rollout(spec, info, store)
 
 
-def _environment(spec: JobSpec) -> EnvironmentInfo:
+def chosen(environment: EnvironmentSpec, objects: ObjectStore) -> tuple[EnvironmentInfo, Strict]:
+    """The catalog's row as it is under these options, and the options themselves. Raises Rejected."""
     try:
-        return catalog.find(spec.environment.id)
+        info = catalog.find(environment.id)
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
+    options = catalog.parse_options(info, environment.options)
+    info = info.under(options)
+    if isinstance(options, MjcfOptions):
+        info = _row_of(info, own_model(options, objects))
+    return info, options
 
 
 def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:

@@ -16,4 +16,5 @@ def remove_model(model_id: str, *, store: JobStore, objects: ObjectStore) -> Non
     users = [job.id for job in store.unfinished() if job.spec.environment.options.get("model") == model_id]
     if users:
         raise ModelInUse(model_id, users)
+    objects.delete_prefix(keys.previews_of(model_id))
     objects.delete_prefix(keys.model(model_id))

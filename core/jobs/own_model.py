@@ -6,7 +6,7 @@ from core.environments import catalog
 from core.environments.mjcf.check import problems
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import ModelNotFound, Problem, Rejected
-from core.jobs.spec import RolloutSpec, TrainSpec
+from core.jobs.spec import EnvironmentSpec
 from core.models import library
 from core.models.record import Description
 from core.physics.availability import EngineName
@@ -36,11 +36,11 @@ def own_model(options: MjcfOptions, objects: ObjectStore) -> Description:
     return record.description
 
 
-def model_of(spec: TrainSpec | RolloutSpec) -> str | None:
-    """The id of the user's own model that a job names, which was checked when it was submitted."""
-    if not catalog.find(spec.environment.id).takes_model:
+def model_of(environment: EnvironmentSpec) -> str | None:
+    """The id of the user's own model that an environment names, which was checked before."""
+    if not catalog.find(environment.id).takes_model:
         return None
-    return str(spec.environment.options["model"])
+    return str(environment.options["model"])
 
 
 def engines_that_cannot(description: Description | None) -> Mapping[EngineName, str]:

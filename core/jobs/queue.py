@@ -1,16 +1,20 @@
 """The seam to whatever brings jobs to workers. It is never asked what is true."""
 
+from collections.abc import Collection
 from typing import Protocol
 
 from core.devices import gpu_indices
 from core.jobs.spec import Accelerator, Priority
 from core.models.queue import ModelQueue
+from core.previews.queue import PreviewQueue
 
+# Where models and previews wait, which go before all jobs.
+FIRST = "gaitway-any-high"
 PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
 
 
-class JobQueue(ModelQueue, Protocol):
-    """At-least-once dispatch, of jobs and of models.
+class JobQueue(ModelQueue, PreviewQueue, Protocol):
+    """At-least-once dispatch, of jobs, of models and of previews.
 
     A job handed out twice is claimed once, by the store's compare-and-set.
 
@@ -30,6 +34,11 @@ class JobQueue(ModelQueue, Protocol):
     def remove(self, job_id: str, attempt: int) -> None:
         """Forget the attempt, wherever it is; not there is no error."""
         ...
+
+
+def looks_at_models(queues: Collection[str]) -> bool:
+    """Whether a worker that serves these queues validates models and draws previews."""
+    return FIRST in queues
 
 
 def queue_names(device: str) -> tuple[str, ...]:

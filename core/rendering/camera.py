@@ -11,6 +11,11 @@ GAP_PIXELS = 4
 WIDEST_PIXELS = 3840
 
 
+def camera_choices(cameras: Sequence[str]) -> list[str | int]:
+    """`track`, and each of the model's as a job names it; by number where a name would not reach it."""
+    return [TRACK, *(name if name and name != TRACK else number for number, name in enumerate(cameras))]
+
+
 def check_cameras(
     asked: Sequence[str | int], cameras: Sequence[str], pointer: str = "/video/cameras"
 ) -> None:

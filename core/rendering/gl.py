@@ -4,6 +4,7 @@
 """
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -14,6 +15,8 @@ from core.errors import GaitwayError
 
 REMEDY = "install Debian's packages libegl1, libgl1-mesa-dri and libopengl0 (software rendering needs no GPU)"
 _TRIAL_TIMEOUT_S = 60.0
+# How a process ends that a broken driver takes along.
+DRIVER_CRASHES = (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL)
 
 
 class RenderingFailed(GaitwayError):

@@ -6,8 +6,15 @@ jobs/<id>/attempts/<n>/manifest.json           what readers may see of an attemp
 jobs/<id>/attempts/<n>/<name>                  its files
 models/<hash>/source                           a user's own model, as it was sent
 models/<hash>/record.json                      what a worker found in it
+previews/<whose>/<hash>/<when>/about.json      the stills that were drawn, written last; or why not
+previews/<whose>/<hash>/<when>/still-<n>.png   the stills; all of it may be lost
 caches/<machine>/<environment>/<when>/<name>   what machines of a kind compiled for it; all of it may be lost
 """
+
+from datetime import datetime
+
+# Sorts before the stills: what is deleted in the order of names is not seen by half.
+PREVIEW_RECORD = "about.json"
 
 
 def job(job_id: str) -> str:
@@ -45,6 +52,28 @@ def model_source(model_id: str) -> str:
 
 def model_record(model_id: str) -> str:
     return f"{model(model_id)}record.json"
+
+
+def previews() -> str:
+    return "previews/"
+
+
+def previews_of(subject: str) -> str:
+    """subject: an environment's id, or a model's."""
+    return f"previews/{subject.removeprefix('sha256:')}/"
+
+
+def preview(subject: str, preview_id: str) -> str:
+    return f"{previews_of(subject)}{preview_id}/"
+
+
+def preview_of(subject: str, preview_id: str, when: datetime) -> str:
+    return f"{preview(subject, preview_id)}{when:%Y%m%dT%H%M%S.%fZ}/"
+
+
+def when_drawn(folder: str) -> str:
+    """Of a folder that `preview_of` named; sorts by time."""
+    return folder.removesuffix("/").rpartition("/")[2]
 
 
 def caches() -> str:

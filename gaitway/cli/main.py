@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli import doctor, files, jobs, models, services, submit, watch
+from gaitway.cli import doctor, files, jobs, models, preview, services, submit, watch
 from gaitway.cli.errors import Group
 from gaitway.client import Client
 
@@ -42,6 +42,7 @@ for command in (
     jobs.delete,
     files.video,
     files.download,
+    preview.preview,
     doctor.doctor,
     services.up,
 ):

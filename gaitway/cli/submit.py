@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -41,15 +42,12 @@ def submit(  # noqa: PLR0913 # A command line's options.
         raise wrong_usage(
             "Name an environment (`gaitway submit ant`), or a file with a job (`--file job.json`)."
         )
-    spec.update({key: value for key, value in (("seed", seed), ("name", name)) if value is not None})
+    fields = {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, "video.cameras": camera}
+    _put_given(spec, fields)
     if label:
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
-    if num_timesteps is not None:
-        put(spec, "algorithm.num_timesteps", num_timesteps)
-    wishes: dict[str, Any] = {"video.cameras": camera} if camera else {}
-    wishes |= {path: _value(value) for path, value in map(_assignment, assignments or ())}
-    for path, value in wishes.items():
-        put(spec, path, value)
+    for text in assignments or ():
+        assigned(spec, text)
     if isinstance(spec.get("algorithm"), dict):
         spec["algorithm"].setdefault("kind", "ppo")
     client = client_of(context)
@@ -61,6 +59,18 @@ def submit(  # noqa: PLR0913 # A command line's options.
     elif not watch:
         print(job.id)
     raise typer.Exit(end_code(job) if watch and job.is_final else 0)
+
+
+def assigned(spec: dict[str, Any], text: str) -> None:
+    """Put what `a.b.c=VALUE` says; a value that is JSON is what it means."""
+    path, value = _assignment(text)
+    put(spec, path, _value(value))
+
+
+def _put_given(spec: dict[str, Any], fields: Mapping[str, Any]) -> None:
+    for path, value in fields.items():
+        if value not in (None, []):
+            put(spec, path, value)
 
 
 def put(spec: dict[str, Any], path: str, value: Any) -> None:

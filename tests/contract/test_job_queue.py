@@ -12,13 +12,15 @@ from rq.serializers import JSONSerializer
 
 from core.adapters.connect import connect_redis
 from core.adapters.memory_queue import Dispatch, MemoryJobQueue
-from core.adapters.rq_queue import MODEL_TASK, TASK, RQQueue, job_of
+from core.adapters.rq_queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
 from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_names
+from core.previews.record import PreviewRequest
 from gaitway.embedded.valkey import Valkey
 
 JOB = "019aa3c2f0b1-5be0c1d2e3"
 MODEL = "sha256:" + "0" * 64
+PREVIEW = PreviewRequest(environment="ant", options={}, cameras=["track"], width=64, height=48)
 OTHER = "019aa3c2f0b2-5be0c1d2e3"
 
 
@@ -58,6 +60,13 @@ class TestEveryQueue:
         assert not queue.contains_model(MODEL.replace("0", "1"))
         assert not queue.contains(JOB, 1)
 
+    def test_a_preview_that_was_enqueued_waits_once(self, queue: JobQueue) -> None:
+        assert (queue.contains_preview(PREVIEW.id), queue.num_previews()) == (False, 0)
+        queue.enqueue_preview(PREVIEW)
+        queue.enqueue_preview(PREVIEW)
+        queue.enqueue_model(MODEL)
+        assert (queue.contains_preview(PREVIEW.id), queue.num_previews()) == (True, 1)
+
 
 class TestMemory:
     def test_workers_take_the_most_urgent_that_fits_once(self) -> None:
@@ -94,6 +103,13 @@ class TestRQ:
         RQQueue(redis_client).enqueue_model(MODEL)
         (rq_job,) = waiting(redis_client, "gaitway-any-high")
         assert (rq_job.func_name, tuple(rq_job.args)) == (MODEL_TASK, (MODEL,))
+        assert job_of(rq_job.id) is None
+
+    def test_a_worker_finds_the_whole_request_for_a_preview(self, redis_client: redis.Redis) -> None:
+        RQQueue(redis_client).enqueue_preview(PREVIEW)
+        (rq_job,) = waiting(redis_client, "gaitway-any-high")
+        assert rq_job.func_name == PREVIEW_TASK
+        assert PreviewRequest.model_validate_json(rq_job.args[0]) == PREVIEW
         assert job_of(rq_job.id) is None
 
     def test_every_queue_is_served_by_some_worker(self, redis_client: redis.Redis) -> None:

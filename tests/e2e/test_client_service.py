@@ -9,9 +9,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from core.jobs.status import JobStatus, Reason
-from gaitway import Client, Conflict, NotFound, NotReady, Rejected
+from gaitway import Client, Conflict, NotFound, NotReady, Rejected, WaitTimeout
 from gaitway.cli.main import app
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
+from tests.api.test_previews import announced, drawing_worker
 
 __all__ = ["quiet", "server", "stack"]  # fixtures
 
@@ -170,6 +171,37 @@ def test_jobs_are_listed_shown_and_found_by_a_part_of_their_id(stack: Stack) -> 
     assert gaitway(stack, "jobs", "--status", "failed").stdout == "No job matches.\n"
     for name in (attempt.id, attempt.id[:15], attempt.id[-4:], "last"):
         assert "video.mp4" in gaitway(stack, "show", name).stdout
+
+
+def test_the_cli_draws_a_body_from_each_camera_or_from_one(stack: Stack, tmp_path: Path) -> None:
+    with drawing_worker(stack) as drawn:
+        all_of_them = gaitway(stack, "preview", "ant", "-o", str(tmp_path), "--set", "healthy_reward=2")
+        one = gaitway(
+            stack, "preview", "ant", "-o", str(tmp_path), "--camera", "0", "--size", "64x48", "--json"
+        )
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {
+        "ant-track.png": b"track",
+        "ant-0.png": b"0",
+    }
+    assert all_of_them.stdout.replace("\n", "").endswith("ant-0.png")
+    assert json.loads(one.stdout) == {"0": str(tmp_path / "ant-0.png")}
+    assert [wanted.options["healthy_reward"] for wanted in drawn] == [2.0, 1.0]
+    assert (drawn[1].width, drawn[1].height) == (64, 48)
+    assert gaitway(stack, "preview", "ant", "--size", "big").exit_code == 2
+    refused = gaitway(stack, "preview", "ant", "--camera", "nose")
+    assert (refused.exit_code, "known are track" in refused.stderr) == (2, True)
+
+
+def test_a_client_waits_for_its_stills_while_workers_are_busy(
+    stack: Stack, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("api.routes.previews._PATIENCE_S", 0.0)
+    monkeypatch.setattr("gaitway.client._GLANCE_S", 0.01)
+    announced(stack)
+    with pytest.raises(WaitTimeout, match="No worker has drawn it"):
+        client.preview("hopper", tmp_path, timeout=0.0)
+    with drawing_worker(stack):
+        assert client.preview("hopper", tmp_path)["track"].read_bytes() == b"track"
 
 
 def test_the_cli_fetches_files_and_cancels(stack: Stack, tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ def test_a_body_goes_from_its_file_to_its_video(client: Client, tmp_path: Path) 
     assert model.description is not None
     assert model.description["inventory"]["root"] == "ball"
     assert [found.id for found in client.models()] == [model.id]
+    stills = client.preview("mjcf", tmp_path, options={"model": model.id}, size=(64, 48))
+    assert [file.read_bytes()[:4] for file in stills.values()] == [b"\x89PNG", b"\x89PNG"]
     options = {
         "model": model.id,
         "reward": [

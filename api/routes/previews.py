@@ -1,0 +1,220 @@
+"""A look at a body before anything is trained: stills from its cameras, drawn by a worker, and kept."""
+
+import time
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlencode
+
+from anyio import sleep
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Path, Query, Request
+from fastapi.responses import JSONResponse
+from pydantic import Field, JsonValue, TypeAdapter, ValidationError
+
+from api.dependencies import Parameters, Service, ServiceDep
+from api.files import file_response
+from api.problems import refusals
+from api.views import View
+from core.environments import catalog
+from core.errors import (
+    EnvironmentNotFound,
+    NothingDraws,
+    NoWorker,
+    Problem,
+    RecordsUnavailable,
+    Rejected,
+    StorageUnavailable,
+    TooManyPreviews,
+)
+from core.jobs.checks import chosen
+from core.jobs.job import Artifact
+from core.jobs.own_model import model_of
+from core.jobs.queue import looks_at_models
+from core.jobs.spec import EnvironmentSpec
+from core.previews import library
+from core.previews.record import Preview, PreviewRequest, Still
+from core.rendering.camera import camera_choices, model_camera
+
+router = APIRouter(tags=["catalog"])
+
+# How long a client waits for the stills themselves, before it is told to ask again.
+_PATIENCE_S = 5.0
+_GLANCE_S = 0.1
+# Of the first so many cameras; a model with more of them is asked for one by one.
+_MOST_STILLS = 32
+_OPTIONS: TypeAdapter[dict[str, JsonValue]] = TypeAdapter(dict[str, JsonValue])
+
+
+class Asked(Parameters):
+    """What the stills show."""
+
+    options: str = Field(
+        "{}",
+        max_length=16_000,
+        description="The environment's options, as a JSON object.",
+        examples=['{"walker": "rodent"}'],
+    )
+    camera: str | None = Field(
+        None,
+        max_length=200,
+        description="`track`, or a camera of the model by name or number: the answer is its PNG.",
+        examples=["track"],
+    )
+    width: int = Field(640, ge=16, le=1920, description="Pixels.")
+    height: int = Field(480, ge=16, le=1920, description="Pixels.")
+
+
+class StillView(View):
+    """A still. camera: as a job's `video` names it; size: bytes; href: where to fetch the PNG."""
+
+    camera: str | int
+    size: int
+    sha256: str
+    href: str
+
+
+class PreviewView(View):
+    """The body as the first episode of a rollout with seed 0 begins. options: all, defaults filled in."""
+
+    environment: str
+    options: dict[str, JsonValue]
+    status: Literal["ready", "drawing"]
+    cameras: Sequence[str | int]
+    stills: Sequence[StillView]
+    links: dict[str, str]
+
+    @classmethod
+    def of(cls, wanted: PreviewRequest, stills: Sequence[Still], here: str, asked: Asked) -> Self:
+        said = asked.model_dump(exclude_unset=True, exclude={"camera"})
+
+        def href(**also: object) -> str:
+            query = urlencode({**said, **also})
+            return f"{here}?{query}" if query else here
+
+        return cls(
+            environment=wanted.environment,
+            options=wanted.options,
+            status="ready" if stills else "drawing",
+            cameras=wanted.cameras,
+            stills=[StillView(**dict(still), href=href(camera=still.camera)) for still in stills],
+            links={"self": href()},
+        )
+
+
+@router.get(
+    "/environments/{environment_id:path}/preview",
+    response_model=PreviewView,
+    response_description="The stills, each with its address; or the PNG itself, with `camera`",
+    responses={
+        200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}},
+        202: {"model": PreviewView, "description": "A worker has yet to draw them; ask at the Location"},
+        304: {"description": "`If-None-Match` names this PNG"},
+        **refusals(
+            EnvironmentNotFound,
+            Rejected,
+            NoWorker,
+            TooManyPreviews,
+            NothingDraws,
+            StorageUnavailable,
+            RecordsUnavailable,
+        ),
+    },
+)
+async def preview_environment(
+    environment_id: Annotated[str, Path(examples=["ant"])],
+    asked: Annotated[Asked, Query()],
+    service: ServiceDep,
+    request: Request,
+) -> Any:
+    """How a body looks as an episode begins, from the camera `track` and each of the model's own."""
+    wanted, camera = await run_sync(_wanted, environment_id, asked, service)
+    drawn = await _drawn(wanted, service)
+    here = request.url.path
+    if drawn is None:
+        again = f"{here}?{request.url.query}" if request.url.query else here
+        view = PreviewView.of(wanted, [], here, asked)
+        return JSONResponse(view.model_dump(mode="json"), 202, {"Location": again, "Retry-After": "2"})
+    if camera is None:
+        return PreviewView.of(wanted, drawn.stills, here, asked)
+    still = next(still for still in drawn.stills if still.camera == camera)
+    return await run_sync(file_response, request, _file(wanted, still), service.objects)
+
+
+def _wanted(environment_id: str, asked: Asked, service: Service) -> tuple[PreviewRequest, str | int | None]:
+    """What has to be drawn, and which camera of it is asked for.
+
+    Raises EnvironmentNotFound, and Rejected with the sentences that a job would get.
+    """
+    catalog.find(environment_id)
+    environment = EnvironmentSpec(id=environment_id, options=_options(asked.options))
+    try:
+        info, options = chosen(environment, service.objects)
+        cameras = camera_choices(info.cameras)
+        camera = None if asked.camera is None else _camera(asked.camera, info.cameras)
+    except Rejected as refusal:
+        places = [Problem(_place(problem.pointer), problem.detail) for problem in refusal.problems]
+        raise Rejected(refusal.detail, places, **refusal.facts) from None
+    shown = cameras[:_MOST_STILLS]
+    request = PreviewRequest(
+        environment=environment_id,
+        options=options.model_dump(mode="json"),
+        model=model_of(environment),
+        cameras=shown if camera is None or camera in shown else [camera],
+        width=asked.width,
+        height=asked.height,
+    )
+    return request, camera
+
+
+def _options(text: str) -> dict[str, JsonValue]:
+    try:
+        return _OPTIONS.validate_json(text)
+    except ValidationError:
+        detail = "`options` is not a JSON object."
+        raise Rejected(detail, [Problem("/options", detail)]) from None
+
+
+def _camera(said: str, cameras: Sequence[str]) -> str | int:
+    """The camera as `camera_choices` calls it, of what a query says."""
+    by_number = said.isdecimal() and said not in cameras
+    number = model_camera(int(said) if by_number else said, cameras)
+    return camera_choices(cameras)[0 if number is None else number + 1]
+
+
+def _place(pointer: str) -> str:
+    """A place in a job's document as the parameter that stands for it here."""
+    return pointer.removeprefix("/environment").removeprefix("/video")
+
+
+async def _drawn(wanted: PreviewRequest, service: Service) -> Preview | None:
+    """The stills once they are there; None when patience ends.
+
+    Raises NoWorker, TooManyPreviews; NothingDraws and Rejected where a worker tried in vain.
+    """
+    until = time.monotonic() + _PATIENCE_S
+    drawn = await run_sync(library.find, wanted, service.objects)
+    if drawn is None:
+        await run_sync(_ask, wanted, service)
+    while drawn is None and time.monotonic() < until and not service.stopping:
+        await sleep(_GLANCE_S)
+        drawn = await run_sync(library.find, wanted, service.objects)
+    if drawn is not None and drawn.failure is not None:
+        # Whoever asks next has it tried again.
+        await run_sync(library.forget, wanted, service.objects)
+        if drawn.failure.reason == "no_gl":
+            raise NothingDraws(drawn.failure.message)
+        raise Rejected(drawn.failure.message, [Problem("/options", drawn.failure.message)])
+    return drawn
+
+
+def _ask(wanted: PreviewRequest, service: Service) -> None:
+    if not any(looks_at_models(worker.queues) for worker in service.store.workers()):
+        raise NoWorker("No worker is there that could draw it: start one, and ask again.")
+    library.ask(wanted, service.queue)
+
+
+def _file(wanted: PreviewRequest, still: Still) -> Artifact:
+    name = f"{wanted.environment}-{still.camera}.png".replace("/", "-")
+    return Artifact(
+        name=name, role="poster", media_type="image/png", size=still.size, sha256=still.sha256, key=still.key
+    )

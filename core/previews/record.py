@@ -1,0 +1,55 @@
+"""What stills are asked for, and those that a worker drew."""
+
+import hashlib
+import json
+from importlib.metadata import version
+
+from pydantic import JsonValue
+
+from core.model import Stored
+from core.rendering.request import RenderFailure
+
+# To be raised with every change of how a scene looks, so that nobody is shown the former one.
+_LOOK = 1
+
+
+class PreviewRequest(Stored):
+    """A body as an episode begins, from these cameras. Everything that a still depends on.
+
+    options: all of them, defaults filled in. model: the id of the user's own model that they name.
+    width, height: pixels.
+    """
+
+    environment: str
+    options: dict[str, JsonValue]
+    model: str | None = None
+    cameras: list[str | int]
+    width: int
+    height: int
+
+    @property
+    def id(self) -> str:
+        """Equal for requests with equal stills."""
+        said = [_LOOK, version("gaitway"), self.model_dump(mode="json")]
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def subject(self) -> str:
+        """Whose stills they are: a user's model, or an environment."""
+        return self.model or self.environment
+
+
+class Still(Stored):
+    """A PNG as seen by a camera. key: in the object store; size: bytes."""
+
+    camera: str | int
+    key: str
+    size: int
+    sha256: str
+
+
+class Preview(Stored):
+    """Stills in the request's order of cameras; or why there are none."""
+
+    stills: list[Still] = []
+    failure: RenderFailure | None = None

@@ -1,0 +1,94 @@
+"""Stills are drawn in a process of their own: the worker's side of it. Nothing numerical is imported."""
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import structlog
+
+from core.jobs.job import utc_now
+from core.previews import library
+from core.previews.record import PreviewRequest
+from core.rendering.gl import DRIVER_CRASHES, Backend, RenderingFailed, backends, no_gl
+from core.rendering.request import RenderFailure
+from core.storage import keys
+from core.storage.objects import ObjectStore
+from worker.process import environment
+
+_MOST_S = 60.0
+log = structlog.get_logger()
+
+
+def draw(
+    request: PreviewRequest, objects: ObjectStore, folder: Path, data_dir: Path, timeout_s: float = _MOST_S
+) -> None:
+    """Draw what nobody has drawn yet, and keep it, or why it could not be.
+
+    folder: an empty one, absolute, for files that are needed meanwhile. Raises ObjectNotFound where the
+    model has been deleted meanwhile.
+    """
+    if library.find(request, objects) is not None:
+        return
+    if request.model:
+        (folder / "model").write_bytes(objects.get(keys.model_source(request.model)))
+    (folder / "request.json").write_text(request.model_dump_json())
+    failure = _drawn(folder, data_dir, timeout_s)
+    if failure is not None:
+        log.warning("preview_failed", preview=request.id, reason=failure.reason, detail=failure.message)
+        library.keep_failure(request, failure, objects, utc_now())
+        return
+    pictures = [(folder / f"{number}.png").read_bytes() for number in range(len(request.cameras))]
+    library.keep(request, pictures, objects, utc_now())
+    log.info("preview_drawn", preview=request.id, environment=request.environment, stills=len(pictures))
+
+
+def _drawn(folder: Path, data_dir: Path, timeout_s: float) -> RenderFailure | None:
+    """None once the pictures are there; back-ends are tried in turn."""
+    reasons: dict[str, str] = {}
+    for backend in backends(os.environ):
+        failure = _attempt(backend, folder, data_dir, timeout_s)
+        if failure is None or failure.reason != "no_gl":
+            return failure
+        reasons[backend.name] = failure.message
+    nothing: RenderingFailed = no_gl(reasons)
+    return RenderFailure(reason="no_gl", message=nothing.detail)
+
+
+def _attempt(backend: Backend, folder: Path, data_dir: Path, timeout_s: float) -> RenderFailure | None:
+    with (folder / "log").open("wb") as text:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "worker.preview", str(folder), str(os.getpid())],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=text,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env={**environment("cpu", data_dir, os.environ), **backend.environ},
+        )
+        try:
+            status = child.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return RenderFailure(reason="timeout", message=f"It was not drawn within {timeout_s:g} s.")
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
+            child.wait()
+    return None if status == 0 else _why(status, folder)
+
+
+def _why(status: int, folder: Path) -> RenderFailure:
+    said = folder / "failure.json"
+    if said.exists():
+        return RenderFailure.model_validate_json(said.read_bytes())
+    words = (folder / "log").read_bytes()[-1000:].decode(errors="replace")
+    log.warning("preview_crashed", status=status, text=words)
+    # A broken GL driver takes its process along; another back-end may work.
+    if -status in DRIVER_CRASHES:
+        return RenderFailure(reason="no_gl", message=f"the driver crashed ({signal.Signals(-status).name})")
+    how = f"signal {-status}" if status < 0 else f"exit status {status}"
+    return RenderFailure(
+        reason="crashed", message=f"Drawing ended with {how}; the worker's log has its last words."
+    )

@@ -1,0 +1,40 @@
+"""A body as its first episode begins, from each camera. MUJOCO_GL must be set before this is imported."""
+
+import copy
+from pathlib import Path
+
+from core.environments.rollout import initial_positions
+from core.jobs.spec import EnvironmentSpec, RolloutSpec, ZeroPolicy
+from core.previews.record import PreviewRequest
+from core.rendering.camera import model_camera
+from core.rendering.clip import camera_names
+from core.rendering.frames import MujocoRenderer
+from core.rendering.mp4 import write_png
+from core.rendering.scene import following_view
+from worker.messages import Task
+from worker.training.body import load_body
+
+
+def draw(request: PreviewRequest, folder: Path) -> None:
+    """Write `0.png`, `1.png`, … into the folder, one for each camera.
+
+    The user's own model, where the options name one, lies there as `model`. Raises JobFailed where no
+    job could have this body.
+    """
+    spec = RolloutSpec(
+        environment=EnvironmentSpec(id=request.environment, options=request.options), policy=ZeroPolicy()
+    )
+    model = str(folder / "model") if request.model else None
+    environment = load_body(Task(job_id="", attempt=0, spec=spec, device="cpu", model=model)).environment
+    qpos = initial_positions(environment, spec.seed)
+    view = following_view(environment.model, qpos, environment.tracked_body)
+    names = camera_names(environment.model)
+    for number, camera in enumerate(request.cameras):
+        with MujocoRenderer(
+            copy.copy(environment.model),
+            view,
+            camera=model_camera(camera, names),
+            width=request.width,
+            height=request.height,
+        ) as renderer:
+            write_png(folder / f"{number}.png", renderer.frame(qpos))
