@@ -42,7 +42,8 @@ def submit(  # noqa: PLR0913 # A command line's options.
         raise wrong_usage(
             "Name an environment (`gaitway submit ant`), or a file with a job (`--file job.json`)."
         )
-    fields = {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, "video.cameras": camera}
+    cameras = [_value(one) for one in camera or ()]
+    fields = {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, "video.cameras": cameras}
     _put_given(spec, fields)
     if label:
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
