@@ -44,7 +44,11 @@ def _draw(request: RenderRequest) -> RenderResult:
     from core.rendering.timeline import Motion
 
     motions = [
-        Motion(episode.time, episode.qpos.astype("float64"))
+        Motion(
+            episode.time,
+            episode.qpos.astype("float64"),
+            None if episode.target is None else episode.target.astype("float64"),
+        )
         for episode in trajectory.load(request.trajectory).episodes
     ]
     return draw(request, load_model(request.model), motions, gl_backend=os.environ.get("MUJOCO_GL", ""))

@@ -23,8 +23,11 @@ class Picture(Parameters):
     camera: str | None = Field(None, max_length=200, description="Seen by this camera.")
 
     def shows(self, artifact: Artifact) -> bool:
-        camera = str(artifact.metadata.get("camera", ""))
-        return self.step in (None, artifact.step) and self.camera in (None, camera)
+        facts = artifact.metadata
+        cameras = map(
+            str, facts.get("cameras", [facts.get("camera", "")])
+        )  # One, before there could be several.
+        return self.step in (None, artifact.step) and (self.camera is None or self.camera in cameras)
 
 
 Asked = Annotated[Picture, Query()]

@@ -6,7 +6,9 @@ a checkpoint of the present state.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
+
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -67,4 +69,17 @@ class Trainer(Protocol):
 
     def policy(self) -> bytes:
         """What inference needs, and nothing else, in the algorithm's own file format."""
+        ...
+
+
+@runtime_checkable
+class ShowsTables(Protocol):
+    """A trainer, some of whose state is of use to people: it is kept beside the policy, with its pictures."""
+
+    def tables(self) -> Mapping[str, NDArray[Any]]:
+        """Arrays by name, none of objects. Valid between two events.
+
+        Drawn are `q_table` and `visits`, [states, actions] or [agents, states, actions]; `state_names`
+        [states] and `action_names` [actions], of text, are written beside them. Others are only kept.
+        """
         ...

@@ -18,6 +18,9 @@ Policy = Callable[[Any, jax.Array], jax.Array]
 # (parameters, state, key) -> action: parameters may change without another compilation.
 ParametricPolicy = Callable[[Any, State, jax.Array], jax.Array]
 
+# Where an environment's `info` says that the tracked body should go: [2 or 3], in metres.
+TARGET = "target_position"
+
 _STEPS_PER_CALL = 200
 _MOST_WORLDS = 64
 
@@ -49,6 +52,7 @@ class _Row:
     reward: NDArray[np.float32]
     done: NDArray[np.float32]
     metrics: Mapping[str, NDArray[np.float32]]
+    target: NDArray[np.float32] | None = None
 
 
 class Roller:
@@ -90,7 +94,7 @@ class Roller:
             rows.append(row)
             running &= ~(row.done[:, :wanted] > 0).any(axis=0)
             taken += _STEPS_PER_CALL
-        names = ("qpos", "qvel", "observation", "action", "reward", "done")
+        names = (*start, "action", "reward", "done")
         steps = {name: np.concatenate([getattr(row, name) for row in rows]) for name in names}
         metrics = {name: np.concatenate([row.metrics[name] for row in rows]) for name in rows[0].metrics}
         for world in range(wanted):
@@ -138,6 +142,7 @@ def cut(episode: Episode, num_steps: int) -> Episode:
     states = ("time", "qpos", "qvel", "position", "observation")
     return replace(
         episode,
+        target=None if episode.target is None else episode.target[: num_steps + 1],
         **{name: getattr(episode, name)[: num_steps + 1] for name in states},
         action=episode.action[:num_steps],
         reward=episode.reward[:num_steps],
@@ -180,7 +185,8 @@ def _observed(state: State) -> dict[str, jax.Array]:
     obs = state.obs
     if isinstance(obs, Mapping):  # one after the other, by their names' order
         obs = jnp.concatenate([obs[name] for name in sorted(obs)], axis=-1)
-    return {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": obs}
+    seen = {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": obs}
+    return seen | ({"target": state.info[TARGET]} if TARGET in state.info else {})
 
 
 def _episode(

@@ -25,13 +25,16 @@ _ARRAYS = (
     ("reward", "[T]", "1", "what it got for that"),
 )
 _FIELDS = tuple(name for name, *_ in _ARRAYS)
+# Only where the environment has one.
+_TARGET = ("target", "[T+1, 2 or 3]", "m", "where the tracked body should go, in the world")
 
 
 @dataclass(frozen=True)
 class Episode:
     """One episode of T steps; arrays as `_ARRAYS` lists them, float32 but for `time`.
 
-    terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name.
+    terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target: as `_TARGET`
+    says, where the environment has one.
     """
 
     time: NDArray[np.float64]
@@ -43,6 +46,7 @@ class Episode:
     reward: NDArray[np.float32]
     terminated: bool
     metrics: Mapping[str, NDArray[np.float32]] = field(default_factory=dict[str, Any])
+    target: NDArray[np.float32] | None = None
 
     @property
     def num_steps(self) -> int:
@@ -63,10 +67,7 @@ class Trajectory:
 
 def describe(model: mujoco.MjModel, /, **facts: Any) -> dict[str, Any]:
     """The file's own explanation: arrays with shapes and units, joints and actuators by name, and `facts`."""
-    arrays = {
-        f"episode_<i>/{name}": {"shape": shape, "unit": unit, "meaning": meaning}
-        for name, shape, unit, meaning in _ARRAYS
-    }
+    arrays = _described(*_ARRAYS)
     arrays["episode_<i>/terminated"] = {"shape": "[]", "unit": "", "meaning": "ended by the environment"}
     arrays["episode_<i>/metrics/<name>"] = {"shape": "[T]", "unit": "", "meaning": "the environment's own"}
     joints = [
@@ -89,14 +90,25 @@ def describe(model: mujoco.MjModel, /, **facts: Any) -> dict[str, Any]:
     }
 
 
+def _described(*rows: tuple[str, str, str, str]) -> dict[str, dict[str, str]]:
+    return {
+        f"episode_<i>/{name}": {"shape": shape, "unit": unit, "meaning": meaning}
+        for name, shape, unit, meaning in rows
+    }
+
+
 def save(path: Path, trajectory: Trajectory) -> None:
     """Write one .npz, whole or not at all; equal trajectories give equal bytes. `about` is JSON text."""
-    about = {**trajectory.about, "num_episodes": len(trajectory.episodes)}
+    about: dict[str, Any] = {**trajectory.about, "num_episodes": len(trajectory.episodes)}
+    if any(episode.target is not None for episode in trajectory.episodes):
+        about["arrays"] = {**about["arrays"], **_described(_TARGET)}
     contents: dict[str, Any] = {"about": np.array(json.dumps(about, sort_keys=True))}
     for number, episode in enumerate(trajectory.episodes):
         prefix = f"episode_{number}/"
         contents |= {prefix + name: getattr(episode, name) for name in _FIELDS}
         contents[prefix + "terminated"] = np.array(episode.terminated)
+        if episode.target is not None:
+            contents[prefix + "target"] = episode.target
         contents |= {f"{prefix}metrics/{name}": values for name, values in sorted(episode.metrics.items())}
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -125,6 +137,7 @@ def _episode(file: Any, prefix: str) -> Episode:
         **{name: file[prefix + name] for name in _FIELDS},
         terminated=bool(file[prefix + "terminated"]),
         metrics={name.removeprefix(metrics): file[name] for name in file.files if name.startswith(metrics)},
+        target=file[prefix + "target"] if prefix + "target" in file.files else None,
     )
 
 

@@ -24,7 +24,7 @@ from core.jobs.store import JobStore
 from core.model import Strict
 from core.models.record import Description
 from core.physics.availability import check_physics
-from core.rendering.camera import check_camera
+from core.rendering.camera import check_cameras, check_width, model_camera
 from core.storage.objects import ObjectStore
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
@@ -37,7 +37,7 @@ def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
     """Raises Rejected with every problem of the first group that has one."""
     info, _ = chosen(spec.environment, objects)
     check_physics(spec.physics, info.id, info.cannot_run)
-    check_camera(spec.video.camera, info.cameras)
+    _check_cameras(spec, info)
     _check_gpus(spec)
     match spec:
         case TrainSpec():
@@ -57,6 +57,14 @@ def chosen(environment: EnvironmentSpec, objects: ObjectStore) -> tuple[Environm
     if isinstance(options, MjcfOptions):
         info = _row_of(info, own_model(options, objects))
     return info, options
+
+
+def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
+    if spec.video.cameras is None:
+        model_camera(spec.video.camera, info.cameras)
+    else:
+        check_cameras(spec.video.cameras, info.cameras)
+        check_width(spec.video.width, len(spec.video.cameras))
 
 
 def _check_gpus(spec: JobSpec) -> None:

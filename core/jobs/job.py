@@ -21,7 +21,8 @@ ArtifactRole = Literal[
     "summary",
     "metrics",
     "log",
-    "learning_curve",
+    "tables",
+    "picture",
     "tensorboard",
     "wandb",
 ]

@@ -1,9 +1,17 @@
 """What a client may ask for: a union discriminated by `kind`. What validates here has the right shape;
 whether it goes together is `core.jobs.checks`' business."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, JsonValue, PlainSerializer, TypeAdapter
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    JsonValue,
+    PlainSerializer,
+    TypeAdapter,
+    model_validator,
+)
 
 from core.algorithms.catalog import AlgorithmSpec
 from core.algorithms.ppo.spec import PPOSpec
@@ -62,13 +70,30 @@ class VideoSpec(Strict):
     camera: str | int = Field(
         default="track", description="`track`, or a camera of the model by name or number."
     )
-    width: PixelCount = 640
-    height: PixelCount = 480
+    cameras: list[str | int] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=16,
+        description="Several cameras, side by side from the left, in place of `camera`.",
+    )
+    width: PixelCount = Field(default=640, description="Of each camera's picture, in pixels.")
+    height: PixelCount = Field(default=480, description="In pixels.")
     fps: int = Field(default=30, ge=1, le=120)
     seconds: float = Field(default=10.0, gt=0, le=600)
     every_checkpoint: bool = Field(
         default=False, description="One video for each checkpoint, besides the last one."
     )
+
+    @model_validator(mode="after")
+    def _one_way_to_say_it(self) -> Self:
+        if self.cameras is not None and "camera" in self.model_fields_set:
+            raise ValueError("`camera` and `cameras` say the same in two ways; give one of them")
+        return self
+
+    @property
+    def shown(self) -> list[str | int]:
+        """The cameras, from the left."""
+        return [self.camera] if self.cameras is None else self.cameras
 
 
 class ResourcesSpec(Strict):

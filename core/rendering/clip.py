@@ -6,11 +6,11 @@ from pathlib import Path
 
 import mujoco
 
-from core.rendering.camera import model_camera
-from core.rendering.frames import MujocoRenderer
+from core.rendering.camera import check_cameras, model_camera, width_of
 from core.rendering.mp4 import CODEC, Mp4Writer, write_png
 from core.rendering.request import RenderRequest, RenderResult
 from core.rendering.scene import following_view
+from core.rendering.side_by_side import SideBySide
 from core.rendering.timeline import Motion, shots, smoothed
 
 # Long enough that steps do not shake the camera, short enough that it keeps up.
@@ -32,25 +32,28 @@ def camera_names(model: mujoco.MjModel) -> list[str]:
 def draw(
     request: RenderRequest, model: mujoco.MjModel, motions: Sequence[Motion], *, gl_backend: str
 ) -> RenderResult:
-    """Write the video and the poster that are asked for. Raises Rejected for an unknown camera.
+    """Write the video and the poster that are asked for. Raises Rejected for unknown or repeated cameras.
 
     Frames go to the encoder one by one: memory does not grow with the video's length.
     """
     started = time.perf_counter()
-    camera = model_camera(request.camera, camera_names(model))
+    names = camera_names(model)
+    check_cameras(request.cameras, names)
+    cameras = [model_camera(camera, names) for camera in request.cameras]
     view = following_view(model, motions[0].qpos[0], request.tracked_body)
     size = {"width": request.width, "height": request.height}
+    whole = {"width": width_of(request.width, len(cameras)), "height": request.height}
     sequence = list(shots(model, motions, fps=request.fps, seconds=request.seconds))
     num_frames = sum(len(shot.qpos) for shot in sequence)
     drawn = 0
     with (
-        MujocoRenderer(model, view, camera=camera, **size) as renderer,
-        Mp4Writer(request.video, **size, fps=request.fps) as video,
+        SideBySide(model, view, cameras, [str(camera) for camera in request.cameras], **size) as renderer,
+        Mp4Writer(request.video, **whole, fps=request.fps) as video,
     ):
         for shot in sequence:
             path = smoothed(renderer.path(shot.qpos), fps=request.fps, spread_s=_CAMERA_SPREAD_S)
-            for qpos, look_at in zip(shot.qpos, path, strict=True):
-                frame = renderer.frame(qpos, look_at)
+            for row, (qpos, look_at) in enumerate(zip(shot.qpos, path, strict=True)):
+                frame = renderer.frame(qpos, look_at, None if shot.target is None else shot.target[row])
                 video.write(frame)
                 if drawn == num_frames // 2:
                     write_png(request.poster, frame)
@@ -59,10 +62,10 @@ def draw(
     return RenderResult(
         gl_backend=gl_backend,
         gl_renderer=gl_renderer,
-        camera=request.camera,
+        cameras=request.cameras,
         frames=num_frames,
         seconds=num_frames / request.fps,
-        **size,
+        **whole,
         fps=request.fps,
         codec=CODEC,
         wall_s=time.perf_counter() - started,

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from core.rendering.gl import context_works
 from core.rendering.scene import Floats, View, prepare, quality_of
 
+# Who has an episode's target for a body in the model gives it this name.
+TARGET_BODY = "target"
 # A colour behind models that bring no sky.
 _BACKDROP = np.array([0.62, 0.74, 0.87, 1.0], dtype=np.float32)
 
@@ -41,11 +43,16 @@ class MujocoRenderer:
         """What the GL driver calls itself; `llvmpipe` means software."""
         return self._gl_renderer
 
-    def frame(self, qpos: NDArray[np.float64], look_at: Floats | None = None) -> NDArray[np.uint8]:
+    def frame(
+        self, qpos: NDArray[np.float64], look_at: Floats | None = None, target: Floats | None = None
+    ) -> NDArray[np.uint8]:
         """RGB [height, width, 3] of the positions qpos [nq].
 
         look_at: the point [3] in metres that the camera `track` looks at; by default the body itself.
+        target: the point [2 or 3] where the body named `target` stands, if the model has one.
         """
+        if target is not None:
+            self._put_target(target)
         self._place(qpos)
         target = self.target() if look_at is None else look_at
         eye: Any = self._follow(target) if self._camera is None else self._camera
@@ -83,6 +90,12 @@ class MujocoRenderer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _put_target(self, target: Floats) -> None:
+        """An episode's target is its world's own, and the model has another one."""
+        number = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, TARGET_BODY)
+        if number > 0 and self._model.body_parentid[number] == 0:
+            self._model.body_pos[number, : len(target)] = target
 
     def _place(self, qpos: Floats) -> None:
         self._data.qpos[:] = qpos

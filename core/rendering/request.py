@@ -12,7 +12,8 @@ class RenderRequest(Stored):
     """A video of a stored trajectory.
 
     trajectory: a file of `core.environments.trajectory`. model: the compiled model (.mjb) or its XML.
-    tracked_body: number of the body that the camera `track` follows. width, height: even pixels.
+    tracked_body: number of the body that the camera `track` follows. cameras: side by side, from the left.
+    width, height: of each camera's picture, even pixels.
     seconds: the video is no longer than this. poster: a PNG of a moment in the middle.
     """
 
@@ -21,7 +22,7 @@ class RenderRequest(Stored):
     tracked_body: int
     video: Path
     poster: Path
-    camera: str | int = "track"
+    cameras: list[str | int] = ["track"]
     width: int = 640
     height: int = 480
     fps: int = 30
@@ -29,11 +30,14 @@ class RenderRequest(Stored):
 
 
 class RenderResult(Stored):
-    """Facts about a video, for its artifact's metadata. wall_s: seconds the drawing took."""
+    """Facts about a video, for its artifact's metadata.
+
+    width, height: pixels of the whole. wall_s: seconds the drawing took.
+    """
 
     gl_backend: str
     gl_renderer: str
-    camera: str | int
+    cameras: list[str | int]
     frames: int
     seconds: float
     width: int

@@ -12,10 +12,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Motion:
-    """One episode: time [T] in seconds, strictly rising, and positions [T, nq]."""
+    """One episode: time [T] in seconds, strictly rising, positions [T, nq], a target [T, 2 or 3] if any."""
 
     time: Floats
     qpos: Floats
+    target: Floats | None = None
 
     @property
     def duration_s(self) -> float:
@@ -24,9 +25,11 @@ class Motion:
 
 @dataclass(frozen=True)
 class Shot:
-    """The frames of one episode: positions [N, nq]. Between two shots the picture cuts."""
+    """The frames of one episode: positions [N, nq], a target [N, 2 or 3] if any. Between two shots the
+    picture cuts."""
 
     qpos: Floats
+    target: Floats | None = None
 
 
 def shots(model: mujoco.MjModel, motions: Sequence[Motion], *, fps: int, seconds: float) -> Iterator[Shot]:
@@ -43,7 +46,14 @@ def shots(model: mujoco.MjModel, motions: Sequence[Motion], *, fps: int, seconds
     for index, motion in enumerate(motions):
         own = moments[owner == index] - starts[index] + motion.time[0]
         if own.size:
-            yield Shot(interpolate(model, motion, own))
+            yield Shot(interpolate(model, motion, own), _held(motion, own))
+
+
+def _held(motion: Motion, moments: Floats) -> Floats | None:
+    """The target [N, 2 or 3] at `moments` [N]: where it was last put."""
+    if motion.target is None:
+        return None
+    return motion.target[np.searchsorted(motion.time, moments + 1e-9, side="right") - 1]
 
 
 def interpolate(model: mujoco.MjModel, motion: Motion, moments: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -26,6 +27,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
     seed: Annotated[int | None, typer.Option()] = None,
     name: Annotated[str | None, typer.Option()] = None,
     label: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
+    camera: Annotated[
+        list[str] | None, typer.Option(help="`track` or one of the model's; several are shown side by side.")
+    ] = None,
     assignments: Assignments = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay and show the progress.")] = False,
     as_json: AsJson = False,
@@ -38,11 +42,11 @@ def submit(  # noqa: PLR0913 # A command line's options.
         raise wrong_usage(
             "Name an environment (`gaitway submit ant`), or a file with a job (`--file job.json`)."
         )
-    spec.update({key: value for key, value in (("seed", seed), ("name", name)) if value is not None})
+    cameras = [_value(one) for one in camera or ()]
+    fields = {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, "video.cameras": cameras}
+    _put_given(spec, fields)
     if label:
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
-    if num_timesteps is not None:
-        put(spec, "algorithm.num_timesteps", num_timesteps)
     for text in assignments or ():
         assigned(spec, text)
     if isinstance(spec.get("algorithm"), dict):
@@ -62,6 +66,12 @@ def assigned(spec: dict[str, Any], text: str) -> None:
     """Put what `a.b.c=VALUE` says; a value that is JSON is what it means."""
     path, value = _assignment(text)
     put(spec, path, _value(value))
+
+
+def _put_given(spec: dict[str, Any], fields: Mapping[str, Any]) -> None:
+    for path, value in fields.items():
+        if value not in (None, []):
+            put(spec, path, value)
 
 
 def put(spec: dict[str, Any], path: str, value: Any) -> None:

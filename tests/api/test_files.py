@@ -110,10 +110,11 @@ def test_the_newest_video_is_shown_unless_another_is_asked_for(
     stack: Stack, attempt: Attempt, video: str
 ) -> None:
     attempt.keep("video-100.mp4", b"hundred", step=100, metadata={"camera": "side"})
-    attempt.keep("video-200.mp4", b"two hundred", step=200, metadata={"camera": "side"})
+    attempt.keep("video-200.mp4", b"two hundred", step=200, metadata={"cameras": ["top", "side"]})
     assert stack.http.get(video).content == ARTIFACT  # without a step: of the end
     assert stack.http.get(video, params={"step": 100}).content == b"hundred"
     assert stack.http.get(video, params={"camera": "side"}).content == b"two hundred"
+    assert stack.http.get(video, params={"camera": "top"}).content == b"two hundred"
     answer = stack.http.get(video, params={"step": 100, "camera": "track"})
     assert "step 100 by camera 'track'" in problem(answer, 404, "artifact-not-ready")["detail"]
 

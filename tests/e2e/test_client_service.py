@@ -109,13 +109,13 @@ def test_the_cli_submits_what_its_options_say(stack: Stack, client: Client) -> N
             "--seed",
             "1",
         ),
-        *("--name", "first", "--label", "project=vnl", "--set", "video.camera=track", "--json"),
+        *("--name", "first", "--label", "project=vnl", "--camera", "track", "--camera", "0", "--json"),
     )
     assert done.exit_code == 0, done.output
     spec = client.get(json.loads(done.stdout)["id"]).spec
     assert spec["algorithm"] == {"kind": "ppo", "num_timesteps": 1_000_000, "learning_rate": 3e-4}
     assert (spec["seed"], spec["name"], spec["labels"]) == (1, "first", {"project": "vnl"})
-    assert spec["video"] == {"camera": "track"}
+    assert spec["video"] == {"cameras": ["track", 0]}
 
 
 def test_the_cli_reads_a_job_from_a_file_and_from_stdin(stack: Stack, client: Client, tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ SMALL: dict[str, Any] = {
 }
 
 # What a training job keeps in any case.
-KEPT = {"checkpoint", "metrics", "policy", "poster", "tensorboard", "video"}
+KEPT = {"checkpoint", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory", "video"}
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +117,7 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     expected = float(np.sum(shown.episodes[1].reward))
     assert summary["episodes"][1]["return"] == pytest.approx(expected)
     assert job.newest("video") is not None
+    assert job.artifact("path.png") is not None
 
 
 def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) -> None:

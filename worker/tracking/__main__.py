@@ -55,6 +55,10 @@ def write(task: WriteUp, words: IO[str]) -> int:
     from worker.tracking.board import write_events
 
     write_events(task.measurements, task.events)
+    try:
+        write_curve(task.measurements, task.curve)
+    except Exception as error:
+        say(words, note=f"There is no picture of the episodes: {reason(error)}")
     if task.about is None or task.archive is None:
         return 0
     try:
@@ -63,6 +67,18 @@ def write(task: WriteUp, words: IO[str]) -> int:
         say(words, note=f"There is no file for `wandb sync`: {reason(error)}")
         return 1
     return 0
+
+
+def write_curve(measurements: Path, path: Path) -> None:
+    """Return and epsilon by episode, for a run that has them."""
+    rows = [json.loads(line) for line in measurements.read_text().splitlines()]
+    if any("training/epsilon" in row["values"] for row in rows):
+        from core.rendering.plots.episodes import from_metrics  # Loads NumPy, and then matplotlib.
+        from core.rendering.plots.style import save
+
+        figure = from_metrics(rows)
+        if figure is not None:
+            save(figure, path)
 
 
 def write_archive(task: WriteUp, about: About, path: Path) -> None:

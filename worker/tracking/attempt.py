@@ -27,7 +27,7 @@ from worker.tracking.live import Live
 log = structlog.get_logger()
 
 _FOLDER = "tracking"
-EVENTS, ARCHIVE = "events.out.tfevents", "wandb.tar"
+EVENTS, ARCHIVE, CURVE = "events.out.tfevents", "wandb.tar", "episodes.png"
 # How long a job's end waits for its files, before it goes without.
 _WRITE_S, _STORE_S = 60.0, 60.0
 _GLANCE_S = 0.05
@@ -105,7 +105,12 @@ class Tracking:
         if not rows or called_off():
             return
         (folder / "measurements.jsonl").write_text("".join(f"{row}\n" for row in rows))
-        task = WriteUp(job_id=self.job.id, measurements=folder / "measurements.jsonl", events=folder / EVENTS)
+        task = WriteUp(
+            job_id=self.job.id,
+            measurements=folder / "measurements.jsonl",
+            events=folder / EVENTS,
+            curve=folder / CURVE,
+        )
         if self._about is not None:
             task = self._with_archive(task, self._about, exit_code)
         (folder / "task.json").write_text(task.model_dump_json())
@@ -150,6 +155,7 @@ class Tracking:
                 role="tensorboard",
                 media_type="application/octet-stream",
             ),
+            FileReady(name=CURVE, path=f"{_FOLDER}/{CURVE}", role="picture", media_type="image/png"),
             FileReady(
                 name=ARCHIVE, path=f"{_FOLDER}/{ARCHIVE}", role="wandb", media_type="application/x-tar"
             ),

@@ -49,6 +49,12 @@ def end(child: subprocess.Popen[bytes]) -> None:
     psutil.wait_procs(family, _GONE_S)
 
 
+def _matplotlibs_own() -> str:
+    """Where it has its list of fonts, which takes seconds to make: not with this job's files."""
+    caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return os.environ.get("MPLCONFIGDIR") or str(Path(caches) / "matplotlib")
+
+
 def _surroundings(folder: Path, settings: WorkerSettings, *, with_key: bool) -> dict[str, str]:
     base = environment("cpu", settings.data_dir.absolute(), os.environ)
     kept = {name: value for name, value in base.items() if not name.startswith("WANDB_")}
@@ -56,6 +62,7 @@ def _surroundings(folder: Path, settings: WorkerSettings, *, with_key: bool) -> 
         "GAITWAY_PARENT_PID": str(os.getpid()),
         "HOME": str(folder),
         "TMPDIR": str(folder),
+        "MPLCONFIGDIR": _matplotlibs_own(),
         "WANDB_DIR": str(folder),
         "WANDB_CACHE_DIR": str(folder),
         "WANDB_CONFIG_DIR": str(folder),

@@ -59,12 +59,13 @@ class WriteUp(Stored):
     """What shall be written from the whole of a job: paths are in the folder of the document.
 
     measurements: JSON lines, each with step, time and values. events: the file for TensorBoard.
-    archive: the offline run; None: none is wanted.
+    curve: a picture, of runs that have one. archive: the offline run; None: none is wanted.
     """
 
     job_id: str
     measurements: Path
     events: Path
+    curve: Path
     about: About | None = None
     archive: Path | None = None
     films: list[Film] = []

@@ -24,6 +24,7 @@ from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, Rollo
 from worker.messages import Advanced, Measured, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
+from worker.training.pictures import kept_with_path
 from worker.training.stopping import Stopping
 from worker.training.video import Film
 
@@ -51,13 +52,12 @@ def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stoppi
         seed=spec.seed,
         **differs,
     )
-    trajectory.save(channel.spool / "trajectory.npz", shown)
-    channel.hand_over("trajectory.npz", "trajectory", "application/x-npz")
-    summary = trajectory.summary(shown)
-    channel.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
-    _report(summary, channel)
-    film = Film(spec, body, policy, channel)
-    film.show("video", _first_seconds(episodes, spec.video.seconds, body.environment.dt), None)
+    with kept_with_path(channel, shown, "", None, f"{spec.environment.id}: path from above"):
+        summary = trajectory.summary(shown)
+        channel.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
+        _report(summary, channel)
+        film = Film(spec, body, policy, channel)
+        film.show("video", _first_seconds(episodes, spec.video.seconds, body.environment.dt), None)
     return len(episodes) < spec.num_episodes
 
 

@@ -2,17 +2,19 @@
 
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.policy import policy_from_checkpoint
 from core.algorithms.spec import BaseSpec, resolve
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, Trainer
+from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, ShowsTables, Trainer
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
 from worker.messages import Advanced, Measured, Noted, PhaseEnded, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
+from worker.training.pictures import kept_with_tables
 from worker.training.stopping import Stopping
 from worker.training.video import Film
 
@@ -46,8 +48,16 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
         channel.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
-        shots.take("video")
+        with _tables(trainer, spec, channel):
+            shots.take("video")
     return stopping.asked and trainer.step < trainer.total
+
+
+def _tables(trainer: Trainer, spec: TrainSpec, channel: Channel) -> AbstractContextManager[None]:
+    """Keeps what the trainer shows of itself, if it does; drawn while the block runs."""
+    if not isinstance(trainer, ShowsTables):
+        return nullcontext()
+    return kept_with_tables(channel, trainer.tables(), trainer.step, spec.environment.id)
 
 
 def make_trainer(task: Task, spec: TrainSpec, settings: BaseSpec, body: Body, channel: Channel) -> Trainer:

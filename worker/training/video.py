@@ -20,8 +20,9 @@ from worker.messages import Noted
 from worker.render_client import render
 from worker.training.body import Body
 from worker.training.channel import Channel
+from worker.training.pictures import kept_with_path
 
-# A frame takes a tenth of a second on the slowest software renderer seen; and twice that, to be sure.
+# A camera's picture takes a tenth of a second on the slowest software renderer seen; twice that, to be sure.
 _SECONDS_PER_FRAME = 0.2
 _START_UP_S = 60.0
 
@@ -36,11 +37,20 @@ class Film:
     channel: Channel
 
     def shoot(self, name: str, parameters: Any, step: int | None) -> None:
-        """A video of these parameters as `<name>.mp4`, with its poster `<name>.png`."""
+        """A video of these parameters as `<name>.mp4`, with its poster `<name>.png`.
+
+        And what it shows: as numbers, `trajectory….npz`, and from above, `path….png`.
+        """
         key = jax.random.PRNGKey(self.spec.seed)
         seconds = self.spec.video.seconds
         episodes = footage(self._roller, parameters, key, dt=self.body.environment.dt, seconds=seconds)
-        self.show(name, episodes, step)
+        chosen = self.spec.environment
+        shown = trajectory_of(
+            self.body.environment, episodes, environment=chosen.model_dump(), seed=self.spec.seed
+        )
+        suffix = name.removeprefix("video")
+        with kept_with_path(self.channel, shown, suffix, step, f"{chosen.id}: path from above"):
+            self.show(name, episodes, step)
 
     def show(self, name: str, episodes: Sequence[Episode], step: int | None) -> None:
         """A video of these episodes. Where nothing can draw, the job goes on without one, and says why."""
@@ -70,9 +80,11 @@ class Film:
                 tracked_body=self.body.environment.tracked_body,
                 video=spool / f"{name}.mp4",
                 poster=spool / f"{name}.png",
-                **video.model_dump(exclude={"every_checkpoint"}),
+                cameras=video.shown,
+                **video.model_dump(include={"width", "height", "fps", "seconds"}),
             )
-            return render(request, timeout_s=_START_UP_S + _SECONDS_PER_FRAME * video.fps * video.seconds)
+            num_pictures = video.fps * video.seconds * len(video.shown)
+            return render(request, timeout_s=_START_UP_S + _SECONDS_PER_FRAME * num_pictures)
         except OSError as error:
             if not is_full(error):
                 raise

@@ -1,5 +1,7 @@
 """Rollouts of small known worlds, and of the ant with the native engine."""
 
+from dataclasses import dataclass, replace
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 
 from core.environments import catalog, probes
-from core.environments.environment import Environment
+from core.environments.environment import Environment, State
 from core.environments.rollout import (
     Roller,
     constant_policy,
@@ -18,7 +20,9 @@ from core.environments.rollout import (
     trajectory_of,
     zero_policy,
 )
+from core.environments.wrapped import Wrapped
 from core.physics.choose import engine_builder
+from core.physics.engine import NOMINAL, ModelFields
 
 KEY = jax.random.key(0)
 
@@ -49,6 +53,29 @@ def test_an_episode_that_nothing_ends_is_cut_off() -> None:
     np.testing.assert_array_equal(episode.reward, np.full(450, 0.5))
     np.testing.assert_array_equal(episode.observation[:, 0], np.arange(451))
     np.testing.assert_array_equal(episode.metrics["x_velocity"], np.full(450, 0.5))
+
+
+@dataclass(frozen=True)
+class _Chased(Wrapped):
+    """The target moves by one metre in every step."""
+
+    dt = 1.0
+    episode_length = 8
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        state = self.environment.reset(key, model)
+        return replace(state, info={"target_position": jnp.array([2.0, 0.0])})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        after = self.environment.step(state, action)
+        return replace(after, info={"target_position": state.info["target_position"] + 1.0})
+
+
+def test_where_an_environment_says_its_target_it_is_kept_with_every_state() -> None:
+    trajectory = rollout(_Chased(probes.endless()), zero_policy(1), key=KEY, num_steps=3, num_episodes=1)
+    [episode] = trajectory.episodes
+    np.testing.assert_array_equal(episode.target, [[2, 0], [3, 1], [4, 2], [5, 3]])
+    np.testing.assert_array_equal(cut(episode, 1).target, [[2, 0], [3, 1]])
 
 
 def test_random_actions_fill_the_range_and_depend_on_the_key_alone() -> None:

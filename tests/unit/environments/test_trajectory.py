@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -66,6 +67,19 @@ def test_the_file_explains_itself_to_whoever_has_numpy_alone(
         {"name": "root", "type": "free", "qpos_start": 0, "qvel_start": 0},
         {"name": "knee", "type": "hinge", "qpos_start": 7, "qvel_start": 6},
     ]
+
+
+def test_an_episodes_target_is_kept_and_explained(two_episodes: Trajectory, tmp_path: Path) -> None:
+    first, second = two_episodes.episodes
+    target = np.full((6, 2), 0.5, np.float32)
+    trajectory.save(
+        tmp_path / "t.npz", Trajectory([replace(first, target=target), second], two_episodes.about)
+    )
+    back = trajectory.load(tmp_path / "t.npz")
+    np.testing.assert_array_equal(back.episodes[0].target, target)
+    assert back.episodes[1].target is None
+    assert back.about["arrays"]["episode_<i>/target"]["unit"] == "m"
+    assert "episode_<i>/target" not in two_episodes.about["arrays"]
 
 
 def test_equal_trajectories_give_equal_bytes(two_episodes: Trajectory, tmp_path: Path) -> None:

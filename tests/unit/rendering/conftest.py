@@ -24,6 +24,7 @@ BALL = """
     <light directional="true" pos="0 0 1" dir="0 0 -1"/>
     <geom type="plane" size="40 40 1" material="floor"/>
     <camera name="fixed" pos="0 -3 1" xyaxes="1 0 0 0 0.3 1"/>
+    <body name="target" pos="0.8 0 0.5"><geom size="0.15" rgba="0.05 0.8 0.05 1"/></body>
     <body name="ball" pos="0 0 0.5"><freejoint/><geom size="0.3" rgba="0.9 0.05 0.05 1"/></body>
   </worldbody>
 </mujoco>

@@ -4,7 +4,7 @@ import sys
 import pytest
 
 from core.errors import Rejected
-from core.rendering.camera import check_camera, model_camera
+from core.rendering.camera import check_cameras, check_width, model_camera, width_of
 
 CAMERAS = ["side", "", "track"]
 
@@ -19,14 +19,42 @@ def test_a_camera_is_found_by_name_or_number_and_track_is_always_ours(
 @pytest.mark.parametrize("camera", ["front", "", 3, -1, "0"])
 def test_an_unknown_camera_is_refused_with_the_known_ones(camera: str | int) -> None:
     with pytest.raises(Rejected, match="known are track, side; by number 0 to 2") as refusal:
-        check_camera(camera, CAMERAS)
+        model_camera(camera, CAMERAS)
     assert [problem.pointer for problem in refusal.value.problems] == ["/video/camera"]
 
 
 def test_a_model_without_cameras_has_track_alone() -> None:
-    check_camera("track", [])
+    assert model_camera("track", []) is None
     with pytest.raises(Rejected, match=r"known are track\."):
-        check_camera(0, [])
+        model_camera(0, [])
+
+
+@pytest.mark.parametrize(
+    ("asked", "pointer", "said"),
+    [
+        (["track", "side", "front"], "/video/cameras/2", "no camera 'front'"),
+        (["track", "track"], "/video/cameras/1", r"'track' is there before;"),
+        (["side", "track", 0], "/video/cameras/2", "0 is there before as 'side'"),
+    ],
+)
+def test_of_several_cameras_the_one_at_fault_is_named(
+    asked: list[str | int], pointer: str, said: str
+) -> None:
+    check_cameras(["track", "side", 1, 2], CAMERAS)
+    with pytest.raises(Rejected, match=said) as refusal:
+        check_cameras(asked, CAMERAS)
+    assert [problem.pointer for problem in refusal.value.problems] == [pointer]
+
+
+def test_a_video_that_would_be_too_wide_is_refused_with_a_width_that_fits() -> None:
+    # 3 · 1276 + 2 · 4 = 3836, and 1278 would make 3842.
+    assert width_of(1276, 3) == 3836
+    check_width(1276, 3)
+    with pytest.raises(
+        Rejected, match=r"3842 pixels wide; it may have 3840\. A width of 1276 would fit"
+    ) as refusal:
+        check_width(1278, 3)
+    assert [problem.pointer for problem in refusal.value.problems] == ["/video/width", "/video/cameras"]
 
 
 def test_the_api_can_check_a_camera_without_the_numerical_stack() -> None:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -62,11 +63,45 @@ def test_a_stock_grey_stage_becomes_a_bright_one(tmp_path: Path) -> None:
 
 
 def test_a_fixed_camera_sees_the_body_leave(tmp_path: Path) -> None:
-    request = ball_request(tmp_path, rolling_ball(3.0), camera="fixed")
+    request = ball_request(tmp_path, rolling_ball(3.0), cameras=["fixed"])
     render(request, timeout_s=60.0)
     frames = decoded(tmp_path / "video.mp4")
     assert len(red(frames[0]))
     assert not len(red(frames[-1]))
+
+
+def test_two_cameras_are_shown_side_by_side_each_with_its_name(tmp_path: Path) -> None:
+    size = {"width": 160, "height": 120}
+    alone = {}
+    for camera in ("track", "fixed"):
+        render(ball_request(tmp_path, rolling_ball(0.1), cameras=[camera], **size), timeout_s=60.0)
+        [alone[camera]] = decoded(tmp_path / "poster.png")
+    request = ball_request(tmp_path, rolling_ball(0.1), cameras=["track", "fixed"], **size)
+    result = render(request, timeout_s=60.0)
+    [both] = decoded(tmp_path / "poster.png")
+    assert (result.cameras, result.width, result.height) == (["track", "fixed"], 324, 120)
+    assert both.shape == (120, 324, 3)
+    assert decoded(tmp_path / "video.mp4")[0].shape == (120, 324, 3)
+    # Below the name each half is what its camera sees alone; between them is the gap.
+    np.testing.assert_array_equal(both[40:, :160], alone["track"][40:])
+    np.testing.assert_array_equal(both[40:, 164:], alone["fixed"][40:])
+    assert np.ptp(both[:, 160:164].reshape(-1, 3), axis=0).max() == 0
+    for left, camera in ((0, "track"), (164, "fixed")):
+        above = both[:40, left : left + 160].astype(int)
+        assert (above == 255).all(axis=-1).sum() > 20  # its letters
+        assert (above < alone[camera][:40] - 50).any()  # and the shade behind them
+
+
+def test_the_body_named_target_stands_where_the_episode_has_its_target(tmp_path: Path) -> None:
+    target = np.array([[-0.8, 0.0, 0.5]] * 3, np.float32)
+    still = rolling_ball(0.1, speed=0.0)
+    for name, episode in (("model's", still), ("episode's", replace(still, target=target))):
+        render(ball_request(tmp_path, episode, cameras=["fixed"]), timeout_s=60.0)
+        [poster] = decoded(tmp_path / "poster.png")
+        green = np.argwhere((poster[..., 1] > 90) & (poster[..., 0] < 60) & (poster[..., 2] < 60))
+        assert len(green) > 20
+        # The camera looks along y: what is at x < 0 is left of the middle.
+        assert (green[:, 1].mean() < 80) == (name == "episode's")
 
 
 def test_episodes_follow_one_another_up_to_the_length_asked_for(tmp_path: Path) -> None:
@@ -76,7 +111,7 @@ def test_episodes_follow_one_another_up_to_the_length_asked_for(tmp_path: Path) 
 
 def test_an_unknown_camera_is_refused_with_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(RenderingFailed, match="known are track, fixed") as failure:
-        render(ball_request(tmp_path, rolling_ball(0.1), camera="nose"), timeout_s=60.0)
+        render(ball_request(tmp_path, rolling_ball(0.1), cameras=["nose"]), timeout_s=60.0)
     assert failure.value.reason == "bad_request"
 
 

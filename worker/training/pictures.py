@@ -1,0 +1,98 @@
+"""Numbers as artifacts, and their pictures: drawn by a process of their own while others work."""
+
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.environments import trajectory
+from core.environments.trajectory import Trajectory
+from core.rendering.gl import last_line
+from worker.messages import Noted
+from worker.training.channel import Channel
+
+_PLOTTING = (sys.executable, "-m", "worker.plotting")
+# Once on a machine matplotlib reads all of its fonts first, and may have to wait for a core.
+_TIMEOUT_S = 60.0
+_NO_MATPLOTLIB = (
+    "This worker has no matplotlib (pip install 'gaitway[plots]'): there are no pictures of numbers."
+)
+
+
+@contextmanager
+def kept_with_path(
+    channel: Channel, shown: Trajectory, suffix: str, step: int | None, title: str
+) -> Generator[None]:
+    """Keep a trajectory; and, when the block is over, the picture of its path that was drawn meanwhile."""
+    numbers, picture = f"trajectory{suffix}.npz", f"path{suffix}.png"
+    trajectory.save(channel.spool / numbers, shown)
+    # The supervisor takes what it is handed: the drawing has a name of its own for the same file.
+    own = channel.spool / f".{numbers}"
+    os.link(channel.spool / numbers, own)
+    channel.hand_over(numbers, "trajectory", "application/x-npz", step=step)
+    try:
+        with _drawing(channel, ["path", str(own), str(channel.spool / picture), title]):
+            yield
+    finally:
+        own.unlink()
+    if (channel.spool / picture).exists():
+        facts = {"episodes": len(shown.episodes)}
+        channel.hand_over(picture, "picture", "image/png", step=step, metadata=facts)
+
+
+@contextmanager
+def kept_with_tables(
+    channel: Channel, tables: Mapping[str, NDArray[Any]], step: int, title: str
+) -> Generator[None]:
+    """Keep what a trainer shows of itself as `tables.npz`; pictures of it when the block is over."""
+    body = io.BytesIO()
+    np.savez_compressed(body, allow_pickle=False, **dict(tables))
+    own = channel.spool / ".shown-tables.npz"
+    own.write_bytes(body.getvalue())
+    channel.keep("tables.npz", body.getvalue(), "tables", "application/x-npz", step=step)
+    try:
+        with _drawing(channel, ["tables", str(own), str(channel.spool), title]) as drawn:
+            yield
+    finally:
+        own.unlink()
+    for name in drawn:
+        channel.hand_over(name, "picture", "image/png", step=step)
+
+
+@contextmanager
+def _drawing(channel: Channel, arguments: Sequence[str]) -> Generator[list[str]]:
+    """The process runs beside the block. Gives the words that it has said once it has ended; a failure is a
+    note."""
+    said: list[str] = []
+    if find_spec("matplotlib") is None:
+        channel.send(Noted(text=_NO_MATPLOTLIB))
+        yield said
+        return
+    process = subprocess.Popen(
+        [*_PLOTTING, *arguments],
+        env={**os.environ, "GAITWAY_PARENT_PID": str(os.getpid())},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        try:
+            yield said
+            words, errors = process.communicate(timeout=_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            words, errors = "", f"it was not ready within {_TIMEOUT_S:g} s"
+        except BaseException:
+            process.kill()
+            raise
+    said += words.split()
+    if process.returncode != 0:
+        channel.send(Noted(text=f"There is no picture of the {arguments[0]}: {last_line(errors)}"))
