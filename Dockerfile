@@ -51,12 +51,12 @@ RUN --mount=type=cache,target=/var/cache/uv \
 FROM dependencies AS dependencies-worker
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
-    --extra worker --extra dm-control --extra wandb --extra cli
+    --extra worker --extra dm-control --extra playground --extra wandb --extra cli
 
 FROM dependencies AS dependencies-worker-cuda
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
-    --extra worker --extra cuda --extra warp --extra dm-control --extra wandb --extra cli
+    --extra worker --extra cuda --extra warp --extra dm-control --extra playground --extra wandb --extra cli
 
 # Apart from the dependencies, so that a change of code makes this small layer anew and nothing else.
 FROM build AS project

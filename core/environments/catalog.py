@@ -68,7 +68,7 @@ def make(
     """
     module, _, function = info.factory.partition(":")
     factory = getattr(import_module(module), function)
-    own = {"model": model} if info.takes_model else {}
+    own = {**info.arguments, **({"model": model} if info.takes_model else {})}
     return cast("Environment", factory(options, build_engine, **own))
 
 
