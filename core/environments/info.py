@@ -25,9 +25,10 @@ class EnvironmentInfo:
     factory as `model`.
     cameras: the names the model gives its cameras, in their order; `track` is always there besides.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
-    cannot_run: engines that cannot run it, and why. own_physics: what moves it where none of the engines
-    does, and a job chooses by options and not by `physics`; its worlds cannot differ. vary: the fields above that are others under some
-    options, by name; the row itself has them as they are by default.
+    arguments: what the factory is told besides. cannot_run: engines that cannot run it, and why.
+    own_physics: what moves it where none of the engines does; its worlds cannot differ.
+    vary: the fields above that are others under some options, by name; the row itself has them as they are
+    by default.
     """
 
     id: str

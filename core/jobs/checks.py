@@ -31,6 +31,7 @@ def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
     if isinstance(options, MjcfOptions):
         info = _row_of(info, own_model(options, objects))
     check_physics(spec.physics, info.id, info.cannot_run)
+    _check_worlds(spec, info)
     check_camera(spec.video.camera, info.cameras)
     _check_gpus(spec)
     match spec:
@@ -45,6 +46,12 @@ def _environment(spec: JobSpec) -> EnvironmentInfo:
         return catalog.find(spec.environment.id)
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
+
+
+def _check_worlds(spec: JobSpec, info: EnvironmentInfo) -> None:
+    if spec.randomization and info.own_physics:
+        detail = f"{info.id} is moved by Brax's own physics, which has no worlds that differ."
+        raise Rejected(detail, [Problem("/randomization", detail)])
 
 
 def _check_gpus(spec: JobSpec) -> None:

@@ -4,6 +4,7 @@ Source: Freeman et al., Brax: A Differentiable Physics Engine for Large Scale Ri
 """
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -17,8 +18,8 @@ from core.environments.theirs import as_float, plain_key, root_of
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 
-# Of `info`: what only Brax's physics understands.
-PIPELINE = "pipeline"
+# So begin the names of what only Brax's physics understands, in `info`.
+PIPELINE = "pipeline/"
 
 
 def make(options: BraxOptions, build_engine: EngineBuilder, name: str) -> "Brax":
@@ -39,7 +40,7 @@ class Brax:
     """The package's own reset and step. Of its physics' state, what the next step reads is carried.
 
     `physics` has the positions and velocities, which all of Brax's physics have in MuJoCo's order;
-    `info["pipeline"]` the rest, by Brax's names.
+    `info` the rest, as `pipeline/` and Brax's name.
     """
 
     episode_length = EPISODE_LENGTH
@@ -54,7 +55,8 @@ class Brax:
         self.observation_size: int = state.obs.shape[-1]
         self._state = type(state)
         paths, self._tree = jax.tree_util.tree_flatten_with_path(state.pipeline_state)
-        self._names = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths]
+        names = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths]
+        self._names = [PIPELINE + name for name in names]
         self._shapes = [leaf for _, leaf in paths]
         self._carried = self._find_carried(state)
 
@@ -64,10 +66,10 @@ class Brax:
         return self._ours(self._theirs.reset(plain_key(key)))
 
     def step(self, state: State, action: jax.Array) -> State:
-        info = dict(state.info)
-        arrays = {"q": state.physics.qpos, "qd": state.physics.qvel, **info.pop(PIPELINE)}
+        known = {f"{PIPELINE}q": state.physics.qpos, f"{PIPELINE}qd": state.physics.qvel, **state.info}
+        info = {name: array for name, array in state.info.items() if not name.startswith(PIPELINE)}
         leaves = [
-            arrays[name] if name in arrays else jnp.zeros(leaf.shape, leaf.dtype)
+            known[name] if name in known else jnp.zeros(leaf.shape, leaf.dtype)
             for name, leaf in zip(self._names, self._shapes, strict=True)
         ]
         # What it leaves alone is taken for what it says now: `done` may tell of the episode before.
@@ -75,11 +77,13 @@ class Brax:
         pipeline = jax.tree.unflatten(self._tree, leaves)
         before = self._state(pipeline, state.obs, nothing, nothing, dict(state.metrics), info)
         after = self._ours(self._theirs.step(before, action))
-        return after.replace(physics=after.physics.replace(time=state.physics.time + self.dt))  # pyright: ignore
+        return replace(after, physics=replace(after.physics, time=state.physics.time + self.dt))
 
     def _find_carried(self, state: Any) -> list[bool]:
         def step(leaves: list[Any], others: Any, action: jax.Array) -> tuple[list[Any], Any]:
-            after = self._theirs.step(state.replace(**others, pipeline_state=self._tree.unflatten(leaves)), action)
+            after = self._theirs.step(
+                state.replace(**others, pipeline_state=self._tree.unflatten(leaves)), action
+            )
             seen = (after.obs, after.reward, after.done, after.metrics, after.info)
             return jax.tree.leaves(after.pipeline_state), seen
 
@@ -92,7 +96,7 @@ class Brax:
         kept = {
             name: jnp.asarray(leaf)
             for name, leaf, is_needed in zip(self._names, leaves, self._carried, strict=True)
-            if is_needed and name not in ("q", "qd")
+            if is_needed and name not in (f"{PIPELINE}q", f"{PIPELINE}qd")
         }
         physics = PhysicsState(
             qpos=as_float(pipeline.q),
@@ -103,5 +107,5 @@ class Brax:
             derived={},
         )
         metrics = {name: as_float(value) for name, value in theirs.metrics.items()}
-        info = {**theirs.info, PIPELINE: kept}
+        info = {**theirs.info, **kept}
         return State(physics, theirs.obs, as_float(theirs.reward), as_float(theirs.done), metrics, info)

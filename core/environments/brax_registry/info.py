@@ -45,7 +45,7 @@ _TWINS = {
 
 
 def _row(name: str, facts: Mapping[str, Any]) -> EnvironmentInfo:
-    why = f"{FAMILY}/{name} is moved by Brax's own physics: name it in options.backend, and leave `physics` out."
+    why = f"{FAMILY}/{name} is moved by Brax's own physics: choose it by options.backend, without `physics`."
     cannot: dict[EngineName, str] = {"native": why, "mjx": why, "warp": why}
     twin = _TWINS.get(name)
     also = f" The task of {twin.id!r}, which runs on this service's engines." if twin else ""

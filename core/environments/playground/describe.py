@@ -25,7 +25,9 @@ def table() -> dict[str, Any]:
         try:
             found[name] = Playground(name, "jax")
         except Exception as error:  # whatever keeps a package of others from loading one of its own
-            why = f"playground {version('playground')} cannot load it with MuJoCo {version('mujoco')} ({error})"
+            why = (
+                f"playground {version('playground')} cannot load it with MuJoCo {version('mujoco')} ({error})"
+            )
             cannot.setdefault(why, []).append(name)
     elsewhere = [*package.locomotion.ALL_ENVS, *package.manipulation.ALL_ENVS]
     settings = {name: ppo(name) for name in found}

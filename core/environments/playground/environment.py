@@ -1,5 +1,6 @@
 """MuJoCo Playground's environments as they are. Source: Zakka et al., MuJoCo Playground (2025)."""
 
+import copy
 from collections.abc import Generator
 from contextlib import contextmanager
 from importlib import import_module
@@ -13,12 +14,21 @@ from core.environments.environment import State
 from core.environments.info import NoOptions
 from core.environments.theirs import as_float, plain_key, root_of
 from core.errors import JobFailed
-from core.physics.engine import NOMINAL, OVERFLOW, EngineBuilder, ModelFields, PhysicsState, check_model_fields
+from core.physics.engine import (
+    NOMINAL,
+    OVERFLOW,
+    EngineBuilder,
+    ModelFields,
+    PhysicsState,
+    check_model_fields,
+)
 
 # What a step of MJX reads of the Data before it; everything else follows from these.
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 # Also read by it, and set by a reset: where targets are.
 _MOCAP = ("mocap_pos", "mocap_quat")
+# Where `info` tells those who draw an episode where its target is: the body of the name `target`.
+_TARGET = "target_position"
 
 
 def make(options: NoOptions, build_engine: EngineBuilder, name: str) -> "Playground":
@@ -54,8 +64,8 @@ class Playground:
         self._state: Any = import_module("mujoco_playground").State
         self._make_data: Any = import_module("mujoco_playground._src.mjx_env").make_data
         self._implementation = implementation
-        self.model: mujoco.MjModel = self._theirs.mj_model
-        self._mocap = _MOCAP if self.model.nmocap else ()
+        self._mocap = _MOCAP if self._theirs.mj_model.nmocap else ()
+        self.model = _drawn(self._theirs.mj_model)
         self.observation_size: int = self._theirs.observation_size
         self.action_size: int = self._theirs.action_size
         self.dt = float(self._theirs.dt)
@@ -89,7 +99,10 @@ class Playground:
     def _data(self, physics: PhysicsState) -> Any:
         config = self._theirs._config
         blank = self._make_data(
-            self.model, impl=self._implementation, naconmax=config.naconmax, njmax=config.njmax
+            self._theirs.mj_model,
+            impl=self._implementation,
+            naconmax=config.naconmax,
+            njmax=config.njmax,
         )
         carried = {name: getattr(physics, name) for name in _CARRIED}
         return blank.replace(**carried, **{name: physics.derived[name] for name in self._mocap})
@@ -110,5 +123,15 @@ class Playground:
             as_float(theirs.reward),
             as_float(theirs.done),
             {name: as_float(value) for name, value in theirs.metrics.items()},
-            theirs.info,
+            {**theirs.info, **({_TARGET: data.mocap_pos[0]} if self._mocap else {})},
         )
+
+
+def _drawn(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model, its mocap bodies fixed where the model has them: a drawing has no mocap data.
+
+    A stepping C MuJoCo would do the same with it, because Playground moves none of them during an episode.
+    """
+    fixed = copy.copy(model)
+    fixed.body_mocapid[:] = -1
+    return fixed

@@ -1,4 +1,4 @@
-"""The catalog's rows of MuJoCo Playground's environments, from a table that `describe` makes of the package."""
+"""The catalog's rows of MuJoCo Playground's environments, from a table that `describe` makes."""
 
 import json
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ FAMILY = "playground"
 TABLE = Path(__file__).parent / "table.json"
 
 _STEPS_ITSELF: dict[EngineName, str] = {
-    "native": "MuJoCo Playground's environments step MJX themselves; ask for physics 'mjx' or 'warp', or leave it out."
+    "native": "MuJoCo Playground's environments step MJX by themselves: ask for mjx or warp, or for nothing."
 }
 # What Playground tunes for a GPU with 2048 worlds: a budget that MJX on a CPU has done in an hour or two. An
 # update has the actions of each world, and the gradient steps, that it has there.

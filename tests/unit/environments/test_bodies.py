@@ -32,7 +32,7 @@ def build(environment_id: str, **options: object) -> Case:
 
 
 @pytest.fixture(
-    scope="module", params=[name for name, info in catalog.ENVIRONMENTS.items() if not info.takes_model]
+    scope="module", params=[name for name, info in catalog.BUILT_IN.items() if not info.takes_model]
 )
 def case(request: pytest.FixtureRequest) -> Case:
     return build(request.param)

@@ -28,7 +28,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # Brax tells everybody that its environments are not maintained
     from brax import envs
 
-BRAXS = [name for name in catalog.ENVIRONMENTS if name not in ("rodent", "corridor", "mjcf")]
+BRAXS = [name for name in catalog.BUILT_IN if name not in ("rodent", "corridor", "mjcf")]
 BRAX_NAMES = {"half_cheetah": "halfcheetah"}
 # Brax writes infinities into the ranges of what has no limit.
 BRAX_REWRITES = {"jnt_range", "actuator_ctrlrange", "actuator_forcerange"}
