@@ -1,4 +1,4 @@
-"""Brax's registered environments are what its package makes of them, and of its states what is read is kept."""
+"""Brax's registered environments are what its package makes of them; what a step reads is carried."""
 
 import json
 from typing import Any
@@ -22,8 +22,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:Accessing:DeprecationWarning")  
 
 def test_what_a_later_step_reads_is_carried_and_nothing_else() -> None:
     def step(state: list[Any], action: Any) -> tuple[list[Any], Any]:
-        position, speed, old_speed, count, unused = state
-        # The result reads the position, that reads the speed; the old speed is only written, the count
+        position, speed, _, count, unused = state
+        # The result reads the position, that reads the speed; the third is only written, the count
         # only counts, and the last is only handed on.
         return [position + speed, speed + action, speed, count + 1, unused], position
 
@@ -39,38 +39,58 @@ def test_an_array_that_reaches_the_result_after_several_steps_is_carried() -> No
     assert carried(step, [jnp.zeros(())] * 3) == [True, True, True]
 
 
+def episodes(environment: Any, actions: jax.Array) -> Any:
+    """The states [T, NUM_WORLDS, ...] after each of the actions, from equal keys."""
+    keys = jax.random.split(jax.random.PRNGKey(1), NUM_WORLDS)
+
+    @jax.jit
+    def run(keys: jax.Array, actions: jax.Array) -> Any:
+        def step(state: Any, action: jax.Array) -> tuple[Any, Any]:
+            after = jax.vmap(environment.step)(state, action)
+            return after, after
+
+        return jax.lax.scan(step, jax.vmap(environment.reset)(keys), actions)[1]
+
+    return run(keys, actions)
+
+
+def test_a_state_holds_what_the_next_step_reads_and_keeps_its_form() -> None:
+    pendulum = Brax("inverted_pendulum", "spring")
+    before = jax.eval_shape(pendulum.reset, jax.random.PRNGKey(0))
+    after = jax.eval_shape(pendulum.step, before, jnp.zeros(1))
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), before) == jax.tree.map(
+        lambda x: (x.shape, x.dtype), after
+    )
+    kept = {name for name in after.info if name.startswith("pipeline/")}
+    assert len(kept) < len(pendulum._names)
+    assert {"pipeline/x.pos", "pipeline/xd.vel"} & kept or {"pipeline/x_i.pos", "pipeline/xd_i.vel"} <= kept
+
+
+@pytest.mark.slow  # two programs of Brax's physics
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("name", "backend"),
     [
         ("inverted_pendulum", "spring"),
-        *(
-            pytest.param(name, backend, marks=[pytest.mark.slow, pytest.mark.timeout(600)])
-            for name, backend in (
-                ("ant", "generalized"),
-                ("halfcheetah", "positional"),
-                ("hopper", "mjx"),
-                ("pusher", "generalized"),
-            )
-        ),
+        ("ant", "generalized"),
+        ("halfcheetah", "positional"),
+        ("hopper", "mjx"),
+        ("pusher", "generalized"),
     ],
 )
 def test_equal_keys_and_actions_give_what_the_package_gives(name: str, backend: str) -> None:
     ours, theirs = Brax(name, backend), load(name, backend)
-    reset, step = jax.jit(jax.vmap(ours.reset)), jax.jit(jax.vmap(ours.step))
-    their_reset, their_step = jax.jit(jax.vmap(theirs.reset)), jax.jit(jax.vmap(theirs.step))
-    keys = jax.random.split(jax.random.PRNGKey(1), NUM_WORLDS)
-    state, their_state = reset(keys), their_reset(keys)
-    for number in range(5):
-        shape = (NUM_WORLDS, ours.action_size)
-        action = jax.random.uniform(jax.random.PRNGKey(number), shape, minval=-1.0, maxval=1.0)
-        state, their_state = step(state, action), their_step(their_state, action)
-        for field in ("obs", "reward", "done"):
-            theirs_now = getattr(their_state, field)
-            np.testing.assert_allclose(getattr(state, field), theirs_now, rtol=1e-4, atol=1e-4, err_msg=field)
-        np.testing.assert_allclose(state.physics.qpos, their_state.pipeline_state.q, atol=1e-5)
-    np.testing.assert_allclose(state.physics.time, 5 * ours.dt, rtol=1e-5)
+    shape = (5, NUM_WORLDS, ours.action_size)
+    actions = jax.random.uniform(jax.random.PRNGKey(2), shape, minval=-1.0, maxval=1.0)
+    states, their_states = episodes(ours, actions), episodes(theirs, actions)
+    for field in ("obs", "reward", "done"):
+        theirs_now = getattr(their_states, field)
+        np.testing.assert_allclose(getattr(states, field), theirs_now, rtol=1e-4, atol=1e-4, err_msg=field)
+    np.testing.assert_allclose(states.physics.qpos, their_states.pipeline_state.q, atol=1e-5)
+    np.testing.assert_allclose(states.physics.time[-1], 5 * ours.dt, rtol=1e-5)
 
 
+@pytest.mark.slow  # one more of Brax's bodies to compile
 def test_a_step_after_an_end_does_not_end_again() -> None:
     # Brax leaves `done` as it finds it where nothing ends an episode; a length that cut one off set it.
     cheetah: Any = Brax("reacher", "spring")

@@ -19,8 +19,20 @@ NUM_WORLDS = 3
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 
-def side_by_side(environment: Any) -> tuple[Any, Any]:
-    return jax.jit(jax.vmap(environment.reset)), jax.jit(jax.vmap(environment.step))
+def episodes(environment: Any, actions: jax.Array) -> list[Any]:
+    """The states [T, NUM_WORLDS, ...] after each of the actions, from equal keys; and the first ones."""
+    keys = jax.random.split(jax.random.PRNGKey(1), NUM_WORLDS)
+
+    @jax.jit
+    def run(keys: jax.Array, actions: jax.Array) -> Any:
+        def step(state: Any, action: jax.Array) -> tuple[Any, Any]:
+            after = jax.vmap(environment.step)(state, action)
+            return after, after
+
+        first = jax.vmap(environment.reset)(keys)
+        return first, jax.lax.scan(step, first, actions)[1]
+
+    return list(run(keys, actions))
 
 
 def assert_alike(ours: State, theirs: Any) -> None:
@@ -34,36 +46,36 @@ def assert_alike(ours: State, theirs: Any) -> None:
     np.testing.assert_allclose(ours.physics.qpos, theirs.data.qpos, atol=1e-5)
 
 
+def test_a_state_is_small_and_keeps_its_form_under_any_number_of_worlds() -> None:
+    pendulum = Playground("PendulumSwingup", "jax")
+    keys = jax.random.split(jax.random.PRNGKey(0), NUM_WORLDS)
+    before = jax.eval_shape(jax.vmap(pendulum.reset), keys)
+    after = jax.eval_shape(jax.vmap(pendulum.step), before, np.zeros((NUM_WORLDS, 1), np.float32))
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), before) == jax.tree.map(
+        lambda x: (x.shape, x.dtype), after
+    )
+    # qpos, qvel, qacc_warmstart, time; 3 observed; reward, done; a key of two numbers.
+    assert sum(x.size for x in jax.tree.leaves(after)) == NUM_WORLDS * (4 + 3 + 2 + 2)
+
+
+@pytest.mark.slow  # two programs of MJX
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("name", "implementation"),
     [
         ("PendulumSwingup", "jax"),
-        *(
-            pytest.param(name, implementation, marks=[pytest.mark.slow, pytest.mark.timeout(600)])
-            for name, implementation in (
-                ("CartpoleBalance", "jax"),
-                ("CheetahRun", "jax"),
-                ("FishSwim", "jax"),
-                ("CheetahRun", "warp"),
-            )
-        ),
+        ("CartpoleBalance", "jax"),
+        ("CheetahRun", "jax"),
+        ("FishSwim", "jax"),
+        ("CheetahRun", "warp"),
     ],
 )
 def test_equal_keys_and_actions_give_what_the_package_gives(name: str, implementation: Any) -> None:
     ours, theirs = Playground(name, implementation), load(name, implementation)
-    (reset, step), (their_reset, their_step) = side_by_side(ours), side_by_side(theirs)
-    keys = jax.random.split(jax.random.PRNGKey(1), NUM_WORLDS)
-    state, their_state = reset(keys), their_reset(keys)
-    assert_alike(state, their_state)
-    for number in range(5):
-        shape = (NUM_WORLDS, ours.action_size)
-        action = jax.random.uniform(jax.random.PRNGKey(number), shape, minval=-1.0, maxval=1.0)
-        before, state = state, step(state, action)
-        their_state = their_step(their_state, action)
-        assert_alike(state, their_state)
-        assert jax.tree.structure(before) == jax.tree.structure(state)
-        for one, other in zip(jax.tree.leaves(before), jax.tree.leaves(state), strict=True):
-            assert (one.shape, one.dtype) == (other.shape, other.dtype)
+    shape = (5, NUM_WORLDS, ours.action_size)
+    actions = jax.random.uniform(jax.random.PRNGKey(2), shape, minval=-1.0, maxval=1.0)
+    for one, other in zip(episodes(ours, actions), episodes(theirs, actions), strict=True):
+        assert_alike(one, other)
 
 
 @pytest.mark.slow  # it builds all of them
@@ -95,6 +107,7 @@ def test_a_target_is_drawn_where_the_episode_has_it() -> None:
     assert fish.model.body("target").mocapid[0] == -1
 
 
+@pytest.mark.slow  # it compiles two steps
 def test_worlds_may_differ_in_fields_of_the_model() -> None:
     pendulum: Any = Playground("PendulumSwingup", "jax")
     gravity = {"opt.gravity": np.zeros(3, np.float32)}
