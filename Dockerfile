@@ -51,13 +51,13 @@ RUN --mount=type=cache,target=/var/cache/uv \
 FROM dependencies AS dependencies-worker
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
-    --extra worker --extra brittle-star --extra dm-control --extra plots --extra wandb --extra cli
+    --extra worker --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli
 
 FROM dependencies AS dependencies-worker-cuda
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
     --extra worker --extra cuda --extra warp \
-    --extra brittle-star --extra dm-control --extra plots --extra wandb --extra cli
+    --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli
 
 # Apart from the dependencies, so that a change of code makes this small layer anew and nothing else.
 FROM build AS project

@@ -12,6 +12,7 @@ from core.environments.info import Device, EnvironmentInfo
 from core.jobs.job import Artifact, ArtifactRole, Job, Progress
 from core.jobs.spec import SentSpec
 from core.jobs.status import JobStatus, Reason
+from core.physics.availability import EngineName
 from core.rendering.camera import TRACK
 
 Item = TypeVar("Item")
@@ -126,10 +127,12 @@ class Metrics(View):
 class EnvironmentView(View):
     """A body in a world. dt: seconds between actions; options: JSON Schema; tuned: by algorithm, device.
 
+    family: `gaitway`, or the package that brings it. cannot_run: engines that cannot, and why.
     Sizes and dt are null where they depend on the model that the options name.
     """
 
     id: str
+    family: str
     description: str
     observation_size: int | None
     action_size: int | None
@@ -138,11 +141,13 @@ class EnvironmentView(View):
     cameras: Sequence[str]
     options: dict[str, Any]
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]]
+    cannot_run: Mapping[EngineName, str]
 
     @classmethod
     def of(cls, info: EnvironmentInfo) -> Self:
         return cls(
             id=info.id,
+            family=info.family,
             description=info.description,
             observation_size=info.observation_size,
             action_size=info.action_size,
@@ -151,6 +156,7 @@ class EnvironmentView(View):
             cameras=[TRACK, *(name for name in info.cameras if name and name != TRACK)],
             options=info.options.model_json_schema(),
             tuned=info.tuned,
+            cannot_run=info.cannot_run,
         )
 
 

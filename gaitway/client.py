@@ -304,9 +304,10 @@ class Client:
 
     # The service
 
-    def environments(self) -> Sequence[EnvironmentView]:
-        """The bodies and worlds that a job may name."""
-        return self._items("/environments", EnvironmentView)
+    def environments(self, family: str | None = None) -> Sequence[EnvironmentView]:
+        """The bodies and worlds that a job may name. family: only `gaitway`, `playground` or `brax`."""
+        query = f"?family={quote(family)}" if family else ""
+        return self._items(f"/environments{query}", EnvironmentView)
 
     def workers(self) -> Sequence[WorkerView]:
         """The workers that were heard of lately."""

@@ -156,6 +156,7 @@ class EnvironmentView(BaseModel):
 
     id: str
     description: str = ""
+    family: str = ""
 
 
 class ModelView(View):

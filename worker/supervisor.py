@@ -250,9 +250,9 @@ def _checkpoint_to_use(job: Job, holding: Holding) -> Artifact | None:
 
 
 def _cached_as(job: Job) -> str:
-    """What is compiled for one model of a user is of no use to another."""
-    model_id = model_of(job.spec.environment) or ""
-    return "-".join(filter(None, (job.spec.environment.id, model_id.removeprefix("sha256:")[:16])))
+    """What is compiled for one model of a user is of no use to another. A name without slashes."""
+    model_id, environment_id = model_of(job.spec.environment) or "", job.spec.environment.id.replace("/", "-")
+    return "-".join(filter(None, (environment_id, model_id.removeprefix("sha256:")[:16])))
 
 
 def _checkpoints_kept(job: Job) -> int:

@@ -3,7 +3,7 @@
 import inspect
 from typing import Annotated
 
-from fastapi import APIRouter, Path
+from fastapi import APIRouter, Path, Query
 
 from api.dependencies import ServiceDep
 from api.problems import refusals
@@ -17,15 +17,32 @@ router = APIRouter(tags=["catalog"])
 
 
 @router.get("/environments")
-def list_environments() -> Listing[EnvironmentView]:
-    """Bodies and worlds, with their options, cameras and tuned hyperparameters."""
-    return Listing[EnvironmentView](items=[EnvironmentView.of(info) for info in ENVIRONMENTS.values()])
+def list_environments(
+    family: Annotated[
+        str | None, Query(description="`gaitway`: our own; `playground`, `brax`: that package's.")
+    ] = None,
+) -> Listing[EnvironmentView]:
+    """Bodies and worlds, with their options, cameras and tuned hyperparameters; our own come first."""
+    wanted = [info for info in ENVIRONMENTS.values() if family in (None, info.family)]
+    return Listing[EnvironmentView](items=[EnvironmentView.of(info) for info in wanted])
 
 
 @router.get("/environments/{environment_id}", responses=refusals(EnvironmentNotFound))
 def read_environment(environment_id: Annotated[str, Path(examples=["ant"])]) -> EnvironmentView:
-    """One of them."""
+    """One of our own."""
     return EnvironmentView.of(find(environment_id))
+
+
+@router.get("/environments/playground/{name}", responses=refusals(EnvironmentNotFound))
+def read_playground_environment(name: Annotated[str, Path(examples=["CheetahRun"])]) -> EnvironmentView:
+    """One of MuJoCo Playground's."""
+    return EnvironmentView.of(find(f"playground/{name}"))
+
+
+@router.get("/environments/brax/{name}", responses=refusals(EnvironmentNotFound))
+def read_brax_environment(name: Annotated[str, Path(examples=["ant"])]) -> EnvironmentView:
+    """One of Brax's."""
+    return EnvironmentView.of(find(f"brax/{name}"))
 
 
 @router.get("/algorithms")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from pydantic import ValidationError
 
 from core.environments.ant.info import INFO as ANT
+from core.environments.brax_registry import info as brax_registry
 from core.environments.brittle_star.info import INFOS as BRITTLE_STARS
 from core.environments.corridor.info import INFO as CORRIDOR
 from core.environments.half_cheetah.info import INFO as HALF_CHEETAH
@@ -17,6 +18,7 @@ from core.environments.humanoid.info import INFO as HUMANOID
 from core.environments.info import EnvironmentInfo
 from core.environments.inverted_pendulum.info import INFO as INVERTED_PENDULUM
 from core.environments.mjcf.info import INFO as MJCF
+from core.environments.playground import info as playground
 from core.environments.reacher.info import INFO as REACHER
 from core.environments.rodent.info import INFO as RODENT
 from core.environments.walker2d.info import INFO as WALKER2D
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from core.environments.environment import Environment
     from core.physics.engine import EngineBuilder
 
-ENVIRONMENTS: dict[str, EnvironmentInfo] = {
+BUILT_IN: dict[str, EnvironmentInfo] = {
     info.id: info
     for info in (
         *(ANT, HALF_CHEETAH, HOPPER, WALKER2D, HUMANOID, RODENT, CORRIDOR, INVERTED_PENDULUM, REACHER),
@@ -35,20 +37,43 @@ ENVIRONMENTS: dict[str, EnvironmentInfo] = {
         MJCF,
     )
 }
+# Ours first; then those that other packages bring, under the name of the package.
+ENVIRONMENTS: dict[str, EnvironmentInfo] = BUILT_IN | {
+    info.id: info for info in (*playground.INFOS, *brax_registry.INFOS)
+}
+# What those packages have, too, and no worker can load, with the reason.
+CANNOT: dict[str, str] = playground.CANNOT | brax_registry.CANNOT
 
 
 def find(environment_id: str) -> EnvironmentInfo:
     """The environment's row. Raises EnvironmentNotFound, with the nearest name and all there are."""
     if environment_id in ENVIRONMENTS:
         return ENVIRONMENTS[environment_id]
-    near = difflib.get_close_matches(environment_id, ENVIRONMENTS, n=1)
-    suggestion = f" Did you mean {near[0]!r}?" if near else ""
-    known = ", ".join(ENVIRONMENTS)
-    raise EnvironmentNotFound(
-        f"There is no environment {environment_id!r}.{suggestion} There are {known}.",
-        environment=environment_id,
-        environments=list(ENVIRONMENTS),
-    )
+    if environment_id in CANNOT:
+        detail = f"{environment_id!r} cannot be had here: {CANNOT[environment_id]}."
+    else:
+        near = _nearest(environment_id)
+        suggestion = f" Did you mean {near!r}?" if near else ""
+        detail = (
+            f"There is no environment {environment_id!r}.{suggestion} There are {_known(environment_id)}."
+        )
+    raise EnvironmentNotFound(detail, environment=environment_id, environments=list(ENVIRONMENTS))
+
+
+def _nearest(environment_id: str) -> str | None:
+    """The id that is most like it; those of Playground may be meant by their bare names, too."""
+    names = {info.id.removeprefix("playground/").lower(): info.id for info in ENVIRONMENTS.values()}
+    names |= {name.lower(): name for name in (*ENVIRONMENTS, *CANNOT)}
+    near = difflib.get_close_matches(environment_id.lower(), names, n=1)
+    return names[near[0]] if near else None
+
+
+def _known(environment_id: str) -> str:
+    """The ids of the family that it begins with, or ours, and where the others are told."""
+    family, slash, _ = environment_id.partition("/")
+    own = [info.id for info in ENVIRONMENTS.values() if slash and info.family == family]
+    others = "those of MuJoCo Playground (playground/…) and of Brax (brax/…): GET /environments"
+    return ", ".join(own) if own else f"{', '.join(BUILT_IN)}; and {others}"
 
 
 def parse_options(info: EnvironmentInfo, options: Mapping[str, object]) -> Strict:
@@ -70,7 +95,7 @@ def make(
     """
     module, _, function = info.factory.partition(":")
     factory = getattr(import_module(module), function)
-    own = {"model": model} if info.takes_model else {}
+    own = {**info.arguments, **({"model": model} if info.takes_model else {})}
     return cast("Environment", factory(options, build_engine, **own))
 
 

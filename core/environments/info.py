@@ -8,6 +8,7 @@ from core.model import Strict
 from core.physics.availability import EngineName
 
 Device = Literal["cpu", "gpu"]
+OUR_FAMILY = "gaitway"
 
 
 class NoOptions(Strict):
@@ -18,7 +19,7 @@ class NoOptions(Strict):
 class EnvironmentInfo:
     """One row of the catalog.
 
-    factory: `module:function`, called as `factory(options, engine_factory)`; see `catalog.make`.
+    factory: `module:function`, called as `factory(options, engine_factory, **arguments)`; see `catalog.make`.
     observation_size, action_size: with default options. dt: seconds between actions. None where these
     depend on the model that the options name. takes_model: whether they name one; its file goes to the
     factory as `model`.
@@ -26,8 +27,10 @@ class EnvironmentInfo:
     info: what `State.info` names besides the observation, for who reads states from it. has_cpg: whether an
     action modulates a central pattern generator instead of joints.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
-    cannot_run: engines that cannot run it, and why. vary: the fields above that are others under some
-    options, by name; the row itself has them as they are by default.
+    arguments: what the factory is told besides. cannot_run: engines that cannot run it, and why.
+    own_physics: what moves it where none of the engines does; its worlds cannot differ.
+    vary: the fields above that are others under some options, by name; the row itself has them as they are
+    by default.
     """
 
     id: str
@@ -40,12 +43,19 @@ class EnvironmentInfo:
     tracked_body: str
     cameras: tuple[str, ...] = ()
     options: type[Strict] = NoOptions
+    arguments: Mapping[str, Any] = field(default_factory=dict[str, Any])
     takes_model: bool = False
     info: tuple[str, ...] = ()
     has_cpg: bool = False
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
+    own_physics: str = ""
     vary: Callable[[Any], Mapping[str, Any]] | None = None
+
+    @property
+    def family(self) -> str:
+        """Whose it is: the package that the id begins with, or `gaitway`."""
+        return self.id.split("/")[0] if "/" in self.id else OUR_FAMILY
 
     def under(self, options: Strict) -> "EnvironmentInfo":
         """The row as it is under these options, which are its own."""

@@ -37,6 +37,7 @@ def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
     """Raises Rejected with every problem of the first group that has one."""
     info, _ = chosen(spec.environment, objects)
     check_physics(spec.physics, info.id, info.cannot_run)
+    _check_worlds(spec, info)
     _check_cameras(spec, info)
     _check_gpus(spec)
     match spec:
@@ -65,6 +66,12 @@ def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
     else:
         check_cameras(spec.video.cameras, info.cameras)
         check_width(spec.video.width, len(spec.video.cameras))
+
+
+def _check_worlds(spec: JobSpec, info: EnvironmentInfo) -> None:
+    if spec.randomization and info.own_physics:
+        detail = f"{info.id} is moved by Brax's own physics, which has no worlds that differ."
+        raise Rejected(detail, [Problem("/randomization", detail)])
 
 
 def _check_gpus(spec: JobSpec) -> None:

@@ -90,6 +90,8 @@ def choose(
     check_physics(choice, environment, cannot_run)
     if choice != "auto":
         return EngineChoice(choice, f"The job asks for {choice}.")
+    if device == "cpu" and "native" in cannot_run and "mjx" not in cannot_run:
+        return EngineChoice("mjx", f"Native physics cannot run it: {cannot_run['native']}")
     if device == "cpu":
         return EngineChoice(
             "native", "On a CPU, C MuJoCo is many times faster than MJX at the same solver accuracy."

@@ -1,5 +1,6 @@
 """From an engine's name to the engine; each one's libraries are loaded only when it is built."""
 
+from dataclasses import dataclass
 from typing import assert_never
 
 import mujoco
@@ -10,13 +11,14 @@ from core.physics.engine import DERIVED_FIELDS, Engine, EngineBuilder, SolverSet
 __all__ = ["EngineChoice", "choose", "engine_builder"]
 
 
-def engine_builder(name: EngineName) -> EngineBuilder:
-    """What an environment calls to get its engine.
+@dataclass(frozen=True)
+class _Builder:
+    """See EngineBuilder."""
 
-    Building raises JobFailed where the worker has not got the engine, or the engine cannot run the model.
-    """
+    name: EngineName
 
-    def build(
+    def __call__(
+        self,
         model: mujoco.MjModel,
         num_substeps: int,
         derived: tuple[str, ...],
@@ -26,7 +28,7 @@ def engine_builder(name: EngineName) -> EngineBuilder:
         unknown = sorted(set(derived) - set(DERIVED_FIELDS))
         if unknown:
             raise ValueError(f"No engine computes {unknown}; there are {DERIVED_FIELDS}.")
-        match name:
+        match self.name:
             case "native":
                 from core.physics.native import NativeEngine
 
@@ -45,6 +47,12 @@ def engine_builder(name: EngineName) -> EngineBuilder:
 
                 return WarpEngine(enough_iterations(with_solver(model, accelerated)), num_substeps, derived)
             case _:
-                assert_never(name)
+                assert_never(self.name)
 
-    return build
+
+def engine_builder(name: EngineName) -> EngineBuilder:
+    """What an environment calls to get its engine.
+
+    Building raises JobFailed where the worker has not got the engine, or the engine cannot run the model.
+    """
+    return _Builder(name)

@@ -143,6 +143,11 @@ class SolverSettings:
 class EngineBuilder(Protocol):
     """Makes the engine of a run; an environment calls it once, and never learns which engine it got."""
 
+    @property
+    def name(self) -> str:
+        """The engine's: for environments of other packages, which step by themselves and must know."""
+        ...
+
     def __call__(
         self,
         model: mujoco.MjModel,

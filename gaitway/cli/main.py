@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli import doctor, files, jobs, models, preview, services, submit, watch
+from gaitway.cli import doctor, environments, files, jobs, models, preview, services, submit, watch
 from gaitway.cli.errors import Group
 from gaitway.client import Client
 
@@ -33,6 +33,7 @@ def main(
 
 
 for command in (
+    environments.environments,
     submit.submit,
     jobs.jobs,
     jobs.show,

@@ -53,6 +53,17 @@ def test_every_environment_of_the_catalog_is_listed(stack: Stack) -> None:
     assert listed["next"] is None
 
 
+def test_the_environments_of_a_package_are_listed_by_themselves(stack: Stack) -> None:
+    listed = stack.http.get("/environments", params={"family": "playground"}).json()["items"]
+    assert {item["family"] for item in listed} == {"playground"}
+    cheetah = stack.http.get("/environments/playground/CheetahRun").json()
+    assert cheetah in listed
+    assert (cheetah["observation_size"], cheetah["tuned"]["ppo"]["gpu"]["num_envs"]) == (17, 2048)
+    assert stack.http.get("/environments/brax%2Fant").json()["options"]["properties"]["backend"]
+    document = problem(stack.http.get("/environments/playground/Go1Getup"), 404, "environment-not-found")
+    assert "Menagerie" in document["detail"]
+
+
 def test_an_unknown_environment_names_the_nearest(stack: Stack) -> None:
     document = problem(stack.http.get("/environments/antt"), 404, "environment-not-found")
     assert "'ant'" in document["detail"]

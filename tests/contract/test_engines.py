@@ -285,7 +285,7 @@ def ant() -> mujoco.MjModel:
     return model
 
 
-BODIES = [name for name, info in catalog.ENVIRONMENTS.items() if not info.takes_model]
+BODIES = [name for name, info in catalog.BUILT_IN.items() if not info.takes_model]
 # Warp compiles kernels for some seconds, MJX its program for up to a minute, the rodent's for many.
 FAST = [("mjx", "ant"), *(("warp", body) for body in ("ant", "humanoid", "rodent"))]
 SLOW = [

@@ -38,7 +38,8 @@ class Body:
 
     def started(self, **details: Any) -> Started:
         """What the job's record shall say about this attempt."""
-        packages = ("jax", "brax", "mujoco", "mujoco-mjx", *(["warp-lang"] if self.engine == "warp" else []))
+        also = [*(["warp-lang"] if self.engine == "warp" else []), *_brought_by(self.info)]
+        packages = ("jax", "brax", "mujoco", "mujoco-mjx", *also)
         versions = {name: version(name) for name in packages}
         return Started(
             device=self.device_name,
@@ -76,7 +77,14 @@ def load_body(task: Task) -> Body:
     environment = catalog.make(info, options, engine_builder(choice.name), model)
     environment = randomize(environment, task.spec.randomization)
     name = _named(found[:num_devices]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
-    return Body(info, environment, device, name, choice.name, choice.reason, num_devices)
+    engine, reason = choice.name, choice.reason
+    if info.own_physics:
+        engine, reason = info.own_physics, f"{info.id} brings its own physics."
+    return Body(info, environment, device, name, engine, reason, num_devices)
+
+
+def _brought_by(info: EnvironmentInfo) -> list[str]:
+    return ["playground"] if info.family == "playground" else []
 
 
 def _named(devices: Sequence[Any]) -> str:

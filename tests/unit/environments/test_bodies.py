@@ -40,7 +40,7 @@ def build(environment_id: str, **options: object) -> Case:
     scope="module",
     params=[
         pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else [])
-        for name, info in catalog.ENVIRONMENTS.items()
+        for name, info in catalog.BUILT_IN.items()
         if not info.takes_model
     ],
 )

@@ -29,7 +29,7 @@ with warnings.catch_warnings():
     from brax import envs
 
 NOT_BRAXS = ("brittle_star", "corridor", "mjcf", "rodent")
-BRAXS = [name for name in catalog.ENVIRONMENTS if not name.startswith(NOT_BRAXS)]
+BRAXS = [name for name in catalog.BUILT_IN if not name.startswith(NOT_BRAXS)]
 BRAX_NAMES = {"half_cheetah": "halfcheetah"}
 # Brax writes infinities into the ranges of what has no limit.
 BRAX_REWRITES = {"jnt_range", "actuator_ctrlrange", "actuator_forcerange"}

@@ -24,6 +24,43 @@ def test_a_mistyped_environment_is_answered_with_the_nearest_name_and_all_of_the
     assert refusal.value.facts["environments"] == list(catalog.ENVIRONMENTS)
 
 
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [
+        ("playground/cheetah_run", "playground/CheetahRun"),
+        ("CheetahRun", "playground/CheetahRun"),
+        ("brax/antt", "brax/ant"),
+        ("antt", "ant"),
+    ],
+)
+def test_the_environments_of_other_packages_are_near_by_their_own_names(said: str, meant: str) -> None:
+    with pytest.raises(EnvironmentNotFound, match=f"Did you mean '{meant}'"):
+        catalog.find(said)
+
+
+@pytest.mark.parametrize(
+    ("environment", "why"),
+    [
+        ("playground/Go1JoystickFlatTerrain", "Menagerie"),
+        ("playground/ReacherEasy", "cannot load it with MuJoCo"),
+        ("brax/swimmer", "cannot step it with jax"),
+        ("brax/fast", "Brax's own tests"),
+    ],
+)
+def test_what_another_package_has_and_no_worker_can_load_is_refused_with_the_reason(
+    environment: str, why: str
+) -> None:
+    with pytest.raises(EnvironmentNotFound, match=why) as refusal:
+        catalog.find(environment)
+    assert environment not in refusal.value.facts["environments"]
+
+
+def test_our_own_environments_come_first() -> None:
+    families = [info.family for info in catalog.ENVIRONMENTS.values()]
+    assert families == sorted(families, key=["gaitway", "playground", "brax"].index)
+    assert set(families) == {"gaitway", "playground", "brax"}
+
+
 def test_a_name_like_no_other_gets_no_guess() -> None:
     with pytest.raises(EnvironmentNotFound, match=r"'zzz'\. There are ant"):
         catalog.find("zzz")
@@ -73,7 +110,7 @@ def test_a_bound_may_be_left_open_above() -> None:
 @pytest.mark.parametrize("info", INFOS, ids=lambda info: info.id)
 @pytest.mark.parametrize("device", ["cpu", "gpu"])
 def test_tuned_values_are_complete_and_go_together(info: EnvironmentInfo, device: Device) -> None:
-    tuned = info.tuned["ppo"][device]
+    tuned = info.tuned.get("ppo", {}).get(device, {})
     resolved = resolve(PPOSpec(), info, device)
     assert {name: getattr(resolved, name) for name in tuned} == dict(tuned)
     assert resolved.batch_size * resolved.num_minibatches % resolved.num_envs == 0
