@@ -5,12 +5,14 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from core.environments import catalog
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo
+from core.environments.whereabouts import whereabouts
 from core.physics.choose import engine_builder
 
 NUM_WORLDS = 8
@@ -71,6 +73,23 @@ def test_a_step_keeps_the_states_form(case: Case) -> None:
 def test_a_body_on_its_way_says_how_fast_it_goes(case: Case) -> None:
     state = case.step(fresh(case), some_actions(case))
     assert ("x_velocity" in state.metrics) == (case.info.id in WALKERS)
+
+
+def test_of_a_body_that_travels_height_and_distance_are_measured(case: Case) -> None:
+    state = case.step(fresh(case), some_actions(case))
+    model, body = case.environment.model, case.environment.tracked_body
+    found = jax.vmap(whereabouts(model, body))(state.physics)
+    wanted = {"height", "distance_from_origin"} if case.info.id in WALKERS else set()
+    if case.info.id == "inverted_pendulum":  # The cart stays level.
+        wanted = {"distance_from_origin"}
+    assert wanted <= {*found, *state.metrics}
+    data = mujoco.MjData(model)
+    data.qpos[:] = state.physics.qpos[0]
+    mujoco.mj_kinematics(model, data)
+    position = data.xpos[body]
+    expected = {"height": position[2], "distance_from_origin": np.linalg.norm(position)}
+    for name, values in found.items():
+        assert float(values[0]) == pytest.approx(expected[name], abs=1e-5)
 
 
 def test_initial_states_differ_by_key_and_by_nothing_else(case: Case) -> None:
