@@ -70,8 +70,8 @@ def noisy_start(
 
 def travel(position: jax.Array, velocity: jax.Array) -> dict[str, jax.Array]:
     """The metrics TRAVEL, which have Brax's names. position: [3] in m; velocity: [3] in m/s."""
-    where = (position[0], position[1], jnp.linalg.norm(position))
-    return dict(zip(TRAVEL, (*where, velocity[0], velocity[1]), strict=True))
+    values = (position[0], position[1], jnp.linalg.norm(position), velocity[0], velocity[1])
+    return dict(zip(TRAVEL, values, strict=True))
 
 
 def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:
