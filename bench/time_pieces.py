@@ -17,9 +17,10 @@ import numpy as np
 from bench.child import answer
 from bench.limits import gradient_step
 from core.algorithms.ppo.experience import Starts, collect, cut_into_unrolls
+from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.spec import PPOSpec, resolve
-from core.algorithms.ppo.update import Hyperparameters, Learner, TrainingState
+from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments import catalog
 from core.environments.body import Body
 from core.environments.worlds import Worlds

@@ -1,5 +1,6 @@
 """Pictures of a run. matplotlib (extra `plots`) is loaded only when one is drawn."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,8 @@ _STYLES: dict[str, dict[str, Any]] = {
 }
 # One for each term of the reward; told apart also by those who see few colours (Okabe and Ito, 2008).
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c6d1f")
-_TERM = "training/reward"
+# By whose names a metric is known for a term of the reward; the return is not one of them.
+_TERM = re.compile(r"training/(?:reward[_/]?(?P<after>.+)|(?P<before>(?!episode)\w+)_reward)")
 
 Rows = Sequence[Mapping[str, Any]]
 Series = tuple[list[float], list[float]]
@@ -19,19 +21,23 @@ Series = tuple[list[float], list[float]]
 
 @dataclass(frozen=True)
 class _Panel:
-    """What one quantity looks like. names: of its metrics after `eval/` and `training/`, if they differ.
+    """What one quantity looks like.
 
-    bounds: the least that the axis shows.
+    training, evaluation: its metrics after `training/` and `eval/`. instead: of the former, where that
+    was not measured. bounds: the least that the axis shows.
     """
 
     label: str
     training: str
     evaluation: str | None = None
     bounds: tuple[float, float] | None = None
+    instead: str | None = None
 
     def draw(self, axis: Any, rows: Rows) -> None:
         for kind, name in (("training", self.training), ("eval", self.evaluation)):
             points = series(rows, f"{kind}/{name}")
+            if kind == "training" and not points[0]:
+                points = series(rows, f"{kind}/{self.instead}")
             if points[0]:
                 axis.plot(*points, **_STYLES[kind])
         if self.bounds is not None:
@@ -48,7 +54,7 @@ _PANELS = (
     _Panel("share of episodes that fell", "fall_rate", bounds=(-0.02, 1.02)),
     _Panel("control effort (mean action²)", "control_effort", bounds=(0.0, 0.0)),
     _Panel("height in m", "height"),
-    _Panel("distance from the origin in m", "distance_from_origin"),
+    _Panel("distance from the start in m", "distance_from_start", instead="distance_from_origin"),
 )
 
 
@@ -97,15 +103,19 @@ def series(rows: Iterable[Mapping[str, Any]], name: str) -> Series:
 
 
 def _is_measured(rows: Rows, panel: _Panel) -> bool:
-    names = {f"training/{panel.training}", f"eval/{panel.evaluation}"}
+    names = {f"training/{panel.training}", f"training/{panel.instead}", f"eval/{panel.evaluation}"}
     return any(row["values"].get(name) is not None for row in rows for name in names)
 
 
 def _terms(rows: Rows) -> dict[str, Series]:
-    """The terms of the reward by name, but those that were 0 throughout."""
-    names = sorted({name for row in rows for name in row["values"] if name.startswith(_TERM)})
-    found = {name.removeprefix(_TERM).lstrip("_/"): series(rows, name) for name in names}
-    return {name: points for name, points in found.items() if any(points[1])}
+    """The terms of the reward by name, but those that were 0 throughout, or that Brax tells of twice."""
+    found = dict[str, Series]()
+    for name in sorted({name for row in rows for name in row["values"]}, reverse=True):
+        term, points = _TERM.fullmatch(name), series(rows, name)
+        told_twice = term and term["before"] and points in found.values()
+        if term and any(points[1]) and not told_twice:
+            found[term["after"] or term["before"]] = points
+    return dict(sorted(found.items()))
 
 
 def _draw_terms(axis: Any, rows: Rows) -> None:

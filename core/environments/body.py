@@ -11,6 +11,9 @@ from core.environments.environment import State
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 
+# What a body on its way tells of itself: in m and m/s.
+TRAVEL = ("x_position", "y_position", "distance_from_origin", "x_velocity", "y_velocity")
+
 
 class Body(ABC):
     """An environment over one MuJoCo model; a subclass says how it begins, what it sees and what it earns."""
@@ -42,28 +45,41 @@ class Body(ABC):
 
 
 def noisy_start(
-    body: Body, key: jax.Array, model: ModelFields, scale: float, *, normal_velocity: bool
+    body: Body,
+    key: jax.Array,
+    model: ModelFields,
+    scale: float,
+    *,
+    normal_velocity: bool,
+    velocity_scale: float | None = None,
 ) -> PhysicsState:
     """The model's initial state with uniform noise in ±scale on the positions, and noise on the velocities.
 
-    normal_velocity: velocities are normal with deviation `scale`; otherwise uniform in ±scale.
+    normal_velocity: velocities are normal with deviation `velocity_scale`; otherwise uniform in ± that.
+    velocity_scale: None for `scale`.
     """
     key_position, key_velocity = jax.random.split(key)
+    fast = scale if velocity_scale is None else velocity_scale
     qpos = body.initial_qpos + jax.random.uniform(key_position, (body.model.nq,), minval=-scale, maxval=scale)
     if normal_velocity:
-        qvel = scale * jax.random.normal(key_velocity, (body.model.nv,))
+        qvel = fast * jax.random.normal(key_velocity, (body.model.nv,))
     else:
-        qvel = jax.random.uniform(key_velocity, (body.model.nv,), minval=-scale, maxval=scale)
+        qvel = jax.random.uniform(key_velocity, (body.model.nv,), minval=-fast, maxval=fast)
     return body.engine.reset(qpos, qvel, model)
 
 
-def height_is_healthy(height: jax.Array, healthy_range: tuple[float, float]) -> jax.Array:
-    """1 where the height [] lies in the range, its ends included, otherwise 0; 1 also for NaN."""
-    low, high = healthy_range
-    return jnp.where((height < low) | (height > high), 0.0, 1.0)
+def travel(position: jax.Array, velocity: jax.Array) -> dict[str, jax.Array]:
+    """The metrics TRAVEL, which have Brax's names. position: [3] in m; velocity: [3] in m/s."""
+    values = (position[0], position[1], jnp.linalg.norm(position), velocity[0], velocity[1])
+    return dict(zip(TRAVEL, values, strict=True))
 
 
 def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:
-    """The control [nu] for an action [nu] in [-1, 1]: its ends are the ends of the actuators' ranges."""
-    low, high = np.asarray(model.actuator_ctrlrange, np.float32).T
+    """The control [nu] for an action [nu] in [-1, 1], whose ends are the ends of the actuators' ranges.
+
+    An actuator without a range takes the action itself.
+    """
+    limited = model.actuator_ctrllimited.astype(bool)
+    ranges = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]])
+    low, high = np.asarray(ranges, np.float32)
     return low + (action + 1.0) * (high - low) * 0.5

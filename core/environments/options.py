@@ -1,8 +1,10 @@
-"""Kinds of values that the options of several environments have."""
+"""Options that several environments have, and kinds of their values."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
+
+from core.model import Strict
 
 
 def _ascending(bounds: tuple[float, float | None]) -> tuple[float, float | None]:
@@ -22,3 +24,19 @@ OpenRange = Annotated[tuple[float, float | None], _FROM_A_LIST, AfterValidator(_
 
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
 NoiseScale = Annotated[float, Field(ge=0, le=10)]
+
+
+class RunnerOptions(Strict):
+    """What dm_control's walkers earn, and how they are stepped, on a floor (`rodent`) and in a `corridor`."""
+
+    forward_reward_weight: Weight = Field(5.0, description="Reward for each metre per second in +x.")
+    ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
+    healthy_reward: Weight = Field(0.5, description="Reward for each step.")
+    reset_noise_scale: NoiseScale = Field(1e-2, description="Of the initial positions and velocities.")
+    n_frames: int = Field(5, ge=1, le=50, description="Physics steps for each action.")
+    timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds of a physics step.")
+    solver: Literal["newton", "cg"] = Field("newton", description="On mjx and warp; native keeps Newton.")
+    iterations: int = Field(
+        4, ge=1, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
+    )
+    ls_iterations: int = Field(8, ge=1, le=100, description="Of its line search, on mjx and warp.")

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from core.environments import terms
 from core.environments.body import Body, noisy_start
 from core.environments.environment import State
 from core.environments.hopper.info import HopperOptions
@@ -56,12 +57,12 @@ class PlanarWalker(Body):
     def step(self, state: State, action: jax.Array) -> State:
         options = self._options
         physics = self.engine.step(state.physics, action)
-        velocity = (physics.qpos[0] - state.physics.qpos[0]) / self.dt
+        velocity = terms.velocity(state.physics.qpos[0], physics.qpos[0], self.dt)
         forward = options.forward_reward_weight * velocity
         healthy = self._is_healthy(physics).astype(jnp.float32)
-        # Where being unhealthy ends the episode, the step that ends it still earns its reward (as in Brax).
-        survive = options.healthy_reward * (jnp.ones(()) if options.terminate_when_unhealthy else healthy)
-        control = options.ctrl_cost_weight * jnp.sum(jnp.square(action))
+        survives, done = terms.survival(healthy, terminates=options.terminate_when_unhealthy)
+        survive = options.healthy_reward * survives
+        control = options.ctrl_cost_weight * terms.control_cost(action)
         metrics = {
             "reward_forward": forward,
             "reward_ctrl": -control,
@@ -69,7 +70,6 @@ class PlanarWalker(Body):
             "x_position": physics.qpos[0],
             "x_velocity": velocity,
         }
-        done = 1.0 - healthy if options.terminate_when_unhealthy else jnp.zeros(())
         return State(physics, self._observe(physics), forward + survive - control, done, metrics, state.info)
 
     def _height(self, physics: PhysicsState) -> jax.Array:
@@ -88,6 +88,7 @@ class PlanarWalker(Body):
 
 def is_inside(value: jax.Array, bounds: tuple[float, float | None]) -> jax.Array:
     """Whether each value lies strictly between the bounds; no upper bound where it is None."""
+    # Not terms.height_range: in Brax these bodies' bounds are themselves unhealthy, and so is NaN.
     low, high = bounds
     above = value > low
     return above if high is None else above & (value < high)

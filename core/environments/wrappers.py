@@ -74,10 +74,15 @@ def step_episodes(
     every step would cost as much as the step. None: those of the environment's own first state, as in
     Brax; raises ValueError where these were not kept. Reward, done and metrics stay those of the step.
     """
+    state = worlds.step(episodes.state, action)
+    return follow(episodes, state, starts, episode_length=episode_length)
+
+
+def follow(episodes: Episodes, state: State, starts: State | None, *, episode_length: int) -> Episodes:
+    """The episodes after a step that led to `state` [num_envs, ...]; see step_episodes."""
     fresh = episodes.first if starts is None else starts
     if fresh is None:
         raise ValueError("Where do ended episodes begin anew? Their first states were not kept.")
-    state = worlds.step(episodes.state, action)
     length = episodes.length + 1
     score = episodes.score + state.reward
     cut_off = jnp.where(length >= episode_length, 1.0, 0.0)

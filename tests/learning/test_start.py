@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
+from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.programs import trace
-from core.algorithms.ppo.update import Hyperparameters, Learner
+from core.algorithms.ppo.update import Learner
 from core.environments import probes
 from tests.learning.runs import small_settings
 

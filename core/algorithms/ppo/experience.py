@@ -9,8 +9,9 @@ from flax import struct
 
 from core.algorithms.ppo.brax_training import Transition
 from core.environments.environment import State
+from core.environments.whereabouts import whereabouts
 from core.environments.worlds import Worlds
-from core.environments.wrappers import Episodes, draw, step_episodes
+from core.environments.wrappers import Episodes, draw, follow
 from core.physics.engine import OVERFLOW
 
 Policy = Any  # (observations [B, obs], or several by name, key) -> (actions [B, act], extras)
@@ -33,8 +34,8 @@ class Outcome:
     """What happened at each of T steps in N environments; arrays [T, N].
 
     fell: 1 where the environment ended the episode, and not its length. effort: mean square of the action's
-    components. metrics: the environment's own, by name. overflow: 1 where the engine lost contacts; None
-    where it cannot. Not told of an episode's last step.
+    components. metrics: the environment's own, by name, and where its body is. overflow: 1 where the engine
+    lost contacts; None where it cannot. Not told of an episode's last step.
     """
 
     reward: jax.Array
@@ -59,12 +60,14 @@ def collect(
 
     starts: None where every environment goes back to its own first state, which `episodes` then holds.
     """
+    where = jax.vmap(whereabouts(worlds.environment.model, worlds.environment.tracked_body))
 
     def act(episodes: Episodes, given: Any) -> tuple[Episodes, tuple[Transition, Outcome]]:
         key, chosen = given
         action, extras = policy(episodes.state.obs, key)
         fresh = None if starts is None else draw(starts.pool, chosen)
-        after = step_episodes(worlds, episodes, action, fresh, episode_length=episode_length)
+        reached = worlds.step(episodes.state, action)
+        after = follow(episodes, reached, fresh, episode_length=episode_length)
         transition = Transition(
             observation=episodes.state.obs,
             action=(),  # pyright: ignore[reportArgumentType]
@@ -79,7 +82,7 @@ def collect(
             ended_score=after.ended_score,
             fell=after.state.done - after.truncated,
             effort=jnp.mean(jnp.square(action), axis=-1),
-            metrics=after.state.metrics,
+            metrics={**where(reached.physics), **reached.metrics},
             overflow=after.state.physics.derived.get(OVERFLOW),
         )
         return after, (transition, outcome)

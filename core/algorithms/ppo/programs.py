@@ -11,9 +11,11 @@ import numpy as np
 
 from core.algorithms.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.ppo.brax_training import make_inference_fn
+from core.algorithms.ppo.failure import Failure
+from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.layout import Layout
 from core.algorithms.ppo.networks import make_networks
-from core.algorithms.ppo.update import Failure, Hyperparameters, Learner, TrainingState
+from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.worlds import ENVS
 
 

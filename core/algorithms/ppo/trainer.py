@@ -12,12 +12,14 @@ import numpy as np
 from core.algorithms.evaluation import evaluation_metrics
 from core.algorithms.loop import Loop
 from core.algorithms.ppo import checkpoint
+from core.algorithms.ppo.failure import QUANTITIES, Failure
+from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.layout import Layout
 from core.algorithms.ppo.networks import Design, PolicyParams
 from core.algorithms.ppo.policy import write_policy
 from core.algorithms.ppo.programs import Programs, place, trace
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.update import QUANTITIES, Failure, Hyperparameters, Learner, TrainingState
+from core.algorithms.ppo.update import Learner, TrainingState
 from core.algorithms.schedule import Schedule
 from core.algorithms.trainer import Event, Phase
 from core.environments.action_repeat import repeat_action

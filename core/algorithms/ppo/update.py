@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -13,20 +13,21 @@ from core.algorithms.ppo.brax_training import (
     PPONetworkParams,
     RunningStatisticsState,
     Transition,
-    compute_ppo_loss,
     make_inference_fn,
     running_statistics,
 )
 from core.algorithms.ppo.experience import (
-    Outcome,
     Starts,
     bootstrap_timeouts,
     collect,
     cut_into_unrolls,
     summarise,
 )
+from core.algorithms.ppo.failure import Failure, find_failure
+from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.layout import ONE_DEVICE, Layout
 from core.algorithms.ppo.learning_rate import adapt_to_kl
+from core.algorithms.ppo.loss import loss_of
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment
@@ -34,45 +35,6 @@ from core.environments.worlds import Worlds
 from core.environments.wrappers import Episodes, fresh_states, start_episodes
 
 ADAM = optax.scale_by_adam()
-
-# What is looked at after each update, in the order in which one spoils the next.
-QUANTITIES = (
-    "observation",
-    "reward",
-    "policy loss",
-    "value loss",
-    "entropy loss",
-    "gradient",
-    "parameters",
-)
-
-
-@struct.dataclass
-class Hyperparameters:
-    """What may change without recompiling; [] float32 each, infinite where a bound is not set.
-
-    Whether values are clipped at all, and whether the learning rate adapts, is compiled in.
-    """
-
-    learning_rate: jax.Array
-    entropy_cost: jax.Array
-    desired_kl: jax.Array
-    learning_rate_schedule_min_lr: jax.Array
-    learning_rate_schedule_max_lr: jax.Array
-    discounting: jax.Array
-    gae_lambda: jax.Array
-    reward_scaling: jax.Array
-    clipping_epsilon: jax.Array
-    clipping_epsilon_value: jax.Array
-    vf_loss_coefficient: jax.Array
-    max_grad_norm: jax.Array
-
-    @classmethod
-    def of(cls, settings: PPOSpec) -> "Hyperparameters":
-        given = {name: getattr(settings, name) for name in cls.__dataclass_fields__}
-        return cls(
-            **{name: jnp.float32(jnp.inf if value is None else value) for name, value in given.items()}
-        )
 
 
 @struct.dataclass
@@ -92,17 +54,6 @@ class TrainingState:
     key: jax.Array
     eval_key: jax.Array
     num_updates: jax.Array
-
-
-class Failure(NamedTuple):
-    """Which of QUANTITIES were not finite in an update, and at which of its time steps, if it was there.
-
-    quantities: [len(QUANTITIES)] bool. time_step: [] int32, the first at which an observation or reward
-    was not finite; the number of time steps if none was.
-    """
-
-    quantities: jax.Array
-    time_step: jax.Array
 
 
 @dataclass(frozen=True)
@@ -208,7 +159,7 @@ class Learner:
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
-        return new, summarise(outcome) | metrics, _failure(transitions, outcome, metrics, params)
+        return new, summarise(outcome) | metrics, find_failure(transitions, outcome, metrics, params)
 
     @property
     def _worlds(self) -> Worlds:
@@ -246,7 +197,7 @@ class Learner:
         """
         settings = self.settings
         num_unrolls = settings.batch_size * settings.num_minibatches
-        loss = self._loss(state.normalizer, hyperparameters)
+        loss = loss_of(settings, self._networks(normalize=False), state.normalizer, hyperparameters)
 
         def learn_pass(carry: Any, key: jax.Array) -> tuple[Any, Any]:
             order_key, loss_key = jax.random.split(key)
@@ -287,53 +238,8 @@ class Learner:
         )
         return learnt, jax.tree.map(jnp.mean, metrics)
 
-    def _loss(self, normalizer: RunningStatisticsState, hyperparameters: Hyperparameters) -> Any:
-        clipped = self.settings.clipping_epsilon_value is not None
-        networks = self._networks(normalize=False)  # once for the batch, not in every minibatch
-
-        def loss(params: PPONetworkParams, minibatch: Transition, key: jax.Array) -> Any:
-            return compute_ppo_loss(
-                params,
-                normalizer,  # not used: these networks do not normalise
-                minibatch,
-                key,
-                networks,
-                entropy_cost=hyperparameters.entropy_cost,  # pyright: ignore[reportArgumentType]
-                discounting=hyperparameters.discounting,  # pyright: ignore[reportArgumentType]
-                reward_scaling=hyperparameters.reward_scaling,  # pyright: ignore[reportArgumentType]
-                gae_lambda=hyperparameters.gae_lambda,  # pyright: ignore[reportArgumentType]
-                clipping_epsilon=hyperparameters.clipping_epsilon,  # pyright: ignore[reportArgumentType]
-                normalize_advantage=self.settings.normalize_advantage,
-                vf_coefficient=hyperparameters.vf_loss_coefficient,  # pyright: ignore[reportArgumentType]
-                clipping_epsilon_value=hyperparameters.clipping_epsilon_value if clipped else None,  # pyright: ignore[reportArgumentType]
-            )
-
-        return loss
-
     def _networks(self, *, normalize: bool) -> Any:
         environment = self.environment
         return make_networks(
             environment.observation_size, environment.action_size, self.settings, normalize=normalize
         )
-
-
-def _failure(
-    transitions: Transition, outcome: Outcome, metrics: dict[str, jax.Array], params: PPONetworkParams
-) -> Failure:
-    """transitions, outcome: [T, N, ...]."""
-    seen = jax.tree.leaves(transitions.next_observation)
-    bad_obs = ~jnp.all(jnp.stack([jnp.all(jnp.isfinite(x), axis=(1, 2)) for x in seen]), axis=0)
-    bad_reward = ~jnp.all(jnp.isfinite(outcome.reward), axis=1)
-    bad_params = [~jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(params)]
-    losses = [metrics[name] for name in ("policy_loss", "v_loss", "entropy_loss", "grad_norm")]
-    quantities = jnp.stack(
-        [
-            jnp.any(bad_obs),
-            jnp.any(bad_reward),
-            *(~jnp.isfinite(value) for value in losses),
-            jnp.any(jnp.stack(bad_params)),
-        ]
-    )
-    bad = bad_obs | bad_reward
-    first = jnp.where(jnp.any(bad), jnp.argmax(bad), len(bad)).astype(jnp.int32)
-    return Failure(quantities, first)

@@ -3,8 +3,9 @@
 import jax
 import jax.numpy as jnp
 
+from core.environments import terms
 from core.environments.ant.info import AntOptions
-from core.environments.body import Body, height_is_healthy, noisy_start
+from core.environments.body import TRAVEL, Body, noisy_start, travel
 from core.environments.environment import State
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import brax_model
@@ -15,12 +16,8 @@ _METRICS = (
     "reward_survive",
     "reward_ctrl",
     "reward_contact",
-    "x_position",
-    "y_position",
-    "distance_from_origin",
-    "x_velocity",
-    "y_velocity",
     "forward_reward",
+    *TRAVEL,
 )
 
 
@@ -53,29 +50,23 @@ class Ant(Body):
         return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
 
     def step(self, state: State, action: jax.Array) -> State:
-        before = state.physics.qpos[:3]
+        options = self._options
         physics = self.engine.step(state.physics, action)
         torso = physics.qpos[:3]
-        velocity = (torso - before) / self.dt
-        healthy = height_is_healthy(torso[2], self._options.healthy_z_range)
-        terminates = self._options.terminate_when_unhealthy
-        # Where being unhealthy ends the episode, the step that ends it still earns its reward (as in Brax).
-        survive = self._options.healthy_reward * (jnp.ones(()) if terminates else healthy)
-        control = self._options.ctrl_cost_weight * jnp.sum(jnp.square(action))
+        velocity = terms.velocity(state.physics.qpos[:3], torso, self.dt)
+        healthy = terms.height_range(torso[2], options.healthy_z_range)
+        survives, done = terms.survival(healthy, terminates=options.terminate_when_unhealthy)
+        survive = options.healthy_reward * survives
+        control = options.ctrl_cost_weight * terms.control_cost(action)
         metrics = {
             "reward_forward": velocity[0],
             "reward_survive": survive,
             "reward_ctrl": -control,
             "reward_contact": jnp.zeros(()),
-            "x_position": torso[0],
-            "y_position": torso[1],
-            "distance_from_origin": jnp.linalg.norm(torso),
-            "x_velocity": velocity[0],
-            "y_velocity": velocity[1],
             "forward_reward": velocity[0],
+            **travel(torso, velocity),
         }
         reward = velocity[0] + survive - control
-        done = 1.0 - healthy if terminates else jnp.zeros(())
         return State(physics, self._observe(physics), reward, done, metrics, state.info)
 
     def _observe(self, physics: PhysicsState) -> jax.Array:

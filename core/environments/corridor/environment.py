@@ -3,7 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from core.environments.body import Body, height_is_healthy, noisy_start
+from core.environments import terms
+from core.environments.body import TRAVEL, Body, noisy_start, travel
 from core.environments.corridor.info import CorridorOptions
 from core.environments.corridor.model import corridor_model, obstacle_ends
 from core.environments.corridor.walkers import WALKERS
@@ -19,14 +20,10 @@ _METRICS = (
     "distance_reward",
     "reward_alive",
     "reward_quadctrl",
-    "x_position",
-    "y_position",
     "height",
-    "distance_from_origin",
-    "x_velocity",
-    "y_velocity",
     "obstacles_passed",
     "fell",
+    *TRAVEL,
 )
 
 
@@ -41,10 +38,7 @@ class Corridor(Body):
     def __init__(self, options: CorridorOptions, build_engine: EngineBuilder) -> None:
         model = corridor_model(options)
         accelerated = SolverSettings(
-            iterations=options.iterations,
-            ls_iterations=options.ls_iterations,
-            implicit_damping=True,
-            solver=options.solver,
+            options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
         hidden = 2 if options.exclude_current_positions_from_observation else 0
         super().__init__(
@@ -70,32 +64,28 @@ class Corridor(Body):
         options = self._options
         physics = self.engine.step(state.physics, action)
         before, after = self._centre_of_mass(state.physics), self._centre_of_mass(physics)
-        velocity = (after - before) / self.dt
+        velocity = terms.velocity(before, after, self.dt)
         height = physics.derived["xpos"][self.tracked_body, 2]
         forward = options.forward_reward_weight * velocity[0]
         distance = options.distance_reward_weight * velocity[0] * self.dt
-        healthy = height_is_healthy(height, options.healthy_range)
-        # Where being unhealthy ends the episode, the step that ends it still earns its reward (as in Brax).
-        alive = options.healthy_reward * (jnp.ones(()) if options.terminate_when_unhealthy else healthy)
-        effort = options.ctrl_cost_weight * jnp.sum(jnp.square(action))
+        healthy = terms.height_range(height, options.healthy_range)
+        survives, ended = terms.survival(healthy, terminates=options.terminate_when_unhealthy)
+        alive = options.healthy_reward * survives
+        effort = options.ctrl_cost_weight * terms.control_cost(action)
         fell = jnp.where(height < _GROUND_M, 1.0, 0.0)
-        done = jnp.maximum(fell, 1.0 - healthy) if options.terminate_when_unhealthy else fell
         metrics = {
             "forward_reward": forward,
             "reward_linvel": forward,
             "distance_reward": distance,
             "reward_alive": alive,
             "reward_quadctrl": -effort,
-            "x_position": after[0],
-            "y_position": after[1],
             "height": height,
-            "distance_from_origin": jnp.linalg.norm(after),
-            "x_velocity": velocity[0],
-            "y_velocity": velocity[1],
+            **travel(after, velocity),
             "obstacles_passed": self._num_behind(after[0]) - self._num_behind(before[0]),
             "fell": jnp.maximum(fell, 1.0 - healthy),
         }
         reward = forward + distance + alive - effort
+        done = jnp.maximum(fell, ended)
         return State(physics, self._observe(physics), reward, done, metrics, state.info)
 
     def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:

@@ -1,13 +1,13 @@
 """The corridor's row in the catalog, and how its options change it."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from core.environments.corridor.walkers import WALKERS, Arena, Walker
 from core.environments.info import Device, EnvironmentInfo
-from core.environments.options import NoiseScale, Range, Weight
+from core.environments.options import Range, RunnerOptions, Weight
 from core.model import Strict
 
 # How long dm_control makes the first platform, in metres, and how far in front of the first wall it leaves.
@@ -29,8 +29,8 @@ Drawn = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_not_
 """[low, high] in metres: each length is drawn uniformly between them."""
 
 
-class CorridorOptions(Strict):
-    """Who walks, where, what it earns, and the physics."""
+class _Place(Strict):
+    """Who walks, and where."""
 
     walker: Walker = Field("ant", description="`humanoid` is dm_control's CMU humanoid (2020).")
     arena: Arena = Field("gaps", description="Platforms with gaps, walls from both sides, or neither.")
@@ -43,26 +43,20 @@ class CorridorOptions(Strict):
     wall_height: float = Field(2.0, gt=0, le=10, description="Of `walls`, in metres.")
     arena_seed: int = Field(123456, ge=0, lt=2**32, description="The lengths are drawn from it alone.")
     start_x: float = Field(5.0, ge=0, description="Where it begins; the first platform ends at 6 m.")
-    forward_reward_weight: Weight = Field(5.0, description="Reward for each metre per second in +x.")
+
+
+class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's fields come first.
+    """Who walks, where, what it earns, and the physics."""
+
     distance_reward_weight: Weight = Field(5.0, description="Reward for each metre in +x.")
-    healthy_reward: Weight = Field(0.5, description="Reward for each step.")
-    ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
     terminate_when_unhealthy: bool = Field(
         True, description="Otherwise it costs the healthy reward. A fall below the ground always ends it."
     )
     healthy_z_range: Range | None = Field(
         None, description="Healthy heights of the trunk, in metres; null: what fits the walker."
     )
-    reset_noise_scale: NoiseScale = Field(1e-2, description="Of the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
     episode_length: int = Field(1000, ge=1, le=100_000, description="Actions until an episode is cut off.")
-    n_frames: int = Field(5, ge=1, le=50, description="Physics steps for each action.")
-    timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds of a physics step.")
-    solver: Literal["newton", "cg"] = Field("newton", description="On mjx and warp; native keeps Newton.")
-    iterations: int = Field(
-        4, ge=1, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
-    )
-    ls_iterations: int = Field(8, ge=1, le=100, description="Of its line search, on mjx and warp.")
 
     @property
     def healthy_range(self) -> tuple[float, float]:
@@ -140,9 +134,7 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
         "tracked_body": walker.trunk,
         "cameras": walker.cameras,
         "cannot_run": _cannot_run(options),
-        "tuned": {
-            "ppo": {device: {**settings, **length} for device, settings in TUNED[options.walker].items()}
-        },
+        "tuned": {"ppo": {device: {**settings, **length} for device, settings in _TUNED.items()}},
     }
 
 
@@ -168,15 +160,8 @@ _CPU = {
     "reward_scaling": 0.1,
     "normalize_observations": True,
 }
-_GPU = {**_CPU, "num_timesteps": 30_000_000, "num_envs": 2048, "batch_size": 512}
-TUNED: Mapping[Walker, Mapping[Device, Mapping[str, Any]]] = {
-    "ant": {
-        "cpu": _CPU,
-        "gpu": _GPU,
-    },
-    "rodent": {"cpu": _CPU, "gpu": _GPU},
-    "humanoid": {"cpu": _CPU, "gpu": _GPU},
-}
+_GPU = {**_CPU, "num_timesteps": 30_000_000, "num_evals": 3, "num_envs": 2048, "batch_size": 512}
+_TUNED: Mapping[Device, Mapping[str, Any]] = {"cpu": _CPU, "gpu": _GPU}
 
 INFO = EnvironmentInfo(
     id="corridor",

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from core.environments import terms
 from core.environments.body import Body, noisy_start
 from core.environments.environment import State
 from core.environments.half_cheetah.info import HalfCheetahOptions
@@ -41,9 +42,9 @@ class HalfCheetah(Body):
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
-        velocity = (physics.qpos[0] - state.physics.qpos[0]) / self.dt
+        velocity = terms.velocity(state.physics.qpos[0], physics.qpos[0], self.dt)
         run = self._options.forward_reward_weight * velocity
-        control = self._options.ctrl_cost_weight * jnp.sum(jnp.square(action))
+        control = self._options.ctrl_cost_weight * terms.control_cost(action)
         metrics = {
             "x_position": physics.qpos[0],
             "x_velocity": velocity,

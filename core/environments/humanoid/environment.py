@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from core.environments.body import Body, height_is_healthy, noisy_start, scaled_to_control
+from core.environments import terms
+from core.environments.body import TRAVEL, Body, noisy_start, scaled_to_control, travel
 from core.environments.environment import State
 from core.environments.humanoid.info import HumanoidOptions
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
@@ -12,17 +13,7 @@ from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 5
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
-_METRICS = (
-    "forward_reward",
-    "reward_linvel",
-    "reward_quadctrl",
-    "reward_alive",
-    "x_position",
-    "y_position",
-    "distance_from_origin",
-    "x_velocity",
-    "y_velocity",
-)
+_METRICS = ("forward_reward", "reward_linvel", "reward_quadctrl", "reward_alive", *TRAVEL)
 
 
 def make(options: HumanoidOptions, build_engine: EngineBuilder) -> "Humanoid":
@@ -60,24 +51,19 @@ class Humanoid(Body):
         control = scaled_to_control(self.model, action)
         physics = self.engine.step(state.physics, control)
         position = self._centre_of_mass(physics)
-        velocity = (position - self._centre_of_mass(state.physics)) / self.dt
+        velocity = terms.velocity(self._centre_of_mass(state.physics), position, self.dt)
         forward = options.forward_reward_weight * velocity[0]
-        healthy = height_is_healthy(physics.qpos[2], options.healthy_z_range)
-        # Where being unhealthy ends the episode, the step that ends it still earns its reward (as in Brax).
-        alive = options.healthy_reward * (jnp.ones(()) if options.terminate_when_unhealthy else healthy)
-        effort = options.ctrl_cost_weight * jnp.sum(jnp.square(control))
+        healthy = terms.height_range(physics.qpos[2], options.healthy_z_range)
+        survives, done = terms.survival(healthy, terminates=options.terminate_when_unhealthy)
+        alive = options.healthy_reward * survives
+        effort = options.ctrl_cost_weight * terms.control_cost(control)
         metrics = {
             "forward_reward": forward,
             "reward_linvel": forward,
             "reward_quadctrl": -effort,
             "reward_alive": alive,
-            "x_position": position[0],
-            "y_position": position[1],
-            "distance_from_origin": jnp.linalg.norm(position),
-            "x_velocity": velocity[0],
-            "y_velocity": velocity[1],
+            **travel(position, velocity),
         }
-        done = 1.0 - healthy if options.terminate_when_unhealthy else jnp.zeros(())
         return State(physics, self._observe(physics), forward + alive - effort, done, metrics, state.info)
 
     def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:

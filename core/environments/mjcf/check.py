@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Kind
-from core.environments.mjcf.vocabulary import Activation, Qpos, Reset, Sensors
+from core.environments.mjcf.vocabulary.observations import Activation, Qpos, Sensors
+from core.environments.mjcf.vocabulary.reset import Reset
 from core.errors import Problem
 from core.model import Strict
 

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments.body import Body
+from core.environments import terms
+from core.environments.body import Body, noisy_start, scaled_to_control
 from core.environments.environment import State
 from core.environments.mjcf import binding
 from core.environments.mjcf.check import problems
@@ -17,17 +18,9 @@ from core.environments.mjcf.info import MjcfOptions, metric_names
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
 from core.environments.mjcf.moment import Moment, Parts
-from core.environments.mjcf.vocabulary import (
-    Alive,
-    ControlCost,
-    ForwardVelocity,
-    ObservationTerm,
-    OutsideHeightRange,
-    Qpos,
-    Qvel,
-    RewardTerm,
-    TerminationTerm,
-)
+from core.environments.mjcf.vocabulary.observations import ObservationTerm, Qpos, Qvel
+from core.environments.mjcf.vocabulary.rewards import Alive, ControlCost, ForwardVelocity, RewardTerm
+from core.environments.mjcf.vocabulary.terminations import OutsideHeightRange, TerminationTerm
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import initial_qpos
@@ -66,10 +59,10 @@ class Mjcf(Body):
     ) -> None:
         root = model.body(options.root).id if options.root else root_of(model)
         named = Parts(model, root)
-        terms = options.reward or _default_reward()
-        self._names = metric_names(terms)
-        self._weights = [binding.sign(term) * term.weight for term in terms]
-        self._rewards = [binding.reward(term, named) for term in terms]
+        paid = options.reward or _default_reward()
+        self._names = metric_names(paid)
+        self._weights = [term.sign * term.weight for term in paid]
+        self._rewards = [binding.reward(term, named) for term in paid]
         self._seen = [binding.observation(term, named) for term in options.observation or _default_seen()]
         start = _start(model, options)
         height = height_of(model, start, root)
@@ -87,21 +80,17 @@ class Mjcf(Body):
         super().__init__(model, engine, num_substeps=num_substeps, observation_size=0, tracked_body=root)
         self.initial_qpos = jnp.asarray(start, jnp.float32)
         self._reset = options.reset
-        self._low, self._high = _control_range(model)
         self.observation_size = jax.eval_shape(self.reset, jax.random.key(0)).obs.shape[0]
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
-        key_position, key_velocity = jax.random.split(key)
-        noise, nv = self._reset.position_noise, self.model.nv
-        qpos = self.initial_qpos + jax.random.uniform(
-            key_position, (self.model.nq,), minval=-noise, maxval=noise
+        physics = noisy_start(
+            self,
+            key,
+            model,
+            self._reset.position_noise,
+            velocity_scale=self._reset.velocity_noise,
+            normal_velocity=self._reset.velocity_distribution == "normal",
         )
-        scale = self._reset.velocity_noise
-        if self._reset.velocity_distribution == "normal":
-            qvel = scale * jax.random.normal(key_velocity, (nv,))
-        else:
-            qvel = jax.random.uniform(key_velocity, (nv,), minval=-scale, maxval=scale)
-        physics = self.engine.reset(qpos, qvel, model)
         nothing, zero = jnp.zeros(self.action_size), jnp.zeros(())
         moment = Moment(physics, physics, nothing, nothing, self.dt)
         info = {"previous_action": nothing, "start": self._position(physics)}
@@ -109,7 +98,7 @@ class Mjcf(Body):
         return State(physics, self._observe(moment), zero, zero, metrics, info)
 
     def step(self, state: State, action: jax.Array) -> State:
-        physics = self.engine.step(state.physics, self._control(action))
+        physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
         moment = Moment(state.physics, physics, action, state.info["previous_action"], self.dt)
         earned = [
             weight * term.measure(moment) for weight, term in zip(self._weights, self._rewards, strict=True)
@@ -123,14 +112,11 @@ class Mjcf(Body):
     def _observe(self, moment: Moment) -> jax.Array:
         return jnp.concatenate([term.measure(moment) for term in self._seen])
 
-    def _control(self, action: jax.Array) -> jax.Array:
-        return self._low + (action + 1.0) * (self._high - self._low) * 0.5
-
     def _of_the_body(self, state: State, physics: PhysicsState) -> dict[str, jax.Array]:
         """Where the root is and how fast it goes: m, m/s."""
         position = self._position(physics)
-        velocity = (position - self._position(state.physics)) / self.dt
-        distance = jnp.linalg.norm((position - state.info["start"])[:2])
+        velocity = terms.velocity(self._position(state.physics), position, self.dt)
+        distance = terms.distance(position[:2], state.info["start"][:2])
         values = (position[0], position[1], position[2], velocity[0], velocity[1], distance)
         return dict(zip(_OF_THE_BODY, values, strict=True))
 
@@ -155,10 +141,3 @@ def _start(model: mujoco.MjModel, options: MjcfOptions) -> np.ndarray:
     if reset.qpos is not None:
         return np.array(reset.qpos)
     return initial_qpos(model) if reset.keyframe is None else np.array(model.key(reset.keyframe).qpos)
-
-
-def _control_range(model: mujoco.MjModel) -> tuple[jax.Array, jax.Array]:
-    """Lowest and highest control [nu]; -1 and 1 where an actuator has no range."""
-    limited = model.actuator_ctrllimited.astype(bool)
-    low, high = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]])
-    return jnp.asarray(low, jnp.float32), jnp.asarray(high, jnp.float32)

@@ -5,7 +5,11 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from core.environments.info import EnvironmentInfo
-from core.environments.mjcf.vocabulary import Name, ObservationTerm, Reset, RewardTerm, TerminationTerm
+from core.environments.mjcf.vocabulary.observations import ObservationTerm
+from core.environments.mjcf.vocabulary.parts import Name
+from core.environments.mjcf.vocabulary.reset import Reset
+from core.environments.mjcf.vocabulary.rewards import RewardTerm
+from core.environments.mjcf.vocabulary.terminations import TerminationTerm
 from core.model import Strict
 
 ModelId = Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$", description="What `POST /models` answered.")]
@@ -91,6 +95,7 @@ INFO = EnvironmentInfo(
             },
             "gpu": {
                 "num_timesteps": 50_000_000,
+                "num_evals": 3,
                 "num_envs": 2048,
                 "unroll_length": 10,
                 "batch_size": 512,

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from core.environments import terms
 from core.environments.body import Body
 from core.environments.environment import State
 from core.environments.info import NoOptions
@@ -51,17 +52,19 @@ class Reacher(Body):
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
-        distance = jnp.linalg.norm(self._tip_to_target(physics))
-        control = jnp.sum(jnp.square(action))
+        distance = terms.distance(self._tip(physics), self._target_position(physics))
+        control = terms.control_cost(action)
         metrics = {"reward_dist": -distance, "reward_ctrl": -control}
         return State(physics, self._observe(physics), -distance - control, jnp.zeros(()), metrics, state.info)
 
-    def _tip_to_target(self, physics: PhysicsState) -> jax.Array:
-        """[3]: from the target to the tip, whatever Brax calls it."""
-        position, rotation = physics.derived["xpos"], physics.derived["xmat"]
+    def _tip(self, physics: PhysicsState) -> jax.Array:
+        """[3] in metres."""
         link = self._second_link
-        tip = position[link] + rotation[link].reshape(3, 3) @ _TIP
-        return tip - position[self._target]
+        return physics.derived["xpos"][link] + physics.derived["xmat"][link].reshape(3, 3) @ _TIP
+
+    def _target_position(self, physics: PhysicsState) -> jax.Array:
+        """[3] in metres."""
+        return physics.derived["xpos"][self._target]
 
     def _observe(self, physics: PhysicsState) -> jax.Array:
         """Cosines and sines of both joints, target's x and y, tip's velocity in x and y, tip - target."""
@@ -75,9 +78,8 @@ class Reacher(Body):
         centre = physics.derived["subtree_com"][self._base]
         offset = physics.derived["xpos"][self._second_link] - centre + _TIP
         velocity = linear + jnp.cross(angular, offset)
-        return jnp.concatenate(
-            [jnp.cos(angles), jnp.sin(angles), physics.qpos[2:], velocity[:2], self._tip_to_target(physics)]
-        )
+        to_tip = self._tip(physics) - self._target_position(physics)
+        return jnp.concatenate([jnp.cos(angles), jnp.sin(angles), physics.qpos[2:], velocity[:2], to_tip])
 
 
 def _random_target(key: jax.Array) -> jax.Array:

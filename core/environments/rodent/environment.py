@@ -3,25 +3,15 @@
 import jax
 import jax.numpy as jnp
 
-from core.environments.body import Body, height_is_healthy, noisy_start
+from core.environments import terms
+from core.environments.body import TRAVEL, Body, noisy_start, travel
 from core.environments.environment import State
 from core.environments.rodent.info import RodentOptions
 from core.environments.rodent.model import rodent_model
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
-_METRICS = (
-    "forward_reward",
-    "reward_linvel",
-    "reward_quadctrl",
-    "reward_alive",
-    "x_position",
-    "y_position",
-    "height",
-    "distance_from_origin",
-    "x_velocity",
-    "y_velocity",
-)
+_METRICS = ("forward_reward", "reward_linvel", "reward_quadctrl", "reward_alive", "height", *TRAVEL)
 
 
 def make(options: RodentOptions, build_engine: EngineBuilder) -> "Rodent":
@@ -34,12 +24,9 @@ class Rodent(Body):
 
     def __init__(self, options: RodentOptions, build_engine: EngineBuilder) -> None:
         model = rodent_model(options.timestep)
+        # The tail's joints have next to no inertia: without implicit damping they fly apart at once.
         accelerated = SolverSettings(
-            iterations=options.iterations,
-            ls_iterations=options.ls_iterations,
-            # The tail's joints have next to no inertia: without it they fly apart at once.
-            implicit_damping=True,
-            solver=options.solver,
+            options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
         hidden = 2 if options.exclude_current_positions_from_observation else 0
         super().__init__(
@@ -64,26 +51,21 @@ class Rodent(Body):
         options = self._options
         physics = self.engine.step(state.physics, action)
         position = self._centre_of_mass(physics)
-        velocity = (position - self._centre_of_mass(state.physics)) / self.dt
+        velocity = terms.velocity(self._centre_of_mass(state.physics), position, self.dt)
         height = physics.qpos[2]
         forward = options.forward_reward_weight * velocity[0]
-        healthy = height_is_healthy(height, options.healthy_z_range)
-        # Where being unhealthy ends the episode, the step that ends it still earns its reward (as in Brax).
-        alive = options.healthy_reward * (jnp.ones(()) if options.terminate_when_unhealthy else healthy)
-        effort = options.ctrl_cost_weight * jnp.sum(jnp.square(action))
+        healthy = terms.height_range(height, options.healthy_z_range)
+        survives, done = terms.survival(healthy, terminates=options.terminate_when_unhealthy)
+        alive = options.healthy_reward * survives
+        effort = options.ctrl_cost_weight * terms.control_cost(action)
         metrics = {
             "forward_reward": forward,
             "reward_linvel": forward,
             "reward_quadctrl": -effort,
             "reward_alive": alive,
-            "x_position": position[0],
-            "y_position": position[1],
             "height": height,
-            "distance_from_origin": jnp.linalg.norm(position),
-            "x_velocity": velocity[0],
-            "y_velocity": velocity[1],
+            **travel(position, velocity),
         }
-        done = 1.0 - healthy if options.terminate_when_unhealthy else jnp.zeros(())
         return State(physics, self._observe(physics), forward + alive - effort, done, metrics, state.info)
 
     def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:

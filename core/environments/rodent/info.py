@@ -1,35 +1,23 @@
 """The rodent's row in the catalog."""
 
-from typing import Annotated, Literal
-
 from pydantic import Field
 
 from core.environments.info import EnvironmentInfo
-from core.environments.options import NoiseScale, Range, Weight
-from core.model import Strict
-
-# With two iterations of Newton's method the body flies apart, in float64, too.
-Iterations = Annotated[int, Field(ge=3, le=100)]
+from core.environments.options import Range, RunnerOptions
 
 
-class RodentOptions(Strict):
+class RodentOptions(RunnerOptions):
     """What a run may change about the rodent, its reward and its physics."""
 
-    forward_reward_weight: Weight = Field(5.0, description="Reward for each metre per second in +x.")
-    ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
-    healthy_reward: Weight = Field(0.5, description="Reward for each step.")
     terminate_when_unhealthy: bool = Field(False, description="Otherwise it costs the healthy reward.")
     healthy_z_range: Range = Field(
         (0.035, 0.3),
         description="Healthy heights of the torso, in metres: it stands at 0.047, lies at 0.025 to 0.033.",
     )
-    reset_noise_scale: NoiseScale = Field(1e-2, description="Of the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(False, description="Hide x and y.")
-    n_frames: int = Field(5, ge=1, le=50, description="Physics steps for each action.")
-    timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds of a physics step.")
-    solver: Literal["newton", "cg"] = Field("newton", description="On mjx and warp; native keeps Newton.")
-    iterations: Iterations = Field(
-        4, description="Of the solver, on mjx and warp; native goes on to the end."
+    # With two iterations of Newton's method the body flies apart, in float64, too.
+    iterations: int = Field(
+        4, ge=3, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
     )
     ls_iterations: int = Field(8, ge=4, le=100, description="Of its line search, on mjx and warp.")
 

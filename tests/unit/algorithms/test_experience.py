@@ -9,9 +9,10 @@ from brax.training.agents.ppo.losses import compute_ppo_loss
 from brax.training.types import Transition
 
 from core.algorithms.ppo.experience import collect, cut_into_unrolls, summarise
+from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.update import Hyperparameters, Learner, TrainingState
+from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.environment import State
 from core.environments.probes import Probe
 from core.environments.worlds import Worlds

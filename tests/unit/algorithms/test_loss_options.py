@@ -7,9 +7,11 @@ import pytest
 from brax.training.types import Transition
 
 from core.algorithms.ppo.experience import bootstrap_timeouts
+from core.algorithms.ppo.hyperparameters import Hyperparameters
+from core.algorithms.ppo.loss import loss_of
 from core.algorithms.ppo.networks import init_normalizer
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.update import Hyperparameters, Learner
+from core.algorithms.ppo.update import Learner
 from core.environments import probes
 
 SIZES = {
@@ -54,7 +56,8 @@ def test_a_value_that_moves_past_its_bound_earns_nothing_more(bound: float | Non
     learner = Learner(probes.constant_reward(), settings(clipping_epsilon_value=bound))
     params = jax.tree.map(jnp.zeros_like, learner.init(jnp.uint32(0)).params)
     params.value["params"]["hidden_1"]["bias"] += 0.8
-    loss = learner._loss(init_normalizer(1), Hyperparameters.of(learner.settings))
+    networks = learner._networks(normalize=False)
+    loss = loss_of(learner.settings, networks, init_normalizer(1), Hyperparameters.of(learner.settings))
     _, metrics = loss(params, transition(), jax.random.PRNGKey(0))
     assert float(metrics["v_loss"]) == pytest.approx(expected, rel=1e-5)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo
 from core.environments.rollout import Roller, constant_policy, random_policy, trajectory_of, zero_policy
 from core.environments.trajectory import summary
+from core.environments.whereabouts import whereabouts
 from core.physics.choose import engine_builder
 
 NUM_WORLDS = 8
@@ -106,6 +108,23 @@ def test_rollouts_without_a_policy_work_on_every_body(case: Case) -> None:
 def test_a_body_on_its_way_says_how_fast_it_goes(case: Case) -> None:
     state = case.step(fresh(case), some_actions(case))
     assert ("x_velocity" in state.metrics) == (case.info.id in WALKERS | STARS)
+
+
+def test_of_a_body_that_travels_height_and_distance_are_measured(case: Case) -> None:
+    state = case.step(fresh(case), some_actions(case))
+    model, body = case.environment.model, case.environment.tracked_body
+    found = jax.vmap(whereabouts(model, body))(state.physics)
+    wanted = {"height", "distance_from_origin"} if case.info.id in WALKERS | STARS else set()
+    if case.info.id == "inverted_pendulum":  # The cart stays level.
+        wanted = {"distance_from_origin"}
+    assert wanted <= {*found, *state.metrics}
+    data = mujoco.MjData(model)
+    data.qpos[:] = state.physics.qpos[0]
+    mujoco.mj_kinematics(model, data)
+    position = data.xpos[body]
+    expected = {"height": position[2], "distance_from_origin": np.linalg.norm(position)}
+    for name, values in found.items():
+        assert float(values[0]) == pytest.approx(expected[name], abs=1e-5)
 
 
 def test_initial_states_differ_by_key_and_by_nothing_else(case: Case) -> None:

@@ -3,7 +3,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gaitway.plots import learning_curve, series
+from gaitway.plots import _terms, learning_curve, series
 
 ROWS: list[dict[str, Any]] = [
     {"step": 2000, "values": {"eval/episode_reward": 5.0, "eval/forward_speed": 1.0}},
@@ -41,6 +41,14 @@ def test_terms_of_the_reward_that_were_ever_paid_share_a_panel_behind_return_and
     unpaid = [*ROWS, {"step": 1000, "values": {"training/reward_contact": 0.0}}]
     learning_curve(unpaid, tmp_path / "unpaid.png")
     assert size(tmp_path / "unpaid.png") == size(tmp_path / "without.png")
+
+
+def test_every_term_is_drawn_once_whatever_its_name() -> None:
+    measured = {"reward_linvel": 2.0, "forward_reward": 2.0, "distance_reward": 0.1, "episode_reward": 3.0}
+    own = {"reward_alive": 0.5, "reward_upright": 0.5, "reward/pose": 0.2, "reward_contact": 0.0}
+    rows = [{"step": 0, "values": {f"training/{name}": value for name, value in (measured | own).items()}}]
+    # Brax tells of forward speed twice; two terms of a body's own may happen to be equal.
+    assert list(_terms(rows)) == ["alive", "distance", "linvel", "pose", "upright"]
 
 
 def test_a_value_that_was_not_finite_is_left_out() -> None:

@@ -1,0 +1,42 @@
+"""What terms of several kinds say of a model's parts; imports no numerical code."""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+from core.environments.options import Range
+from core.model import Strict
+
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+Names = Annotated[list[Name], Field(min_length=1, max_length=1000)]
+Vector = Annotated[tuple[float, float, float], Field(strict=False)]
+
+
+def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(vector):
+        raise ValueError("must not be [0, 0, 0]")
+    return vector
+
+
+Direction = Annotated[Vector, AfterValidator(_not_zero)]
+
+
+class OfBody(Strict):
+    body: Name | None = Field(default=None, description="By name; null: the root.")
+
+
+class OfBodies(Strict):
+    bodies: Names | None = Field(default=None, description="By name; null: all but the world.")
+
+
+class OfAxis(OfBody):
+    axis: Direction = Field(default=(0.0, 0.0, 1.0), description="In the body's own frame.")
+
+
+class OfHeight(OfBody):
+    range: Range = Field(description="[lowest, highest] in metres above the world's origin.")
+
+
+class OfContact(Strict):
+    geoms: Names = Field(description="By name.")
+    against: Name | None = Field(default=None, description="The geom that counts; null: any.")

@@ -1,0 +1,32 @@
+"""How an episode begins, in a job's words."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from core.environments.mjcf.vocabulary.parts import Name
+from core.environments.options import NoiseScale
+from core.model import Strict
+
+
+class Reset(Strict):
+    """How an episode begins; without anything, as the model says, and with a little noise."""
+
+    keyframe: Name | Annotated[int, Field(ge=0)] | None = Field(
+        default=None,
+        description="By name or number; null: the model's custom numeric `init_qpos`, or `qpos0`.",
+    )
+    qpos: Annotated[list[float], Field(min_length=1, max_length=10_000)] | None = Field(
+        default=None, description="Positions, in MuJoCo's order."
+    )
+    position_noise: NoiseScale = Field(default=0.01, description="Uniform within ± this: m, rad.")
+    velocity_noise: NoiseScale = Field(default=0.01, description="m/s, rad/s.")
+    velocity_distribution: Literal["uniform", "normal"] = Field(
+        default="uniform", description="Uniform within ± velocity_noise, or normal with it as deviation."
+    )
+
+    @model_validator(mode="after")
+    def _begins_once(self) -> Self:
+        if self.keyframe is not None and self.qpos is not None:
+            raise ValueError("give either keyframe or qpos")
+        return self

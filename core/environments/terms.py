@@ -1,0 +1,78 @@
+"""What a body can earn, and for how long: pure functions. Weights are applied elsewhere.
+
+The built-in bodies and those that a job makes of terms (`mjcf`) are made of the same ones. Names and forms
+are those common to locomotion tasks: Brax's and Gymnasium's bodies (forward velocity, alive, control cost),
+legged_gym and MuJoCo Playground (velocity tracking, action rate, energy, joint limits).
+"""
+
+import jax
+import jax.numpy as jnp
+
+
+def velocity(before: jax.Array, after: jax.Array, dt: float) -> jax.Array:
+    """(p' − p) / dt in m/s. before p, after p': in metres, of any shape, which the result has, too."""
+    return (after - before) / dt
+
+
+def forward_velocity(before: jax.Array, after: jax.Array, direction: jax.Array, dt: float) -> jax.Array:
+    """d · (p' − p) / dt in m/s. before p, after p', direction d of length 1: [3]. Returns []."""
+    return jnp.dot(velocity(before, after, dt), direction)
+
+
+def velocity_tracking(moving: jax.Array, wanted: jax.Array, tolerance: float) -> jax.Array:
+    """exp(−‖v − v*‖² / σ²), in (0, 1]. moving v, wanted v*: [2] in m/s; tolerance σ in m/s. Returns []."""
+    return jnp.exp(-jnp.sum(jnp.square(moving - wanted)) / tolerance**2)
+
+
+def upright(rotation: jax.Array, axis: jax.Array) -> jax.Array:
+    """(R a)_z, the cosine of the axis' angle to the vertical. rotation R: [3, 3]; axis a of length 1: [3]."""
+    return jnp.dot(rotation[2], axis)
+
+
+def height_range(height: jax.Array, bounds: tuple[float, float]) -> jax.Array:
+    """1 where low ≤ z ≤ high, otherwise 0; 1 also for NaN. height z: [] in m. Returns []."""
+    low, high = bounds
+    return jnp.where((height < low) | (height > high), 0.0, 1.0)
+
+
+def survival(healthy: jax.Array, *, terminates: bool) -> tuple[jax.Array, jax.Array]:
+    """Whether a step earns the reward for being healthy, and whether it ends the episode: [], 1 or 0 each.
+
+    Where being unhealthy ends the episode, the step that ends it still earns its reward (as in Brax);
+    elsewhere an unhealthy step earns none. healthy: [], 1 or 0.
+    """
+    return (jnp.ones(()), 1.0 - healthy) if terminates else (healthy, jnp.zeros(()))
+
+
+def control_cost(action: jax.Array) -> jax.Array:
+    """Σ a². action a: [nu], each in [-1, 1]. Returns []."""
+    return jnp.sum(jnp.square(action))
+
+
+def energy(force: jax.Array, speed: jax.Array) -> jax.Array:
+    """Σ |τ q̇| in W. force τ: the actuators' on each degree of freedom, speed q̇: [nv]. Returns []."""
+    return jnp.sum(jnp.abs(force * speed))
+
+
+def action_rate(action: jax.Array, previous_action: jax.Array) -> jax.Array:
+    """Σ (aₜ − aₜ₋₁)². Both [nu]. Returns []."""
+    return jnp.sum(jnp.square(action - previous_action))
+
+
+def distance(position: jax.Array, target: jax.Array) -> jax.Array:
+    """‖p − p*‖ in m. position p, target p*: [3]. Returns []."""
+    return jnp.linalg.norm(position - target)
+
+
+def joint_limits(position: jax.Array, low: jax.Array, high: jax.Array, share: float) -> jax.Array:
+    """Σ max(0, |q − m| − s h) in rad or m, with m the middle of a joint's range and h half of its width.
+
+    position q, low, high: [joints]; share s: of the range, free of cost. Returns [].
+    """
+    middle, half = (low + high) / 2, (high - low) / 2
+    return jnp.sum(jnp.maximum(0.0, jnp.abs(position - middle) - share * half))
+
+
+def contact(num_found: jax.Array) -> jax.Array:
+    """How many of the geoms touch. num_found: [geoms], contacts that each has. Returns []."""
+    return jnp.sum(jnp.where(num_found > 0, 1.0, 0.0))

@@ -1,0 +1,53 @@
+"""Where a body is, read off its joints: for measuring, where an environment does not tell it itself."""
+
+from collections.abc import Callable, Mapping
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from core.physics.engine import PhysicsState
+
+_Position = Callable[[PhysicsState], jax.Array]
+
+
+def whereabouts(model: mujoco.MjModel, body: int) -> Callable[[PhysicsState], Mapping[str, jax.Array]]:
+    """How to read the body's `height` and `distance_from_origin`, [] each, in metres.
+
+    The distance is that in space, as in Brax. There is nothing to read of a body that does not travel by
+    joints of its own, and no height of one that stays level.
+    """
+    position, rises = _position(model, body)
+    if position is None:
+        return lambda physics: {}
+
+    def read(physics: PhysicsState) -> Mapping[str, jax.Array]:
+        where = position(physics)
+        found = {"distance_from_origin": jnp.linalg.norm(where)}
+        return found | {"height": where[2]} if rises else found
+
+    return read
+
+
+def _position(model: mujoco.MjModel, body: int) -> tuple[_Position | None, bool]:
+    """How to read where a body is [3], and whether it can rise; None where its joints do not tell."""
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    if count == 0 or model.body_parentid[body] != 0:
+        return None, False
+    start = int(model.jnt_qposadr[first])
+    if model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
+        return lambda physics: physics.qpos[start : start + 3], True
+    # Slides move it along their axes until a hinge turns those that follow.
+    kinds = model.jnt_type[first : first + count]
+    slides = kinds == mujoco.mjtJoint.mjJNT_SLIDE
+    num_slides = int(np.argmin([*slides, False]))
+    turned_about_itself = not model.jnt_pos[first + num_slides : first + count].any()
+    if num_slides == 0 or slides[num_slides:].any() or not turned_about_itself:
+        return None, False
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.body_quat[body])
+    axes = (model.jnt_axis[first : first + num_slides] @ rotation.reshape(3, 3).T).astype(np.float32)
+    end = start + num_slides
+    origin = (model.body_pos[body] - model.qpos0[start:end] @ axes).astype(np.float32)
+    return lambda physics: origin + physics.qpos[start:end] @ axes, bool(axes[:, 2].any())
