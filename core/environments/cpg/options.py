@@ -19,13 +19,16 @@ class GaitOptions(Strict):
 
     frequency_hz: float = Field(default=1.0, ge=0, le=10, description="Strokes per second.")
     sweep: float = Field(
-        default=0.5, ge=0, le=1, description="A rower's amplitude in the plane, of its range."
+        default=0.9, ge=0, le=1, description="A rower's amplitude in the plane, of its range."
     )
     stroke: float = Field(
-        default=0.75, ge=0, le=1, description="A rower's amplitude out of the plane, of its range."
+        default=0.9, ge=0, le=1, description="A rower's amplitude out of the plane, of its range."
     )
     lift: float = Field(
         default=0.75, ge=-1, le=1, description="How far the leading arm is held up, of its range."
+    )
+    lag: float = Field(
+        default=0.44, ge=0, le=0.5, description="How much of a period the stroke is behind the sweep."
     )
 
 
