@@ -17,7 +17,7 @@ _UNSEEN = 1_000_003
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[control steps, seconds of training until then], …]; rewards: [[control steps, mean return of
-    the episodes since], …]; wall_s: from the environment's making to the last event; phases: of it, seconds by
+    the episodes since], …]; wall_s: from the environment's making to the last event; learnt_at: the hour of that; phases: of it, seconds by
     name; control_steps: of all worlds; episodes: made; reached: of the episodes afterwards, the share in which
     the target was reached; arrived_s: the mean of what those took; greedy: each row's best column;
     evaluation_s: of the wall, evaluating."""
@@ -55,13 +55,14 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
                 evaluation_s += metrics["eval/epoch_eval_time"]
             case _:
                 pass
-    wall_s = time.perf_counter() - began
+    wall_s, learnt_at = time.perf_counter() - began, time.time()
     table = read_policy(trainer.policy()).table
     return {
         "training": training,
         "rewards": rewards,
         "phases": phases,
         "wall_s": wall_s,
+        "learnt_at": learnt_at,
         "evaluation_s": evaluation_s,
         "control_steps": trainer.step,
         "episodes": settings.num_updates * settings.num_envs,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.algorithms.q_learning.options import ActionList, ArmActions, ArmRoles, LeadingArm, MapperOptions
-from core.environments.cpg.roles import Role
+from core.environments.cpg.roles import roles_for
 from core.environments.environment import Environment
 from core.errors import JobFailed
 
@@ -42,8 +42,8 @@ def make_mapper(options: MapperOptions, environment: Environment) -> Mapper:
             names = tuple(f"arm {arm} leads" for arm in range(arms))
             readers, mapper = 1, Mapper(arms, lambda choices: leading_arm(choices[0]), names)
         case ArmRoles():
-            names = tuple(role.name.lower() for role in Role)
-            readers, mapper = arms, Mapper(len(Role), _of_the_generator(environment, "of_roles"), names)
+            names = tuple(role.name.lower() for role in roles_for(arms))
+            readers, mapper = arms, Mapper(len(names), _of_the_generator(environment, "of_roles"), names)
     size = jax.eval_shape(mapper.act, jax.ShapeDtypeStruct((readers,), jnp.int32)).shape[0]
     if size != environment.action_size:
         raise JobFailed(

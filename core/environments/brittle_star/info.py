@@ -316,15 +316,16 @@ def _tuned(options: Options) -> Mapping[Device, Mapping[str, Any]]:
     return {"cpu": {**_CPU, **scaling}, "gpu": {**_GPU, **scaling}}
 
 
-# A decision is two strokes of the default gait: what it earns is then its own, and not the change's.
-_DECISION_STEPS = 50
+# A decision is one stroke of the default gait.
+_DECISION_STEPS = 25
 _TABLE: Mapping[str, Any] = {
     "mapper": {"kind": "leading_arm"},
     "num_episodes": 100,
     "decision_steps": _DECISION_STEPS,
-    "learning_rate": 0.1,
-    "discounting": 0.5,
-    "epsilon": {"start": 1.0, "end": 0.1},
+    "learning_rate": 0.05,
+    "discounting": 0.2,
+    "epsilon": {"start": 0.5, "end": 0.1, "shape": "exponential"},
+    "num_evals": 1,
 }
 
 

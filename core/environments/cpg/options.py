@@ -37,9 +37,9 @@ class CPGOptions(Strict):
     the actuators can do: 1 is the end of their range."""
 
     integrator: Literal["rk4", "euler"] = Field(default="rk4", description="Of order 4, or of order 1.")
-    num_steps: int = Field(default=1, ge=1, le=100, description="Integration steps for each control step.")
+    num_steps: int = Field(default=2, ge=1, le=100, description="Integration steps for each control step.")
     coupling_weight: float = Field(
-        default=10.0,
+        default=20.0,
         ge=0,
         le=1000,
         description="How strongly phases follow, per second and unit of amplitude.",

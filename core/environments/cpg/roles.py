@@ -33,6 +33,11 @@ class Role(IntEnum):
     TRAILING = 3
 
 
+def roles_for(num_arms: int) -> tuple[Role, ...]:
+    """Those that a star of so many arms has a use for: nobody trails in one of an odd number."""
+    return tuple(Role)[: 3 + (num_arms % 2 == 0)]
+
+
 @struct.dataclass
 class Gait:
     """How rowers row. frequency in rad/s; in the unit of the output, sweep: the amplitude in the plane,
