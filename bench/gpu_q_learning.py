@@ -13,7 +13,7 @@ _FASTEST = f"{_WORLDS} worlds"
 
 
 def measure(options: Options) -> Result:
-    """As on the CPU, on the engine that `auto` takes; and the rate of many worlds, on this and on `native`."""
+    """As on the CPU, on the engine that `auto` takes; and the rate of many worlds, there and on `native`."""
     device = requests.gpu("gpu_q_learning", options)
     engine = choose("auto", device, "brittle_star", 100).name
     # Two decisions: the rate of a round is that of its steps, however many these are.

@@ -28,7 +28,7 @@ _STEERED = 100
 
 
 def measure(options: Options) -> Result:
-    """Whole runs of a hundred episodes, then the notebook's loop for a while, then other numbers of worlds."""
+    """Whole runs of a hundred episodes, the notebook's loop for a while, and other numbers of worlds."""
     runs = Runs("q_learning", options)
     worlds = (2,) if options.quick else (1, 10, 50)
     runs.make(works(options, "cpu", "native", worlds))
@@ -36,7 +36,7 @@ def measure(options: Options) -> Result:
 
 
 def works(options: Options, device: Device, engine: str, worlds: Sequence[int]) -> list[Work]:
-    """The start with nothing compiled and with everything; tables that learn; the notebook's; other worlds."""
+    """A start with nothing compiled and with everything; tables that learn; the notebook's; other worlds."""
     seeds = range(options.seeds or (1 if options.quick else 3))
 
     def ours(name: str, settings: Mapping[str, Any], *, seed: int = 0, steered: bool = True) -> Work:
@@ -66,7 +66,7 @@ def works(options: Options, device: Device, engine: str, worlds: Sequence[int]) 
     ]
 
 
-def request_of(  # noqa: PLR0913 - all but the first three are named
+def request_of(
     options: Options,
     device: Device,
     engine: str,
@@ -96,14 +96,10 @@ def _notebook(options: Options, device: Device) -> dict[str, Any]:
     return {"steps": steps, "time_limit_s": limit_s, "seed": 0, "device": device}
 
 
-def result(  # noqa: PLR0913 - what differs between the devices
-    name: str, title: str, runs: Runs, options: Options, most_s: float, fastest: str
-) -> Result:
+def result(name: str, title: str, runs: Runs, options: Options, most_s: float, fastest: str) -> Result:
     """fastest: what the rate of training is called; a run of this name has it, the warm one otherwise."""
     done = runs.done
-    tables = {
-        table: [run for key, run in done.items() if key.startswith(f"{table}-")] for table in _TABLES
-    }
+    tables = {table: [run for key, run in done.items() if key.startswith(f"{table}-")] for table in _TABLES}
     return Result(
         name=name,
         title=title,
@@ -178,9 +174,7 @@ def _steering(done: Mapping[str, Run], tables: Mapping[str, list[Run]]) -> list[
 
 
 def _row(name: str, run: Run) -> dict[str, str | int | float | bool | None]:
-    kept = {
-        key: value for key, value in run.items() if isinstance(value, str | int | float | bool | None)
-    }
+    kept = {key: value for key, value in run.items() if isinstance(value, str | int | float | bool | None)}
     listed = {key: str(run[key]) for key in ("training", "rewards", "phases", "greedy") if key in run}
     return {"run": name, **kept, **listed}
 
@@ -209,13 +203,13 @@ def _by_episode(run: Run) -> list[tuple[float, float]]:
 
 _NOTES = (
     "Ours: `brittle_star` with `control: cpg` and the values tuned for it: 100 episodes of 20 s, targets 3 m "
-    "away in directions that are drawn. A control step is one action of one world, ten physics steps of 4 ms; "
-    "the rate is that of the run's second half, its learning included.",
+    "away in directions that are drawn. A control step is one action of one world, ten physics steps of "
+    "4 ms; the rate is that of the run's second half, its learning included.",
     "The notebook's loop: one world of biorobot's MJX environment, a decision in every control step, its "
     "episode and its learning compiled (`bench/notebook_star.py`), with biorobot's one iteration of Newton; "
     "ours solves to the end on `native` and with 4 iterations on `warp`. Its rate is that after the first "
     "call, which compiles, and its episodes are cut short where they would take minutes.",
     f"Targets reached: of {_STEERED} episodes of 20 s from another seed, without exploration; of the learnt "
-    "tables the mean, the least and the greatest over the seeds. Decentralised: each arm reads for itself how "
-    "far the target's sector is and picks its own role, all from one table.",
+    "tables the mean, the least and the greatest over the seeds. Decentralised: each arm reads for itself "
+    "how far the target's sector is and picks its own role, all from one table.",
 )

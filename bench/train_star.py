@@ -16,11 +16,11 @@ _UNSEEN = 1_000_003
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """training: [[control steps, seconds of training until then], …]; rewards: [[control steps, mean return of
-    the episodes since], …]; wall_s: from the environment's making to the last event; learnt_at: the hour of that; phases: of it, seconds by
-    name; control_steps: of all worlds; episodes: made; reached: of the episodes afterwards, the share in which
-    the target was reached; arrived_s: the mean of what those took; greedy: each row's best column;
-    evaluation_s: of the wall, evaluating."""
+    """training: [[control steps, seconds of training until then], …]; rewards: [[control steps, mean return
+    of the episodes since], …]; wall_s: from the environment's making to the last event; learnt_at: the hour
+    of that; evaluation_s: of the wall, evaluating; phases: of it, seconds by name; control_steps: of all
+    worlds; episodes: made; greedy: each row's best column; reached: of the episodes afterwards, the share in
+    which the target was reached; arrived_s: the mean of what those took."""
     import jax
 
     from core.algorithms.q_learning.policy import read_policy

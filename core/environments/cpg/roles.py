@@ -41,8 +41,8 @@ def roles_for(num_arms: int) -> tuple[Role, ...]:
 @struct.dataclass
 class Gait:
     """How rowers row. frequency in rad/s; in the unit of the output, sweep: the amplitude in the plane,
-    stroke: that out of it, lift: how far the leading arm is held up; lag: by how many rad the stroke is behind
-    the sweep, the notebook's by a quarter of a period."""
+    stroke: that out of it, lift: how far the leading arm is held up; lag: by how many rad the stroke is
+    behind the sweep, the notebook's by a quarter of a period."""
 
     frequency: float
     sweep: float
