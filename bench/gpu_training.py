@@ -199,8 +199,8 @@ def _notes(given: Settings, engine: str, num_evals: int, by_seed: dict[str, list
         "The wall is from the call to its return, with tracing, compiling and evaluating, without the import "
         "of JAX. The cold cache is an empty folder, also for Warp's kernels; the warm one is what the same "
         "trainer's cold run left. Both are runs of seed 0.",
-        f"Returns are means over seeds ({seeds}), ± the standard error; that of the difference is the root of "
-        "the sum of both squares. Each seed has one evaluation at the end.",
+        f"Returns are means over seeds ({seeds}), ± the standard error; that of the difference is the root "
+        "of the sum of both squares. Each seed has one evaluation at the end.",
         "Steady: training alone over the second half of the run's reports, of each seed's run from a warm "
         "cache. Warp's own buffers are not in JAX's memory.",
         "Brax's evaluations in the picture have their compilation in them, and ours have not. By default: a "
