@@ -12,8 +12,6 @@ import pytest
 from core.environments import catalog
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo
-from core.environments.rollout import Roller, constant_policy, random_policy, trajectory_of, zero_policy
-from core.environments.trajectory import summary
 from core.environments.whereabouts import whereabouts
 from core.physics.choose import engine_builder
 
@@ -78,31 +76,6 @@ def test_a_step_keeps_the_states_form(case: Case) -> None:
     for one, other in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
         assert (one.shape, one.dtype) == (other.shape, other.dtype) == (one.shape, np.float32)
         assert np.isfinite(other).all()
-
-
-@pytest.mark.slow
-def test_rollouts_without_a_policy_work_on_every_body(case: Case) -> None:
-    size = case.environment.action_size
-    constant = jnp.linspace(-1.0, 1.0, size)
-
-    def act(chosen: jax.Array, observation: jax.Array, key: jax.Array) -> jax.Array:
-        policies = (random_policy(size), zero_policy(size), constant_policy(constant.tolist()))
-        return jnp.stack([policy(observation, key) for policy in policies])[chosen]
-
-    roller = Roller(case.environment, act)  # Compiled once for all three.
-    random, zero, held = (
-        next(roller.episodes(jnp.int32(kind), jax.random.key(0), num_steps=3, num_episodes=1))
-        for kind in range(3)
-    )
-    for episode in (random, zero, held):
-        assert 1 <= episode.num_steps <= 3
-        assert np.isfinite(episode.qpos).all()
-        assert np.isfinite(episode.reward).all()
-    assert -1.0 <= random.action.min() < random.action.max() <= 1.0 or size == 1
-    np.testing.assert_array_equal(zero.action, 0.0)
-    np.testing.assert_allclose(held.action, np.broadcast_to(constant, held.action.shape))
-    trajectory = trajectory_of(case.environment, [random, zero, held], environment=case.info.id)
-    assert summary(trajectory)["num_episodes"] == 3
 
 
 def test_a_body_on_its_way_says_how_fast_it_goes(case: Case) -> None:
