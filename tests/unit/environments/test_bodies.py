@@ -30,9 +30,13 @@ class Case:
     step: Callable[[State, jax.Array], State]
 
 
-def build(environment_id: str, **options: object) -> Case:
+def make(environment_id: str, **options: object) -> Environment:
     info = catalog.find(environment_id)
-    environment = catalog.make(info, catalog.parse_options(info, options), engine_builder("native"))
+    return catalog.make(info, catalog.parse_options(info, options), engine_builder("native"))
+
+
+def build(environment_id: str) -> Case:
+    info, environment = catalog.find(environment_id), make(environment_id)
     return Case(info, environment, jax.jit(jax.vmap(environment.reset)), jax.jit(jax.vmap(environment.step)))
 
 
@@ -118,29 +122,31 @@ def test_a_world_that_breaks_does_not_look_well(case: Case) -> None:
 @pytest.mark.parametrize("environment_id", ["ant", "hopper", "walker2d", "humanoid", "rodent"])
 def test_unhealthy_ends_the_episode_unless_told_otherwise(environment_id: str) -> None:
     nowhere = [10.0, 11.0]  # no torso is at that height, in metres
-    ends = build(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=True)
-    ended = ends.step(fresh(ends), jnp.zeros((NUM_WORLDS, ends.environment.action_size)))
-    np.testing.assert_array_equal(ended.done, 1.0)
-    goes_on = build(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=False)
-    going = goes_on.step(fresh(goes_on), jnp.zeros((NUM_WORLDS, goes_on.environment.action_size)))
-    np.testing.assert_array_equal(going.done, 0.0)
+    ends = make(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=True)
+    # One world and nothing compiled: a step is all that is asked for.
+    begin, action = ends.reset(jax.random.key(0)), jnp.zeros(ends.action_size)
+    ended = ends.step(begin, action)
+    goes_on = make(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=False)
+    going = goes_on.step(begin, action)
+    assert (float(ended.done), float(going.done)) == (1.0, 0.0)
     # Without the end there is no reward for being healthy either: 1 a step, but for two of them.
     healthy_reward = {"humanoid": 5.0, "rodent": 0.5}.get(environment_id, 1.0)
-    np.testing.assert_allclose(ended.reward - going.reward, healthy_reward, rtol=1e-5)
+    assert float(ended.reward - going.reward) == pytest.approx(healthy_reward, rel=1e-5)
 
 
 @pytest.mark.parametrize("environment_id", sorted(WALKERS - {"rodent", "corridor"}))
 def test_hidden_positions_can_be_shown(environment_id: str) -> None:
-    shown = build(environment_id, exclude_current_positions_from_observation=False)
-    state = fresh(shown)
+    shown = make(environment_id, exclude_current_positions_from_observation=False)
+    state = shown.reset(jax.random.key(0))
     hidden = 2 if environment_id in {"ant", "humanoid"} else 1
-    assert state.obs.shape[-1] == shown.environment.observation_size == shown.info.observation_size + hidden
-    np.testing.assert_array_equal(state.obs[:, :1], state.physics.qpos[:, :1])
+    by_default = catalog.find(environment_id).observation_size
+    assert by_default is not None
+    assert state.obs.shape == (shown.observation_size,) == (by_default + hidden,)
+    np.testing.assert_array_equal(state.obs[:1], state.physics.qpos[:1])
 
 
 def test_the_reset_noise_can_be_switched_off() -> None:
-    quiet = build("ant", reset_noise_scale=0.0)
-    state = fresh(quiet)
+    physics = make("ant", reset_noise_scale=0.0).reset(jax.random.key(0)).physics
     # The file's init_qpos: 0.55 m up, standing.
-    np.testing.assert_allclose(state.physics.qpos[:, 2], 0.55)
-    np.testing.assert_array_equal(state.physics.qvel, 0.0)
+    assert float(physics.qpos[2]) == pytest.approx(0.55)
+    np.testing.assert_array_equal(physics.qvel, 0.0)
