@@ -74,4 +74,6 @@ def _lines(found: dict[str, Any]) -> list[str]:
         f"{found['physics_steps_per_second']:,.0f} physics steps/s on one core",
     ]
     lines += [f"{name}: {why or 'runs it'}" for name, why in found["engines"].items()]
+    if not found["complete"]:
+        lines.append("the other engines are being tried: `gaitway models show` says in a moment")
     return [*lines, *found["notes"]]

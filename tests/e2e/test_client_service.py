@@ -177,15 +177,16 @@ def test_the_cli_draws_a_body_from_each_camera_or_from_one(stack: Stack, tmp_pat
     with drawing_worker(stack) as drawn:
         all_of_them = gaitway(stack, "preview", "ant", "-o", str(tmp_path), "--set", "healthy_reward=2")
         one = gaitway(
-            stack, "preview", "ant", "-o", str(tmp_path), "--camera", "0", "--size", "64x48", "--json"
+            stack, "preview", "brax/ant", "-o", str(tmp_path), "--camera", "0", "--size", "64x48", "--json"
         )
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {
         "ant-track.png": b"track",
         "ant-0.png": b"0",
+        "brax-ant-0.png": b"0",
     }
     assert all_of_them.stdout.replace("\n", "").endswith("ant-0.png")
-    assert json.loads(one.stdout) == {"0": str(tmp_path / "ant-0.png")}
-    assert [wanted.options["healthy_reward"] for wanted in drawn] == [2.0, 1.0]
+    assert json.loads(one.stdout) == {"0": str(tmp_path / "brax-ant-0.png")}
+    assert drawn[0].options["healthy_reward"] == 2.0
     assert (drawn[1].width, drawn[1].height) == (64, 48)
     assert gaitway(stack, "preview", "ant", "--size", "big").exit_code == 2
     refused = gaitway(stack, "preview", "ant", "--camera", "nose")

@@ -19,6 +19,12 @@ BOLTED = inventory(
         '<mujoco><worldbody><body name="a"><joint axis="0 1 0"/><geom size="1"/></body></worldbody></mujoco>'
     )
 )
+STAND = inventory(
+    mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="stand"><geom size="1"/><body name="arm"><joint axis="0 1 0"/>'
+        '<geom size="1"/></body></body></worldbody></mujoco>'
+    )
+)
 
 
 def parsed(**given: Any) -> MjcfOptions:
@@ -94,6 +100,15 @@ def test_an_inventory_names_what_is_there() -> None:
             "/observation/0/root_position",
             "'arm' has no free joint",
         ),
+        ({"reward": [{"kind": "forward_velocity"}]}, STAND, "/reward/0/body", "'stand' has no joint"),
+        (
+            {"reward": [{"kind": "velocity_tracking", "velocity": [1, 0], "body": "world"}]},
+            PROBE,
+            "/reward/0/body",
+            "never moves",
+        ),
+        ({"reward": [{"kind": "distance", "target": "ball"}]}, PROBE, "/reward/0/target", "to itself"),
+        ({"reset": {"qpos": [0.0] * 8}}, PROBE, "/reset/qpos/3", "of the joint 'root' is no quaternion"),
         ({"reset": {"qpos": [0.0]}}, PROBE, "/reset/qpos", "8 positions (nq); 1 were given"),
         ({"reset": {"keyframe": "low"}}, PROBE, "/reset/keyframe", "it has 1, among them raised"),
         ({"reset": {"keyframe": 1}}, PROBE, "/reset/keyframe", "no keyframe 1"),
@@ -115,6 +130,9 @@ def test_what_the_model_has_is_no_problem() -> None:
         "reset": {"keyframe": 0},
     }
     assert problems(parsed(**terms), PROBE) == []
+    of_the_arm = {"kind": "forward_velocity", "of": "centre_of_mass"}
+    assert problems(parsed(reward=[of_the_arm, {**of_the_arm, "body": "arm", "name": "b"}]), STAND) == []
+    assert problems(parsed(reset={"qpos": [0, 0, 1, 1, 0, 0, 0, 0]}), PROBE) == []
     assert problems(parsed(), BOLTED) == []
 
 
