@@ -36,31 +36,19 @@ def test_a_step_that_is_always_cut_off_teaches_nothing_unless_it_is_bootstrapped
     assert value(trainer, jnp.zeros(1)) == pytest.approx(0.0, abs=0.05)
 
 
-def test_a_step_that_cuts_off_a_begun_episode_is_bootstrapped_like_any_other() -> None:
+def test_begun_episodes_are_bootstrapped_like_others_and_change_nothing_that_is_told_of_episodes() -> None:
     # As above, with episodes of four actions that began at random: V = 1 + 0.5 V = 2 wherever one is cut off.
-    trainer = small_trainer(
-        probes.unending_reward(),
-        episode_length=4,
-        bootstrap_on_timeout=True,
-        random_initial_episode_length=True,
-    )
-    last_evaluation(trainer.events())
-    assert value(trainer, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
-
-
-def test_begun_episodes_leave_evaluations_and_what_is_told_of_episodes_as_they_are() -> None:
-    trainer = small_trainer(
-        probes.unending_reward(), episode_length=6, epoch_s=0.0, random_initial_episode_length=True
-    )
+    options = {"bootstrap_on_timeout": True, "random_initial_episode_length": True}
+    trainer = small_trainer(probes.unending_reward(), episode_length=4, epoch_s=0.0, **options)
     events = list(trainer.events())
-    # Ends of episodes that had begun before the run are not told; all others have six rewards of 1.
+    assert value(trainer, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
+    assert len(np.unique(read(trainer.checkpoint())[1]["episodes"]["length"])) == 4
+    # Ends of episodes that had begun before the run are not told; all others have four rewards of 1.
     told = [event.metrics for event in events if isinstance(event, Progress)]
-    for name in ("episode_reward", "episode_length"):
-        assert {metrics[f"training/{name}"] for metrics in told} == {6.0}
+    for name in ("training/episode_reward", "training/episode_length"):
+        assert {metrics[name] for metrics in told} == {4.0}
     evaluation = last_evaluation(iter(events))
-    assert (evaluation["eval/episode_reward"], evaluation["eval/avg_episode_length"]) == (6.0, 6.0)
-    length = read(trainer.checkpoint())[1]["episodes"]["length"]
-    assert len(np.unique(length)) == 6
+    assert (evaluation["eval/episode_reward"], evaluation["eval/avg_episode_length"]) == (4.0, 4.0)
 
 
 def test_a_run_with_clipped_values_learns_the_same_value() -> None:
