@@ -14,10 +14,10 @@ from rich.console import Console
 from bench import charts, report
 from bench.result import Options, Result
 
-NAMES = ("physics", "training", "corridor", "service", "models", "video", "demo")
+NAMES = ("physics", "training", "corridor", "q_learning", "service", "models", "video", "demo")
 ON_A_GPU = (
     *("gpu_engines", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
-    *("gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
+    *("gpu_rodent", "gpu_corridor", "gpu_q_learning", "gpu_profile", "gpu_scaling"),
 )
 PAGE, PICTURES = Path("docs/performance.md"), Path("docs/pictures")
 UNFINISHED = 75
@@ -71,6 +71,7 @@ def _arguments() -> argparse.Namespace:
     )
     training.add_argument("--seeds", type=int, metavar="N", help="how many of each")
     given = parser.parse_args()
+    given.names = [name.replace("-", "_") for name in given.names]
     unknown = [name for name in given.names if name not in (*NAMES, *ON_A_GPU)]
     if unknown and given.names != ["report"]:
         parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join((*NAMES, *ON_A_GPU))}.")

@@ -139,7 +139,8 @@ def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) 
     assert job.succeeded, job.message
     assert (job.progress.step, job.progress.total) == (4000, 4000)
     assert job.progress.metrics["training/episodes"] == 80
-    assert {a.role for a in job.artifacts} == KEPT
+    assert {a.role for a in job.artifacts} == KEPT | {"tables"}
+    assert job.artifact("q_table.png") is not None
     assert job.attempts[0].details["hyperparameters"]["indexer"]["kind"] == "observation_grid"
     assert len(client.checkpoints(job.id)) == 5
     names = {name for row in client.metrics(job.id) for name in row.values}

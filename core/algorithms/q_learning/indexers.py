@@ -25,12 +25,14 @@ class Indexer:
     """rows: from what is seen of one world to [num_readers] int32, each below num_states.
 
     A row is -1 where what is seen is not finite. num_readers: 1, or the arms where each reads for itself.
+    names: the rows', for people; empty where their numbers say as much.
     """
 
     needs: tuple[str, ...]
     num_states: int
     num_readers: int
     rows: Callable[[Seen], jax.Array]
+    names: tuple[str, ...] = ()
 
     def look(self, state: State) -> Seen:
         """What the indexer needs of one world's state."""
@@ -44,10 +46,13 @@ class Indexer:
 
 def make_indexer(options: IndexerOptions, num_arms: int) -> Indexer:
     """The indexer that these options name, for a body with so many arms (any number where it has none)."""
+    names = ()
     match options:
         case ArmTowardsTarget():
+            names = tuple(f"target: arm {arm}" for arm in range(num_arms))
             states, readers, rows = num_arms, 1, lambda seen: sector_of_target(seen, num_arms)[None]
         case ArmRole():
+            names = ("target: this arm", *(f"target: {steps} to the left" for steps in range(1, num_arms)))
             states, readers, rows = num_arms, num_arms, lambda seen: steps_to_target(seen, num_arms)
         case DiskPositionGrid(x=x, y=y, cells=cells):
             ranges = np.asarray([x, y], np.float32)
@@ -59,7 +64,7 @@ def make_indexer(options: IndexerOptions, num_arms: int) -> Indexer:
             cells = [component.cells for component in components]
             states, readers = options.num_cells, 1
             rows = lambda seen: cell(seen["observation"][chosen], ranges, cells)[None]  # noqa: E731
-    return Indexer(options.needs, states, readers, rows)
+    return Indexer(options.needs, states, readers, rows, names)
 
 
 def sector_of_target(seen: Seen, num_arms: int) -> jax.Array:

@@ -9,19 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.algorithms.q_learning.options import ActionList, ArmActions, ArmRoles, LeadingArm, MapperOptions
+from core.environments.cpg.roles import roles_for
 from core.environments.environment import Environment
 from core.errors import JobFailed
-
-# Those of `core.environments.cpg.roles`: to lead, to row on the left, to row on the right, to trail.
-NUM_ROLES = 4
 
 
 @dataclass(frozen=True)
 class Mapper:
-    """act: from choices [num_readers] int32, each below num_choices, to an action [action_size]."""
+    """act: from choices [num_readers] int32, each below num_choices, to an action [action_size].
+
+    names: the choices', for people; empty where their numbers say as much.
+    """
 
     num_choices: int
     act: Callable[[jax.Array], jax.Array]
+    names: tuple[str, ...] = ()
 
 
 def make_mapper(options: MapperOptions, environment: Environment) -> Mapper:
@@ -37,9 +39,11 @@ def make_mapper(options: MapperOptions, environment: Environment) -> Mapper:
             readers, mapper = arms, Mapper(len(actions), _one_after_the_other(actions))
         case LeadingArm():
             leading_arm = _of_the_generator(environment, "leading_arm")
-            readers, mapper = 1, Mapper(arms, lambda choices: leading_arm(choices[0]))
+            names = tuple(f"arm {arm} leads" for arm in range(arms))
+            readers, mapper = 1, Mapper(arms, lambda choices: leading_arm(choices[0]), names)
         case ArmRoles():
-            readers, mapper = arms, Mapper(NUM_ROLES, _of_the_generator(environment, "of_roles"))
+            names = tuple(role.name.lower() for role in roles_for(arms))
+            readers, mapper = arms, Mapper(len(names), _of_the_generator(environment, "of_roles"), names)
     size = jax.eval_shape(mapper.act, jax.ShapeDtypeStruct((readers,), jnp.int32)).shape[0]
     if size != environment.action_size:
         raise JobFailed(

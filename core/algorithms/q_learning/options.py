@@ -93,8 +93,8 @@ class LeadingArm(Strict):
 
 
 class ArmRoles(Strict):
-    """A choice of each arm is its role in the central pattern generator: to lead, to row on the left, to row
-    on the right, or to trail."""
+    """A choice of each arm is its role in the central pattern generator: to lead, to row on the left or on
+    the right, and, in a star of an even number of arms, to trail."""
 
     kind: Literal["arm_roles"]
 

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics
@@ -113,6 +114,16 @@ class QLearningTrainer:
         state, agent = self._begun, self._policy_agent
         table, visits = np.asarray(state.table)[agent], np.asarray(state.visits)[agent]
         return write_policy(LearntTable(table, visits, self._facts))
+
+    def tables(self) -> Mapping[str, NDArray[Any]]:
+        """All agents' tables and visits, [agents, rows, columns]; valid between two events."""
+        state, table = self._begun, self._learner.environment.table
+        names = {"state_names": table.indexer.names, "action_names": table.mapper.names}
+        return {
+            "q_table": np.asarray(state.table),
+            "visits": np.asarray(state.visits),
+            **{name: np.array(texts) for name, texts in names.items() if texts},
+        }
 
     @property
     def _begun(self) -> TrainingState:

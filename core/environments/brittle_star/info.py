@@ -56,6 +56,9 @@ OF_THE_TARGET: tuple[TargetObservable, ...] = ("unit_xy_direction_to_target", "x
 # What a State's `info` tells of the target.
 OF_THE_WAY = ("target_position", "xy_direction_to_target", "xy_distance_to_target")
 OF_THE_LIGHT: tuple[LightObservable, ...] = ("segment_light_intake", "disk_light_intake")
+# What engines compute for an observation alone.
+DEAR: tuple[BodyObservable, ...] = ("joint_actuator_force", "actuator_force", "segment_contact")
+_OBSERVED = "What the observation is made of. null: all; under `cpg` all but forces and contacts, which cost."
 
 
 class BrittleStarOptions(Strict):
@@ -92,9 +95,9 @@ class BrittleStarOptions(Strict):
     time_scale: float = Field(2.0, ge=0.25, le=5, description="A physics step is this times 2 ms.")
     simulation_time: float = Field(20.0, gt=0, le=4000, description="Seconds until an episode is cut off.")
     iterations: int = Field(
-        1, ge=1, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
+        4, ge=1, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
     )
-    ls_iterations: int = Field(5, ge=1, le=100, description="Of its line search, on mjx and warp.")
+    ls_iterations: int = Field(8, ge=1, le=100, description="Of its line search, on mjx and warp.")
 
     @property
     def segments(self) -> list[int]:
@@ -176,8 +179,8 @@ class DirectedOptions(BrittleStarOptions):
     target_distance: float = Field(
         3.0, gt=0, description="From the middle of the arena, in metres; the direction is drawn."
     )
-    observables: list[BodyObservable | TargetObservable] = Field(
-        [*OF_THE_BODY, *OF_THE_TARGET], min_length=1, description="What the observation is made of."
+    observables: list[BodyObservable | TargetObservable] | None = Field(
+        None, min_length=1, description=_OBSERVED
     )
 
     @model_validator(mode="after")
@@ -206,9 +209,7 @@ class DirectedOptions(BrittleStarOptions):
 class UndirectedOptions(BrittleStarOptions):
     """Nothing besides."""
 
-    observables: list[BodyObservable] = Field(
-        [*OF_THE_BODY], min_length=1, description="What the observation is made of."
-    )
+    observables: list[BodyObservable] | None = Field(None, min_length=1, description=_OBSERVED)
 
 
 class LightEscapeOptions(BrittleStarOptions):
@@ -218,8 +219,8 @@ class LightEscapeOptions(BrittleStarOptions):
         0, ge=0, le=200, description="Patches of light and shadow along each side of the arena; 0: none."
     )
     light_seed: int = Field(0, ge=0, lt=2**32, description="The patches are drawn from it alone.")
-    observables: list[BodyObservable | LightObservable] = Field(
-        [*OF_THE_BODY, *OF_THE_LIGHT], min_length=1, description="What the observation is made of."
+    observables: list[BodyObservable | LightObservable] | None = Field(
+        None, min_length=1, description=_OBSERVED
     )
 
     @property
@@ -243,7 +244,11 @@ Options = DirectedOptions | UndirectedOptions | LightEscapeOptions
 
 def observed(options: Options) -> list[str]:
     """The names of what is observed, in biorobot's order."""
-    return [name for name in (*OF_THE_BODY, *OF_THE_TARGET, *OF_THE_LIGHT) if name in options.observables]
+    of_the_task = {DirectedOptions: OF_THE_TARGET, LightEscapeOptions: OF_THE_LIGHT}.get(type(options), ())
+    every = (*OF_THE_BODY, *of_the_task)
+    if options.observables is not None:
+        return [name for name in every if name in options.observables]
+    return [name for name in every if options.control == "joints" or name not in DEAR]
 
 
 def _size(observable: str, num_segments: int) -> int:
@@ -273,7 +278,10 @@ def _under(options: Options) -> Mapping[str, Any]:
         "dt": options.dt,
         "episode_length": options.episode_length,
         "cannot_run": _cannot_run(total),
-        "tuned": {"ppo": {device: {**settings, **length} for device, settings in _tuned(options).items()}},
+        "tuned": {
+            "ppo": {device: {**settings, **length} for device, settings in _tuned(options).items()},
+            "q_learning": _tables(options),
+        },
     }
 
 
@@ -306,6 +314,32 @@ _REWARD_SCALING = {DirectedOptions: 100.0, UndirectedOptions: 100.0, LightEscape
 def _tuned(options: Options) -> Mapping[Device, Mapping[str, Any]]:
     scaling = {"reward_scaling": _REWARD_SCALING[type(options)]}
     return {"cpu": {**_CPU, **scaling}, "gpu": {**_GPU, **scaling}}
+
+
+# A decision is one stroke of the default gait.
+_DECISION_STEPS = 25
+_TABLE: Mapping[str, Any] = {
+    "mapper": {"kind": "leading_arm"},
+    "num_episodes": 100,
+    "decision_steps": _DECISION_STEPS,
+    "learning_rate": 0.05,
+    "discounting": 0.2,
+    "epsilon": {"start": 0.5, "end": 0.1, "shape": "exponential"},
+    "num_evals": 1,
+}
+
+
+def _tables(options: Options) -> Mapping[Device, Mapping[str, Any]]:
+    """What a table needs to steer by a pattern generator; nothing where there is none."""
+    if options.control == "joints":
+        return {}
+    towards = isinstance(options, DirectedOptions)
+    settings = {
+        **_TABLE,
+        **({"indexer": {"kind": "arm_towards_target"}} if towards else {}),
+        "decisions_per_episode": math.ceil(options.episode_length / _DECISION_STEPS),
+    }
+    return {"cpu": {**settings, "num_envs": 20}, "gpu": {**settings, "num_envs": 100}}
 
 
 def _row(id: str, task: str, description: str, options: type[Options]) -> EnvironmentInfo:

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from core.environments.brittle_star.compose import composed
-from core.environments.brittle_star.info import DISK, DISK_RADIUS_M, DirectedOptions, Options
+from core.environments.brittle_star.info import DISK, DISK_RADIUS_M, DirectedOptions, Options, observed
 
 # What a picture is fitted to, in metres: the star's surroundings, not the whole arena.
 _EXTENT_M = 4.0
@@ -24,7 +24,7 @@ def star_model(options: Options) -> mujoco.MjModel:
     spec.stat.extent = _EXTENT_M
     for light in spec.lights:  # without, one sees no arm lift
         light.diffuse = [0.6] * 3
-    reads_contacts = "segment_contact" in options.observables
+    reads_contacts = "segment_contact" in observed(options)
     for sensor in list(spec.sensors):
         if sensor.type != mujoco.mjtSensor.mjSENS_TOUCH or not reads_contacts:
             spec.delete(sensor)

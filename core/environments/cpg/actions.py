@@ -76,7 +76,7 @@ class CPGActions(Wrapped):
     def of_roles(self, roles: jax.Array) -> jax.Array:
         """The action [7 num_arms + 1] that has every arm play its role [num_arms]."""
         gait = self.options.gait
-        rowing = Gait(2 * pi * gait.frequency_hz, gait.sweep, gait.stroke, gait.lift)
+        rowing = Gait(2 * pi * gait.frequency_hz, gait.sweep, gait.stroke, gait.lift, 2 * pi * gait.lag)
         return encode(modulation(roles, rowing), self.options)
 
     @property

@@ -19,13 +19,16 @@ class GaitOptions(Strict):
 
     frequency_hz: float = Field(default=1.0, ge=0, le=10, description="Strokes per second.")
     sweep: float = Field(
-        default=0.5, ge=0, le=1, description="A rower's amplitude in the plane, of its range."
+        default=0.9, ge=0, le=1, description="A rower's amplitude in the plane, of its range."
     )
     stroke: float = Field(
-        default=0.75, ge=0, le=1, description="A rower's amplitude out of the plane, of its range."
+        default=0.9, ge=0, le=1, description="A rower's amplitude out of the plane, of its range."
     )
     lift: float = Field(
         default=0.75, ge=-1, le=1, description="How far the leading arm is held up, of its range."
+    )
+    lag: float = Field(
+        default=0.44, ge=0, le=0.5, description="How much of a period the stroke is behind the sweep."
     )
 
 
@@ -34,9 +37,9 @@ class CPGOptions(Strict):
     the actuators can do: 1 is the end of their range."""
 
     integrator: Literal["rk4", "euler"] = Field(default="rk4", description="Of order 4, or of order 1.")
-    num_steps: int = Field(default=1, ge=1, le=100, description="Integration steps for each control step.")
+    num_steps: int = Field(default=2, ge=1, le=100, description="Integration steps for each control step.")
     coupling_weight: float = Field(
-        default=10.0,
+        default=20.0,
         ge=0,
         le=1000,
         description="How strongly phases follow, per second and unit of amplitude.",

@@ -1,6 +1,6 @@
 """Rowing: what each arm does for the star to move in the direction of one of them.
 
-The leading arm is held up. The arms beside it row: they sweep in the plane, and a quarter of a period apart
+The leading arm is held up. The arms beside it row: they sweep in the plane, and some part of a period later
 move up and down, so that they sweep back on the ground and forward above it, both sides in step. An arm
 right opposite the leading one, which there is in a star of an even number, trails: it moves up and down with
 the others, and does not sweep. So it passes the rhythm on from one side to the other; were it still, nothing
@@ -33,24 +33,28 @@ class Role(IntEnum):
     TRAILING = 3
 
 
+def roles_for(num_arms: int) -> tuple[Role, ...]:
+    """Those that a star of so many arms has a use for: nobody trails in one of an odd number."""
+    return tuple(Role)[: 3 + (num_arms % 2 == 0)]
+
+
 @struct.dataclass
 class Gait:
     """How rowers row. frequency in rad/s; in the unit of the output, sweep: the amplitude in the plane,
-    stroke: that out of it, lift: how far the leading arm is held up."""
+    stroke: that out of it, lift: how far the leading arm is held up; lag: by how many rad the stroke is
+    behind the sweep, the notebook's by a quarter of a period."""
 
     frequency: float
     sweep: float
     stroke: float
     lift: float
+    lag: float = np.pi / 2
 
 
 # By role: whether an arm moves in the plane, whether out of it, and whether it is held up.
 _SWEEPS = np.array([0, 1, 1, 0], np.float32)
 _STROKES = np.array([0, 1, 1, 1], np.float32)
 _IS_UP = np.array([1, 0, 0, 0], np.float32)
-_QUARTER = np.pi / 2
-# By how much an arm's movement out of the plane is ahead of the one in it.
-_WITHIN = np.array([0, -_QUARTER, _QUARTER, 0], np.float32)
 
 
 def _between(**ahead: float) -> NDArray[np.float32]:
@@ -91,15 +95,18 @@ def modulation(roles: jax.Array, gait: Gait) -> Modulation:
         amplitudes=_alternating(gait.sweep * in_plane, gait.stroke * out_of_plane),
         offsets=_alternating(zeros, gait.lift * offset),
         frequencies=jnp.broadcast_to(jnp.asarray(gait.frequency)[..., None], (*roles.shape[:-1], 1)),
-        phase_biases=star.between_all(_biases(roles)),
+        phase_biases=star.between_all(_biases(roles, gait.lag)),
     )
 
 
-def _biases(roles: jax.Array) -> jax.Array:
+def _biases(roles: jax.Array, lag: jax.Array | float) -> jax.Array:
     """[..., 3 num_arms]: in the order of the edges."""
+    # The right side sweeps half a period from the left, and strokes in step with it.
+    left, right = (roles == role for role in (Role.LEFT, Role.RIGHT))
+    within = jnp.where(left, -lag, jnp.where(right, np.pi - lag, 0.0))
     following = jnp.roll(roles, -1, axis=-1)
     tables = jnp.asarray(_IN_PLANE)[roles, following], jnp.asarray(_OUT_OF_PLANE)[roles, following]
-    return jnp.concatenate([jnp.asarray(_WITHIN)[roles], *tables], axis=-1)
+    return jnp.concatenate([within, *tables], axis=-1)
 
 
 def _alternating(in_plane: jax.Array, out_of_plane: jax.Array) -> jax.Array:

@@ -14,6 +14,7 @@ from bench.result import Options, Result
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
+    *("q_learning", "gpu_q_learning"),
 )
 SECONDS = {
     "epoch": [0.010],
@@ -31,6 +32,8 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
     ours = module != "bench.train_brax"
     if module == "bench.step_composed":
         return {"rates": [50.0, 40.0, 60.0], "contacts": 769, "rows": 2315, "began_at": 0.0, "process_s": 9.0}
+    if module == "bench.notebook_star":
+        return {"control_steps_per_second": 2.0, "compile_s": 90.0, "began_at": 0.0, "process_s": 9.0}
     reward = request["seed"] if ours else request["seed"] - 1
     return {
         "training": [(50, 0.9), (100, 1.0)],
@@ -52,6 +55,12 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
         "need": {"flops": 1e9, "bytes": 1e6},
         "xla": {"flops": 2e9, "bytes": 3e6},
         "gradient_steps": 3,
+        "learnt_at": 1007.0,
+        "control_steps": 100,
+        "episodes": 10,
+        "reached": 0.9,
+        "arrived_s": 15.0,
+        "greedy": [0, 1],
     }
 
 
@@ -139,6 +148,16 @@ def test_a_warm_start_is_told_from_the_call_and_from_the_process(
     found = figures(measured("training", tmp_path, monkeypatch))
     assert found["warm start, the trainer's call to its first update"] == 3.0
     assert found["warm start, the process's begin to its first update"] == 4.0  # 1004 - 1000
+
+
+def test_a_table_is_compared_with_the_notebooks_loop_and_its_success_with_the_target(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The second half's 50 steps took 0.1 s, and the notebook makes 2 in a second.
+    found = figures(measured("q_learning", tmp_path, monkeypatch))
+    assert found["ours ÷ the notebook's loop"] == pytest.approx(250)
+    assert found["100 episodes, the process's begin to the learnt table, warm"] == 7.0  # 1007 - 1000
+    assert found["targets reached, decentralised"] == pytest.approx(90.0)
 
 
 def test_a_peer_whose_numbers_are_not_finite_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

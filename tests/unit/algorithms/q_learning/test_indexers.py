@@ -89,7 +89,8 @@ def test_a_generator_is_told_which_arm_leads_or_which_roles_there_are_through_wh
     leading = make_mapper(MAPPER.validate_python({"kind": "leading_arm"}), wrapped)
     assert (leading.num_choices, leading.act(jnp.array([3])).tolist()) == (5, [0, 0, 0, 1, 0])
     roles = make_mapper(MAPPER.validate_python({"kind": "arm_roles"}), wrapped)
-    assert (roles.num_choices, roles.act(jnp.array([0, 1, 2, 3, 0])).tolist()) == (4, [0, 0.25, 0.5, 0.75, 0])
+    assert (roles.num_choices, roles.act(jnp.array([0, 1, 2, 2, 0])).tolist()) == (3, [0, 0.25, 0.5, 0.5, 0])
+    assert roles.names == ("leading", "left", "right")  # nobody trails in a star of five
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,14 @@ def test_each_role_has_its_amplitudes_and_offset() -> None:
     np.testing.assert_allclose(pairs[TRAILING], [[0, 0], [0.75, 0]])
 
 
+def test_the_stroke_is_behind_the_sweep_by_the_lag_on_both_sides() -> None:
+    # The right side sweeps as the left one half a period later, and all stroke at once.
+    biases = modulation(roles_under(0, 3), GAIT.replace(lag=2.5)).phase_biases
+    left, right = (biases[2 * arm, 2 * arm + 1] for arm in (1, 2))
+    assert (left, right) == pytest.approx((-2.5, np.pi - 2.5))
+    assert biases[3, 5] == 0.0
+
+
 def lock(played: jax.Array, spread: float = np.pi, seconds: float = 10.0) -> np.ndarray:
     """Phases [2 num_arms] of arms that have long been in these roles."""
     num_arms = len(played)
@@ -86,7 +94,7 @@ def test_every_oscillator_is_coupled_to_three_others() -> None:
 
 def test_an_action_stands_for_a_modulation_and_back() -> None:
     num_arms = 6
-    options = CPGOptions(max_amplitude=0.8, max_offset=0.9, max_frequency_hz=1.5)
+    options = CPGOptions(max_amplitude=0.95, max_offset=0.9, max_frequency_hz=1.5)
     both = jax.jit(lambda action: encode(decode(action, options), options))
     actions = jax.random.uniform(jax.random.key(0), (4, action_size(num_arms)), minval=-1, maxval=1)
     np.testing.assert_allclose(both(actions), actions, atol=1e-6)
@@ -99,9 +107,9 @@ def test_an_action_stands_for_a_modulation_and_back() -> None:
 
 
 def test_the_ends_of_an_action_are_the_bounds() -> None:
-    options = CPGOptions(max_amplitude=0.8, max_offset=0.9, max_frequency_hz=2.0)
+    options = CPGOptions(max_amplitude=0.95, max_offset=0.9, max_frequency_hz=2.0)
     most, least = (decode(sign * jnp.ones(action_size(3)), options) for sign in (1, -1))
-    assert (most.amplitudes[0], most.offsets[0]) == pytest.approx((0.8, 0.9))
+    assert (most.amplitudes[0], most.offsets[0]) == pytest.approx((0.95, 0.9))
     assert (least.amplitudes[0], least.offsets[0]) == pytest.approx((0.0, -0.9))
     assert (most.frequencies[0], least.frequencies[0]) == pytest.approx((4 * np.pi, 0.0))
     assert most.phase_biases[0, 1] == pytest.approx(np.pi)

@@ -1,0 +1,47 @@
+"""A table that steers a brittle star, on a GPU: our Q-learning against the tutorial notebook's own loop."""
+
+from bench import q_learning, requests
+from bench.comparison import rate
+from bench.q_learning import CONTROL_STEPS
+from bench.result import Figure, Options, Result
+from bench.runs import Runs, Work
+from core.physics.availability import choose
+
+_WORLDS = 4096
+_ROUNDS = 4
+_FASTEST = f"{_WORLDS} worlds"
+
+
+def measure(options: Options) -> Result:
+    """As on the CPU, on the engine that `auto` takes; and the rate of many worlds, there and on `native`."""
+    device = requests.gpu("gpu_q_learning", options)
+    engine = choose("auto", device, "brittle_star", 100).name
+    # Two decisions: the rate of a round is that of its steps, however many these are.
+    worlds = 4 if options.quick else _WORLDS
+    many = {"num_envs": worlds, "num_episodes": _ROUNDS * worlds, "decisions_per_episode": 2, "num_evals": 0}
+    rates = [
+        Work(
+            name,
+            "bench.train_star",
+            q_learning.request_of(options, device, by, many, steered=False),
+            about_s=200,
+            cache="many",
+        )
+        for name, by in ((_FASTEST, engine), (f"{_FASTEST}, native", "native"))
+        if name == _FASTEST or by != engine
+    ]
+    first, *others = q_learning.works(options, device, engine, () if options.quick else (10, 100))
+    runs = Runs("gpu_q_learning", options)
+    runs.make([first, *rates, *others])
+    result = q_learning.result(
+        "gpu_q_learning", "A brittle star steered by a table, on a GPU", runs, options, 15.0, _FASTEST
+    )
+    native = runs.done.get(f"{_FASTEST}, native")
+    if native is None:
+        return result
+    figure = Figure(
+        name=f"training, {_FASTEST}, `native` on the host's cores",
+        value=rate(native["training"]),
+        unit=CONTROL_STEPS,
+    )
+    return result.model_copy(update={"figures": [*result.figures, figure]})

@@ -1,0 +1,38 @@
+"""dm_control's ant learns to run through a corridor of platforms with gaps between them.
+
+Start the service with `./run up`, and then this: `.venv/bin/python examples/ant_in_gaps.py`.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from gaitway import Client
+from gaitway.plots import learning_curve
+
+JOB: dict[str, Any] = {
+    "kind": "train",
+    "name": "an ant in gaps",
+    "environment": {
+        "id": "corridor",
+        "options": {"walker": "ant", "arena": "gaps", "gap_length": [0.05, 0.2]},
+    },
+    # What is left out takes the values tuned for this body and the worker's device.
+    "algorithm": {"kind": "ppo", "num_timesteps": 500_000},
+    "video": {"cameras": ["track", "walker/sideon"], "seconds": 10},
+}
+
+
+def main(client: Client, job: dict[str, Any], folder: Path) -> None:
+    """Train, and bring the video, the learning curve and the policy into the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    ended = client.wait(client.submit(job).id)
+    print(f"{ended.status}: {ended.message or ended.reason}")
+    client.video(ended.id, folder / "video.mp4")
+    client.download(ended.id, "policy", folder)
+    rows = [row.model_dump() for row in client.metrics(ended.id)]
+    learning_curve(rows, folder / "curve.png", title=job["name"])
+
+
+if __name__ == "__main__":
+    with Client() as service:
+        main(service, JOB, Path("ant_in_gaps"))
