@@ -38,7 +38,7 @@ def test_the_star_is_trained_by_the_client_and_its_video_table_and_curve_are_bro
         # Of 2 rounds, 4 worlds and 4 decisions of 25 steps none ends early: half an arm's length is not 1 m.
         assert tables["q_table"].shape == (1, 3, 3)
         assert tables["visits"].sum() == 2 * 4 * 4
-        assert tables["action_names"].tolist() == ["arm 0 leads", "arm 1 leads", "arm 2 leads"]
+        assert tables["action_names"].tolist() == ["arm 0", "arm 1", "arm 2"]
     job = next(iter(client.list(limit=1)))
     shown = trajectory.load(client.download(job.id, "trajectory.npz", tmp_path))
     assert shown.episodes[0].action.shape[1] == 7 * 3 + 1

@@ -39,7 +39,7 @@ def make_mapper(options: MapperOptions, environment: Environment) -> Mapper:
             readers, mapper = arms, Mapper(len(actions), _one_after_the_other(actions))
         case LeadingArm():
             leading_arm = _of_the_generator(environment, "leading_arm")
-            names = tuple(f"arm {arm} leads" for arm in range(arms))
+            names = tuple(f"arm {arm}" for arm in range(arms))
             readers, mapper = 1, Mapper(arms, lambda choices: leading_arm(choices[0]), names)
         case ArmRoles():
             names = tuple(role.name.lower() for role in roles_for(arms))

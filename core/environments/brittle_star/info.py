@@ -244,8 +244,12 @@ Options = DirectedOptions | UndirectedOptions | LightEscapeOptions
 
 def observed(options: Options) -> list[str]:
     """The names of what is observed, in biorobot's order."""
-    of_the_task = {DirectedOptions: OF_THE_TARGET, LightEscapeOptions: OF_THE_LIGHT}.get(type(options), ())
-    every = (*OF_THE_BODY, *of_the_task)
+    of_the_task: Mapping[type[Options], tuple[str, ...]] = {
+        DirectedOptions: OF_THE_TARGET,
+        UndirectedOptions: (),
+        LightEscapeOptions: OF_THE_LIGHT,
+    }
+    every = (*OF_THE_BODY, *of_the_task[type(options)])
     if options.observables is not None:
         return [name for name in every if name in options.observables]
     return [name for name in every if options.control == "joints" or name not in DEAR]

@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.ppo.spec import PPOSpec, resolve
+from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.q_learning.spec import QLearningSpec
+from core.algorithms.spec import resolve
 from core.environments import catalog
 from core.environments.brittle_star import compose
 from core.environments.brittle_star.info import (
@@ -112,6 +114,30 @@ def test_a_pattern_generator_may_move_the_joints() -> None:
     lifted = state.physics.qpos[8:13:2]
     assert float(jnp.min(lifted)) > 0.1
     assert float(state.metrics["x_position"]) > 0.02
+
+
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+def test_a_table_needs_nothing_said_to_steer_by_a_pattern_generator(device: Any) -> None:
+    given = environment_options(control="cpg", simulation_time=30.0)
+    settings = resolve(QLearningSpec(), catalog.find("brittle_star").under(given), device)
+    assert settings.indexer is not None
+    assert settings.mapper is not None
+    assert (settings.indexer.kind, settings.mapper.kind) == ("arm_towards_target", "leading_arm")
+    # A decision is one stroke of 1 Hz: 30 s have as many.
+    assert settings.decision_steps * given.dt == pytest.approx(1 / given.cpg.gait.frequency_hz)
+    assert settings.decisions_per_episode == 30
+    with pytest.raises(Rejected, match="Name an `indexer`"):
+        resolve(QLearningSpec(), catalog.find("brittle_star").under(environment_options()), device)
+
+
+def test_who_steers_by_a_pattern_generator_is_shown_no_forces_unless_they_are_named() -> None:
+    info = catalog.find("brittle_star")
+    # Of 25 segments: two forces of a number for each of 50 joints, and a contact for each segment.
+    all_of_it, without = (info.under(environment_options(control=it)) for it in ("joints", "cpg"))
+    assert all_of_it.observation_size is not None
+    assert without.observation_size == all_of_it.observation_size - 2 * 50 - 25
+    named = environment_options(control="cpg", observables=["segment_contact"])
+    assert info.under(named).observation_size == 25
 
 
 def test_its_row_names_what_its_states_tell() -> None:

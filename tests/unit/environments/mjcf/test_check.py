@@ -1,5 +1,7 @@
 """What a job asks for and its model has not got, as the API sees it: from the inventory alone."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -11,8 +13,11 @@ from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory
 from core.errors import Rejected
+from core.jobs.spec import JOB_SPEC, TrainSpec
+from core.models.library import identity
 from tests.unit.environments.mjcf.probe import MODEL, XML
 
+ROOT = Path(__file__).parents[4]
 PROBE = inventory(mujoco.MjModel.from_xml_string(XML.decode()))
 BOLTED = inventory(
     mujoco.MjModel.from_xml_string(
@@ -134,6 +139,17 @@ def test_what_the_model_has_is_no_problem() -> None:
     assert problems(parsed(reward=[of_the_arm, {**of_the_arm, "body": "arm", "name": "b"}]), STAND) == []
     assert problems(parsed(reset={"qpos": [0, 0, 1, 1, 0, 0, 0, 0]}), PROBE) == []
     assert problems(parsed(), BOLTED) == []
+
+
+def test_the_job_of_the_page_fits_the_model_of_the_examples() -> None:
+    file = ROOT / "examples" / "quadruped.xml"
+    page = (ROOT / "docs" / "environments.md").read_text()
+    (job,) = re.findall(r"-d '(\{[^']*" + identity(file.read_bytes()) + r"[^']*\})'", page)
+    spec = JOB_SPEC.validate_json(job)
+    assert isinstance(spec, TrainSpec)
+    model = inventory(mujoco.MjModel.from_xml_path(str(file)))
+    assert problems(parsed(**spec.environment.options), model) == []
+    assert spec.video.camera in model.cameras
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,61 @@
+"""What both algorithms learn on the real star; a small one, so that it takes minutes and not hours."""
+
+from typing import Any
+
+import pytest
+
+from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.ppo.trainer import PPOTrainer
+from core.algorithms.q_learning.spec import QLearningSpec
+from core.algorithms.q_learning.trainer import QLearningTrainer
+from core.algorithms.spec import resolve
+from core.algorithms.trainer import CheckpointReady, Evaluated
+from core.environments import catalog
+from core.environments.environment import Environment
+from core.environments.info import EnvironmentInfo
+from core.physics.choose import engine_builder
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+
+def star(**options: Any) -> tuple[Environment, EnvironmentInfo]:
+    """The environment and its row, under these options."""
+    row = catalog.find("brittle_star")
+    given = catalog.parse_options(row, options)
+    return catalog.make(row, given, engine_builder("native")), row.under(given)
+
+
+def test_a_resumed_table_equals_an_uninterrupted_one_on_the_real_star() -> None:
+    environment, row = star(control="cpg", num_arms=3, num_segments_per_arm=1, simulation_time=4.0)
+    wanted = QLearningSpec(num_episodes=16, num_envs=4, num_eval_envs=2, replay=None)
+    settings = resolve(wanted, row, "cpu")
+
+    def run(resume: bytes | None = None) -> QLearningTrainer:
+        return QLearningTrainer(
+            environment, settings, seed=3, checkpoint_every_steps=settings.env_steps_per_update, resume=resume
+        )
+
+    undisturbed = run()
+    list(undisturbed.events())
+    stopped = run()
+    next(event for event in stopped.events() if isinstance(event, CheckpointReady))
+    assert 0 < stopped.step < stopped.total
+    resumed = run(stopped.checkpoint())
+    list(resumed.events())
+    assert resumed.checkpoint() == undisturbed.checkpoint()
+    assert resumed.policy() == undisturbed.policy()
+
+
+@pytest.mark.parametrize("control", ["joints", "cpg"])
+def test_ppo_makes_the_star_go_to_its_target(control: str) -> None:
+    # Two segments an arm; the target is always in +x, so that what is to be learnt is a gait.
+    environment, row = star(
+        control=control, num_segments_per_arm=2, target_position=[3.0, 0.0], simulation_time=6.0
+    )
+    wanted = PPOSpec(num_timesteps=150_000, num_envs=64, batch_size=64, num_evals=2, num_eval_envs=8)
+    trainer = PPOTrainer(environment, resolve(wanted, row, "cpu"), seed=0, checkpoint_every_steps=None)
+    before, after = (
+        event.metrics["eval/episode_reward"] for event in trainer.events() if isinstance(event, Evaluated)
+    )
+    print(control, before, after)
+    assert after > before + 0.1
