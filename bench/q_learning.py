@@ -59,7 +59,7 @@ def works(options: Options, device: Device, engine: str, worlds: Sequence[int]) 
         *(ours(f"{name}-{seed}", table, seed=seed) for seed in seeds for name, table in _TABLES.items()),
         Work("notebook", "bench.notebook_star", _notebook(options, device), about_s=400),
         *(
-            ours(f"{how}, {number} worlds", {"num_envs": number, "world_updates": how}, steered=False)
+            ours(f"{how}-{number}-worlds", {"num_envs": number, "world_updates": how}, steered=False)
             for number in worlds
             for how in (("mean",) if number == 1 else ("mean", "compound"))
         ),
@@ -109,7 +109,7 @@ def result(name: str, title: str, runs: Runs, options: Options, most_s: float, f
         figures=[*_rates(runs, fastest), *_walls(done, most_s), *_steering(done, tables)],
         rows=[_row(key, run) for key, run in done.items()],
         notes=[*_NOTES, *runs.notes()],
-        pictures=_pictures(name, tables, {key: run for key, run in done.items() if " worlds" in key}),
+        pictures=_pictures(name, tables, {key: run for key, run in done.items() if key.endswith("-worlds")}),
         unfinished=runs.left,
     )
 
