@@ -42,7 +42,12 @@ WORKDIR /source
 
 FROM build AS dependencies
 COPY pyproject.toml uv.lock ./
-RUN python -m uv venv /opt/gaitway
+# What nobody imports here: other packages' tests, and the pitch and the players of dm_control's football.
+RUN python -m uv venv /opt/gaitway \
+    && printf '%s\n' '#!/bin/sh' \
+    "find /opt/gaitway/lib -type d '(' -name tests -o -name SelfTest -o -path '*/locomotion/soccer' ')' \\" \
+    "    -prune -exec rm -r {} +" > /usr/local/bin/slim \
+    && chmod +x /usr/local/bin/slim
 
 FROM dependencies AS dependencies-api
 RUN --mount=type=cache,target=/var/cache/uv \
@@ -51,13 +56,15 @@ RUN --mount=type=cache,target=/var/cache/uv \
 FROM dependencies AS dependencies-worker
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
-    --extra worker --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli
+    --extra worker --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
+    && /usr/local/bin/slim
 
 FROM dependencies AS dependencies-worker-cuda
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
     --extra worker --extra cuda --extra warp \
-    --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli
+    --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
+    && /usr/local/bin/slim
 
 # Apart from the dependencies, so that a change of code makes this small layer anew and nothing else.
 FROM build AS project

@@ -150,8 +150,8 @@ def _notes(engines: dict[str, str], card: Card | None) -> list[str]:
         "negative, because the compiler joins what is timed apart here.",
         "By reckoning: the matrix products of both networks forward and backward on every sample, and bytes "
         "with the minibatch read once and parameters and Adam's moments read and written once. XLA counts "
-        "operations and bytes of its compiled gradient step, what its kernels hand to each other through "
-        "the card's caches included.",
+        "operations and bytes of its compiled gradient step, without the products that it hands to cuBLAS, "
+        "and with what its kernels hand to each other through the card's caches.",
     ]
     if card is not None:
         notes.append(

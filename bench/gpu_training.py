@@ -63,7 +63,7 @@ def compare(plan: Plan, options: Options) -> Result:
         machine=runs.where(),
         figures=[*_walls(runs.done), *_rates(by_seed), *_returns(by_seed), *_shares(runs.done, by_seed)],
         rows=[comparison.row(run_name, run) for run_name, run in runs.done.items()],
-        notes=[*_notes(given, engine, len(seeds), plan.num_evals), *runs.notes()],
+        notes=[*_notes(given, engine, plan.num_evals, by_seed), *runs.notes()],
         pictures=_pictures(name, runs.done, by_seed, plan.environment),
         unfinished=runs.left,
     )
@@ -94,7 +94,7 @@ def _works(
 
     def brax(seed: int, name: str = "", **more: Any) -> Work:
         request = requests.brax(device, environment, "mjx", given, seed=seed, epochs=epochs)
-        return Work(name or f"brax-{seed}", "bench.train_brax", request, about_s=100, cache="brax", **more)
+        return Work(name or f"brax-{seed}", "bench.train_brax", request, about_s=150, cache="brax", **more)
 
     def same(seed: int) -> list[Work]:
         request = requests.brax(device, environment, engine, given, seed=seed, epochs=epochs)
@@ -188,7 +188,8 @@ def _pictures(
     ]
 
 
-def _notes(given: Settings, engine: str, num_seeds: int, num_evals: int) -> list[str]:
+def _notes(given: Settings, engine: str, num_evals: int, by_seed: dict[str, list[Run]]) -> list[str]:
+    seeds = ", ".join(f"{_WHO[who]} {len(runs)}" for who, runs in by_seed.items())
     return [
         f"Ours runs on the engine `{engine}`, which `auto` takes there, Brax on MJX-JAX; both train the same "
         f"environment with Brax's published settings for exactly {given['num_timesteps']:,} steps, with "
@@ -198,7 +199,7 @@ def _notes(given: Settings, engine: str, num_seeds: int, num_evals: int) -> list
         "The wall is from the call to its return, with tracing, compiling and evaluating, without the import "
         "of JAX. The cold cache is an empty folder, also for Warp's kernels; the warm one is what the same "
         "trainer's cold run left. Both are runs of seed 0.",
-        f"Returns are means over {num_seeds} seeds, ± the standard error; that of the difference is the root "
+        f"Returns are means over seeds ({seeds}), ± the standard error; that of the difference is the root "
         "of the sum of both squares. Each seed has one evaluation at the end.",
         "Steady: training alone over the second half of the run's reports, of each seed's run from a warm "
         "cache. Warp's own buffers are not in JAX's memory.",

@@ -1,7 +1,8 @@
 """A job without the service: its training process alone, on a machine that has no stores.
 
-`python -m bench.run_job FOLDER SPEC.json [--gpu]`: the job's files, `metrics.jsonl` and `curve.png` are in
-FOLDER afterwards, and `job.json` with what the process said of itself. The video is drawn as in the service.
+`python -m bench.run_job FOLDER SPEC.json [--gpu]` fills FOLDER as the job goes on, so that one that is cut
+off leaves what there was: the job's files, `metrics.jsonl`, and `job.json` with what the process said of
+itself; `curve.png` comes at the end. The video is drawn as in the service. `bench/jobs` has jobs for a GPU.
 """
 
 import argparse
@@ -35,25 +36,27 @@ def main() -> None:
     # Read beside the messages: a full pipe would stop the process.
     printing = threading.Thread(target=lambda: print(*process.lines(), sep="\n"))
     printing.start()
-    story = _Story(folder, began)
+    story = Story(folder, began)
     for message in process.messages():
         story.take(message)
     printing.join()
-    story.write()
     if isinstance(spec, TrainSpec) and story.rows:
         learning_curve(story.rows, folder / "curve.png", title=arguments.spec.stem)
     raise SystemExit(0 if process.poll(60) == 0 and "failed" not in story.told else 1)
 
 
-class _Story:
-    """What the process says, kept and printed as it comes."""
+class Story:
+    """What the process says, printed and written down as it comes. folder: emptied of an earlier one."""
 
     def __init__(self, folder: Path, began: float) -> None:
         self.rows: list[dict[str, Any]] = []
         self.told: dict[str, Any] = {"phases": {}, "notes": []}
-        self._folder, self._began = folder, began
+        self._metrics, self._job = folder / "metrics.jsonl", folder / "job.json"
+        self._began = began
+        self._metrics.write_text("")
 
     def take(self, message: Message) -> None:
+        """Keep what a message says."""
         wall_s = round(time.perf_counter() - self._began, 2)
         match message:
             case Started(device=device, engine=engine, details=details):
@@ -62,6 +65,8 @@ class _Story:
                 self.told["phases"][name] = seconds
             case Measured(step=step, values=values):
                 self.rows.append({"step": step, "values": values, "wall_s": wall_s})
+                with self._metrics.open("a") as file:
+                    file.write(json.dumps(self.rows[-1]) + "\n")
             case Advanced(step=step, total=total, steps_per_second=rate):
                 self.told |= {"step": step, "total": total}
                 print(f"{wall_s:8.1f} s  {step:,}/{total:,}  {rate or 0:,.0f}/s", flush=True)
@@ -73,12 +78,8 @@ class _Story:
             case Finished():
                 self.told["wall_s"] = wall_s
             case _:
-                pass
-
-    def write(self) -> None:
-        lines = (json.dumps(row) + "\n" for row in self.rows)
-        (self._folder / "metrics.jsonl").write_text("".join(lines))
-        (self._folder / "job.json").write_text(json.dumps(self.told, indent=1, default=str) + "\n")
+                return
+        self._job.write_text(json.dumps(self.told, indent=1, default=str) + "\n")
 
 
 if __name__ == "__main__":

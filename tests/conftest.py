@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import pytest
 import redis
 
@@ -22,6 +23,15 @@ from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
 
 pytest_plugins = ["tests.hypothesis_profiles"]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What a short test compiles runs for moments: a quarter to a third of the suite's time is optimising it.
+
+    In this process alone; what tests start is compiled as users have it.
+    """
+    if "not slow" in config.option.markexpr:
+        jax.config.update("jax_disable_most_optimizations", True)
 
 
 @pytest.fixture(scope="session")

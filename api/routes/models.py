@@ -132,9 +132,12 @@ def _add(body: bytes, media_type: str, service: Service) -> ModelRecord:
 
 
 async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
-    """The record once a worker is done with the model, or as it is when patience ends."""
+    """The record once a worker has said yes or no, or as it is when patience ends.
+
+    Which of the engines can run a good one takes several seconds more: these come with a later look.
+    """
     until = time.monotonic() + _PATIENCE_S
-    while not record.is_settled and time.monotonic() < until and not service.stopping:
+    while record.status == "validating" and time.monotonic() < until and not service.stopping:
         await sleep(_GLANCE_S)
         record = await run_sync(library.find, record.id, service.objects)
     return record

@@ -117,10 +117,14 @@ def rollout(
     return trajectory_of(environment, episodes)
 
 
-def initial_positions(environment: Environment, seed: int) -> NDArray[np.float64]:
-    """Where the first episode of a rollout job with this seed begins: qpos [nq]."""
+def initial_positions(
+    environment: Environment, seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Where the first episode of a rollout job with this seed begins: qpos [nq]; and its target, if any."""
     key = jax.random.fold_in(jax.random.PRNGKey(seed), 0)
-    return np.asarray(jax.jit(environment.reset)(key).physics.qpos, np.float64)
+    state = jax.jit(environment.reset)(key)
+    target = state.info.get(TARGET)
+    return np.asarray(state.physics.qpos, np.float64), None if target is None else np.asarray(target, float)
 
 
 def footage(roller: Roller, parameters: Any, key: jax.Array, *, dt: float, seconds: float) -> list[Episode]:

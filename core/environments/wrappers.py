@@ -50,6 +50,16 @@ def start_episodes(worlds: Worlds, key: jax.Array, num_envs: int, *, keep_first:
     )
 
 
+def begun_at_random(episodes: Episodes, key: jax.Array, *, episode_length: int) -> Episodes:
+    """The same episodes, as if each had already run for a random number of actions below `episode_length`.
+
+    So their ends are spread over time from the first on, and not all at once.
+    Source: `init_at_random_ep_len` of RSL-RL (Rudin et al., Learning to Walk in Minutes, 2022).
+    """
+    length = jax.random.randint(key, episodes.length.shape, 0, episode_length, jnp.int32)
+    return replace(episodes, length=length)
+
+
 def fresh_states(worlds: Worlds, key: jax.Array, num_states: int) -> State:
     """Initial states [num_states, ...], each from a key of its own."""
     return worlds.reset(jax.random.split(key, num_states))

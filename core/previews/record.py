@@ -10,7 +10,7 @@ from core.model import Stored
 from core.rendering.request import RenderFailure
 
 # To be raised with every change of how a scene looks, so that nobody is shown the former one.
-_LOOK = 1
+_LOOK = 2
 
 
 class PreviewRequest(Stored):

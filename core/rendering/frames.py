@@ -7,11 +7,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from core.rendering import floor
 from core.rendering.gl import context_works
-from core.rendering.scene import Floats, View, prepare, quality_of
+from core.rendering.scene import TARGET_BODY, Floats, View, prepare, quality_of
 
-# Who has an episode's target for a body in the model gives it this name.
-TARGET_BODY = "target"
 # A colour behind models that bring no sky.
 _BACKDROP = np.array([0.62, 0.74, 0.87, 1.0], dtype=np.float32)
 
@@ -63,6 +62,8 @@ class MujocoRenderer:
                 # Its shadows are drawn about its position only, and the body walks away from there.
                 direction = np.array(scene.lights[light].dir)
                 scene.lights[light].pos[:] = target - 12 * self._view.radius * direction
+        if self._view.floor is not None:
+            floor.lay(scene, self._view.floor, target, self._view.radius)
         if not self._has_sky:
             self._hang_backdrop(target)
         return self._renderer.render()

@@ -9,11 +9,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from core.rendering import floor
+
 Floats = NDArray[np.float64]
 
+# Who has an episode's target for a body in the model gives it this name.
+TARGET_BODY = "target"
 # Names that software drivers give themselves: Mesa's, Chromium's.
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader")
-_FLOOR_COLOURS = ((0.36, 0.43, 0.52), (0.62, 0.69, 0.77))
+_FLOOR_COLOURS = (floor.DARK, floor.LIGHT)
+# Seen through, so that what has reached it is seen, too. Its size: a share of the body's own.
+_TARGET_COLOUR, _TARGET_SHARE = (0.86, 0.24, 0.18, 0.7), 0.07
 _SKY_COLOURS = ((0.80, 0.88, 0.96), (0.36, 0.54, 0.78))
 
 
@@ -36,6 +42,7 @@ class View:
     """Where the camera `track` stands. azimuth, elevation: degrees; distance, radius: metres.
 
     body: what it follows, or None where the body cannot leave its place; then it looks at `centre`.
+    floor: the height of a floor that is drawn where the model has none, in metres.
     """
 
     azimuth: float
@@ -44,6 +51,7 @@ class View:
     radius: float
     centre: Floats
     body: int | None
+    floor: float | None
 
 
 def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> View:
@@ -62,7 +70,8 @@ def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> View:
     centre = np.array(data.subtree_com[root] if travels else data.xpos[root])
     radius = _radius(model, data, root, centre)
     azimuth, elevation = _angles(model, root)
-    return View(azimuth, elevation, 3.4 * radius, radius, centre, body if travels else None)
+    ground = floor.floor_below(model, root, centre, radius)
+    return View(azimuth, elevation, 3.4 * radius, radius, centre, body if travels else None, ground)
 
 
 def prepare(model: mujoco.MjModel, view: View, quality: Quality, *, width: int, height: int) -> None:
@@ -76,6 +85,7 @@ def prepare(model: mujoco.MjModel, view: View, quality: Quality, *, width: int, 
     model.vis.map.shadowclip = 5.0 * view.radius / model.stat.extent
     _light(model)
     _recolour(model)
+    _mark_target(model, _TARGET_SHARE * view.radius)
 
 
 def _travels(model: mujoco.MjModel, root: int) -> bool:
@@ -127,6 +137,20 @@ def _recolour(model: mujoco.MjModel) -> None:
         elif model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D and _is_grey_checker(flat):
             _remap(flat, *_FLOOR_COLOURS)
             _undim(model, texture)
+    white = (model.geom_rgba[:, :3] > 0.99).all(axis=1) & (model.geom_matid < 0)
+    model.geom_rgba[white & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE), :3] = floor.LIGHT
+
+
+def _mark_target(model: mujoco.MjModel, radius: float) -> None:
+    """Colour a target that looks like a part of what shall reach it, and draw it large enough to be seen."""
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TARGET_BODY)
+    plain = (model.geom_matid < 0) & (model.geom_rgba[:, 3] > 0)
+    own = plain & (model.geom_bodyid == body)
+    others = model.geom_rgba[plain & ~own]
+    for geom in np.flatnonzero(own & (model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)):
+        if (others == model.geom_rgba[geom]).all(axis=1).any():
+            model.geom_rgba[geom] = _TARGET_COLOUR
+            model.geom_size[geom, 0] = max(model.geom_size[geom, 0], radius)
 
 
 def _pixels(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:

@@ -69,9 +69,12 @@ def _lines(found: dict[str, Any]) -> list[str]:
         f"nq {sizes['nq']}, nv {sizes['nv']}, nu {sizes['nu']}",
         f"{has['mass_kg']:.3g} kg, root {has['root']!r}",
         f"bodies: {', '.join(has['bodies'])}",
-        f"joints: {', '.join(joint['name'] for joint in has['joints'])}",
+        f"joints: {', '.join(joint['name'] or 'a ' + joint['type'] for joint in has['joints'])}",
         f"cameras: {', '.join(filter(None, has['cameras'])) or 'none'}",
+        f"keyframes: {', '.join(filter(None, has['keyframes'])) or 'none'}",
         f"{found['physics_steps_per_second']:,.0f} physics steps/s on one core",
     ]
     lines += [f"{name}: {why or 'runs it'}" for name, why in found["engines"].items()]
+    if not found["complete"]:
+        lines.append("the other engines are being tried: `gaitway models show` says in a moment")
     return [*lines, *found["notes"]]

@@ -76,6 +76,16 @@ def test_a_model_is_answered_with_what_is_in_it(stack: Stack) -> None:
     assert stack.http.get("/models").json()["items"] == [document]
 
 
+def test_a_model_that_can_be_used_is_answered_before_each_engine_was_tried(stack: Stack) -> None:
+    described = DESCRIPTION.model_copy(update={"engines": {"native": None}, "complete": False})
+    began = time.monotonic()
+    with worker(stack, status="ready", description=described):
+        answer = send(stack.http)
+    assert time.monotonic() - began < route._PATIENCE_S
+    assert (answer.status_code, answer.headers["retry-after"]) == (201, "2")
+    assert answer.json()["description"]["engines"] == {"native": None}
+
+
 def test_the_same_bytes_are_the_same_model(stack: Stack, model: str) -> None:
     again = send(stack.http)
     assert (again.status_code, again.json()["id"]) == (200, model)

@@ -78,6 +78,29 @@ def test_there_is_a_still_from_each_camera_drawn_once_for_everybody(stack: Stack
     assert len(drawn) == 1
 
 
+@pytest.mark.parametrize(
+    ("environment", "cameras"),
+    [("playground/CheetahRun", ["track", "side", "back"]), ("brax/ant", ["track", 0])],
+)
+def test_an_environment_of_another_package_has_stills_under_its_whole_id(
+    environment: str, cameras: list[str | int], stack: Stack
+) -> None:
+    here = f"/environments/{environment}"
+    with drawing_worker(stack) as drawn:
+        document = stack.http.get(f"{here}/preview").json()
+        last = stack.http.get(f"{here}/preview", params={"camera": str(cameras[-1])})
+        escaped = stack.http.get(f"/environments/{environment.replace('/', '%2F')}/preview")
+    assert (document["environment"], document["links"]["self"]) == (environment, f"{here}/preview")
+    assert [still["camera"] for still in document["stills"]] == cameras
+    assert stack.http.get(document["stills"][-1]["href"]).content == last.content == str(cameras[-1]).encode()
+    assert f"{environment.replace('/', '-')}-{cameras[-1]}.png" in last.headers["content-disposition"]
+    assert escaped.json()["stills"][0]["sha256"] == document["stills"][0]["sha256"]
+    assert len(drawn) == 1
+    # Neither route hides the other.
+    assert stack.http.get(here).json()["id"] == environment
+    assert problem(stack.http.get("/environments/brax/pig/preview"), 404, "environment-not-found")
+
+
 def test_options_and_size_make_other_stills_with_addresses_that_keep_them(stack: Stack) -> None:
     asked = {"options": '{"walker": "rodent"}', "width": 320, "height": 200}
     with drawing_worker(stack) as drawn:

@@ -12,7 +12,10 @@ from core.jobs.status import JobStatus, Reason
 from gaitway import Client, Conflict, NotFound, NotReady, Rejected, WaitTimeout
 from gaitway.cli.main import app
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
+from tests.api.test_models import DESCRIPTION
+from tests.api.test_models import worker as validating_worker
 from tests.api.test_previews import announced, drawing_worker
+from tests.unit.environments.mjcf.probe import XML
 
 __all__ = ["quiet", "server", "stack"]  # fixtures
 
@@ -177,19 +180,35 @@ def test_the_cli_draws_a_body_from_each_camera_or_from_one(stack: Stack, tmp_pat
     with drawing_worker(stack) as drawn:
         all_of_them = gaitway(stack, "preview", "ant", "-o", str(tmp_path), "--set", "healthy_reward=2")
         one = gaitway(
-            stack, "preview", "ant", "-o", str(tmp_path), "--camera", "0", "--size", "64x48", "--json"
+            stack, "preview", "brax/ant", "-o", str(tmp_path), "--camera", "0", "--size", "64x48", "--json"
         )
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {
         "ant-track.png": b"track",
         "ant-0.png": b"0",
+        "brax-ant-0.png": b"0",
     }
     assert all_of_them.stdout.replace("\n", "").endswith("ant-0.png")
-    assert json.loads(one.stdout) == {"0": str(tmp_path / "ant-0.png")}
-    assert [wanted.options["healthy_reward"] for wanted in drawn] == [2.0, 1.0]
+    assert json.loads(one.stdout) == {"0": str(tmp_path / "brax-ant-0.png")}
+    assert drawn[0].options["healthy_reward"] == 2.0
     assert (drawn[1].width, drawn[1].height) == (64, 48)
     assert gaitway(stack, "preview", "ant", "--size", "big").exit_code == 2
     refused = gaitway(stack, "preview", "ant", "--camera", "nose")
     assert (refused.exit_code, "known are track" in refused.stderr) == (2, True)
+
+
+def test_the_cli_brings_a_body_and_shows_what_is_in_it(stack: Stack, tmp_path: Path) -> None:
+    file = tmp_path / "ball.xml"
+    file.write_bytes(XML)
+    found = DESCRIPTION.model_copy(update={"complete": False, "notes": ["It fell 20 m."]})
+    with validating_worker(stack, status="ready", description=found):
+        added = gaitway(stack, "models", "add", str(file)).stdout
+    model = added.split()[0]
+    for said in ("nu 1", "keyframes: raised", "native: runs it", "mjx: Ellipsoids", "being tried", "It fell"):
+        assert said in added
+    assert gaitway(stack, "models", "show", model).stdout == added
+    assert model in gaitway(stack, "models", "list").stdout
+    assert model in gaitway(stack, "models", "delete", model).stdout
+    assert gaitway(stack, "models", "list").stdout == "No models.\n"
 
 
 def test_a_client_waits_for_its_stills_while_workers_are_busy(

@@ -36,6 +36,21 @@ def test_a_step_that_is_always_cut_off_teaches_nothing_unless_it_is_bootstrapped
     assert value(trainer, jnp.zeros(1)) == pytest.approx(0.0, abs=0.05)
 
 
+def test_begun_episodes_are_bootstrapped_like_others_and_change_nothing_that_is_told_of_episodes() -> None:
+    # As above, with episodes of four actions that began at random: V = 1 + 0.5 V = 2 wherever one is cut off.
+    options = {"bootstrap_on_timeout": True, "random_initial_episode_length": True}
+    trainer = small_trainer(probes.unending_reward(), episode_length=4, epoch_s=0.0, **options)
+    events = list(trainer.events())
+    assert value(trainer, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
+    assert len(np.unique(read(trainer.checkpoint())[1]["episodes"]["length"])) == 4
+    # Ends of episodes that had begun before the run are not told; all others have four rewards of 1.
+    told = [event.metrics for event in events if isinstance(event, Progress)]
+    for name in ("training/episode_reward", "training/episode_length"):
+        assert {metrics[name] for metrics in told} == {4.0}
+    evaluation = last_evaluation(iter(events))
+    assert (evaluation["eval/episode_reward"], evaluation["eval/avg_episode_length"]) == (4.0, 4.0)
+
+
 def test_a_run_with_clipped_values_learns_the_same_value() -> None:
     trainer = small_trainer(probes.constant_reward(), clipping_epsilon_value=0.1)
     last_evaluation(trainer.events())
@@ -81,6 +96,8 @@ def test_a_run_with_every_option_resumes_as_if_it_had_not_stopped() -> None:
         "clipping_epsilon_value": 0.2,
         "bootstrap_on_timeout": True,
         "activation": "elu",
+        "random_initial_episode_length": True,
+        "normalize_observations_max_abs_value": 0.5,
     }
     world = probes.observed_action_reward()
     straight = checkpoints(small_trainer(world, epoch_s=1000.0, **options))

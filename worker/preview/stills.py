@@ -26,7 +26,7 @@ def draw(request: PreviewRequest, folder: Path) -> None:
     )
     model = str(folder / "model") if request.model else None
     environment = load_body(Task(job_id="", attempt=0, spec=spec, device="cpu", model=model)).environment
-    qpos = initial_positions(environment, spec.seed)
+    qpos, target = initial_positions(environment, spec.seed)
     view = following_view(environment.model, qpos, environment.tracked_body)
     names = camera_names(environment.model)
     for number, camera in enumerate(request.cameras):
@@ -37,4 +37,4 @@ def draw(request: PreviewRequest, folder: Path) -> None:
             width=request.width,
             height=request.height,
         ) as renderer:
-            write_png(folder / f"{number}.png", renderer.frame(qpos))
+            write_png(folder / f"{number}.png", renderer.frame(qpos, target=target))

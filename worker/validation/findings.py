@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from core.environments.mjcf.describe import height_of, inventory, root_of
+from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
 from core.errors import BadModel
 from core.models.record import Description
@@ -18,6 +19,7 @@ from core.physics.model import initial_qpos
 
 _TRIAL_S, _TRIAL_WALL_S, _STEPS_AT_ONCE = 2.0, 0.5, 20
 _LONGEST_REASON = 300
+_FELL_M = 5.0
 _UNSTABLE = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 _MUST_BE_FINITE = (
     *("actuator_gainprm", "actuator_gear", "body_inertia", "body_mass", "body_pos", "body_quat"),
@@ -34,17 +36,13 @@ def findings(file: Path) -> Iterator[Description]:
         model = compiled(spec)
     _check(model)
     trial = _let_go(model)
-    notes = (
-        []
-        if trial.stable
-        else ["It becomes unstable within 2 s, though nothing acts: try a smaller `timestep`."]
-    )
+    found = inventory(model)
     description = Description(
-        inventory=inventory(model),
+        inventory=found,
         engines={"native": None},
         physics_steps_per_second=trial.steps_per_second,
         settled_height=trial.height,
-        notes=notes,
+        notes=list(_notes(found, trial)),
     )
     yield description
     turns: list[tuple[EngineName, Callable[[mujoco.MjModel], None]]] = [("mjx", _try_mjx)]
@@ -74,6 +72,13 @@ def _check(model: mujoco.MjModel) -> None:
             raise BadModel(f"The model's {name} has a value that is not a finite number.")
     if not model.body_mass.sum() > 0:
         raise BadModel("The model has no mass.")
+
+
+def _notes(found: Inventory, trial: _Trial) -> Iterator[str]:
+    if not trial.stable:
+        yield "It becomes unstable within 2 s, though nothing acts: try a smaller `timestep`."
+    elif found.travels and (fell := found.initial_height - trial.height) > _FELL_M:
+        yield f"It fell {fell:.0f} m within 2 s: there is no floor that it touches."
 
 
 def _let_go(model: mujoco.MjModel) -> _Trial:

@@ -1,6 +1,7 @@
 """Acting: the transitions that one update learns from."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, cast
 
 import jax
@@ -121,6 +122,25 @@ def bootstrap_timeouts(
     return transitions._replace(
         reward=transitions.reward + timeout * worth,
         extras=cast("Any", {**extras, "state_extras": {"truncation": jnp.zeros_like(timeout)}}),
+    )
+
+
+def of_whole_episodes(outcome: Outcome, actions_before: jax.Array) -> Outcome:
+    """The outcome without the ends of episodes that, by their length, began before the run did.
+
+    actions_before: [] int32, how often every environment had acted before.
+    """
+    acted = actions_before + 1 + jnp.arange(len(outcome.reward))[:, None]
+    whole = outcome.ended_length <= acted
+
+    def keep(of_an_end: jax.Array) -> jax.Array:
+        return jnp.where(whole, of_an_end, 0)
+
+    return replace(
+        outcome,
+        ended_length=keep(outcome.ended_length),
+        ended_score=keep(outcome.ended_score),
+        fell=keep(outcome.fell),
     )
 
 

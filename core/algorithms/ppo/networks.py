@@ -1,7 +1,8 @@
 """Brax's networks for this project's settings."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, cast
 
 import jax
@@ -30,11 +31,12 @@ class Design:
     policy_obs_key: str = "state"
     value_obs_key: str = "state"
     action_repeat: int = 1
+    normalize_observations_max_abs_value: float | None = None
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> "Design":
-        """From more facts than these."""
-        return cls(**{name: facts[name] for name in asdict(cls())})
+        """From more facts than these; one that is not told is as by default."""
+        return cls(**{name: facts[name] for name in asdict(cls()) if name in facts})
 
 
 @struct.dataclass
@@ -60,7 +62,7 @@ def make_networks(
 
     Raises ValueError where the observations have names, and none is the one the settings speak of.
     """
-    preprocess: Any = running_statistics.normalize if normalize else identity_observation_preprocessor
+    preprocess: Any = normalization(settings) if normalize else identity_observation_preprocessor
     if isinstance(observation_size, Mapping):
         for key in (settings.policy_obs_key, settings.value_obs_key):
             if key not in observation_size:
@@ -75,6 +77,11 @@ def make_networks(
         policy_obs_key=settings.policy_obs_key,
         value_obs_key=settings.value_obs_key,
     )
+
+
+def normalization(settings: PPOSpec) -> Callable[[Any, RunningStatisticsState], Any]:
+    """(observations, normaliser) -> deviations from the mean, within the settings' bound if they have one."""
+    return partial(running_statistics.normalize, max_abs_value=settings.normalize_observations_max_abs_value)
 
 
 def init_params(networks: PPONetworks, key: jax.Array) -> PPONetworkParams:

@@ -32,6 +32,7 @@ class PPOSpec(BaseSpec):
         "policy_obs_key",
         "value_obs_key",
         "normalize_observations",
+        "normalize_observations_max_abs_value",
         "returns_to_first_state",
     )
 
@@ -52,6 +53,11 @@ class PPOSpec(BaseSpec):
         le=1000,
         description="Environment steps for which an action is held; their rewards add up. Every number "
         "of steps here still counts environment steps, except in unroll_length.",
+    )
+    random_initial_episode_length: bool = Field(
+        default=False,
+        description="Begin the run as if every environment were somewhere in its first episode, so that they "
+        "are not all cut off at once, now and for ever after (RSL-RL's init_at_random_ep_len).",
     )
     reset_pool_size: int = Field(
         default=128,
@@ -106,6 +112,12 @@ class PPOSpec(BaseSpec):
     )
     normalize_observations: bool = Field(
         default=True, description="Show the networks observations with mean 0 and deviation 1."
+    )
+    normalize_observations_max_abs_value: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Bound on normalised observations, in deviations from the mean. null: none, as in Brax.",
     )
     normalize_advantage: bool = True
     num_evals: int = Field(

@@ -21,6 +21,7 @@ from core.algorithms.ppo.experience import (
     bootstrap_timeouts,
     collect,
     cut_into_unrolls,
+    of_whole_episodes,
     summarise,
 )
 from core.algorithms.ppo.failure import Failure, find_failure
@@ -28,11 +29,11 @@ from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.layout import ONE_DEVICE, Layout
 from core.algorithms.ppo.learning_rate import adapt_to_kl
 from core.algorithms.ppo.loss import loss_of
-from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
+from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks, normalization
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment
 from core.environments.worlds import Worlds
-from core.environments.wrappers import Episodes, fresh_states, start_episodes
+from core.environments.wrappers import Episodes, begun_at_random, fresh_states, start_episodes
 
 ADAM = optax.scale_by_adam()
 
@@ -70,19 +71,21 @@ class Learner:
 
     def init(self, seed: jax.Array) -> TrainingState:
         """The state before the first update; seed: [] uint32."""
-        params_key, env_key, key, eval_key = jax.random.split(jax.random.PRNGKey(seed), 4)
+        seed_key = jax.random.PRNGKey(seed)
+        params_key, env_key, key, eval_key = jax.random.split(seed_key, 4)
         params = init_params(self._networks(normalize=True), params_key)
+        episodes = start_episodes(
+            self._worlds, env_key, self.settings.num_envs, keep_first=self.settings.returns_to_first_state
+        )
+        if self.settings.random_initial_episode_length:
+            length_key = jax.random.fold_in(seed_key, 4)  # a fifth, which leaves the other four as they are
+            episodes = begun_at_random(episodes, length_key, episode_length=self.settings.actions_per_episode)
         return TrainingState(
             params=params,
             optimizer=cast("optax.ScaleByAdamState", ADAM.init(cast("Any", params))),
             learning_rate=jnp.float32(0),
             normalizer=init_normalizer(self.environment.observation_size),
-            episodes=start_episodes(
-                self._worlds,
-                env_key,
-                self.settings.num_envs,
-                keep_first=self.settings.returns_to_first_state,
-            ),
+            episodes=episodes,
             key=key,
             eval_key=eval_key,
             num_updates=jnp.int32(0),
@@ -143,9 +146,10 @@ class Learner:
             normalizer = running_statistics.update(normalizer, batch.observation)
             # What the policy said is comparable with what it says now only under the same normaliser.
             seen_by = state.normalizer if self._adapts_to_kl else normalizer
+            normalize = normalization(settings)
             batch = batch._replace(
-                observation=running_statistics.normalize(batch.observation, seen_by),
-                next_observation=running_statistics.normalize(batch.next_observation, seen_by),
+                observation=normalize(batch.observation, seen_by),
+                next_observation=normalize(batch.next_observation, seen_by),
             )
         batch = self.layout.everywhere(batch)  # so that any device can take any part of a minibatch
         (params, optimizer, learning_rate), metrics = self._learn(state, batch, hyperparameters, learn_key)
@@ -159,7 +163,10 @@ class Learner:
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
-        return new, summarise(outcome) | metrics, find_failure(transitions, outcome, metrics, params)
+        failure = find_failure(transitions, outcome, metrics, params)
+        if settings.random_initial_episode_length:
+            outcome = of_whole_episodes(outcome, self._actions_before(state))
+        return new, summarise(outcome) | metrics, failure
 
     @property
     def _worlds(self) -> Worlds:
@@ -173,6 +180,12 @@ class Learner:
     def _values_are_kept(self) -> bool:
         """Whether the loss needs the values at the time of acting."""
         return self.settings.bootstrap_on_timeout or self.settings.clipping_epsilon_value is not None
+
+    def _actions_before(self, state: TrainingState) -> jax.Array:
+        """How often every environment has acted, [] int32; beyond an episode's length it may be fewer."""
+        per_update = self.settings.actions_per_update
+        enough = -(-self.settings.actions_per_episode // per_update)
+        return jnp.minimum(state.num_updates, enough) * per_update
 
     def _starts(self, key: jax.Array) -> Starts | None:
         """Where the episodes of one update begin: made anew from its key, so that no state need hold them."""

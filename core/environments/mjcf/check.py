@@ -7,6 +7,7 @@ from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Kind
 from core.environments.mjcf.vocabulary.observations import Activation, Qpos, Sensors
 from core.environments.mjcf.vocabulary.reset import Reset
+from core.environments.mjcf.vocabulary.rewards import Distance, ForwardVelocity, VelocityTracking
 from core.errors import Problem
 from core.model import Strict
 
@@ -33,6 +34,8 @@ def problems(options: MjcfOptions, model: Inventory) -> list[Problem]:
             found += _of_term(term, f"{_OPTIONS}/{field}/{number}", model)
             if isinstance(term, Qpos) and term.root_position is not None:
                 found += _of_root(options.root or model.root, f"{_OPTIONS}/{field}/{number}", model)
+            if isinstance(term, ForwardVelocity | VelocityTracking | Distance):
+                found += _of_movement(term, options.root or model.root, f"{_OPTIONS}/{field}/{number}", model)
     return [*found, *_of_reset(options.reset, model)]
 
 
@@ -59,6 +62,25 @@ def _of_root(root: str, pointer: str, model: Inventory) -> Iterator[Problem]:
         )
 
 
+def _of_movement(
+    term: ForwardVelocity | VelocityTracking | Distance, root: str, pointer: str, model: Inventory
+) -> Iterator[Problem]:
+    """What would be the same in every step: such a term teaches nothing."""
+    body = term.body or root
+    if isinstance(term, Distance):
+        if term.target == body:
+            yield Problem(f"{pointer}/target", f"The distance of the body {body!r} to itself is always 0.")
+        return
+    bolted = not model.travels and body == model.root and all(joint.body != body for joint in model.joints)
+    centre = isinstance(term, ForwardVelocity) and term.of == "centre_of_mass"
+    if body == "world" or (bolted and not centre):
+        yield Problem(
+            f"{pointer}/body",
+            f"The body {body!r} has no joint, so it never moves: name another body, or give the root a free "
+            "joint.",
+        )
+
+
 def _of_name(name: str | None, pointer: str, kind: Kind, model: Inventory) -> Iterator[Problem]:
     known = model.names(kind)
     if name is None or name in known:
@@ -80,6 +102,12 @@ def _of_reset(reset: Reset, model: Inventory) -> Iterator[Problem]:
             f"{_OPTIONS}/reset/qpos",
             f"The model has {model.sizes.nq} positions (nq); {len(reset.qpos)} were given.",
         )
+    elif reset.qpos is not None:
+        for joint in model.joints:
+            start = {"free": joint.qpos_start + 3, "ball": joint.qpos_start}.get(joint.type)
+            if start is not None and not any(reset.qpos[start : start + 4]):
+                detail = f"The orientation of the joint {joint.name!r} is no quaternion: [0, 0, 0, 0]."
+                yield Problem(f"{_OPTIONS}/reset/qpos/{start}", detail)
     known = model.keyframes
     there = reset.keyframe in known if isinstance(reset.keyframe, str) else (reset.keyframe or 0) < len(known)
     if reset.keyframe is not None and not there:

@@ -99,7 +99,7 @@ INFO = EnvironmentInfo(
                 "num_envs": 2048,
                 "unroll_length": 10,
                 "batch_size": 512,
-                "num_minibatches": 8,
+                "num_minibatches": 32,
                 "num_updates_per_batch": 4,
                 "learning_rate": 3e-4,
                 "discounting": 0.97,

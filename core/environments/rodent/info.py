@@ -9,10 +9,11 @@ from core.environments.options import Range, RunnerOptions
 class RodentOptions(RunnerOptions):
     """What a run may change about the rodent, its reward and its physics."""
 
-    terminate_when_unhealthy: bool = Field(False, description="Otherwise it costs the healthy reward.")
+    terminate_when_unhealthy: bool = Field(True, description="Otherwise it costs the healthy reward.")
     healthy_z_range: Range = Field(
-        (0.035, 0.3),
-        description="Healthy heights of the torso, in metres: it stands at 0.047, lies at 0.025 to 0.033.",
+        (0.03, 0.3),
+        description="Healthy heights of the torso, in metres: it stands at 0.047, runs above 0.033, and has "
+        "fallen below 0.03.",
     )
     exclude_current_positions_from_observation: bool = Field(False, description="Hide x and y.")
     # With two iterations of Newton's method the body flies apart, in float64, too.
@@ -47,6 +48,8 @@ INFO = EnvironmentInfo(
                 "entropy_cost": 1e-3,
                 "reward_scaling": 0.1,
                 "normalize_observations": True,
+                "normalize_observations_max_abs_value": 10.0,
+                "random_initial_episode_length": True,
             },
             "gpu": {
                 "num_timesteps": 30_000_000,
@@ -54,13 +57,15 @@ INFO = EnvironmentInfo(
                 "num_envs": 2048,
                 "unroll_length": 10,
                 "batch_size": 512,
-                "num_minibatches": 8,
+                "num_minibatches": 32,
                 "num_updates_per_batch": 4,
                 "learning_rate": 3e-4,
                 "discounting": 0.98,
                 "entropy_cost": 1e-3,
                 "reward_scaling": 0.1,
                 "normalize_observations": True,
+                "normalize_observations_max_abs_value": 10.0,
+                "random_initial_episode_length": True,
             },
         }
     },

@@ -8,13 +8,13 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import compute_ppo_loss
 from brax.training.types import Transition
 
-from core.algorithms.ppo.experience import collect, cut_into_unrolls, summarise
+from core.algorithms.ppo.experience import Outcome, collect, cut_into_unrolls, of_whole_episodes, summarise
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.environment import State
-from core.environments.probes import Probe
+from core.environments.probes import Probe, endless
 from core.environments.worlds import Worlds
 from core.environments.wrappers import start_episodes
 from core.physics.engine import NOMINAL, ModelFields
@@ -114,6 +114,39 @@ def test_without_a_pool_every_environment_goes_back_to_its_own_start() -> None:
     state = learner.init(jnp.uint32(0))
     after, _ = starts_seen(learner, state)
     np.testing.assert_array_equal(after.episodes.state.obs, state.episodes.state.obs)
+
+
+def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
+    # Three worlds act three times. The first two began with lengths 2 and 1 of 3, and end after one action
+    # and two; the third began with the run, and its end is the only one of a whole episode.
+    ended = jnp.array([[3, 0, 0], [0, 3, 0], [0, 0, 3]])
+    ones = jnp.ones((3, 3))
+    outcome = Outcome(ones, ended, ended * 1.0, jnp.where(ended > 0, 1.0, 0.0), ones, {}, None)
+    told = summarise(of_whole_episodes(outcome, jnp.int32(0)))
+    assert {name: float(told[name]) for name in ("episodes", "score", "length", "falls")} == {
+        **{"episodes": 1.0, "score": 3.0},
+        **{"length": 3.0, "falls": 1.0},
+    }
+    # Once everyone has acted for longer than an episode lasts, all of them are whole.
+    assert float(summarise(of_whole_episodes(outcome, jnp.int32(3)))["episodes"]) == 3.0
+
+
+def test_networks_see_observations_within_the_bound_and_the_normaliser_sees_all() -> None:
+    # The world shows 0, 1, 2 and so on: mean 7.5, deviation ((16² - 1) / 12)^½.
+    sizes = {"num_envs": 2, "batch_size": 2, "num_minibatches": 1, "unroll_length": 16, "episode_length": 99}
+    layers = {"policy_hidden_layer_sizes": [4], "value_hidden_layer_sizes": [4]}
+    bound = {"normalize_observations_max_abs_value": 1e-12}
+    learner = Learner(endless(), PPOSpec.model_validate({**sizes, **layers, **bound}))
+    before = learner.init(jnp.uint32(0))
+    after, _, _ = jax.jit(learner.update)(before, Hyperparameters.of(learner.settings))
+    np.testing.assert_allclose(after.normalizer.mean, [7.5], rtol=1e-5)
+    np.testing.assert_allclose(after.normalizer.std, [(255 / 12) ** 0.5], rtol=1e-5)
+    # A gradient is the observation times what comes from above: less than Adam notices (1e-8) for what weighs
+    # observations, and not so for what is added to them.
+    for one in ("policy", "value"):
+        had, has = (getattr(state.params, one)["params"]["hidden_0"] for state in (before, after))
+        np.testing.assert_allclose(has["kernel"], had["kernel"], atol=1e-6)
+        assert float(jnp.max(jnp.abs(has["bias"] - had["bias"]))) > 1e-4
 
 
 class Measured(Probe):

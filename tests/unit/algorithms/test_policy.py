@@ -1,5 +1,6 @@
 import os
 import pickle
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -93,6 +94,31 @@ def test_a_policy_of_another_design_keeps_it_and_brax_still_reads_the_file(tmp_p
     np.testing.assert_array_equal(make_inference(kept)(OBSERVATIONS, KEY), brax[0])
     # The same numbers under the default activation act otherwise.
     assert not np.allclose(make_inference(tuple(kept))(OBSERVATIONS, KEY), brax[0])
+
+
+def test_a_bounded_policy_keeps_its_bound_and_brax_acts_alike_when_it_is_told(tmp_path: Path) -> None:
+    settings = PPOSpec.model_validate(
+        {**SETTINGS.model_dump(exclude_unset=True), "normalize_observations_max_abs_value": 2.0}
+    )
+    trained = init_params(make_networks(3, 2, settings), jax.random.PRNGKey(0))
+    state = {
+        "normalizer": running_statistics.update(init_normalizer(3), OBSERVATIONS),
+        "params": {"policy": trained.policy, "value": trained.value},
+    }
+    sizes = {"observation_size": 3, "action_size": 2}
+    kept = policy_from_checkpoint(pack(describe(probes.endless(), settings) | sizes, {}, state))
+    (path := tmp_path / "policy").write_bytes(write_policy(kept))
+    networks = make_ppo_networks(
+        3,
+        2,
+        preprocess_observations_fn=partial(running_statistics.normalize, max_abs_value=2.0),
+        policy_hidden_layer_sizes=(8, 4),
+        value_hidden_layer_sizes=(6,),
+    )
+    far = 100 * OBSERVATIONS
+    brax = make_inference_fn(networks)(model.load_params(str(path)), deterministic=True)(far, KEY)[0]
+    np.testing.assert_array_equal(make_inference(read_policy(path.read_bytes()))(far, KEY), brax)
+    assert not np.allclose(make_inference(tuple(kept))(far, KEY), brax)
 
 
 def test_a_policy_looks_at_its_own_of_several_observations() -> None:

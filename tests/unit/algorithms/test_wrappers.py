@@ -6,7 +6,14 @@ import pytest
 from core.environments.environment import State
 from core.environments.probes import Probe
 from core.environments.worlds import Worlds
-from core.environments.wrappers import Episodes, draw, fresh_states, start_episodes, step_episodes
+from core.environments.wrappers import (
+    Episodes,
+    begun_at_random,
+    draw,
+    fresh_states,
+    start_episodes,
+    step_episodes,
+)
 
 # The observation is the time, the reward the action; an action above 0.9 terminates.
 WORLD = Probe(lambda obs, time, action: (action, jnp.where(action > 0.9, 1.0, 0.0)), shows_time=True)
@@ -58,6 +65,22 @@ def test_an_episode_is_cut_off_by_length_or_terminates_and_starts_anew() -> None
     np.testing.assert_array_equal(episodes.ended_score, [1.0, 0])
     np.testing.assert_array_equal(episodes.length, [0, 1])
     np.testing.assert_array_equal(episodes.score, [0, 0.25])
+
+
+def test_episodes_that_began_at_random_end_one_after_the_other_from_the_first_on() -> None:
+    aligned = start_episodes(WORLDS, jax.random.PRNGKey(0), 3000, keep_first=True)
+    episodes = begun_at_random(aligned, jax.random.PRNGKey(1), episode_length=3)
+    jax.tree.map(np.testing.assert_array_equal, episodes.state, aligned.state)
+    # A third of the worlds in each length below 3: 1000 of 3000, with a deviation of 26.
+    np.testing.assert_allclose(np.bincount(episodes.length), [1000] * 3, atol=130)
+    # With length k they are cut off after 3 - k actions, and again every three.
+    for action in range(1, 7):
+        ends = (np.asarray(episodes.length) + 1) % 3 == 0
+        episodes = act(episodes, *[0.5] * 3000)
+        np.testing.assert_array_equal(episodes.truncated, ends)
+        # What it scored is what it did: half for each of at most three actions.
+        scored = min(action, 3) / 2
+        assert float(jnp.max(episodes.ended_score)) == scored
 
 
 def test_an_episode_that_terminates_with_its_last_step_is_not_truncated() -> None:

@@ -12,8 +12,6 @@ import pytest
 from core.environments import catalog
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo
-from core.environments.rollout import Roller, constant_policy, random_policy, trajectory_of, zero_policy
-from core.environments.trajectory import summary
 from core.environments.whereabouts import whereabouts
 from core.physics.choose import engine_builder
 
@@ -32,9 +30,13 @@ class Case:
     step: Callable[[State, jax.Array], State]
 
 
-def build(environment_id: str, **options: object) -> Case:
+def make(environment_id: str, **options: object) -> Environment:
     info = catalog.find(environment_id)
-    environment = catalog.make(info, catalog.parse_options(info, options), engine_builder("native"))
+    return catalog.make(info, catalog.parse_options(info, options), engine_builder("native"))
+
+
+def build(environment_id: str) -> Case:
+    info, environment = catalog.find(environment_id), make(environment_id)
     return Case(info, environment, jax.jit(jax.vmap(environment.reset)), jax.jit(jax.vmap(environment.step)))
 
 
@@ -80,31 +82,6 @@ def test_a_step_keeps_the_states_form(case: Case) -> None:
         assert np.isfinite(other).all()
 
 
-@pytest.mark.slow
-def test_rollouts_without_a_policy_work_on_every_body(case: Case) -> None:
-    size = case.environment.action_size
-    constant = jnp.linspace(-1.0, 1.0, size)
-
-    def act(chosen: jax.Array, observation: jax.Array, key: jax.Array) -> jax.Array:
-        policies = (random_policy(size), zero_policy(size), constant_policy(constant.tolist()))
-        return jnp.stack([policy(observation, key) for policy in policies])[chosen]
-
-    roller = Roller(case.environment, act)  # Compiled once for all three.
-    random, zero, held = (
-        next(roller.episodes(jnp.int32(kind), jax.random.key(0), num_steps=3, num_episodes=1))
-        for kind in range(3)
-    )
-    for episode in (random, zero, held):
-        assert 1 <= episode.num_steps <= 3
-        assert np.isfinite(episode.qpos).all()
-        assert np.isfinite(episode.reward).all()
-    assert -1.0 <= random.action.min() < random.action.max() <= 1.0 or size == 1
-    np.testing.assert_array_equal(zero.action, 0.0)
-    np.testing.assert_allclose(held.action, np.broadcast_to(constant, held.action.shape))
-    trajectory = trajectory_of(case.environment, [random, zero, held], environment=case.info.id)
-    assert summary(trajectory)["num_episodes"] == 3
-
-
 def test_a_body_on_its_way_says_how_fast_it_goes(case: Case) -> None:
     state = case.step(fresh(case), some_actions(case))
     assert ("x_velocity" in state.metrics) == (case.info.id in WALKERS | STARS)
@@ -145,29 +122,31 @@ def test_a_world_that_breaks_does_not_look_well(case: Case) -> None:
 @pytest.mark.parametrize("environment_id", ["ant", "hopper", "walker2d", "humanoid", "rodent"])
 def test_unhealthy_ends_the_episode_unless_told_otherwise(environment_id: str) -> None:
     nowhere = [10.0, 11.0]  # no torso is at that height, in metres
-    ends = build(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=True)
-    ended = ends.step(fresh(ends), jnp.zeros((NUM_WORLDS, ends.environment.action_size)))
-    np.testing.assert_array_equal(ended.done, 1.0)
-    goes_on = build(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=False)
-    going = goes_on.step(fresh(goes_on), jnp.zeros((NUM_WORLDS, goes_on.environment.action_size)))
-    np.testing.assert_array_equal(going.done, 0.0)
+    ends = make(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=True)
+    # One world and nothing compiled: a step is all that is asked for.
+    begin, action = ends.reset(jax.random.key(0)), jnp.zeros(ends.action_size)
+    ended = ends.step(begin, action)
+    goes_on = make(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=False)
+    going = goes_on.step(begin, action)
+    assert (float(ended.done), float(going.done)) == (1.0, 0.0)
     # Without the end there is no reward for being healthy either: 1 a step, but for two of them.
     healthy_reward = {"humanoid": 5.0, "rodent": 0.5}.get(environment_id, 1.0)
-    np.testing.assert_allclose(ended.reward - going.reward, healthy_reward, rtol=1e-5)
+    assert float(ended.reward - going.reward) == pytest.approx(healthy_reward, rel=1e-5)
 
 
 @pytest.mark.parametrize("environment_id", sorted(WALKERS - {"rodent", "corridor"}))
 def test_hidden_positions_can_be_shown(environment_id: str) -> None:
-    shown = build(environment_id, exclude_current_positions_from_observation=False)
-    state = fresh(shown)
+    shown = make(environment_id, exclude_current_positions_from_observation=False)
+    state = shown.reset(jax.random.key(0))
     hidden = 2 if environment_id in {"ant", "humanoid"} else 1
-    assert state.obs.shape[-1] == shown.environment.observation_size == shown.info.observation_size + hidden
-    np.testing.assert_array_equal(state.obs[:, :1], state.physics.qpos[:, :1])
+    by_default = catalog.find(environment_id).observation_size
+    assert by_default is not None
+    assert state.obs.shape == (shown.observation_size,) == (by_default + hidden,)
+    np.testing.assert_array_equal(state.obs[:1], state.physics.qpos[:1])
 
 
 def test_the_reset_noise_can_be_switched_off() -> None:
-    quiet = build("ant", reset_noise_scale=0.0)
-    state = fresh(quiet)
+    physics = make("ant", reset_noise_scale=0.0).reset(jax.random.key(0)).physics
     # The file's init_qpos: 0.55 m up, standing.
-    np.testing.assert_allclose(state.physics.qpos[:, 2], 0.55)
-    np.testing.assert_array_equal(state.physics.qvel, 0.0)
+    assert float(physics.qpos[2]) == pytest.approx(0.55)
+    np.testing.assert_array_equal(physics.qvel, 0.0)

@@ -113,8 +113,9 @@ def test_tuned_values_are_complete_and_go_together(info: EnvironmentInfo, device
     tuned = info.tuned.get("ppo", {}).get(device, {})
     resolved = resolve(PPOSpec(), info, device)
     assert {name: getattr(resolved, name) for name in tuned} == dict(tuned)
-    # On a GPU an evaluation takes a second or more, however many train side by side.
-    assert device == "cpu" or resolved.num_evals <= 4
+    # On a GPU an evaluation takes a second or more, however many train side by side. Other packages' settings
+    # are theirs.
+    assert device == "cpu" or info.id not in catalog.BUILT_IN or resolved.num_evals <= 4
     assert resolved.batch_size * resolved.num_minibatches % resolved.num_envs == 0
 
 

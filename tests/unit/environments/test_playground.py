@@ -36,8 +36,12 @@ def episodes(environment: Any, actions: jax.Array) -> list[Any]:
 
 
 def assert_alike(ours: State, theirs: Any) -> None:
-    """Rounding aside: without what is not carried, the compiler fuses other operations."""
-    for name in ("obs", "reward", "done"):
+    """Rounding aside: without what is not carried, the compiler fuses other operations.
+
+    Seen at the cheetah's velocities of up to 2.6 rad/s, which MJX's solver finds: 4e-5.
+    """
+    np.testing.assert_allclose(ours.obs, theirs.obs, rtol=1e-4, atol=1e-4)
+    for name in ("reward", "done"):
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-5, atol=1e-5)
     assert ours.metrics.keys() == theirs.metrics.keys()
     for name, value in theirs.metrics.items():

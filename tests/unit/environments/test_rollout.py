@@ -15,6 +15,7 @@ from core.environments.rollout import (
     constant_policy,
     cut,
     footage,
+    initial_positions,
     random_policy,
     rollout,
     trajectory_of,
@@ -76,6 +77,9 @@ def test_where_an_environment_says_its_target_it_is_kept_with_every_state() -> N
     [episode] = trajectory.episodes
     np.testing.assert_array_equal(episode.target, [[2, 0], [3, 1], [4, 2], [5, 3]])
     np.testing.assert_array_equal(cut(episode, 1).target, [[2, 0], [3, 1]])
+    _, target = initial_positions(_Chased(probes.endless()), seed=0)
+    np.testing.assert_array_equal(target, [2, 0])
+    assert initial_positions(probes.endless(), seed=0)[1] is None
 
 
 def test_random_actions_fill_the_range_and_depend_on_the_key_alone() -> None:

@@ -40,7 +40,7 @@ def why_no_gl() -> str:
     return ""
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def gl() -> None:
     if reason := why_no_gl():
         pytest.skip(reason)

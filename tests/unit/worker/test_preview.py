@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from core.adapters.memory_objects import MemoryObjectStore
+from core.environments.catalog import find, parse_options
 from core.errors import ObjectNotFound
 from core.models.library import identity
 from core.previews import library
@@ -73,6 +74,27 @@ def test_each_camera_shows_the_body_and_nobody_draws_it_twice(
     assert shares[0] > 0.005
     assert 0 <= shares[1] < 0.002
     assert drawn(tmp_path, objects, timeout_s=0.0) == found
+
+
+@pytest.mark.slow  # JAX is started, and their resets are compiled
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    "environment", ["playground/PointMass", "brax/reacher", "brittle_star", "inverted_pendulum"]
+)
+def test_environments_of_every_family_are_drawn(
+    environment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", probe()[0])
+    store, info = MemoryObjectStore(), find(environment)
+    defaults = parse_options(info, {}).model_dump(mode="json")
+    wanted = request(environment=environment, options=defaults, model=None, cameras=["track"])
+    draw(wanted, store, tmp_path, tmp_path)
+    found = library.find(wanted, store)
+    assert found is not None
+    assert found.failure is None
+    picture = pixels(store.get(found.stills[0].key), tmp_path)
+    assert picture.shape == (48, 64, 3)
+    assert picture.std() > 10
 
 
 def test_where_nothing_draws_the_remedy_is_kept(

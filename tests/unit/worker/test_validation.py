@@ -21,6 +21,7 @@ from core.storage import keys
 from tests.unit.environments.mjcf.probe import XML
 from worker.validation.answer import Answer
 from worker.validation.confined import look, validate
+from worker.validation.findings import findings
 from worker.validation.limits import Limits
 
 NO_MOTOR = XML.replace(
@@ -66,10 +67,21 @@ def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path:
     assert "not implemented" in why
 
 
+def test_a_body_without_a_floor_is_described_with_a_word_about_that(tmp_path: Path) -> None:
+    falling = XML.replace(b'gravity="0 0 0"', b"")
+    # Half a second of the trial's wall time is enough for its 2 s: g t² / 2 = 19.6 m.
+    for body, said in (
+        (falling.replace(b'name="floor"', b'contype="0" conaffinity="0"'), "It fell 20 m"),
+        (falling, ""),
+    ):
+        (tmp_path / "model").write_bytes(body)
+        notes = next(findings(tmp_path / "model")).notes
+        assert (len(notes), " ".join(notes)[: len(said)]) == (bool(said), said)
+
+
 @pytest.mark.parametrize(
     ("body", "sentence"),
     [
-        (NO_MOTOR, "no actuators"),
         (XML.replace(b'joint="elbow"', b'joint="knee"'), "MuJoCo cannot compile the model: Error: unknown"),
         (XML.replace(b"<mujoco>", b'<mujoco><size memory="900G"/>'), "memory"),
         (XML.replace(b'mass="0.1"', b'mass="1e309"'), "number is too large"),

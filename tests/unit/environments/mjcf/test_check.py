@@ -1,5 +1,7 @@
 """What a job asks for and its model has not got, as the API sees it: from the inventory alone."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -11,12 +13,21 @@ from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory
 from core.errors import Rejected
+from core.jobs.spec import JOB_SPEC, TrainSpec
+from core.models.library import identity
 from tests.unit.environments.mjcf.probe import MODEL, XML
 
+ROOT = Path(__file__).parents[4]
 PROBE = inventory(mujoco.MjModel.from_xml_string(XML.decode()))
 BOLTED = inventory(
     mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body name="a"><joint axis="0 1 0"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+)
+STAND = inventory(
+    mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="stand"><geom size="1"/><body name="arm"><joint axis="0 1 0"/>'
+        '<geom size="1"/></body></body></worldbody></mujoco>'
     )
 )
 
@@ -94,6 +105,15 @@ def test_an_inventory_names_what_is_there() -> None:
             "/observation/0/root_position",
             "'arm' has no free joint",
         ),
+        ({"reward": [{"kind": "forward_velocity"}]}, STAND, "/reward/0/body", "'stand' has no joint"),
+        (
+            {"reward": [{"kind": "velocity_tracking", "velocity": [1, 0], "body": "world"}]},
+            PROBE,
+            "/reward/0/body",
+            "never moves",
+        ),
+        ({"reward": [{"kind": "distance", "target": "ball"}]}, PROBE, "/reward/0/target", "to itself"),
+        ({"reset": {"qpos": [0.0] * 8}}, PROBE, "/reset/qpos/3", "of the joint 'root' is no quaternion"),
         ({"reset": {"qpos": [0.0]}}, PROBE, "/reset/qpos", "8 positions (nq); 1 were given"),
         ({"reset": {"keyframe": "low"}}, PROBE, "/reset/keyframe", "it has 1, among them raised"),
         ({"reset": {"keyframe": 1}}, PROBE, "/reset/keyframe", "no keyframe 1"),
@@ -115,7 +135,21 @@ def test_what_the_model_has_is_no_problem() -> None:
         "reset": {"keyframe": 0},
     }
     assert problems(parsed(**terms), PROBE) == []
+    of_the_arm = {"kind": "forward_velocity", "of": "centre_of_mass"}
+    assert problems(parsed(reward=[of_the_arm, {**of_the_arm, "body": "arm", "name": "b"}]), STAND) == []
+    assert problems(parsed(reset={"qpos": [0, 0, 1, 1, 0, 0, 0, 0]}), PROBE) == []
     assert problems(parsed(), BOLTED) == []
+
+
+def test_the_job_of_the_page_fits_the_model_of_the_examples() -> None:
+    file = ROOT / "examples" / "quadruped.xml"
+    page = (ROOT / "docs" / "environments.md").read_text()
+    (job,) = re.findall(r"-d '(\{[^']*" + identity(file.read_bytes()) + r"[^']*\})'", page)
+    spec = JOB_SPEC.validate_json(job)
+    assert isinstance(spec, TrainSpec)
+    model = inventory(mujoco.MjModel.from_xml_path(str(file)))
+    assert problems(parsed(**spec.environment.options), model) == []
+    assert spec.video.camera in model.cameras
 
 
 @pytest.mark.parametrize(

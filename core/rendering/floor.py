@@ -1,0 +1,59 @@
+"""A checkered floor below bodies that hang or stand in the air: without one nothing says how they move.
+
+Only drawn. A body that could fall gets none, because its floor would have to hold it.
+"""
+
+from itertools import product
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+DARK, LIGHT = (0.36, 0.43, 0.52), (0.62, 0.69, 0.77)
+_TILES, _FAR = 20, 100.0
+_EVERYWHERE = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+
+
+def floor_below(model: mujoco.MjModel, root: int, centre: Floats, radius: float) -> float | None:
+    """How high a floor is to be drawn, in metres: out of reach; None where there is one, or it may fall."""
+    if np.isin(model.geom_type, _EVERYWHERE).any() or _may_fall(model, root):
+        return None
+    return float(centre[2]) - 1.05 * radius
+
+
+def lay(scene: Any, height: float, around: Floats, radius: float) -> None:
+    """Add a floor to what is drawn: as far as one sees, with tiles near the point `around`."""
+    side = 0.6 * radius
+    # Whole pairs of tiles: the pattern stays in its place while the point moves.
+    x, y = (2 * side * np.floor(around[:2] / (2 * side))).tolist()
+    between = tuple((dark + light) / 2 for dark, light in zip(DARK, LIGHT, strict=True))
+    _plane(scene, (x, y, height), _FAR * radius, between)
+    for row, column in product(range(-_TILES // 2, _TILES // 2), repeat=2):
+        at = (x + (column + 0.5) * side, y + (row + 0.5) * side, height + 0.002 * radius)
+        _plane(scene, at, side / 2, LIGHT if (row + column) % 2 else DARK)
+
+
+def _may_fall(model: mujoco.MjModel, root: int) -> bool:
+    """Whether a joint of the tree's lets it fall or climb."""
+    joints = np.flatnonzero(model.body_rootid[model.jnt_bodyid] == root)
+    kinds, axes = model.jnt_type[joints], model.jnt_axis[joints]
+    lifted = (kinds == mujoco.mjtJoint.mjJNT_SLIDE) & (np.abs(axes[:, 2]) > 0.01)
+    return bool(lifted.any() or (kinds == mujoco.mjtJoint.mjJNT_FREE).any())
+
+
+def _plane(scene: Any, at: tuple[float, ...], half: float, colour: tuple[float, ...]) -> None:
+    if scene.ngeom >= scene.maxgeom:
+        return
+    mujoco.mjv_initGeom(
+        scene.geoms[scene.ngeom],
+        mujoco.mjtGeom.mjGEOM_PLANE,
+        np.array([half, half, 0.1]),
+        np.array(at),
+        np.eye(3).ravel(),
+        np.array([*colour, 1.0], np.float32),
+    )
+    scene.geoms[scene.ngeom].specular = 0.1
+    scene.ngeom += 1
