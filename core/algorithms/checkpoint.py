@@ -58,11 +58,10 @@ class Format:
         Raises JobFailed("bad_checkpoint") that names what differs.
         """
         header, saved = self.read(content)
-        made_with = {name: header[name] for name in header.keys() - {"format", "progress"}}
         differences = [
-            f"{name} is {made_with.get(name)} in the checkpoint and {description.get(name)} in this job"
-            for name in {**description, **made_with}
-            if made_with.get(name) != description.get(name)
+            f"{name} is {header.get(name)} in the checkpoint and {wanted} in this job"
+            for name, wanted in description.items()
+            if header.get(name) != wanted
         ]
         differences = differences or _differences(saved, serialization.to_state_dict(template))
         if differences:

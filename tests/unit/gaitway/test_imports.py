@@ -17,7 +17,7 @@ def test_a_policy_without_the_numerical_stack_is_refused_with_what_to_install() 
     code = (
         "import sys; from pathlib import Path; sys.modules['jax'] = None\n"
         "from gaitway import MissingExtra, policy\n"
-        "try: policy.load(Path('x'), is_checkpoint=False)\n"
+        "try: policy.load(Path('x'), 'ppo', is_checkpoint=False)\n"
         "except MissingExtra as error: print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -145,6 +145,6 @@ def test_several_gpus_are_refused() -> None:
 def test_the_jobs_of_the_page_are_jobs() -> None:
     page = (Path(__file__).parents[4] / "docs" / "q_learning.md").read_text()
     jobs = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
-    assert len(jobs) == 2
+    assert len(jobs) == 3
     for job in jobs:
         assert JOB_SPEC.validate_json(job).algorithm.kind == "q_learning"  # pyright: ignore
