@@ -1,7 +1,6 @@
 """One PPO update, and many of them in one compiled loop of any length."""
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, cast
 
 import jax
@@ -9,6 +8,7 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
+from core.algorithms.epoch import updates_until
 from core.algorithms.ppo.brax_training import (
     PPONetworkParams,
     RunningStatisticsState,
@@ -94,28 +94,8 @@ class Learner:
     def epoch(
         self, state: TrainingState, hyperparameters: Hyperparameters, until: jax.Array
     ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
-        """Update until `until` [] int32 updates are made, or one of them brings a value that is not finite.
-
-        Returns the state after the last good update, metrics summed over the good ones, and what went
-        wrong in the bad one. How a run is cut into epochs changes nothing in it.
-        """
-        # Traced once for both places below, and copied into the second as if it had been traced there.
-        update = jax.jit(self.update, inline=True)
-
-        def going(carry: tuple[TrainingState, Any, Failure]) -> jax.Array:
-            state, _, failure = carry
-            return (state.num_updates < until) & ~jnp.any(failure.quantities)
-
-        def advance(carry: tuple[TrainingState, Any, Failure]) -> tuple[TrainingState, Any, Failure]:
-            state, sums, _ = carry
-            new, metrics, failure = update(state, hyperparameters)
-            good = ~jnp.any(failure.quantities)
-            keep = partial(jax.tree.map, lambda a, b: jnp.where(good, a, b))
-            return keep(new, state), keep(jax.tree.map(jnp.add, sums, metrics), sums), failure
-
-        shapes = jax.eval_shape(update, state, hyperparameters)[1:]
-        sums, failure = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-        return jax.lax.while_loop(going, advance, (state, sums, failure))
+        """Updates until `until` [] int32 are made, as `updates_until` has it."""
+        return updates_until(self.update, state, hyperparameters, until)
 
     def update(
         self, state: TrainingState, hyperparameters: Hyperparameters

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from core.algorithms.epoch import updates_until
 from core.algorithms.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.q_learning import replay as replays
 from core.algorithms.q_learning.decisions import Decisions
@@ -111,27 +112,8 @@ class Learner:
     def epoch(
         self, state: TrainingState, hyperparameters: Hyperparameters, until: jax.Array
     ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
-        """Rounds until `until` [] int32 are made, or one of them brings a value that is not finite.
-
-        Returns the state after the last good round, metrics [agents] summed over the good ones, and what went
-        wrong in the bad one. How a run is cut into epochs changes nothing in it.
-        """
-        update = jax.jit(self.update, inline=True)  # traced once for both places below
-
-        def going(carry: tuple[TrainingState, Any, Failure]) -> jax.Array:
-            state, _, failure = carry
-            return (state.num_updates < until) & ~jnp.any(failure.quantities)
-
-        def advance(carry: tuple[TrainingState, Any, Failure]) -> tuple[TrainingState, Any, Failure]:
-            state, sums, _ = carry
-            new, metrics, failure = update(state, hyperparameters)
-            good = ~jnp.any(failure.quantities)
-            keep = partial(jax.tree.map, lambda a, b: jnp.where(good, a, b))
-            return keep(new, state), keep(jax.tree.map(jnp.add, sums, metrics), sums), failure
-
-        shapes = jax.eval_shape(update, state, hyperparameters)[1:]
-        sums, failure = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-        return jax.lax.while_loop(going, advance, (state, sums, failure))
+        """Rounds until `until` [] int32 are made, as `updates_until` has it; metrics are [agents] each."""
+        return updates_until(self.update, state, hyperparameters, until)
 
     def update(
         self, state: TrainingState, hyperparameters: Hyperparameters

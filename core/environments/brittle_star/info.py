@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
@@ -41,21 +41,11 @@ BodyObservable = Literal[
 TargetObservable = Literal["unit_xy_direction_to_target", "xy_distance_to_target"]
 LightObservable = Literal["segment_light_intake", "disk_light_intake"]
 
-OF_THE_BODY: tuple[BodyObservable, ...] = (
-    "joint_position",
-    "joint_velocity",
-    "joint_actuator_force",
-    "actuator_force",
-    "disk_position",
-    "disk_rotation",
-    "disk_linear_velocity",
-    "disk_angular_velocity",
-    "segment_contact",
-)
-OF_THE_TARGET: tuple[TargetObservable, ...] = ("unit_xy_direction_to_target", "xy_distance_to_target")
+OF_THE_BODY: tuple[BodyObservable, ...] = get_args(BodyObservable)
+OF_THE_TARGET: tuple[TargetObservable, ...] = get_args(TargetObservable)
 # What a State's `info` tells of the target.
 OF_THE_WAY = ("target_position", "xy_direction_to_target", "xy_distance_to_target")
-OF_THE_LIGHT: tuple[LightObservable, ...] = ("segment_light_intake", "disk_light_intake")
+OF_THE_LIGHT: tuple[LightObservable, ...] = get_args(LightObservable)
 # What engines compute for an observation alone.
 DEAR: tuple[BodyObservable, ...] = ("joint_actuator_force", "actuator_force", "segment_contact")
 _OBSERVED = "What the observation is made of. null: all; under `cpg` all but forces and contacts, which cost."
