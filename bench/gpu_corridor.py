@@ -11,6 +11,7 @@ _BODY = "corridor"
 _UPDATES = 12
 _COMPOSED_WORLDS = 256
 _N_FRAMES = 5
+_TIMEOUT_S = 1500.0
 
 
 def measure(options: Options) -> Result:
@@ -28,11 +29,11 @@ def measure(options: Options) -> Result:
         "n_frames": _N_FRAMES,
         "device": device,
     }
-    works = [Work("ours", "bench.run_engine", ours, timeout_s=240, about_s=60, cache="ours")]
+    works = [Work("ours", "bench.run_engine", ours, timeout_s=_TIMEOUT_S, about_s=60, cache="ours")]
     if not options.quick:  # Its compilation takes minutes.
-        works += [Work("composed", "bench.step_composed", composed, about_s=240)]
+        works += [Work("composed", "bench.step_composed", composed, timeout_s=_TIMEOUT_S, about_s=240)]
     runs = Runs("gpu_corridor", options)
-    runs.make(works)
+    runs.make_together(works, at_once=2, in_turns=True)
     return Result(
         name="gpu_corridor",
         title="The ant in its corridor with gaps, on a GPU",

@@ -24,6 +24,7 @@ def physics(request: dict[str, Any]) -> dict[str, Any]:
     """Environments under random actions: engine, observation, reward and new starts, but no network."""
     import jax
 
+    from bench.turn import Turn
     from core.algorithms.ppo.spec import PPOSpec, resolve
     from core.environments import catalog
     from core.environments.worlds import Worlds
@@ -54,15 +55,17 @@ def physics(request: dict[str, Any]) -> dict[str, Any]:
         return jax.lax.scan(step, episodes, jax.random.split(key, _STEPS_PER_CALL))[0]
 
     episodes, pool = start()
-    episodes = jax.block_until_ready(roll(episodes, pool, key))  # compiles, and lets the bodies fall
+    compiled = roll.lower(episodes, pool, key).compile()
     rates, spent = list[float](), 0.0
-    while len(rates) < 2 or spent < request["physics_s"]:
-        key, now = jax.random.split(key)
-        began = time.perf_counter()
-        episodes = jax.block_until_ready(roll(episodes, pool, now))
-        seconds = time.perf_counter() - began
-        spent += seconds
-        rates.append(_STEPS_PER_CALL * num_envs / seconds)
+    with Turn():
+        episodes = jax.block_until_ready(compiled(episodes, pool, key))  # lets the bodies fall
+        while len(rates) < 2 or spent < request["physics_s"]:
+            key, now = jax.random.split(key)
+            began = time.perf_counter()
+            episodes = jax.block_until_ready(compiled(episodes, pool, now))
+            seconds = time.perf_counter() - began
+            spent += seconds
+            rates.append(_STEPS_PER_CALL * num_envs / seconds)
     return {"num_envs": num_envs, "physics": rates}
 
 

@@ -19,6 +19,7 @@ from typing import Any
 from bench.child import ChildFailed, TookTooLong, run_child
 from bench.machine import Machine, this_machine
 from bench.result import Options
+from bench.turn import TURN
 
 Run = dict[str, Any]
 
@@ -66,9 +67,15 @@ class Runs:
         for work in works:
             self._take(work, self._record(work))
 
-    def make_together(self, works: Iterable[Work], at_once: int) -> None:
-        """The same, several at a time: where what is asked of them is not how long they take."""
+    def make_together(self, works: Iterable[Work], at_once: int, *, in_turns: bool = False) -> None:
+        """The same, several at a time: where what is asked of them is not how long they take.
+
+        in_turns: they are compiled side by side, and what they time they time one after the other
+        (bench.turn); a run's limit in time covers its waiting.
+        """
         wanted = list(works)
+        if in_turns:
+            os.environ.setdefault(TURN, str(self._caches / "turn"))
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # One process would take the card.
         with ThreadPoolExecutor(at_once) as pool:
             for work, record in zip(wanted, pool.map(self._record, wanted), strict=True):

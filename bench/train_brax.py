@@ -30,6 +30,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     import jax.numpy as jnp
 
     from bench.device_memory import peak_bytes
+    from bench.turn import Turn
     from core.physics.kernels import keep_kernels
 
     if request.get("cache"):
@@ -59,13 +60,14 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     ours = catalog.make(info, catalog.parse_options(info, {}), builder(request["engine"]))
     settings = resolve(PPOSpec.model_validate(request["settings"]), info, request.get("device", "cpu"))
     training, rewards = list[tuple[int, float]](), list[tuple[int, float]]()
-    evaluated_s, evaluation_s, finite = list[float](), 0.0, True
+    evaluated_s, evaluation_s, finite, turn = list[float](), 0.0, True, Turn()
 
     def report(step: int, metrics: dict[str, Any]) -> None:
         nonlocal evaluation_s, finite
         finite = finite and all(math.isfinite(value) for value in metrics.values())
         if "training/walltime" in metrics:
             training.append((int(step), float(metrics["training/walltime"])))
+            turn.take()  # Its first epoch, which compiles, is over.
         if "eval/episode_reward" in metrics:
             rewards.append((int(step), float(metrics["eval/episode_reward"])))
             evaluated_s.append(time.perf_counter() - began)

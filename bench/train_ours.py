@@ -24,6 +24,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     import jax
 
     from bench.device_memory import peak_bytes
+    from bench.turn import Turn
     from core.algorithms.ppo.spec import PPOSpec, resolve
     from core.algorithms.ppo.trainer import PPOTrainer
     from core.algorithms.trainer import CheckpointReady
@@ -48,13 +49,16 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         devices=request.get("devices", 1),
         epoch_s=request.get("epoch_s", 1.0),
     )
-    seen = _Seen(began)
+    seen, turn = _Seen(began), Turn()
     for event in trainer.events():
         seen.take(event)
+        if "compile" in seen.phases:
+            turn.take()
         if isinstance(event, CheckpointReady) and request["checkpoint_every_steps"]:
             Path(request["cache"], f"checkpoint-{trainer.step}").write_bytes(trainer.checkpoint())
         if _long_enough(seen.training, request.get("most_training_s")):
             break
+    turn.give()
     told = {name: value for name, value in vars(seen).items() if name != "began"}
     return {**told, "wall_s": time.perf_counter() - began, "peak_bytes": peak_bytes()}
 

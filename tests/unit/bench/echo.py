@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.child import answer
+from bench.turn import Turn
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
@@ -17,6 +18,11 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             os.kill(os.getpid(), signal.SIGSEGV)
         case "sleep":
             time.sleep(60)
+        case "time":
+            with Turn():
+                began = time.monotonic()
+                time.sleep(0.1)
+                return {"timed": [began, time.monotonic()]}
         case _:
             pass
     cache = request["cache"]

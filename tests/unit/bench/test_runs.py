@@ -9,6 +9,7 @@ import pytest
 
 from bench.result import Options
 from bench.runs import Runs, Work
+from bench.turn import TURN
 
 
 @pytest.fixture(autouse=True)
@@ -73,6 +74,17 @@ def test_only_runs_of_such_names_are_made(tmp_path: Path) -> None:
         "brax-0",
         "ours-0",
     }
+
+
+def test_runs_side_by_side_are_timed_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(TURN, str(tmp_path / "turn"))
+    runs = Runs("echo", Options(out=tmp_path))
+    runs.make_together([say("time", name) for name in "abc"], at_once=3, in_turns=True)
+    (_, first), (second, second_ends), (third, _) = sorted(run["timed"] for run in runs.done.values())
+    assert first <= second
+    assert second_ends <= third
 
 
 def test_a_warm_run_has_what_the_cold_one_left(tmp_path: Path, caches: Path) -> None:
