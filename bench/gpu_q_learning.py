@@ -30,7 +30,7 @@ def measure(options: Options) -> Result:
         for name, by in ((_FASTEST, engine), (_NATIVE, "native"))
         if name == _FASTEST or by != engine
     ]
-    first, *others = q_learning.works(options, device, engine, () if options.quick else (10, 100))
+    first, *others = q_learning.works(options, device, engine, () if options.quick else (100,))
     runs = Runs("gpu_q_learning", options)
     runs.make([first, *rates, *others])
     result = q_learning.result(

@@ -45,7 +45,6 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
         "first_update_s": 3.0,
         "first_update_at": 1004.0,
         "overflow": 0.0,
-        "finite": ours,
         "peak_bytes": 10**9,
         "num_envs": 8,
         "physics": [2000.0, 1000.0, 3000.0],
@@ -160,9 +159,14 @@ def test_a_table_is_compared_with_the_notebooks_loop_and_its_success_with_the_ta
     assert found["targets reached, decentralised"] == pytest.approx(90.0)
 
 
-def test_a_peer_whose_numbers_are_not_finite_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    notes = measured("gpu_rodent", tmp_path, monkeypatch).notes
-    assert any("not finite" in note for note in notes)
+def test_training_is_held_against_a_slower_engine_s_physics_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = figures(measured("gpu_rodent", tmp_path, monkeypatch))
+    ours, mjx = found["ours, on Warp"], found["physics alone, MJX-JAX"]
+    assert ours is not None
+    assert mjx == 2000.0  # the median
+    assert found["our training ÷ MJX-JAX's physics alone"] == pytest.approx(ours / mjx)
 
 
 def test_the_parts_of_an_update_add_up_to_it() -> None:
