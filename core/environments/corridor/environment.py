@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from core.environments import terms
 from core.environments.body import TRAVEL, Body, noisy_start, travel
 from core.environments.corridor.info import CorridorOptions
-from core.environments.corridor.model import corridor_model, obstacle_ends
+from core.environments.corridor.model import corridor_model, obstacles
 from core.environments.corridor.walkers import WALKERS
 from core.environments.environment import State
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
@@ -14,6 +14,7 @@ from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsStat
 _DERIVED = ("subtree_com", "xpos")
 # The top of the ground; a trunk below it is in a gap.
 _GROUND_M = 0.0
+_SIGHT_M = 10.0
 _METRICS = (
     "forward_reward",
     "reward_linvel",
@@ -45,7 +46,7 @@ class Corridor(Body):
             model,
             build_engine(model, options.n_frames, _DERIVED, accelerated=accelerated),
             num_substeps=options.n_frames,
-            observation_size=model.nq - hidden + model.nv,
+            observation_size=model.nq - hidden + model.nv + 3 * options.num_next_obstacles,
             tracked_body=WALKERS[options.walker].trunk,
         )
         self.episode_length = options.episode_length
@@ -53,7 +54,7 @@ class Corridor(Body):
         self.initial_qpos = self.initial_qpos.at[2].add(options.reset_noise_scale)
         self._options = options
         self._num_hidden = hidden
-        self._obstacle_ends = jnp.asarray(obstacle_ends(model), jnp.float32)
+        self._obstacles = jnp.reshape(jnp.asarray(obstacles(model), jnp.float32), (-1, 3))
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
@@ -94,7 +95,18 @@ class Corridor(Body):
 
     def _num_behind(self, x: jax.Array) -> jax.Array:
         """How many gaps or walls [] end behind x."""
-        return jnp.sum(x > self._obstacle_ends, dtype=jnp.float32)
+        return jnp.sum(x > self._obstacles[:, 1], dtype=jnp.float32)
 
     def _observe(self, physics: PhysicsState) -> jax.Array:
-        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel])
+        seen = self._ahead(physics.qpos[:2], self._options.num_next_obstacles)
+        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel, seen])
+
+    def _ahead(self, at: jax.Array, number: int) -> jax.Array:
+        """[3 number]: of each next gap or wall how far ahead of `at` [x, y] it begins and ends, and how far
+        to the left the middle of the way past it is; what is farther than _SIGHT_M is shown as there."""
+        nothing = jnp.tile(jnp.array([jnp.inf, jnp.inf, 0.0]), (number, 1))
+        first = self._num_behind(at[0]).astype(jnp.int32)
+        rows = jax.lax.dynamic_slice(jnp.concatenate([self._obstacles, nothing]), (first, 0), (number, 3))
+        ahead = jnp.minimum(rows[:, :2] - at[0], _SIGHT_M)
+        left = jnp.where(ahead[:, :1] < _SIGHT_M, rows[:, 2:] - at[1], 0.0)
+        return jnp.concatenate([ahead, left], axis=1).ravel()

@@ -56,6 +56,9 @@ class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's f
         None, description="Healthy heights of the trunk, in metres; null: what fits the walker."
     )
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
+    num_next_obstacles: int = Field(
+        0, ge=0, le=10, description="So many of the gaps or walls ahead are shown to it."
+    )
     episode_length: int = Field(1000, ge=1, le=100_000, description="Actions until an episode is cut off.")
 
     @property
@@ -127,7 +130,10 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
     hidden = 2 if options.exclude_current_positions_from_observation else 0
     length = {"episode_length": options.episode_length}
     return {
-        "observation_size": walker.num_positions - hidden + walker.num_velocities,
+        "observation_size": walker.num_positions
+        - hidden
+        + walker.num_velocities
+        + 3 * options.num_next_obstacles,
         "action_size": walker.num_actuators,
         "dt": options.timestep * options.n_frames,
         "episode_length": options.episode_length,

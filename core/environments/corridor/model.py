@@ -1,6 +1,8 @@
 """The composed corridor with what costs time taken out of it."""
 
 from itertools import pairwise
+from math import copysign
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -54,15 +56,29 @@ def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
     return spec.compile()
 
 
-def obstacle_ends(model: mujoco.MjModel) -> list[float]:
-    """Where gaps or walls are behind who walks in +x, in metres, ascending; none in an empty corridor."""
+class Obstacle(NamedTuple):
+    """A gap or a wall. begin, end: where it is for who walks in +x, and y: the middle of the way past it,
+    0 for a gap; all in metres."""
+
+    begin: float
+    end: float
+    y: float
+
+
+def obstacles(model: mujoco.MjModel) -> list[Obstacle]:
+    """The gaps or walls in the order of their ends; none in an empty corridor."""
     geoms = [model.geom(index) for index in range(model.ngeom)]
     extents = {g.name: (float(g.pos[0] - g.size[0]), float(g.pos[0] + g.size[0])) for g in geoms}
-    walls = sorted(end for name, (_, end) in extents.items() if name.startswith("wall_"))
+    # A wall reaches in from one side by twice size[1]: the middle of what it leaves is as far from the axis.
+    walls = [
+        Obstacle(*extents[g.name], -copysign(g.size[1], g.pos[1]))
+        for g in geoms
+        if g.name.startswith("wall_")
+    ]
     floors = sorted(extent for name, extent in extents.items() if name.startswith(("start_floor", "floor_")))
     # Between the first platform and the second there is no gap.
-    gaps = [begin for (_, end), (begin, _) in pairwise(floors) if begin - end > _SEAM_M]
-    return walls or gaps
+    gaps = [Obstacle(end, begin, 0.0) for (_, end), (begin, _) in pairwise(floors) if begin - end > _SEAM_M]
+    return sorted(walls or gaps, key=lambda one: one.end)
 
 
 def _filter(geom: mujoco.MjsGeom, trunk: str) -> None:

@@ -19,7 +19,7 @@ from core.environments import catalog
 from core.environments.corridor import compose
 from core.environments.corridor.compose import composed
 from core.environments.corridor.info import CorridorOptions
-from core.environments.corridor.model import corridor_model, obstacle_ends
+from core.environments.corridor.model import corridor_model, obstacles
 from core.environments.corridor.walkers import WALKERS, Walker
 from core.environments.environment import State
 from core.errors import JobFailed, Rejected
@@ -64,6 +64,10 @@ def refusal(**options: object) -> str:
     with pytest.raises(Rejected) as refused:
         catalog.parse_options(catalog.find("corridor"), options)
     return refused.value.detail
+
+
+def obstacle_ends(model: mujoco.MjModel) -> list[float]:
+    return [obstacle.end for obstacle in obstacles(model)]
 
 
 def moved_to(state: State, x: float, y: float = 0.0, dz: float = 0.0) -> State:
@@ -167,6 +171,36 @@ def test_gaps_that_are_behind_are_counted() -> None:
     beyond = case.step(moved_to(start, second + 0.3), jnp.zeros(8))
     assert float(beyond.metrics["obstacles_passed"]) == 1.0
     assert float(case.step(beyond, jnp.zeros(8)).metrics["obstacles_passed"]) == 0.0
+
+
+def test_what_is_ahead_is_shown_where_it_is_asked_for() -> None:
+    case = build(num_next_obstacles=2)
+    first, second, third, *_, last = obstacles(case.model)
+    still = jnp.zeros(8)
+
+    def seen(x: float, y: float) -> np.ndarray:
+        state = case.step(moved_to(case.reset(jax.random.key(0)), x, y), still)
+        x, y = state.physics.qpos[:2]
+        return np.asarray(state.obs[-6:]) + np.array([x, x, y, x, x, y])
+
+    np.testing.assert_allclose(seen(5.0, 0.3), [*first[:2], 0.0, *second[:2], 0.0], atol=1e-5)
+    np.testing.assert_allclose(seen(first.end + 0.1, 0.0), [*second[:2], 0.0, *third[:2], 0.0], atol=1e-5)
+    # Behind the last one there is nothing, and what is nothing is 10 m ahead and straight on.
+    state = case.step(moved_to(case.reset(jax.random.key(0)), last.end + 0.1, 0.5), still)
+    np.testing.assert_array_equal(state.obs[-6:], [10.0, 10.0, 0.0, 10.0, 10.0, 0.0])
+
+
+def test_the_way_past_a_wall_is_the_middle_of_what_it_leaves() -> None:
+    options: dict[str, Any] = {"arena": "walls", "corridor_width": 5.0}
+    model = corridor_model(CorridorOptions(**options))
+    walls = [geom for geom in map(model.geom, range(model.ngeom)) if geom.name.startswith("wall_")]
+    for wall, obstacle in zip(walls, obstacles(model), strict=True):
+        inner = wall.pos[1] - np.sign(wall.pos[1]) * wall.size[1]
+        outer = -np.sign(wall.pos[1]) * 2.5
+        assert obstacle.y == pytest.approx((inner + outer) / 2)
+    case = build(num_next_obstacles=1, **options)
+    state = case.reset(jax.random.key(0))
+    np.testing.assert_allclose(state.obs[-1], obstacles(model)[0].y - state.physics.qpos[1], atol=1e-5)
 
 
 def test_out_of_the_healthy_range_ends_it_or_costs_the_reward() -> None:
