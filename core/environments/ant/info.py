@@ -51,7 +51,7 @@ INFO = EnvironmentInfo(
             },
             "gpu": {
                 "num_timesteps": 50_000_000,
-                "num_evals": 2,
+                "num_evals": 1,
                 "num_envs": 4096,
                 "unroll_length": 5,
                 "batch_size": 2048,

@@ -172,7 +172,7 @@ _CPU = {
 _GPU = {
     **_CPU,
     "num_timesteps": 30_000_000,
-    "num_evals": 3,
+    "num_evals": 2,
     "num_envs": 2048,
     "batch_size": 512,
     "num_minibatches": 32,

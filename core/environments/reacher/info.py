@@ -28,7 +28,7 @@ INFO = EnvironmentInfo(
             },
             "gpu": {
                 "num_timesteps": 50_000_000,
-                "num_evals": 3,
+                "num_evals": 2,
                 "num_envs": 2048,
                 "unroll_length": 50,
                 "batch_size": 256,

@@ -53,7 +53,7 @@ INFO = EnvironmentInfo(
             },
             "gpu": {
                 "num_timesteps": 30_000_000,
-                "num_evals": 4,
+                "num_evals": 2,
                 "num_envs": 2048,
                 "unroll_length": 10,
                 "batch_size": 512,

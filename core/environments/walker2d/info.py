@@ -48,7 +48,7 @@ INFO = EnvironmentInfo(
             },
             "gpu": {
                 "num_timesteps": 50_000_000,
-                "num_evals": 3,
+                "num_evals": 2,
                 "num_envs": 2048,
                 "unroll_length": 20,
                 "batch_size": 1024,
