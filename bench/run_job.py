@@ -1,7 +1,7 @@
 """A job without the service: its training process alone, on a machine that has no stores.
 
-`python -m bench.run_job FOLDER SPEC.json [--gpu]` fills FOLDER as the job goes on, so that one that is cut
-off leaves what there was: the job's files, `metrics.jsonl`, and `job.json` with what the process said of
+`python -m bench.run_job FOLDER SPEC.json [--gpu [N]]` fills FOLDER as the job goes on, so that one that is
+cut off leaves what there was: the job's files, `metrics.jsonl`, and `job.json` with what the process said of
 itself; `curve.png` comes at the end. The video is drawn as in the service. `bench/jobs` has jobs for a GPU.
 """
 
@@ -23,12 +23,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("spec", type=Path)
-    parser.add_argument("--gpu", action="store_true", help="on the first GPU; else on the CPU")
+    parser.add_argument(
+        "--gpu",
+        type=int,
+        nargs="?",
+        const=1,
+        metavar="N",
+        help="on the first GPU, or the first N; else on the CPU",
+    )
     arguments = parser.parse_args()
     folder = arguments.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     spec = JOB_SPEC.validate_json(arguments.spec.read_bytes())
-    device = "gpu:0" if arguments.gpu else "cpu"
+    device = "gpu:" + ",".join(map(str, range(arguments.gpu))) if arguments.gpu else "cpu"
     task = Task(job_id="bench", attempt=1, spec=spec, device=device)
     (folder / "task.json").write_text(task.model_dump_json())
     began = time.perf_counter()
