@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.q_learning.mappers import num_arms
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.spec import resolve
 from core.environments import catalog
@@ -39,6 +40,7 @@ def build(task: str = "brittle_star", **options: Any) -> Any:
     row = info.under(parsed)
     assert row.observation_size == environment.observation_size
     assert row.action_size == environment.action_size
+    assert row.num_arms == num_arms(environment)
     assert row.episode_length == environment.episode_length
     assert row.dt == pytest.approx(environment.dt)
     model = environment.model
