@@ -222,6 +222,16 @@ def test_light_falls_from_one_end_of_the_arena_to_the_other() -> None:
     np.testing.assert_allclose(light_at(jnp.asarray(light), (10, 5), points), expected, atol=1e-6)
 
 
+def test_beyond_a_wall_there_is_the_light_at_its_foot() -> None:
+    # Light that falls by 1 in a pixel, 2 cm, would otherwise be -25 half a metre behind two of the walls.
+    light = jnp.asarray(np.random.default_rng(0).uniform(size=(250, 500)).astype(np.float32))
+    inside = jnp.array([[-10.0, 0.33], [10.0, 0.33], [1.23, -5.0], [1.23, 5.0]])
+    beyond = inside + jnp.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+    values = light_at(light, (10, 5), inside)
+    np.testing.assert_allclose(light_at(light, (10, 5), beyond), values, atol=1e-6)
+    assert (values.min() >= 0.0) & (values.max() <= 1.0)
+
+
 def test_equal_seeds_give_equal_patches_of_light_and_the_ground_shows_them() -> None:
     options = {"light_perlin_noise_scale": 5, "num_segments_per_arm": 1}
     environments = [build("brittle_star_light_escape", light_seed=seed, **options) for seed in (1, 2)]
