@@ -10,7 +10,7 @@ from core.model import Strict
 def _ascending(bounds: tuple[float, float | None]) -> tuple[float, float | None]:
     low, high = bounds
     if high is not None and low >= high:
-        raise ValueError(f"must be [low, high] with low < high, not [{low:g}, {high:g}]")
+        raise ValueError(f"[{low:g}, {high:g}] is not [low, high] with low < high")
     return bounds
 
 

@@ -59,6 +59,11 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "greater than or equal to 1, not 0",
         ),
         (
+            q_learning(indexer={"kind": "disk_position_grid", "x": [2, 1]}),
+            "/algorithm/indexer/x",
+            "`x`: [2, 1] is not [low, high] with low < high.",
+        ),
+        (
             q_learning(epsilon={"decay_episodes": 500}),
             "/algorithm/epsilon/decay_episodes",
             "the run has 100 episodes",

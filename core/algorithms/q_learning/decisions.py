@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from core.algorithms.q_learning.indexers import Indexer, make_indexer
 from core.algorithms.q_learning.mappers import Mapper, make_mapper, num_arms
-from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
+from core.algorithms.q_learning.options import IndexerOptions, MapperOptions, ObservationGrid
 from core.environments.action_repeat import repeat_action
 from core.environments.environment import Environment, State
 from core.environments.wrapped import Wrapped
@@ -31,7 +31,7 @@ class Tabular:
     def of(cls, indexer: IndexerOptions, mapper: MapperOptions, environment: Environment) -> "Tabular":
         """Raises JobFailed("bad_model") where the environment has not got what they need."""
         table = cls(make_indexer(indexer, num_arms(environment)), make_mapper(mapper, environment))
-        _check_what_is_seen(table.indexer, environment)
+        _check_what_is_seen(indexer, environment)
         return table
 
     @property
@@ -122,7 +122,7 @@ def _without(info: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {name: value for name, value in info.items() if name not in names}
 
 
-def _check_what_is_seen(indexer: Indexer, environment: Environment) -> None:
+def _check_what_is_seen(indexer: IndexerOptions, environment: Environment) -> None:
     state = jax.eval_shape(environment.reset, jax.random.PRNGKey(0))
     missing = [name for name in indexer.needs if name not in ("observation", *state.info)]
     if missing:
@@ -130,3 +130,7 @@ def _check_what_is_seen(indexer: Indexer, environment: Environment) -> None:
         raise JobFailed(
             "bad_model", f"The indexer looks at {', '.join(missing)}, and the environment tells {told}."
         )
+    seen = environment.observation_size
+    size = seen["state"] if isinstance(seen, Mapping) else seen
+    if isinstance(indexer, ObservationGrid) and (beyond := indexer.beyond(size)):
+        raise JobFailed("bad_model", f"The observation has {size} components, and none of index {beyond[0]}.")

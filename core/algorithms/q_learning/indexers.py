@@ -50,21 +50,19 @@ def make_indexer(options: IndexerOptions, num_arms: int) -> Indexer:
     match options:
         case ArmTowardsTarget():
             names = tuple(f"target: arm {arm}" for arm in range(num_arms))
-            states, readers, rows = num_arms, 1, lambda seen: sector_of_target(seen, num_arms)[None]
+            readers, rows = 1, lambda seen: sector_of_target(seen, num_arms)[None]
         case ArmRole():
             names = ("target: this arm", *(f"target: {steps} to the left" for steps in range(1, num_arms)))
-            states, readers, rows = num_arms, num_arms, lambda seen: steps_to_target(seen, num_arms)
+            readers, rows = num_arms, lambda seen: steps_to_target(seen, num_arms)
         case DiskPositionGrid(x=x, y=y, cells=cells):
             ranges = np.asarray([x, y], np.float32)
-            states, readers = options.num_cells, 1
-            rows = lambda seen: cell(seen["disk_position"][:2], ranges, cells)[None]  # noqa: E731
+            readers, rows = 1, lambda seen: cell(seen["disk_position"][:2], ranges, cells)[None]
         case ObservationGrid(components=components):
             ranges = np.asarray([component.range for component in components], np.float32)
             chosen = np.asarray([component.index for component in components])
             cells = [component.cells for component in components]
-            states, readers = options.num_cells, 1
-            rows = lambda seen: cell(seen["observation"][chosen], ranges, cells)[None]  # noqa: E731
-    return Indexer(options.needs, states, readers, rows, names)
+            readers, rows = 1, lambda seen: cell(seen["observation"][chosen], ranges, cells)[None]
+    return Indexer(options.needs, options.num_states(num_arms), readers, rows, names)
 
 
 def sector_of_target(seen: Seen, num_arms: int) -> jax.Array:

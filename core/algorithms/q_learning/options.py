@@ -25,6 +25,9 @@ class ArmTowardsTarget(Strict):
     def needs(self) -> tuple[str, ...]:
         return ("disk_rotation", "xy_direction_to_target")
 
+    def num_states(self, num_arms: int) -> int:
+        return num_arms
+
 
 class ArmRole(Strict):
     """Decentralised: each arm reads how many arms to its left the target's sector lies, 0 to arms - 1.
@@ -37,6 +40,9 @@ class ArmRole(Strict):
     @property
     def needs(self) -> tuple[str, ...]:
         return ("disk_rotation", "xy_direction_to_target")
+
+    def num_states(self, num_arms: int) -> int:
+        return num_arms
 
 
 class DiskPositionGrid(Strict):
@@ -53,8 +59,7 @@ class DiskPositionGrid(Strict):
     def needs(self) -> tuple[str, ...]:
         return ("disk_position",)
 
-    @property
-    def num_cells(self) -> int:
+    def num_states(self, num_arms: int) -> int:
         return math.prod(self.cells)
 
 
@@ -76,9 +81,16 @@ class ObservationGrid(Strict):
     def needs(self) -> tuple[str, ...]:
         return ("observation",)
 
-    @property
-    def num_cells(self) -> int:
+    def num_states(self, num_arms: int) -> int:
         return math.prod(component.cells for component in self.components)
+
+    def beyond(self, observation_size: int) -> dict[int, int]:
+        """The components that an observation of so many has not got: their indices by their places here."""
+        return {
+            place: component.index
+            for place, component in enumerate(self.components)
+            if component.index >= observation_size
+        }
 
 
 IndexerOptions = Annotated[
@@ -91,12 +103,19 @@ class LeadingArm(Strict):
 
     kind: Literal["leading_arm"]
 
+    def num_choices(self, num_arms: int) -> int:
+        return num_arms
+
 
 class ArmRoles(Strict):
     """A choice of each arm is its role in the central pattern generator: to lead, to row on the left or on
     the right, and, in a star of an even number of arms, to trail."""
 
     kind: Literal["arm_roles"]
+
+    def num_choices(self, num_arms: int) -> int:
+        # Those of `core.environments.cpg.roles`, which loads JAX.
+        return 3 + (num_arms % 2 == 0)
 
 
 class ActionList(Strict):
@@ -105,12 +124,18 @@ class ActionList(Strict):
     kind: Literal["actions"]
     actions: Actions = Field(description="Each as long as the environment's action.")
 
+    def num_choices(self, num_arms: int) -> int:
+        return len(self.actions)
+
 
 class ArmActions(Strict):
     """A choice of each arm is one of these parts of an action; the arms' parts follow one another."""
 
     kind: Literal["arm_actions"]
     actions: Actions = Field(description="Each as long as the environment's action divided by its arms.")
+
+    def num_choices(self, num_arms: int) -> int:
+        return len(self.actions)
 
 
 MapperOptions = Annotated[LeadingArm | ArmRoles | ActionList | ArmActions, Field(discriminator="kind")]

@@ -10,7 +10,6 @@ from core.algorithms.q_learning.options import (
     ArmActions,
     ArmRole,
     ArmRoles,
-    DiskPositionGrid,
     IndexerOptions,
     LeadingArm,
     MapperOptions,
@@ -174,7 +173,7 @@ class QLearningSpec(BaseSpec):
         problems = [
             *_of_the_table(self, environment),
             *_of_the_schedule(self),
-            *_of_the_replay(self),
+            *_of_the_replay(self, environment.num_arms),
         ]
         if not problems:
             return None
@@ -216,14 +215,30 @@ def _of_the_table(settings: QLearningSpec, environment: EnvironmentInfo) -> list
         problems.append(Problem("/algorithm/mapper", detail))
     if problems or indexer is None or mapper is None:
         return problems
-    return [*_of_the_shape(indexer, mapper, environment), *_of_the_size(settings)]
+    arms = environment.num_arms
+    return [
+        *_of_the_observation(indexer, environment),
+        *_of_the_choices(indexer, mapper, environment),
+        *_of_the_size(settings, indexer.num_states(arms), mapper.num_choices(arms)),
+    ]
 
 
-def _of_the_shape(
+def _of_the_observation(indexer: IndexerOptions, environment: EnvironmentInfo) -> list[Problem]:
+    size = environment.observation_size
+    if size is None or not isinstance(indexer, ObservationGrid):
+        return []
+    detail = f"The observation of {environment.id} has {size} components, and none of index"
+    return [
+        Problem(f"/algorithm/indexer/components/{place}/index", f"{detail} {index}.")
+        for place, index in indexer.beyond(size).items()
+    ]
+
+
+def _of_the_choices(
     indexer: IndexerOptions, mapper: MapperOptions, environment: EnvironmentInfo
 ) -> list[Problem]:
     """Whether as many choose as read, and what they choose is an action of the environment."""
-    size, problems = environment.action_size, list[Problem]()
+    problems = list[Problem]()
     if isinstance(indexer, ArmRole) != isinstance(mapper, ArmRoles | ArmActions):
         detail = (
             f"The indexer {indexer.kind!r} and the mapper {mapper.kind!r} do not go together: either each "
@@ -231,25 +246,26 @@ def _of_the_shape(
         )
         problems += [Problem("/algorithm/indexer", detail), Problem("/algorithm/mapper", detail)]
     if isinstance(mapper, ActionList | ArmActions):
-        lengths = {len(action) for action in mapper.actions}
-        if len(lengths) > 1 or (isinstance(mapper, ActionList) and size is not None and lengths != {size}):
+        lengths, size = {len(action) for action in mapper.actions}, environment.action_size
+        parts = environment.num_arms if isinstance(mapper, ArmActions) else 1
+        if len(lengths) > 1 or (size is not None and lengths != {size / parts}):
             detail = (
-                f"{environment.id} takes {size} action components; the mapper's actions have "
-                f"{', '.join(str(length) for length in sorted(lengths))}."
+                f"{environment.id} takes {size} action components{f' of {parts} arms' if parts > 1 else ''}; "
+                f"the mapper's actions have {', '.join(str(length) for length in sorted(lengths))}."
             )
             problems.append(Problem("/algorithm/mapper/actions", detail))
     return problems
 
 
-def _of_the_size(settings: QLearningSpec) -> list[Problem]:
-    if not isinstance(settings.indexer, DiskPositionGrid | ObservationGrid):
-        return []
-    columns = len(settings.mapper.actions) if isinstance(settings.mapper, ActionList) else 1
-    cells = settings.indexer.num_cells * columns * settings.num_agents
-    if cells <= MOST_CELLS:
-        return []
-    detail = f"The tables would have {cells:,} cells; {MOST_CELLS:,} are allowed."
-    return [Problem("/algorithm/indexer", detail)]
+def _of_the_size(settings: QLearningSpec, rows: int, columns: int) -> list[Problem]:
+    problems = list[Problem]()
+    if (cells := rows * columns * settings.num_agents) > MOST_CELLS:
+        detail = f"The tables would have {cells:,} cells; {MOST_CELLS:,} are allowed."
+        problems.append(Problem("/algorithm/indexer", detail))
+    if settings.initial_table == "identity" and rows != columns:
+        detail = f"An identity table is square; this one has {rows:,} rows and {columns:,} columns."
+        problems.append(Problem("/algorithm/initial_table", detail))
+    return problems
 
 
 def _of_the_schedule(settings: QLearningSpec) -> list[Problem]:
@@ -275,9 +291,9 @@ def _of_the_schedule(settings: QLearningSpec) -> list[Problem]:
     return problems
 
 
-def _of_the_replay(settings: QLearningSpec) -> list[Problem]:
-    if settings.replay is None or settings.replay.buffer_size >= settings.num_envs:
+def _of_the_replay(settings: QLearningSpec, num_arms: int) -> list[Problem]:
+    brought = settings.num_envs * (num_arms if isinstance(settings.indexer, ArmRole) else 1)
+    if settings.replay is None or (size := settings.replay.buffer_size) >= brought:
         return []
-    size, brought = settings.replay.buffer_size, settings.num_envs
     detail = f"buffer_size = {size}, and each decision brings {brought} transitions."
     return [Problem("/algorithm/replay/buffer_size", detail)]

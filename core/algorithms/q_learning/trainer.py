@@ -62,7 +62,6 @@ class QLearningTrainer:
         if settings.indexer is None or settings.mapper is None:
             raise Rejected("Q-learning needs an `indexer` and a `mapper`.")
         table = Tabular.of(settings.indexer, settings.mapper, environment)
-        _check_identity(settings, table)
         self._settings = settings
         self._keys = agent_keys(settings.agents, seed)
         self._learner = Learner(Decisions(environment, table, settings.decision_steps), settings)
@@ -216,9 +215,3 @@ def _named(group: str, values: Mapping[str, Any], chosen: int) -> dict[str, floa
         for name, value in values.items()
         for agent in range(agents)
     }
-
-
-def _check_identity(settings: QLearningSpec, table: Tabular) -> None:
-    rows, columns = table.shape
-    if settings.initial_table == "identity" and rows != columns:
-        raise Rejected(f"An identity table is square; this one has {rows} rows and {columns} columns.")

@@ -269,6 +269,7 @@ def _under(options: Options) -> Mapping[str, Any]:
         # Of a pattern generator's: see `core.environments.cpg.encoding`, which loads JAX.
         "action_size": 2 * total if options.control == "joints" else 7 * options.num_arms + 1,
         "has_cpg": options.control == "cpg",
+        "num_arms": options.num_arms,
         "dt": options.dt,
         "episode_length": options.episode_length,
         "cannot_run": _cannot_run(total),

@@ -38,11 +38,12 @@ def light_map(options: LightEscapeOptions) -> NDArray[np.float32]:
 def light_at(light: jax.Array, half_lengths: tuple[int, int], position: jax.Array) -> jax.Array:
     """The light [N] at points [N, 2] in metres, between the pixels of [rows, columns] in proportion.
 
-    A pixel's value is that of its corner of least x and greatest y.
+    A pixel's value is that of its corner of least x and greatest y. Beyond a wall, which arms may reach
+    through, there is the light at its foot.
     """
     size = jnp.asarray(half_lengths, jnp.float32)
     across, up = jnp.moveaxis((position + size) / (2 * size), -1, 0)
-    place = jnp.stack([1.0 - up, across]) * jnp.asarray(light.shape, jnp.float32)[:, None]
+    place = jnp.maximum(jnp.stack([1.0 - up, across]) * jnp.asarray(light.shape, jnp.float32)[:, None], 0.0)
     last = jnp.asarray(light.shape)[:, None] - 1
     low = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, last)
     high = jnp.minimum(low + 1, last)

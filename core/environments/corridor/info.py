@@ -19,7 +19,7 @@ _MOST_OBSTACLES = 200
 def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
     low, high = bounds
     if low > high:
-        raise ValueError(f"must be [low, high] with low ≤ high, not [{low:g}, {high:g}]")
+        raise ValueError(f"[{low:g}, {high:g}] is not [low, high] with low ≤ high")
     if low < 0:
         raise ValueError(f"must not be negative, but [{low:g}, {high:g}] is")
     return bounds

@@ -70,6 +70,9 @@ def episode_curves(
     panels[-1].set_xlabel("episode")
     panels[-1].set_xlim(0, max(1.0, float(x.max())))
     for panel in panels:
+        if len(x) == 1:  # No line leads to a lone point, as of a run of one round.
+            for line in panel.lines:
+                line.set(marker="o", clip_on=False)
         plain(panel)
     return figure
 

@@ -300,7 +300,7 @@ def test_a_walker_that_lies_is_not_healthy() -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"gap_length": [0.3, 0.2]}, "gap_length: must be [low, high] with low ≤ high, not [0.3, 0.2]"),
+        ({"gap_length": [0.3, 0.2]}, "gap_length: [0.3, 0.2] is not [low, high] with low ≤ high"),
         ({"gap_length": [1, 34]}, "gap_length reaches 34 m"),
         ({"gap_length": [-0.1, 0.2]}, "gap_length: must not be negative"),
         ({"corridor_width": 1.0}, "corridor_width = 1 m is too narrow: the ant needs 2 m"),

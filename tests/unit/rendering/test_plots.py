@@ -140,7 +140,15 @@ def test_metrics_of_a_tabular_run_become_curves_and_those_of_another_none() -> N
     assert figure is not None
     np.testing.assert_allclose(figure.axes[0].lines[-1].get_xydata(), [[10, 2], [20, 2]])
     np.testing.assert_allclose(figure.axes[1].lines[0].get_xydata(), [[10, 1.0], [20, 0.5]])
+    assert {line.get_marker() for axes in figure.axes for line in axes.lines} == {"None"}
     assert from_metrics([{"step": 0, "values": {"training/episode_reward": 1.0}}]) is None
+
+
+def test_a_run_of_one_round_is_a_point_that_one_sees() -> None:
+    row = {"training/episodes": 100.0, "training/epsilon": 0.2, "training/episode_reward": 2.4}
+    figure = from_metrics([{"step": 50_000, "values": row}])
+    assert figure is not None
+    assert [line.get_marker() for axes in figure.axes for line in axes.lines] == ["o", "o"]
 
 
 def test_only_tables_that_are_there_are_drawn() -> None:

@@ -78,7 +78,7 @@ class Generator(PlanarStar):
     """What `core.environments.cpg` offers besides: an action for a leading arm, and for roles."""
 
     def leading_arm(self, arm: Any) -> Any:
-        return jnp.eye(5)[arm]
+        return jnp.eye(self.num_arms)[arm]
 
     def of_roles(self, roles: Any) -> Any:
         return roles / 4
@@ -91,6 +91,10 @@ def test_a_generator_is_told_which_arm_leads_or_which_roles_there_are_through_wh
     roles = make_mapper(MAPPER.validate_python({"kind": "arm_roles"}), wrapped)
     assert (roles.num_choices, roles.act(jnp.array([0, 1, 2, 2, 0])).tolist()) == (3, [0, 0.25, 0.5, 0.5, 0])
     assert roles.names == ("leading", "left", "right")  # nobody trails in a star of five
+    for kind in ("leading_arm", "arm_roles"):
+        options = MAPPER.validate_python({"kind": kind})
+        for arms in (3, 4):
+            assert make_mapper(options, Generator(arms)).num_choices == options.num_choices(arms)
 
 
 @pytest.mark.parametrize(
@@ -104,11 +108,19 @@ def test_a_generator_is_told_which_arm_leads_or_which_roles_there_are_through_wh
             "looks at disk_rotation, xy_direction_to_target, and the environment tells nothing",
         ),
         ("arm_role", {"kind": "arm_actions", "actions": [[1, 1]]}, PlanarStar(), "have 10 components, .* 5"),
+        (
+            "observation_grid",
+            {"kind": "actions", "actions": [[0.5] * 5]},
+            PlanarStar(),
+            "The observation has 1 components, and none of index 1",
+        ),
     ],
 )
 def test_an_environment_that_lacks_what_is_needed_ends_the_job_with_the_reason(
     reads: str, chooses: dict[str, Any], environment: Any, sentence: str
 ) -> None:
+    cut = {"components": [{"index": 1, "range": [0, 1], "cells": 2}]} if reads == "observation_grid" else {}
+    indexer = INDEXER.validate_python({"kind": reads, **cut})
     with pytest.raises(JobFailed, match=sentence) as failure:
-        Tabular.of(INDEXER.validate_python({"kind": reads}), MAPPER.validate_python(chooses), environment)
+        Tabular.of(indexer, MAPPER.validate_python(chooses), environment)
     assert failure.value.reason == "bad_model"

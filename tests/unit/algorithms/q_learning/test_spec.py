@@ -18,11 +18,16 @@ from core.jobs.spec import JOB_SPEC
 STAR = replace(
     catalog.find("ant"),
     id="star",
+    observation_size=3,
     action_size=5,
+    num_arms=5,
     info=("disk_position", "disk_rotation", "xy_direction_to_target"),
     tuned={"q_learning": {"cpu": {"num_envs": 4}}},
 )
-GRID = {"kind": "observation_grid", "components": [{"index": 0, "range": [-1.0, 1.0], "cells": 4}]}
+GRID: dict[str, Any] = {
+    "kind": "observation_grid",
+    "components": [{"index": 0, "range": [-1.0, 1.0], "cells": 4}],
+}
 ARM = {"kind": "arm_towards_target"}
 ACTIONS = {"kind": "actions", "actions": [[1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0]]}
 VALID: dict[str, Any] = {"indexer": ARM, "mapper": ACTIONS}
@@ -93,6 +98,26 @@ def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]
             "would have 200,000,000 cells",
             ["indexer"],
         ),
+        (
+            {"indexer": {**GRID, "components": [*GRID["components"], {**GRID["components"][0], "index": 3}]}},
+            "The observation of star has 3 components, and none of index 3",
+            ["indexer/components/1/index"],
+        ),
+        (
+            {"indexer": {"kind": "arm_role"}, "mapper": {"kind": "arm_actions", "actions": [[0.5, 0.5]]}},
+            "star takes 5 action components of 5 arms; the mapper's actions have 2",
+            ["mapper/actions"],
+        ),
+        ({"initial_table": "identity"}, "this one has 5 rows and 2 columns", ["initial_table"]),
+        (
+            {
+                "indexer": {"kind": "arm_role"},
+                "mapper": {"kind": "arm_actions", "actions": [[0.5], [0.0]]},
+                "replay": {"buffer_size": 19},
+            },
+            "each decision brings 20 transitions",  # of 4 worlds with 5 arms
+            ["replay/buffer_size"],
+        ),
     ],
 )
 def test_what_does_not_go_together_is_refused_with_its_places(
@@ -102,6 +127,14 @@ def test_what_does_not_go_together_is_refused_with_its_places(
     with pytest.raises(Rejected, match=sentence) as caught:
         resolve(spec, STAR, "cpu")
     assert [problem.pointer for problem in caught.value.problems] == [f"/algorithm/{p}" for p in pointers]
+
+
+def test_a_table_is_as_large_as_its_columns_make_it_whoever_names_them() -> None:
+    # 2.5 million rows, and as many columns as the generator's five arms.
+    grid = {"kind": "disk_position_grid", "cells": [2500, 1000]}
+    spec = QLearningSpec.model_validate({"indexer": grid, "mapper": {"kind": "leading_arm"}})
+    with pytest.raises(Rejected, match="would have 12,500,000 cells; 10,000,000 are allowed"):
+        resolve(spec, replace(STAR, has_cpg=True, action_size=36), "cpu")
 
 
 def test_an_environment_that_tells_no_direction_cannot_feed_an_indexer_of_directions() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.q_learning.mappers import num_arms
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.spec import resolve
 from core.environments import catalog
@@ -39,6 +40,7 @@ def build(task: str = "brittle_star", **options: Any) -> Any:
     row = info.under(parsed)
     assert row.observation_size == environment.observation_size
     assert row.action_size == environment.action_size
+    assert row.num_arms == num_arms(environment)
     assert row.episode_length == environment.episode_length
     assert row.dt == pytest.approx(environment.dt)
     model = environment.model
@@ -218,6 +220,16 @@ def test_light_falls_from_one_end_of_the_arena_to_the_other() -> None:
     points = jnp.array([[-10.0, 0.0], [0.0, 3.0], [5.0, -5.0], [10.0, 5.0]])
     expected = [1.0, 1 - 250 / 499, 1 - 375 / 499, 0.0]
     np.testing.assert_allclose(light_at(jnp.asarray(light), (10, 5), points), expected, atol=1e-6)
+
+
+def test_beyond_a_wall_there_is_the_light_at_its_foot() -> None:
+    # Light that falls by 1 in a pixel, 2 cm, would otherwise be -25 half a metre behind two of the walls.
+    light = jnp.asarray(np.random.default_rng(0).uniform(size=(250, 500)).astype(np.float32))
+    inside = jnp.array([[-10.0, 0.33], [10.0, 0.33], [1.23, -5.0], [1.23, 5.0]])
+    beyond = inside + jnp.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+    values = light_at(light, (10, 5), inside)
+    np.testing.assert_allclose(light_at(light, (10, 5), beyond), values, atol=1e-6)
+    assert (values.min() >= 0.0) & (values.max() <= 1.0)
 
 
 def test_equal_seeds_give_equal_patches_of_light_and_the_ground_shows_them() -> None:
