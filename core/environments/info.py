@@ -26,6 +26,7 @@ class EnvironmentInfo:
     cameras: the names the model gives its cameras, in their order; `track` is always there besides.
     info: what `State.info` names besides the observation, for who reads states from it. has_cpg: whether an
     action modulates a central pattern generator instead of joints. num_arms: the body's; 1 without any.
+    alike_arms: whether all of them have as many joints.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
     arguments: what the factory is told besides. cannot_run: engines that cannot run it, and why.
     own_physics: what moves it where none of the engines does; its worlds cannot differ.
@@ -48,6 +49,7 @@ class EnvironmentInfo:
     info: tuple[str, ...] = ()
     has_cpg: bool = False
     num_arms: int = 1
+    alike_arms: bool = True
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
     own_physics: str = ""

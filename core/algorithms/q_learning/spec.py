@@ -6,6 +6,8 @@ from pydantic import Field
 
 from core.algorithms.q_learning.options import (
     MOST_CELLS,
+    MOST_REPLAYED,
+    MOST_WORLDS,
     ActionList,
     ArmActions,
     ArmRole,
@@ -173,6 +175,7 @@ class QLearningSpec(BaseSpec):
         problems = [
             *_of_the_table(self, environment),
             *_of_the_schedule(self),
+            *_of_the_worlds(self),
             *_of_the_replay(self, environment.num_arms),
         ]
         if not problems:
@@ -254,6 +257,9 @@ def _of_the_choices(
                 f"the mapper's actions have {', '.join(str(length) for length in sorted(lengths))}."
             )
             problems.append(Problem("/algorithm/mapper/actions", detail))
+    if isinstance(mapper, ArmActions) and not environment.alike_arms:
+        detail = f"The mapper {mapper.kind!r} gives every arm as many joints, and these arms differ."
+        problems.append(Problem("/algorithm/mapper", detail))
     return problems
 
 
@@ -291,9 +297,32 @@ def _of_the_schedule(settings: QLearningSpec) -> list[Problem]:
     return problems
 
 
-def _of_the_replay(settings: QLearningSpec, num_arms: int) -> list[Problem]:
-    brought = settings.num_envs * (num_arms if isinstance(settings.indexer, ArmRole) else 1)
-    if settings.replay is None or (size := settings.replay.buffer_size) >= brought:
+def _of_the_worlds(settings: QLearningSpec) -> list[Problem]:
+    if settings.num_worlds <= MOST_WORLDS:
         return []
-    detail = f"buffer_size = {size}, and each decision brings {brought} transitions."
-    return [Problem("/algorithm/replay/buffer_size", detail)]
+    detail = (
+        f"{settings.num_agents:,} agents with {settings.num_envs:,} worlds each are {settings.num_worlds:,} "
+        f"worlds; {MOST_WORLDS:,} are allowed."
+    )
+    return [Problem("/algorithm/num_envs", detail)]
+
+
+def _of_the_replay(settings: QLearningSpec, num_arms: int) -> list[Problem]:
+    size, agents = settings.replay_buffer_size, settings.num_agents
+    brought = settings.num_envs * (num_arms if isinstance(settings.indexer, ArmRole) else 1)
+    problems = list[Problem]()
+    if 0 < size < brought:
+        problems.append(
+            _of_the_buffer(f"buffer_size = {size}, and each decision brings {brought} transitions.")
+        )
+    if size * agents > MOST_REPLAYED:
+        detail = (
+            f"{agents:,} agents with buffer_size = {size:,} keep {size * agents:,} transitions; "
+            f"{MOST_REPLAYED:,} are allowed."
+        )
+        problems.append(_of_the_buffer(detail))
+    return problems
+
+
+def _of_the_buffer(detail: str) -> Problem:
+    return Problem("/algorithm/replay/buffer_size", detail)

@@ -270,6 +270,7 @@ def _under(options: Options) -> Mapping[str, Any]:
         "action_size": 2 * total if options.control == "joints" else 7 * options.num_arms + 1,
         "has_cpg": options.control == "cpg",
         "num_arms": options.num_arms,
+        "alike_arms": len(set(options.segments)) == 1,
         "dt": options.dt,
         "episode_length": options.episode_length,
         "cannot_run": _cannot_run(total),

@@ -118,6 +118,16 @@ def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]
             "each decision brings 20 transitions",  # of 4 worlds with 5 arms
             ["replay/buffer_size"],
         ),
+        (
+            {"replay": {"buffer_size": 10**7}, "agents": [{}] * 11},
+            "keep 110,000,000 transitions",
+            ["replay/buffer_size"],
+        ),
+        (
+            {"num_envs": 2**19, "agents": [{}] * 3},
+            "3 agents with 524,288 worlds each are 1,572,864 worlds",
+            ["num_envs"],
+        ),
     ],
 )
 def test_what_does_not_go_together_is_refused_with_its_places(
@@ -135,6 +145,15 @@ def test_a_table_is_as_large_as_its_columns_make_it_whoever_names_them() -> None
     spec = QLearningSpec.model_validate({"indexer": grid, "mapper": {"kind": "leading_arm"}})
     with pytest.raises(Rejected, match="would have 12,500,000 cells; 10,000,000 are allowed"):
         resolve(spec, replace(STAR, has_cpg=True, action_size=36), "cpu")
+
+
+def test_arms_that_differ_have_no_joints_in_common() -> None:
+    stars = catalog.find("brittle_star")
+    options = catalog.parse_options(stars, {"num_arms": 3, "num_segments_per_arm": [2, 1, 3]})
+    arms = {"kind": "arm_actions", "actions": [[0.1] * 4, [0.0] * 4]}  # 12 joints of 3 arms
+    spec = QLearningSpec.model_validate({"indexer": {"kind": "arm_role"}, "mapper": arms})
+    with pytest.raises(Rejected, match="these arms differ"):
+        resolve(spec, stars.under(options), "cpu")
 
 
 def test_an_environment_that_tells_no_direction_cannot_feed_an_indexer_of_directions() -> None:
