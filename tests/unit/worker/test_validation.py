@@ -14,7 +14,7 @@ from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import compiled, read
-from core.errors import ModelNotFound
+from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
 from core.models import library
 from core.storage import keys
@@ -27,9 +27,11 @@ from worker.validation.limits import Limits
 NO_MOTOR = XML.replace(
     b'<motor name="elbow" joint="elbow" gear="2" ctrllimited="true" ctrlrange="-0.5 1.5"/>', b""
 )
-SLOW = b"""<mujoco><asset><mesh name="m" builtin="sphere" params="9"/></asset>
-  <worldbody>%s</worldbody></mujoco>""" % (
-    b"".join(b'<body><freejoint/><geom type="mesh" mesh="m"/></body>' for _ in range(50))
+# Nine million geoms, written in 200 bytes.
+SLOW = XML.replace(
+    b'<body name="ball"',
+    b'<replicate count="3000" euler="0 0 1"><replicate count="3000" offset="0 0 1"><geom size="0.1"/>'
+    b'</replicate></replicate><body name="ball"',
 )
 URDF = b"""<robot name="arm">
   <link name="base"/>
@@ -93,6 +95,13 @@ def test_a_model_that_no_job_could_use_is_refused(body: bytes, sentence: str, tm
     assert answer.refusal is not None
     assert sentence in answer.refusal
     assert str(tmp_path) not in answer.refusal
+
+
+@pytest.mark.parametrize("timestep", [b"0", b"-0.002", b"1e-9", b"10"])
+def test_a_time_step_that_no_job_could_take_is_refused(timestep: bytes, tmp_path: Path) -> None:
+    (tmp_path / "model").write_bytes(XML.replace(b'"0.01"', b'"%s"' % timestep, 1))
+    with pytest.raises(BadModel, match=r"timestep is .* s, and may be 1e-05 s to 0.1 s"):
+        next(findings(tmp_path / "model"))
 
 
 def test_a_model_that_takes_too_long_is_refused_and_its_process_is_gone(tmp_path: Path) -> None:
