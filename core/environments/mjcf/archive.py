@@ -27,6 +27,8 @@ _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _DOCUMENTS = (".xml", ".mjcf", ".urdf")
 # As much as every file system takes.
 _MAX_NAME_BYTES = 255
+# Their roots.
+_MJCF, _URDF = "mujoco", "robot"
 # Elements whose file is a document, too.
 _INCLUDING = ("include", "model")
 # Of several documents that no other includes, the one that is meant.
@@ -39,10 +41,11 @@ _LITTER = ("__MACOSX", ".DS_Store")
 
 @dataclass(frozen=True)
 class Archive:
-    """main: the document's path among the files. names: of all files, in the archive."""
+    """main: the document's path among the files; is_urdf: what it is. names: of all files, in the archive."""
 
     body: bytes
     main: str
+    is_urdf: bool
     names: tuple[str, ...]
 
     def unpack(self, folder: Path) -> Path:
@@ -64,13 +67,13 @@ def examine(body: bytes) -> Archive:
         if len(body) > MAX_XML_BYTES:
             raise BadModel(f"The document has {len(body):,} bytes, and {MAX_XML_BYTES:,} are allowed.")
         document = parse("the document", body)
-        main = "model.urdf" if document.root == "robot" else "model.xml"
+        main = "model.xml"
         if document.references:
             raise BadModel(
                 f"The document names the file {document.references[0].file!r}: send both in a zip."
             )
         _check_root(main, document)
-        return Archive(body, main, (main,))
+        return Archive(body, main, document.root == _URDF, (main,))
     names = _names(body)
     if sum(name.lower().endswith(_DOCUMENTS) for name in names) > MAX_DOCUMENTS:
         raise BadModel(f"The zip has more than {MAX_DOCUMENTS} documents.")
@@ -80,7 +83,7 @@ def examine(body: bytes) -> Archive:
     main = _main(documents)
     _check_root(main, documents[main])
     _check_references(main, documents, names)
-    return Archive(body, main, tuple(names))
+    return Archive(body, main, documents[main].root == _URDF, tuple(names))
 
 
 def _content(body: bytes, name: str) -> bytes:
@@ -175,7 +178,7 @@ def _main(documents: Mapping[str, Document]) -> str:
 
 
 def _check_root(name: str, document: Document) -> None:
-    if document.root not in ("mujoco", "robot"):
+    if document.root not in (_MJCF, _URDF):
         raise BadModel(f"{name}: its root is <{document.root[:60]}>, and MJCF's is <mujoco>, URDF's <robot>.")
 
 

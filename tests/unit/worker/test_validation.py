@@ -19,6 +19,7 @@ from core.jobs.job import utc_now
 from core.models import library
 from core.storage import keys
 from tests.unit.environments.mjcf.probe import XML
+from tests.unit.environments.mjcf.test_archive import zipped
 from worker.validation.answer import Answer
 from worker.validation.confined import look, validate
 from worker.validation.findings import findings
@@ -117,8 +118,9 @@ def test_a_model_that_needs_too_much_memory_is_refused(tmp_path: Path) -> None:
     assert "memory" in answer.refusal
 
 
-def test_a_urdf_gets_a_motor_for_each_joint(tmp_path: Path) -> None:
-    (tmp_path / "model").write_bytes(URDF)
+@pytest.mark.parametrize("body", [URDF, zipped({"arm.urdf": URDF}), zipped({"arm.xml": URDF})])
+def test_a_urdf_gets_a_motor_for_each_joint_whatever_it_is_called(body: bytes, tmp_path: Path) -> None:
+    (tmp_path / "model").write_bytes(body)
     with read(tmp_path / "model") as spec:
         has = inventory(compiled(spec))
     assert [(one.name, one.control_range) for one in has.actuators] == [("elbow", (-1.0, 1.0))]
