@@ -18,7 +18,8 @@ from core.storage import keys
 from core.storage.objects import ObjectStore
 from worker.process import environment
 
-_MOST_S = 60.0
+# Playground's environments compile a reset on MJX, which takes a busy machine a minute.
+_MOST_S = 180.0
 log = structlog.get_logger()
 
 

@@ -7,6 +7,8 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -51,22 +53,28 @@ def live(items: IO[bytes], words: IO[str]) -> int:
 
 
 def write(task: WriteUp, words: IO[str]) -> int:
-    """Write each of the files that are wanted; the second also where the first cannot be."""
+    """Write each of the files that are wanted; one that cannot be written is a note, and keeps no other."""
+    wanted: list[tuple[str, Callable[[], None]]] = [
+        ("event file for TensorBoard", partial(write_scalars, task.measurements, task.events)),
+        ("picture of the episodes", partial(write_curve, task.measurements, task.curve)),
+    ]
+    if task.about is not None and task.archive is not None:
+        wanted.append(("file for `wandb sync`", partial(write_archive, task, task.about, task.archive)))
+    status = 0
+    for what, write_it in wanted:
+        try:
+            write_it()
+        except Exception as error:  # Whatever it is, the job goes on.
+            say(words, note=f"There is no {what}: {reason(error)}")
+            status = 1
+    return status
+
+
+def write_scalars(measurements: Path, path: Path) -> None:
+    """What TensorBoard shows."""
     from worker.tracking.board import write_events
 
-    write_events(task.measurements, task.events)
-    try:
-        write_curve(task.measurements, task.curve)
-    except Exception as error:
-        say(words, note=f"There is no picture of the episodes: {reason(error)}")
-    if task.about is None or task.archive is None:
-        return 0
-    try:
-        write_archive(task, task.about, task.archive)
-    except Exception as error:
-        say(words, note=f"There is no file for `wandb sync`: {reason(error)}")
-        return 1
-    return 0
+    write_events(measurements, path)
 
 
 def write_curve(measurements: Path, path: Path) -> None:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from core.environments.mjcf.describe import height_of, inventory, root_of
+from core.environments.mjcf.info import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
 from core.errors import BadModel
@@ -67,6 +68,11 @@ def _check(model: mujoco.MjModel) -> None:
         raise BadModel("The model has no actuators, so no policy could move it.")
     if model.nv == 0:
         raise BadModel("The model has no joints, so nothing in it can move.")
+    if not SHORTEST_STEP_S <= model.opt.timestep <= LONGEST_STEP_S:
+        raise BadModel(
+            f"The model's timestep is {model.opt.timestep:g} s, and may be {SHORTEST_STEP_S:g} s to "
+            f"{LONGEST_STEP_S:g} s."
+        )
     for name in _MUST_BE_FINITE:
         if not np.isfinite(getattr(model, name)).all():
             raise BadModel(f"The model's {name} has a value that is not a finite number.")

@@ -10,7 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from core.environments.mjcf.document import Document, parse
 from core.errors import BadModel
@@ -25,6 +25,12 @@ MAX_XML_BYTES = 16 * 2**20
 _MAX_RATIO, _HARMLESS_BYTES = 100, 2**20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _DOCUMENTS = (".xml", ".mjcf", ".urdf")
+# As much as every file system takes.
+_MAX_NAME_BYTES = 255
+# Their roots.
+_MJCF, _URDF = "mujoco", "robot"
+# Elements whose file is a document, too.
+_INCLUDING = ("include", "model")
 # Of several documents that no other includes, the one that is meant.
 _MAIN = ("scene", "model")
 _ZIP = b"PK\x03\x04"
@@ -35,10 +41,11 @@ _LITTER = ("__MACOSX", ".DS_Store")
 
 @dataclass(frozen=True)
 class Archive:
-    """main: the document's path among the files. names: of all files, in the archive."""
+    """main: the document's path among the files; is_urdf: what it is. names: of all files, in the archive."""
 
     body: bytes
     main: str
+    is_urdf: bool
     names: tuple[str, ...]
 
     def unpack(self, folder: Path) -> Path:
@@ -60,13 +67,13 @@ def examine(body: bytes) -> Archive:
         if len(body) > MAX_XML_BYTES:
             raise BadModel(f"The document has {len(body):,} bytes, and {MAX_XML_BYTES:,} are allowed.")
         document = parse("the document", body)
-        main = "model.urdf" if document.root == "robot" else "model.xml"
+        main = "model.xml"
         if document.references:
             raise BadModel(
                 f"The document names the file {document.references[0].file!r}: send both in a zip."
             )
         _check_root(main, document)
-        return Archive(body, main, (main,))
+        return Archive(body, main, document.root == _URDF, (main,))
     names = _names(body)
     if sum(name.lower().endswith(_DOCUMENTS) for name in names) > MAX_DOCUMENTS:
         raise BadModel(f"The zip has more than {MAX_DOCUMENTS} documents.")
@@ -76,7 +83,7 @@ def examine(body: bytes) -> Archive:
     main = _main(documents)
     _check_root(main, documents[main])
     _check_references(main, documents, names)
-    return Archive(body, main, tuple(names))
+    return Archive(body, main, documents[main].root == _URDF, tuple(names))
 
 
 def _content(body: bytes, name: str) -> bytes:
@@ -113,6 +120,9 @@ def _names(body: bytes) -> list[str]:
     folded = [name.casefold() for name in names]
     if twice := next((name for name in names if folded.count(name.casefold()) > 1), None):
         raise BadModel(f"The zip has {twice!r} more than once.")
+    folders = {str(folder) for name in names for folder in PurePosixPath(name).parents}
+    if both := next((name for name in names if name in folders), None):
+        raise BadModel(f"The zip has {both!r} as a file and as a folder.")
     return names
 
 
@@ -125,8 +135,10 @@ def _check_entry(entry: zipfile.ZipInfo) -> None:
     parts = name.removesuffix("/").split("/")
     if name.startswith("/") or "\\" in name or ":" in name or not name.isprintable():
         raise BadModel(f"{name!r} is no path below the archive.")
-    if any(part in ("", ".", "..") for part in parts) or len(name.encode()) > 500 or len(parts) > 20:
+    if any(part in ("", ".", "..") for part in parts) or len(parts) > 20:
         raise BadModel(f"{name!r} is no path below the archive.")
+    if any(len(part.encode()) > _MAX_NAME_BYTES for part in parts):
+        raise BadModel(f"{name[:60]!r}… is too long: a file's name may have {_MAX_NAME_BYTES} bytes.")
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         raise BadModel(f"{name!r} is a link or a device; only files and folders are allowed.")
@@ -139,15 +151,21 @@ def _check_entry(entry: zipfile.ZipInfo) -> None:
         raise BadModel(f"{name!r} has {entry.file_size:,} bytes, and {limit:,} are allowed.")
 
 
-def _main(documents: Mapping[str, Document]) -> str:
-    """The document that no other includes."""
-    included = {
+def _included(documents: Mapping[str, Document]) -> list[str]:
+    """The documents that another one may mean; it may count their folder from several places."""
+    meant = {
         posixpath.basename(reference.file)
         for document in documents.values()
         for reference in document.references
-        if reference.element in ("include", "model")
+        if reference.element in _INCLUDING
     }
-    free = [name for name in documents if posixpath.basename(name) not in included]
+    return [name for name in documents if posixpath.basename(name) in meant]
+
+
+def _main(documents: Mapping[str, Document]) -> str:
+    """The document that no other includes."""
+    included = _included(documents)
+    free = [name for name in documents if name not in included]
     named = [name for word in _MAIN for name in free if posixpath.basename(name).partition(".")[0] == word]
     if len(free) == 1 or named:
         return (named or free)[0]
@@ -160,7 +178,7 @@ def _main(documents: Mapping[str, Document]) -> str:
 
 
 def _check_root(name: str, document: Document) -> None:
-    if document.root not in ("mujoco", "robot"):
+    if document.root not in (_MJCF, _URDF):
         raise BadModel(f"{name}: its root is <{document.root[:60]}>, and MJCF's is <mujoco>, URDF's <robot>.")
 
 
@@ -172,29 +190,40 @@ def _check_references(main: str, documents: Mapping[str, Document], names: list[
     if sum(len(document.references) for document in documents.values()) > MAX_REFERENCES:
         raise BadModel(f"The documents name more than {MAX_REFERENCES:,} files.")
     known = set(names)
+    # What is included may count its paths from the folder of whatever includes it, or goes along with it.
+    least_deep = min(_depth(name) for name in (main, *_included(documents)))
     for name, document in documents.items():
         bases = {posixpath.dirname(main), posixpath.dirname(name)}
+        depth = _depth(main) if name == main else min(least_deep, _depth(name))
         for folder in document.folders:
-            for base in bases:
-                _inside(name, posixpath.join(base, folder), folder)
+            _check_inside(name, folder, folder, depth)
         for reference in document.references:
+            if reference.element in _INCLUDING and not reference.file.lower().endswith(_DOCUMENTS):
+                raise BadModel(
+                    f"{name} includes {reference.file!r}: a document's name must end with "
+                    f"{', '.join(_DOCUMENTS[:-1])} or {_DOCUMENTS[-1]}."
+                )
             file = reference.file.removeprefix("package://")
-            paths = [
-                _inside(name, posixpath.join(base, folder, file), file)
+            for folder in folders:
+                _check_inside(name, posixpath.join(folder, file), file, depth)
+            # Alone with the compiler's `strippath`, and in every URDF.
+            paths = {
+                posixpath.normpath(posixpath.join(base, folder, said))
                 for base in bases
                 for folder in folders
-            ]
-            bare = posixpath.basename(file)  # With the compiler's `strippath`, and in every URDF.
-            paths += [
-                posixpath.normpath(posixpath.join(base, folder, bare)) for base in bases for folder in folders
-            ]
+                for said in (file, posixpath.basename(file))
+            }
             if not known.intersection(paths):
                 raise BadModel(f"{name} names the file {reference.file!r}, which is not in the zip.")
 
 
-def _inside(name: str, path: str, said: str) -> str:
-    """The path made plain; raises BadModel where it leaves the archive."""
-    plain = posixpath.normpath(path)
-    if said.startswith("/") or "\\" in said or ":" in said or plain.split("/")[0] == "..":
+def _depth(name: str) -> int:
+    """How many folders of the archive the file is in."""
+    return name.count("/")
+
+
+def _check_inside(name: str, path: str, said: str, depth: int) -> None:
+    """Raises BadModel where the path leaves the archive, counted from a folder so deep in it."""
+    climbs = posixpath.normpath(path).split("/").count("..")
+    if said.startswith("/") or "\\" in said or ":" in said or climbs > depth:
         raise BadModel(f"{name} names {said!r}, which is outside the archive.")
-    return plain

@@ -7,7 +7,14 @@ from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Kind
 from core.environments.mjcf.vocabulary.observations import Activation, Qpos, Sensors
 from core.environments.mjcf.vocabulary.reset import Reset
-from core.environments.mjcf.vocabulary.rewards import Distance, ForwardVelocity, VelocityTracking
+from core.environments.mjcf.vocabulary.rewards import (
+    Contact,
+    Distance,
+    ForwardVelocity,
+    JointLimits,
+    VelocityTracking,
+)
+from core.environments.mjcf.vocabulary.terminations import Touching
 from core.errors import Problem
 from core.model import Strict
 
@@ -49,6 +56,10 @@ def _of_term(term: Strict, pointer: str, model: Inventory) -> Iterator[Problem]:
             yield from _of_name(named, f"{pointer}/{field}", kind, model)
     if isinstance(term, Sensors) and not model.sensors:
         yield Problem(pointer, "The model has no sensors.")
+    if isinstance(term, JointLimits) and all(joint.range is None for joint in model.joints):
+        yield Problem(pointer, "None of the model's joints has a range.")
+    if isinstance(term, Contact | Touching) and term.against in term.geoms:
+        yield Problem(f"{pointer}/against", f"The geom {term.against!r} never touches itself.")
     if isinstance(term, Activation) and not model.sizes.na:
         yield Problem(pointer, "None of the model's actuators has a state (na = 0).")
 

@@ -12,6 +12,9 @@ from core.environments.mjcf.vocabulary.rewards import RewardTerm
 from core.environments.mjcf.vocabulary.terminations import TerminationTerm
 from core.model import Strict
 
+# Seconds of a physics step.
+SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
+
 ModelId = Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$", description="What `POST /models` answered.")]
 
 
@@ -38,7 +41,10 @@ class MjcfOptions(Strict):
         default=None, ge=1, le=1000, description="Physics steps for each action; null: as fill 0.02 s."
     )
     timestep: float | None = Field(
-        default=None, ge=1e-5, le=0.1, description="Seconds of a physics step; null: the model's."
+        default=None,
+        ge=SHORTEST_STEP_S,
+        le=LONGEST_STEP_S,
+        description="Seconds of a physics step; null: the model's.",
     )
     solver: Literal["newton", "cg"] = Field(
         default="newton", description="On mjx and warp; native keeps the model's."

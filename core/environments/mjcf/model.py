@@ -30,7 +30,7 @@ def read(file: Path) -> Generator[mujoco.MjSpec]:
             raise JobFailed("bad_model", _sentence(error, folder)) from None
         # Files reserve gigabytes for the contacts of each world: what is needed is known when it is.
         spec.nconmax = spec.njmax = -1
-        if main.suffix == ".urdf":
+        if archive.is_urdf:
             _add_motors(spec)
         yield spec
 

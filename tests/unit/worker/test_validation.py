@@ -14,11 +14,12 @@ from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import compiled, read
-from core.errors import ModelNotFound
+from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
 from core.models import library
 from core.storage import keys
 from tests.unit.environments.mjcf.probe import XML
+from tests.unit.environments.mjcf.test_archive import zipped
 from worker.validation.answer import Answer
 from worker.validation.confined import look, validate
 from worker.validation.findings import findings
@@ -27,9 +28,11 @@ from worker.validation.limits import Limits
 NO_MOTOR = XML.replace(
     b'<motor name="elbow" joint="elbow" gear="2" ctrllimited="true" ctrlrange="-0.5 1.5"/>', b""
 )
-SLOW = b"""<mujoco><asset><mesh name="m" builtin="sphere" params="9"/></asset>
-  <worldbody>%s</worldbody></mujoco>""" % (
-    b"".join(b'<body><freejoint/><geom type="mesh" mesh="m"/></body>' for _ in range(50))
+# Nine million geoms, written in 200 bytes.
+SLOW = XML.replace(
+    b'<body name="ball"',
+    b'<replicate count="3000" euler="0 0 1"><replicate count="3000" offset="0 0 1"><geom size="0.1"/>'
+    b'</replicate></replicate><body name="ball"',
 )
 URDF = b"""<robot name="arm">
   <link name="base"/>
@@ -95,6 +98,13 @@ def test_a_model_that_no_job_could_use_is_refused(body: bytes, sentence: str, tm
     assert str(tmp_path) not in answer.refusal
 
 
+@pytest.mark.parametrize("timestep", [b"0", b"-0.002", b"1e-9", b"10"])
+def test_a_time_step_that_no_job_could_take_is_refused(timestep: bytes, tmp_path: Path) -> None:
+    (tmp_path / "model").write_bytes(XML.replace(b'"0.01"', b'"%s"' % timestep, 1))
+    with pytest.raises(BadModel, match=r"timestep is .* s, and may be 1e-05 s to 0.1 s"):
+        next(findings(tmp_path / "model"))
+
+
 def test_a_model_that_takes_too_long_is_refused_and_its_process_is_gone(tmp_path: Path) -> None:
     answer = looked(SLOW, tmp_path, Limits(wall_s=0.2))
     assert answer.refusal == "MuJoCo was not done with the model within 0.2 s; make it smaller."
@@ -108,8 +118,9 @@ def test_a_model_that_needs_too_much_memory_is_refused(tmp_path: Path) -> None:
     assert "memory" in answer.refusal
 
 
-def test_a_urdf_gets_a_motor_for_each_joint(tmp_path: Path) -> None:
-    (tmp_path / "model").write_bytes(URDF)
+@pytest.mark.parametrize("body", [URDF, zipped({"arm.urdf": URDF}), zipped({"arm.xml": URDF})])
+def test_a_urdf_gets_a_motor_for_each_joint_whatever_it_is_called(body: bytes, tmp_path: Path) -> None:
+    (tmp_path / "model").write_bytes(body)
     with read(tmp_path / "model") as spec:
         has = inventory(compiled(spec))
     assert [(one.name, one.control_range) for one in has.actuators] == [("elbow", (-1.0, 1.0))]

@@ -111,6 +111,29 @@ def test_a_folder_outside_the_archive_is_refused(folder: str) -> None:
     assert "outside the archive" in refusal(zipped({"model.xml": document, "meshes/foot.stl": b""}))
 
 
+def test_what_is_included_cannot_leave_the_archive_by_way_of_who_includes_it() -> None:
+    # MuJoCo counts what part.xml names from the folder of robot.xml.
+    part = b'<mujocoinclude><asset><mesh name="foot" file="../../secret.stl"/></asset></mujocoinclude>'
+    files = {
+        "b/c/part.xml": part,
+        "robot.xml": b'<mujoco><include file="b/c/part.xml"/></mujoco>',
+        "secret.stl": b"",
+    }
+    assert "outside the archive" in refusal(zipped(files))
+    scene = b'<mujoco><asset><model name="r" file="../../robot.xml"/></asset></mujoco>'
+    assert "'../../secret.stl', which is outside" in refusal(zipped({**files, "x/y/scene.xml": scene}))
+    # The main document's own are counted from its folder alone.
+    robot = {"robot.xml": WITH_MESH, "meshes/foot.stl": b"", "x/y/scene.xml": scene}
+    assert examine(zipped(robot)).main == "x/y/scene.xml"
+
+
+@pytest.mark.parametrize("element", ["include", "model"])
+def test_what_is_included_is_looked_at_whatever_it_is_called(element: str) -> None:
+    part = b'<mujocoinclude><mesh file="/etc/passwd"/></mujocoinclude>'
+    document = b'<mujoco><%s file="part.txt"/></mujoco>' % element.encode()
+    assert "must end with .xml" in refusal(zipped({"model.xml": document, "part.txt": part}))
+
+
 def test_a_file_that_is_not_there_is_named() -> None:
     assert "'foot.stl', which is not in the zip" in refusal(zipped({"model.xml": WITH_MESH}))
 
@@ -165,6 +188,12 @@ def test_what_would_keep_the_service_busy_is_refused() -> None:
 
 def test_names_that_differ_in_case_alone_are_refused() -> None:
     assert "more than once" in refusal(zipped({"model.xml": PLAIN, "a": b"", "A": b""}))
+
+
+def test_what_no_file_system_takes_is_refused() -> None:
+    both = {"model.xml": PLAIN, "meshes": b"", "meshes/foot.stl": b""}
+    assert "'meshes' as a file and as a folder" in refusal(zipped(both))
+    assert "too long" in refusal(zipped({"model.xml": PLAIN, "a" * 256: b""}))
 
 
 @pytest.mark.parametrize(

@@ -91,6 +91,13 @@ def test_an_inventory_names_what_is_there() -> None:
             "/observation/0/names/0",
             "did you mean 'speed'?",
         ),
+        ({"reward": [{"kind": "joint_limits"}]}, BOLTED, "/reward/0", "joints has a range"),
+        (
+            {"termination": [{"kind": "contact", "geoms": ["rod"], "against": "rod"}]},
+            PROBE,
+            "/termination/0/against",
+            "'rod' never touches itself",
+        ),
         ({"observation": [{"kind": "act"}]}, PROBE, "/observation/0", "has a state"),
         ({"observation": [{"kind": "sensors"}]}, BOLTED, "/observation/0", "has no sensors"),
         (
