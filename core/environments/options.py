@@ -40,3 +40,13 @@ class RunnerOptions(Strict):
         4, ge=1, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
     )
     ls_iterations: int = Field(8, ge=1, le=100, description="Of its line search, on mjx and warp.")
+
+
+def check_survives_its_start(height: float, healthy: tuple[float, float], *, terminates: bool) -> None:
+    """Raises ValueError where every episode would end in its first step; height: where the body begins."""
+    low, high = healthy
+    if terminates and not low <= height <= high:
+        raise ValueError(
+            f"the body begins at {height:g} m, outside of healthy_z_range = [{low:g}, {high:g}]: every "
+            "episode would end in its first step; take another range, or terminate_when_unhealthy = false"
+        )

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from core.environments.corridor.walkers import WALKERS, Arena, Walker
 from core.environments.info import Device, EnvironmentInfo
-from core.environments.options import Range, RunnerOptions, Weight
+from core.environments.options import Range, RunnerOptions, Weight, check_survives_its_start
 from core.model import Strict
 
 # How long dm_control makes the first platform, in metres, and how far in front of the first wall it leaves.
@@ -89,6 +89,8 @@ class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's f
             raise ValueError(
                 f"start_x = {self.start_x:g} m leaves no room to stand: it may be {most:g} m at most here"
             )
+        height, terminates = WALKERS[self.walker].standing_height, self.terminate_when_unhealthy
+        check_survives_its_start(height, self.healthy_range, terminates=terminates)
         return self
 
 

@@ -14,9 +14,9 @@ class WalkerInfo:
 
     source: `module:class` of dm_control. trunk: the body whose height counts and which the camera follows.
     num_positions, num_velocities: nq and nv, the free joint included. reach: metres from the trunk to the
-    farthest tip as it stands. healthy_z_range: metres of the trunk above the ground; docs/environments.md
-    says what was measured. settles: whether it stands when it does nothing. has_ellipsoids: among the
-    parts that touch the arena. cameras: in their order.
+    farthest tip as it stands. standing_height, healthy_z_range: metres of the trunk above the ground;
+    docs/environments.md says what was measured. settles: whether it stands when it does nothing.
+    has_ellipsoids: among the parts that touch the arena. cameras: in their order.
     """
 
     source: str
@@ -25,6 +25,7 @@ class WalkerInfo:
     num_velocities: int
     num_actuators: int
     reach: float
+    standing_height: float
     healthy_z_range: tuple[float, float]
     settles: bool
     has_ellipsoids: bool
@@ -39,6 +40,7 @@ WALKERS: Mapping[Walker, WalkerInfo] = {
         num_velocities=14,
         num_actuators=8,
         reach=1.0,
+        standing_height=0.36,
         healthy_z_range=(0.27, 1.0),
         settles=True,
         has_ellipsoids=False,
@@ -51,6 +53,7 @@ WALKERS: Mapping[Walker, WalkerInfo] = {
         num_velocities=73,
         num_actuators=38,
         reach=0.3,
+        standing_height=0.047,
         healthy_z_range=(0.03, 0.3),
         settles=True,
         has_ellipsoids=True,
@@ -63,6 +66,7 @@ WALKERS: Mapping[Walker, WalkerInfo] = {
         num_velocities=62,
         num_actuators=56,
         reach=1.0,
+        standing_height=1.14,
         healthy_z_range=(0.7, 1.5),
         settles=False,
         has_ellipsoids=True,

@@ -1,9 +1,13 @@
 """The rodent's row in the catalog."""
 
-from pydantic import Field
+from typing import Self
+
+from pydantic import Field, model_validator
 
 from core.environments.info import EnvironmentInfo
-from core.environments.options import Range, RunnerOptions
+from core.environments.options import Range, RunnerOptions, check_survives_its_start
+
+STANDING_HEIGHT_M = 0.047
 
 
 class RodentOptions(RunnerOptions):
@@ -12,8 +16,8 @@ class RodentOptions(RunnerOptions):
     terminate_when_unhealthy: bool = Field(True, description="Otherwise it costs the healthy reward.")
     healthy_z_range: Range = Field(
         (0.03, 0.3),
-        description="Healthy heights of the torso, in metres: it stands at 0.047, runs above 0.033, and has "
-        "fallen below 0.03.",
+        description=f"Healthy heights of the torso, in metres: it stands at {STANDING_HEIGHT_M}, runs above "
+        "0.033, and has fallen below 0.03.",
     )
     exclude_current_positions_from_observation: bool = Field(False, description="Hide x and y.")
     # With two iterations of Newton's method the body flies apart, in float64, too.
@@ -21,6 +25,12 @@ class RodentOptions(RunnerOptions):
         4, ge=3, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
     )
     ls_iterations: int = Field(8, ge=4, le=100, description="Of its line search, on mjx and warp.")
+
+    @model_validator(mode="after")
+    def _stands(self) -> Self:
+        terminates = self.terminate_when_unhealthy
+        check_survives_its_start(STANDING_HEIGHT_M, self.healthy_z_range, terminates=terminates)
+        return self
 
 
 INFO = EnvironmentInfo(

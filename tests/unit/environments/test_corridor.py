@@ -205,11 +205,20 @@ def test_the_way_past_a_wall_is_the_middle_of_what_it_leaves() -> None:
 
 def test_out_of_the_healthy_range_ends_it_or_costs_the_reward() -> None:
     for ends in (True, False):
-        case = build(healthy_z_range=(10.0, 11.0), terminate_when_unhealthy=ends)
-        state = case.step(case.reset(jax.random.key(0)), jnp.zeros(8))
+        case = build(healthy_z_range=(0.2, 1.0), terminate_when_unhealthy=ends)
+        state = case.step(moved_to(case.reset(jax.random.key(0)), 5.0, dz=1.0), jnp.zeros(8))
         assert float(state.done) == float(ends)
         assert float(state.metrics["reward_alive"]) == (0.5 if ends else 0.0)
         assert float(state.metrics["fell"]) == 1.0
+
+
+def test_a_range_in_which_it_cannot_begin_is_refused_where_that_would_end_it() -> None:
+    # The notebook's, which was made for an ant.
+    options: dict[str, Any] = {"walker": "rodent", "healthy_z_range": [0.2, 1.0]}
+    assert "the body begins at 0.047 m, outside of healthy_z_range = [0.2, 1]" in refusal(**options)
+    catalog.parse_options(
+        catalog.find("corridor"), {"arena": "empty", "terminate_when_unhealthy": False, **options}
+    )
 
 
 def test_in_the_air_it_moves_as_dm_control_composed_it() -> None:
@@ -279,6 +288,8 @@ def _kind(model: mujoco.MjModel, geom: int) -> str:
 def test_the_other_walkers_stand_in_it_too(walker: Walker) -> None:
     case = build(walker, corridor_length=10)
     low, high = WALKERS[walker].healthy_z_range
+    start = case.reset(jax.random.key(0)).physics.derived["xpos"][case.trunk, 2]
+    assert start == pytest.approx(WALKERS[walker].standing_height, abs=0.02)
     state = case.reset(jax.random.key(0))
     for _ in range(5):
         state = case.step(state, jnp.zeros(case.model.nu))
