@@ -5,7 +5,7 @@ from typing import Any
 
 import mujoco
 
-from core.environments.brittle_star.info import (
+from core.environments.brittle_star.options import (
     LIGHT_MAP_RESOLUTION,
     DirectedOptions,
     LightEscapeOptions,

@@ -1,6 +1,6 @@
 """What an action is."""
 
-from core.environments.brittle_star.info import Options
+from core.environments.brittle_star.options import Options
 from core.environments.cpg.actions import steered_by_oscillators
 from core.environments.environment import Environment
 

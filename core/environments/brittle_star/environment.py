@@ -8,23 +8,23 @@ import mujoco
 
 from core.environments.body import Body, scaled_to_control
 from core.environments.brittle_star.control import controlled
-from core.environments.brittle_star.info import (
-    DISK,
-    OF_THE_BODY,
-    DirectedOptions,
-    LightEscapeOptions,
-    Options,
-    UndirectedOptions,
-    observed,
-)
 from core.environments.brittle_star.light import show
 from core.environments.brittle_star.model import star_model
+from core.environments.brittle_star.observables import OF_THE_BODY
 from core.environments.brittle_star.observation import (
     NUM_ROOT_POSITIONS,
     NUM_ROOT_VELOCITIES,
     about_the_vertical,
     observe_body,
     roll_pitch_yaw,
+)
+from core.environments.brittle_star.options import (
+    DISK,
+    DirectedOptions,
+    LightEscapeOptions,
+    Options,
+    UndirectedOptions,
+    observed,
 )
 from core.environments.brittle_star.tasks import Directed, LightEscape, Measured, Task, Undirected
 from core.environments.environment import Environment, State

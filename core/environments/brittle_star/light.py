@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.environments.brittle_star.info import LIGHT_MAP_RESOLUTION, LightEscapeOptions
+from core.environments.brittle_star.options import LIGHT_MAP_RESOLUTION, LightEscapeOptions
 
 _GROUND = "groundplane"
 # A picture shows darkness so bright, that one sees the star in it.

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from core.environments.brittle_star.compose import composed
-from core.environments.brittle_star.info import DISK, DISK_RADIUS_M, DirectedOptions, Options, observed
+from core.environments.brittle_star.options import DISK, DISK_RADIUS_M, DirectedOptions, Options, observed
 
 # What a picture is fitted to, in metres: the star's surroundings, not the whole arena.
 _EXTENT_M = 4.0

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from core.environments.brittle_star.info import BodyObservable
+from core.environments.brittle_star.observables import BodyObservable
 from core.physics.engine import PhysicsState
 
 # Coordinates of the disk in qpos and qvel; the joints' follow, arm by arm and outwards.

@@ -9,13 +9,8 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from core.environments.brittle_star.info import (
-    DISK,
-    TARGET_RADIUS_M,
-    DirectedOptions,
-    LightEscapeOptions,
-)
 from core.environments.brittle_star.light import light_at, light_map
+from core.environments.brittle_star.options import DISK, TARGET_RADIUS_M, DirectedOptions, LightEscapeOptions
 from core.physics.engine import PhysicsState
 
 Named = Mapping[str, jax.Array]

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.environments.brittle_star.info import DirectedOptions, LightEscapeOptions, Options
+from core.environments.brittle_star.options import DirectedOptions, LightEscapeOptions, Options
 from core.environments.headless import without_a_display
 
 TASKS = {

@@ -15,14 +15,10 @@ from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.spec import resolve
 from core.environments import catalog
 from core.environments.brittle_star import compose
-from core.environments.brittle_star.info import (
-    INFOS,
-    DirectedOptions,
-    LightEscapeOptions,
-    UndirectedOptions,
-)
+from core.environments.brittle_star.info import INFOS
 from core.environments.brittle_star.light import light_at, light_map
 from core.environments.brittle_star.model import star_model
+from core.environments.brittle_star.options import DirectedOptions, LightEscapeOptions, UndirectedOptions
 from core.errors import JobFailed, Rejected
 from core.physics import availability
 from core.physics.availability import choose

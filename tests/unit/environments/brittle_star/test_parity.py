@@ -13,14 +13,8 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
-from core.environments.brittle_star.info import (
-    OF_THE_BODY,
-    OF_THE_LIGHT,
-    OF_THE_TARGET,
-    DirectedOptions,
-    LightEscapeOptions,
-    UndirectedOptions,
-)
+from core.environments.brittle_star.observables import OF_THE_BODY, OF_THE_LIGHT, OF_THE_TARGET
+from core.environments.brittle_star.options import DirectedOptions, LightEscapeOptions, UndirectedOptions
 from core.environments.environment import State
 from core.physics.choose import engine_builder
 from tests.unit.environments.brittle_star.reference import reference

@@ -1,0 +1,40 @@
+"""What a brittle star may observe, by biorobot's names."""
+
+from typing import Literal, get_args
+
+BodyObservable = Literal[
+    "joint_position",
+    "joint_velocity",
+    "joint_actuator_force",
+    "actuator_force",
+    "disk_position",
+    "disk_rotation",
+    "disk_linear_velocity",
+    "disk_angular_velocity",
+    "segment_contact",
+]
+TargetObservable = Literal["unit_xy_direction_to_target", "xy_distance_to_target"]
+LightObservable = Literal["segment_light_intake", "disk_light_intake"]
+
+OF_THE_BODY: tuple[BodyObservable, ...] = get_args(BodyObservable)
+OF_THE_TARGET: tuple[TargetObservable, ...] = get_args(TargetObservable)
+# What a State's `info` tells of the target.
+OF_THE_WAY = ("target_position", "xy_direction_to_target", "xy_distance_to_target")
+OF_THE_LIGHT: tuple[LightObservable, ...] = get_args(LightObservable)
+# What engines compute for an observation alone.
+DEAR: tuple[BodyObservable, ...] = ("joint_actuator_force", "actuator_force", "segment_contact")
+
+
+def size_of(observable: str, num_segments: int) -> int:
+    """How many numbers it is, of a star of so many segments in all."""
+    match observable:
+        case "joint_position" | "joint_velocity" | "joint_actuator_force" | "actuator_force":
+            return 2 * num_segments
+        case "segment_contact" | "segment_light_intake":
+            return num_segments
+        case "unit_xy_direction_to_target":
+            return 2
+        case "xy_distance_to_target" | "disk_light_intake":
+            return 1
+        case _:
+            return 3

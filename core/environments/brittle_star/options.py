@@ -1,0 +1,228 @@
+"""What a job may ask of a brittle star: its body, its arena, its task."""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from core.environments.brittle_star.observables import (
+    DEAR,
+    OF_THE_BODY,
+    OF_THE_LIGHT,
+    OF_THE_TARGET,
+    BodyObservable,
+    LightObservable,
+    TargetObservable,
+)
+from core.environments.cpg.options import CPGOptions
+from core.environments.options import NoiseScale
+from core.model import Strict
+
+# Of biorobot's morphology, whose name stands before everything of it.
+DISK = "BrittleStarMorphology/central_disk"
+TARGET_RADIUS_M = 0.2
+DISK_RADIUS_M = 0.125
+# Along the ground plane's texture, for each metre of the arena's half lengths.
+LIGHT_MAP_RESOLUTION = 50
+_TIMESTEP_S = 0.002
+_FIRST_SEGMENT_M, _TAPER_M = 0.125, 0.075
+_MOST_STEPS = 100_000
+_MOST_SEGMENTS = 96
+_Metres = Annotated[int, Field(ge=1, le=50)]
+_Point = Annotated[tuple[float, float], Field(strict=False)]
+_OBSERVED = "What the observation is made of. null: all; under `cpg` all but forces and contacts, which cost."
+
+
+class BrittleStarOptions(Strict):
+    """The body, the arena, the physics and what is observed: alike for all tasks."""
+
+    num_arms: int = Field(5, ge=3, le=8, description="Evenly around the disk.")
+    num_segments_per_arm: int | list[int] = Field(
+        5, description="Of every arm, or of each; 0 leaves an arm out."
+    )
+    actuation: Literal["p_control", "torque_control"] = Field(
+        "p_control", description="What moves a joint: a servo that an action gives an angle, or a torque."
+    )
+    control: Literal["joints", "cpg"] = Field(
+        "joints",
+        description="What an action is: the joints' angles or torques, or the parameters of a central "
+        "pattern generator that moves them.",
+    )
+    cpg: CPGOptions = Field(
+        CPGOptions.model_validate({}), description="Of the pattern generator, where there is one."
+    )
+    arena_size: Annotated[tuple[_Metres, _Metres], Field(strict=False)] = Field(
+        (10, 5), description="Half lengths in x and y, in metres."
+    )
+    walls: Literal["bound", "contacts"] = Field(
+        "bound",
+        description="`contacts`: every segment touches the walls, as in biorobot. `bound`: the disk stops at "
+        "them, which costs next to nothing; arms reach through.",
+    )
+    random_initial_rotation: bool = Field(False, description="About the vertical, in each episode.")
+    joint_randomization_noise_scale: NoiseScale = Field(
+        0.01, description="Of the joints' initial positions and velocities, uniform in ± this: rad, rad/s."
+    )
+    num_physics_steps_per_control_step: int = Field(10, ge=1, le=100)
+    time_scale: float = Field(2.0, ge=0.25, le=5, description="A physics step is this times 2 ms.")
+    simulation_time: float = Field(20.0, gt=0, le=4000, description="Seconds until an episode is cut off.")
+    iterations: int = Field(
+        4, ge=1, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
+    )
+    ls_iterations: int = Field(8, ge=1, le=100, description="Of its line search, on mjx and warp.")
+
+    @property
+    def segments(self) -> list[int]:
+        """How many each arm has, [num_arms]."""
+        given = self.num_segments_per_arm
+        return [given] * self.num_arms if isinstance(given, int) else given
+
+    @property
+    def timestep(self) -> float:
+        """Seconds of a physics step."""
+        return _TIMESTEP_S * self.time_scale
+
+    @property
+    def dt(self) -> float:
+        """Seconds of a control step."""
+        return self.timestep * self.num_physics_steps_per_control_step
+
+    @property
+    def episode_length(self) -> int:
+        """Control steps that fill the simulation's time; without the rounding of a quotient."""
+        return math.ceil(round(self.simulation_time / self.dt, 6))
+
+    @property
+    def start_x(self) -> float:
+        """Where the disk begins, in metres."""
+        return 0.0
+
+    @property
+    def reach(self) -> float:
+        """Metres from the disk's centre to the tip of the longest arm."""
+        return DISK_RADIUS_M + max(
+            sum(_FIRST_SEGMENT_M - _TAPER_M * index / number for index in range(number)) if number else 0.0
+            for number in self.segments
+        )
+
+    @field_validator("num_segments_per_arm")
+    @classmethod
+    def _is_an_arm(cls, given: int | list[int]) -> int | list[int]:
+        counts = [given] if isinstance(given, int) else given
+        if min(counts, default=0) < 0:
+            raise ValueError("must not be negative")
+        if sum(counts) == 0:
+            raise ValueError("there must be a segment at least: a disk alone cannot move")
+        return given
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if len(self.segments) != self.num_arms:
+            raise ValueError(
+                f"num_segments_per_arm names {len(self.segments)} arms, and num_arms = {self.num_arms}"
+            )
+        if (total := sum(self.segments)) > _MOST_SEGMENTS:
+            raise ValueError(
+                f"these are {total} segments, and {_MOST_SEGMENTS} are the most: with more the model does "
+                "not compile in time"
+            )
+        if self.episode_length > _MOST_STEPS:
+            raise ValueError(
+                f"simulation_time = {self.simulation_time:g} s are {self.episode_length} control steps of "
+                f"{self.dt:g} s, and {_MOST_STEPS} are the most"
+            )
+        if self.control == "cpg":
+            self.cpg.check_steps(self.dt)
+        room = min(self.arena_size[0] - abs(self.start_x), self.arena_size[1])
+        if room < self.reach:
+            raise ValueError(
+                f"arena_size = {list(self.arena_size)} leaves {room:g} m around the disk where it begins, "
+                f"and the arms reach {self.reach:.2f} m"
+            )
+        return self
+
+
+class DirectedOptions(BrittleStarOptions):
+    """Besides: where the target is."""
+
+    target_position: _Point | None = Field(
+        None, description="x and y in metres; null: drawn for each episode, at `target_distance`."
+    )
+    target_distance: float = Field(
+        3.0, gt=0, description="From the middle of the arena, in metres; the direction is drawn."
+    )
+    observables: list[BodyObservable | TargetObservable] | None = Field(
+        None, min_length=1, description=_OBSERVED
+    )
+
+    @model_validator(mode="after")
+    def _target_fits(self) -> Self:
+        if self.target_position is None:
+            distance, nearest = self.target_distance, min(self.arena_size)
+            if distance > nearest:
+                raise ValueError(
+                    f"target_distance = {distance:g} m leaves the arena, of which a wall is at {nearest:g} m"
+                )
+        else:
+            distance = math.hypot(*self.target_position)
+            if any(abs(x) > size for x, size in zip(self.target_position, self.arena_size, strict=True)):
+                raise ValueError(
+                    f"target_position = {list(self.target_position)} is outside of the arena, "
+                    f"± {list(self.arena_size)} m"
+                )
+        if distance < TARGET_RADIUS_M:
+            raise ValueError(
+                f"the target is {distance:g} m from where the star begins, and within {TARGET_RADIUS_M:g} m "
+                "it is reached"
+            )
+        return self
+
+
+class UndirectedOptions(BrittleStarOptions):
+    """Nothing besides."""
+
+    observables: list[BodyObservable] | None = Field(None, min_length=1, description=_OBSERVED)
+
+
+class LightEscapeOptions(BrittleStarOptions):
+    """Besides: how the light falls."""
+
+    light_perlin_noise_scale: int = Field(
+        0, ge=0, le=200, description="Patches of light and shadow along each side of the arena; 0: none."
+    )
+    light_seed: int = Field(0, ge=0, lt=2**32, description="The patches are drawn from it alone.")
+    observables: list[BodyObservable | LightObservable] | None = Field(
+        None, min_length=1, description=_OBSERVED
+    )
+
+    @property
+    def start_x(self) -> float:
+        return -0.75 * self.arena_size[0]
+
+    @model_validator(mode="after")
+    def _patches_fit(self) -> Self:
+        pixels = [LIGHT_MAP_RESOLUTION * size for size in self.arena_size]
+        scale = self.light_perlin_noise_scale
+        if scale and any(side % scale for side in pixels):
+            raise ValueError(
+                f"light_perlin_noise_scale = {scale} does not divide the light map of this arena, "
+                f"{pixels[0]} × {pixels[1]} pixels"
+            )
+        return self
+
+
+Options = DirectedOptions | UndirectedOptions | LightEscapeOptions
+
+
+def observed(options: Options) -> list[str]:
+    """The names of what is observed, in biorobot's order."""
+    of_the_task: Mapping[type[Options], tuple[str, ...]] = {
+        DirectedOptions: OF_THE_TARGET,
+        UndirectedOptions: (),
+        LightEscapeOptions: OF_THE_LIGHT,
+    }
+    every = (*OF_THE_BODY, *of_the_task[type(options)])
+    if options.observables is not None:
+        return [name for name in every if name in options.observables]
+    return [name for name in every if options.control == "joints" or name not in DEAR]
