@@ -3,10 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import jax
 import pytest
 import redis
-from jaxlib import xla_client
 
 from core.adapters.connect import connect_redis, connect_s3
 from core.adapters.memory_jobs import MemoryJobStore
@@ -22,23 +20,15 @@ from core.storage.objects import ObjectStore
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
+from tests.compiling import compile_quickly
 
 pytest_plugins = ["tests.hypothesis_profiles"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What a short test compiles runs for moments: most of the time would go into compiling it well.
-
-    In this process alone; what tests start is compiled as users have it.
-    """
-    if "not slow" not in config.option.markexpr:
-        return
-    jax.config.update("jax_disable_most_optimizations", True)
-    if jax.__version_info__ < (0, 11):  # Newer ones end at a flag that they know no more.
-        flags = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
-        with pytest.MonkeyPatch.context() as environment:
-            environment.setenv("XLA_FLAGS", flags, prepend=" ")
-            xla_client.CompileOptions()  # XLA reads its flags once: here.
+    """Long tests run long enough to be compiled well."""
+    if "not slow" in config.option.markexpr:
+        compile_quickly()
 
 
 @pytest.fixture(scope="session")
