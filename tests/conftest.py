@@ -20,7 +20,7 @@ from core.storage.objects import ObjectStore
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
-from tests.compiling import compile_quickly
+from tests.compiling import compile_quickly, compiling_quickly
 
 pytest_plugins = ["tests.hypothesis_profiles"]
 
@@ -29,6 +29,13 @@ def pytest_configure(config: pytest.Config) -> None:
     """Long tests run long enough to be compiled well."""
     if "not slow" in config.option.markexpr:
         compile_quickly()
+
+
+@pytest.fixture
+def compiled_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What this test starts is compiled as the test is, and not as users have it."""
+    for name, value in compiling_quickly().items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.fixture(scope="session")
