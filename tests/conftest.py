@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import jax
 import pytest
 import redis
 
@@ -21,17 +20,22 @@ from core.storage.objects import ObjectStore
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
+from tests.compiling import compile_quickly, compiling_quickly
 
 pytest_plugins = ["tests.hypothesis_profiles"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """What a short test compiles runs for moments: a quarter to a third of the suite's time is optimising it.
-
-    In this process alone; what tests start is compiled as users have it.
-    """
+    """Long tests run long enough to be compiled well."""
     if "not slow" in config.option.markexpr:
-        jax.config.update("jax_disable_most_optimizations", True)
+        compile_quickly()
+
+
+@pytest.fixture
+def compiled_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What this test starts is compiled as the test is, and not as users have it."""
+    for name, value in compiling_quickly().items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.fixture(scope="session")

@@ -41,7 +41,9 @@ def pretend_set_up(clone: Path) -> None:
     """A .venv as a finished start leaves it: stamped, with a Python that says what it was asked."""
     folder = clone / ".venv" / "bin"
     folder.mkdir(parents=True)
-    (folder / "python").write_text('#!/bin/sh\necho "asked: $@"; echo "path: $PYTHONPATH"; pwd\n')
+    (folder / "python").write_text(
+        '#!/bin/sh\necho "asked: $@"; echo "path: $PYTHONPATH$PYTHONDONTWRITEBYTECODE"; pwd\n'
+    )
     (folder / "python").chmod(0o755)
     code = (
         "import importlib.machinery as m, sys; run = m.SourceFileLoader('run', sys.argv[1]).load_module(); "
@@ -70,9 +72,17 @@ def test_an_unknown_command_is_refused_with_what_there_is(clone: Path) -> None:
 def test_a_second_start_goes_straight_on_from_any_folder(clone: Path, tmp_path: Path) -> None:
     pretend_set_up(clone)
     started = time.monotonic()
-    done = run(clone / "run", "up", "--port", "8123", cwd=tmp_path, PYTHONPATH="/elsewhere")
+    done = run(
+        clone / "run",
+        "up",
+        "--port",
+        "8123",
+        cwd=tmp_path,
+        PYTHONPATH="/elsewhere",
+        PYTHONDONTWRITEBYTECODE="1",
+    )
     assert time.monotonic() - started < 3
-    # The user's folder stays the current one; the user's PYTHONPATH does not reach the service.
+    # The user's folder stays the current one; the user's Python set-up does not reach the service.
     asked, path, folder = done.stdout.splitlines()
     assert asked == "asked: -P -m gaitway.embedded.up --port 8123"
     assert path == "path: "

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -67,6 +67,19 @@ WRONG_SETTINGS = {
         "GAITWAY_REDIS_URL names another machine and has no password",
     ),
 }
+# What signs a request takes its time from there.
+LATE = (
+    "import datetime, runpy, minio.time as clock; right = clock.utcnow\n"
+    "clock.utcnow = lambda: right() + datetime.timedelta(hours=1)\n"
+    "runpy.run_module('worker.reconciler', run_name='__main__')"
+)
+# name: the process, and settings that differ from those that fit.
+REFUSED = {
+    **{name: (("-m", "worker.reconciler"), changed) for name, (changed, _, _) in WRONG_SETTINGS.items()},
+    "a worker": (("-m", "worker.main"), {"S3_ACCESS_KEY": "nobody"}),
+    "a worker without its GPU": (("-m", "worker.main"), {"DEVICE": "gpu:99"}),
+    "a late clock": (("-c", LATE), {}),
+}
 
 
 @pytest.fixture(scope="module")
@@ -75,13 +88,45 @@ def stores(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stores]:
         yield found
 
 
+def fit(environment: pytest.MonkeyPatch, stores: Stores, data: Path) -> None:
+    """Put settings that fit into the environment, and no others."""
+    for name in names():
+        environment.delenv(name, raising=False)
+    for name, value in {**stores.environment, "GAITWAY_DATA_DIR": str(data)}.items():
+        environment.setenv(name, value)
+
+
+def spoil(environment: pytest.MonkeyPatch, stores: Stores, changed: dict[str, str]) -> None:
+    places = {
+        "https": f"127.0.0.1:{stores.https_port}",
+        "redis": stores.redis(""),
+        "wrong": stores.redis(":guessed@"),
+        "reader": stores.redis(f"reader:{SECRET}@"),
+    }
+    for setting, value in changed.items():
+        environment.setenv(f"GAITWAY_{setting}", value.format_map(places))
+
+
+Refused = dict[str, subprocess.Popen[str]]
+
+
+@pytest.fixture(scope="module")
+def refused(stores: Stores, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Refused]:
+    """A process for each wrong setting, begun side by side: each takes seconds to believe what it finds."""
+    processes: Refused = {}
+    with ExitStack() as stack:
+        for name, (command, changed) in REFUSED.items():
+            with pytest.MonkeyPatch.context() as environment:
+                fit(environment, stores, tmp_path_factory.mktemp("data"))
+                spoil(environment, stores, changed)
+                processes[name] = stack.enter_context(started(*command))
+        yield processes
+
+
 @pytest.fixture
 def environment(stores: Stores, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.MonkeyPatch:
     """Settings that fit, in the environment. The doctor leaves out what takes long and is not the matter."""
-    for name in names():
-        monkeypatch.delenv(name, raising=False)
-    for name, value in {**stores.environment, "GAITWAY_DATA_DIR": str(tmp_path / "data")}.items():
-        monkeypatch.setenv(name, value)
+    fit(monkeypatch, stores, tmp_path / "data")
     for name in ("jax_devices", "physics", "renderer", "encoder"):
         monkeypatch.setattr(machine, name, lambda: Check("left out", "skip", ""))
     return monkeypatch
@@ -107,7 +152,7 @@ def started(*command: str) -> Iterator[subprocess.Popen[str]]:
 
 def end_of(process: subprocess.Popen[str]) -> tuple[int, dict[str, Any]]:
     """Its exit status and the last line of its log."""
-    log, _ = process.communicate(timeout=30)
+    log, _ = process.communicate(timeout=60)
     assert SECRET not in log
     return process.returncode, json.loads(log.splitlines()[-1])
 
@@ -119,57 +164,39 @@ def test_what_fits_passes(environment: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("name", WRONG_SETTINGS)
 def test_a_process_ends_with_the_sentence_that_the_doctor_says(
-    name: str, stores: Stores, environment: pytest.MonkeyPatch
+    name: str, stores: Stores, refused: Refused, environment: pytest.MonkeyPatch
 ) -> None:
     changed, check, words = WRONG_SETTINGS[name]
-    places = {
-        "https": f"127.0.0.1:{stores.https_port}",
-        "redis": stores.redis(""),
-        "wrong": stores.redis(":guessed@"),
-        "reader": stores.redis(f"reader:{SECRET}@"),
-    }
-    for setting, value in changed.items():
-        environment.setenv(f"GAITWAY_{setting}", value.format_map(places))
-    with started("-m", "worker.reconciler") as process:
-        finding = doctor()[check]
-        status, line = end_of(process)
+    spoil(environment, stores, changed)
+    finding = doctor()[check]
+    status, line = end_of(refused[name])
     assert (status, line["event"]) == (EXIT_STATUS, "misconfigured")
     assert words in line["detail"]
     assert (finding["state"], finding["detail"]) == ("fail", line["detail"])
 
 
-def test_a_worker_ends_with_the_same_sentence(environment: pytest.MonkeyPatch) -> None:
-    environment.setenv("GAITWAY_S3_ACCESS_KEY", "nobody")
-    with started("-m", "worker.main") as process:
-        status, line = end_of(process)
+def test_a_worker_ends_with_the_same_sentence(refused: Refused) -> None:
+    status, line = end_of(refused["a worker"])
     assert status == EXIT_STATUS
     assert "GAITWAY_S3_ACCESS_KEY is not known there" in line["detail"]
 
 
 def test_a_worker_without_the_gpu_it_shall_run_on_ends_with_the_doctor_s_sentence(
-    environment: pytest.MonkeyPatch,
+    refused: Refused, environment: pytest.MonkeyPatch
 ) -> None:
     environment.setenv("GAITWAY_DEVICE", "gpu:99")
-    with started("-m", "worker.main") as process:
-        finding = doctor()["device"]
-        status, line = end_of(process)
+    finding = doctor()["device"]
+    status, line = end_of(refused["a worker without its GPU"])
     assert status == EXIT_STATUS
     assert "GAITWAY_DEVICE=gpu:99" in line["detail"]
     assert (finding["state"], finding["detail"]) == ("fail", line["detail"])
 
 
-def test_a_clock_that_is_an_hour_off_is_named(environment: pytest.MonkeyPatch) -> None:
-    # What signs a request takes its time from there.
-    late = (
-        "import datetime, runpy, minio.time as clock; right = clock.utcnow\n"
-        "clock.utcnow = lambda: right() + datetime.timedelta(hours=1)\n"
-        "runpy.run_module('worker.reconciler', run_name='__main__')"
-    )
-    with started("-c", late) as process:
-        right = minio.time.utcnow
-        environment.setattr(minio.time, "utcnow", lambda: right() + timedelta(hours=1))
-        finding = doctor()["object store"]
-        status, line = end_of(process)
+def test_a_clock_that_is_an_hour_off_is_named(refused: Refused, environment: pytest.MonkeyPatch) -> None:
+    right = minio.time.utcnow
+    environment.setattr(minio.time, "utcnow", lambda: right() + timedelta(hours=1))
+    finding = doctor()["object store"]
+    status, line = end_of(refused["a late clock"])
     assert status == EXIT_STATUS
     assert "clock and the store's are more than 15 minutes apart" in line["detail"]
     assert "NTP" in line["detail"]

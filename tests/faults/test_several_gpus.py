@@ -9,6 +9,7 @@ import pytest
 from core.jobs.attempts import claim
 from core.jobs.job import utc_now
 from core.jobs.status import JobStatus, Reason
+from tests.compiling import compiling_quickly
 from tests.faults.bench import SPEC, Bench
 from worker.supervisor import Supervisor
 
@@ -24,7 +25,8 @@ _SMALL: dict[str, Any] = {
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
-    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=2")
+    for name, value in compiling_quickly("--xla_force_host_platform_device_count=2").items():
+        monkeypatch.setenv(name, value)
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     return Bench(tmp_path)
 

@@ -58,6 +58,7 @@ def says_what_to_do(message: str | None, folder: Path) -> bool:
     return message is not None and f"GAITWAY_DATA_DIR={folder}" in message and "free space" in message
 
 
+@pytest.mark.usefixtures("compiled_quickly")
 def test_a_checkpoint_that_does_not_fit_ends_the_job_with_the_setting_and_the_remedy(
     make_disk: MakeDisk, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,6 +20,8 @@ from worker.process import TRAINING, TrainingProcess
 LONG_FILM = {"width": 640, "height": 480, "fps": 30, "seconds": 60, "every_checkpoint": True}
 SOON_S = 10.0
 
+pytestmark = pytest.mark.usefixtures("compiled_quickly")
+
 
 class Training:
     """A training process, and the messages that it has sent since somebody asked for them."""

@@ -13,6 +13,7 @@ from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.programs import trace
 from core.algorithms.ppo.update import Learner
 from core.environments import probes
+from tests.compiling import compiling_quickly
 from tests.learning.runs import small_settings
 
 
@@ -48,7 +49,7 @@ def start(cache: Path, *, learning_rate: float) -> dict[str, Any]:
     """What a process says that trains for one update."""
     said = subprocess.run(
         [sys.executable, "-m", "tests.learning.start_process", str(cache), str(learning_rate)],
-        env={**os.environ, "JAX_PLATFORMS": "cpu"},
+        env={**os.environ, **compiling_quickly(), "JAX_PLATFORMS": "cpu"},
         stdout=subprocess.PIPE,
         check=True,
     )
