@@ -1,7 +1,7 @@
 """Every body of the catalog: what its row says is what it is, and what it does."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -121,12 +121,15 @@ def test_a_world_that_breaks_does_not_look_well(case: Case) -> None:
 
 @pytest.mark.parametrize("environment_id", ["ant", "hopper", "walker2d", "humanoid", "rodent"])
 def test_unhealthy_ends_the_episode_unless_told_otherwise(environment_id: str) -> None:
-    nowhere = [10.0, 11.0]  # no torso is at that height, in metres
-    ends = make(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=True)
+    heights = [0.01, 3.0]  # every torso begins at such a height, in metres
+    ends = make(environment_id, healthy_z_range=heights, terminate_when_unhealthy=True)
     # One world and nothing compiled: a step is all that is asked for.
     begin, action = ends.reset(jax.random.key(0)), jnp.zeros(ends.action_size)
+    up = 1 if environment_id in ("hopper", "walker2d") else 2  # in a plane or in space
+    lifted = begin.physics.qpos.at[up].add(10.0)
+    begin = replace(begin, physics=replace(begin.physics, qpos=lifted))
     ended = ends.step(begin, action)
-    goes_on = make(environment_id, healthy_z_range=nowhere, terminate_when_unhealthy=False)
+    goes_on = make(environment_id, healthy_z_range=heights, terminate_when_unhealthy=False)
     going = goes_on.step(begin, action)
     assert (float(ended.done), float(going.done)) == (1.0, 0.0)
     # Without the end there is no reward for being healthy either: 1 a step, but for two of them.
