@@ -1,4 +1,4 @@
-"""A rodent of 67 joints learns to run: 30 M steps on a GPU, 3 M on a CPU, where that takes long.
+"""A rodent of 67 joints learns to run: 30 M steps on a GPU, 3 M on a CPU, 20 minutes at the least.
 
 Start the service with `./run up`, and then this: `.venv/bin/python examples/rodent_run.py`.
 """
