@@ -111,9 +111,12 @@ def _what_keeps(attempt: Callable[[mujoco.MjModel], None], model: mujoco.MjModel
 
 
 def _try_mjx(model: mujoco.MjModel) -> None:
+    """Put there, and a step traced: some of what MJX has not got shows nowhere else. Nothing is compiled."""
+    import jax
     from mujoco import mjx
 
-    mjx.put_model(model)
+    on_device = mjx.put_model(model)
+    jax.eval_shape(lambda: mjx.step(on_device, mjx.make_data(model)))
 
 
 def _try_warp(model: mujoco.MjModel) -> None:

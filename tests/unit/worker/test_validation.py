@@ -70,6 +70,16 @@ def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path:
     assert "not implemented" in why
 
 
+def test_what_an_engine_can_hold_but_not_step_is_found_too(tmp_path: Path) -> None:
+    # A rangefinder that sees one geom alone: MJX takes the model, and its step cannot be traced.
+    one_geom = XML.replace(b'<geom name="floor" type="plane" size="5 5 1"/>', b"")
+    (tmp_path / "model").write_bytes(one_geom.replace(b"<sensor>", b'<sensor><rangefinder site="middle"/>'))
+    *_, found = findings(tmp_path / "model")
+    assert found.complete
+    assert found.engines["mjx"] is not None
+    assert found.engines["warp"] is None
+
+
 def test_a_body_without_a_floor_is_described_with_a_word_about_that(tmp_path: Path) -> None:
     falling = XML.replace(b'gravity="0 0 0"', b"")
     # Half a second of the trial's wall time is enough for its 2 s: g t² / 2 = 19.6 m.
