@@ -68,6 +68,18 @@ def test_agents_side_by_side_learn_what_each_learns_alone_and_the_best_is_the_po
     np.testing.assert_array_equal(tables[0], alone.table)
 
 
+def test_a_policy_with_noise_chooses_at_random_as_often_as_its_own_agent_did() -> None:
+    agents = [{"epsilon_end": 0.25}, {"epsilon_end": 0.5}, {}]
+    settings = q_settings(
+        num_episodes=1, agents=agents, policy_agent="first", epsilon={"start": 1.0, "end": 0.125}
+    )
+    trainer = q_trainer(two_rooms(), settings)
+    list(trainer.events())
+    assert FORMAT.read(trainer.checkpoint())[0]["epsilon"] == [0.25, 0.5, 0.125]
+    for learnt_table in (table_from_checkpoint(trainer.checkpoint()), read_policy(trainer.policy())):
+        assert learnt_table.facts["epsilon"] == 0.25
+
+
 def test_a_star_learns_to_be_led_by_the_arm_towards_its_target() -> None:
     trainer = q_trainer(PlanarStar(), q_settings(STAR, num_episodes=300, discounting=0.5))
     evaluated = last_evaluation(trainer.events())

@@ -28,7 +28,7 @@ class LearntTable(NamedTuple):
     """A table [S, A], how often each of its cells was learnt from, and the options that it belongs to.
 
     facts: `indexer`, `mapper`, `decision_steps`, `num_arms`, `epsilon` (the share of choices at random where
-    noise is asked for), and others.
+    noise is asked for), and others; in those of a checkpoint `epsilon` is a list, one of each agent.
     """
 
     table: NDArray[np.float32]
@@ -53,7 +53,14 @@ def table_from_checkpoint(content: bytes) -> LearntTable:
     """The table that is the policy of a checkpoint. Raises JobFailed if it is damaged."""
     header, state = FORMAT.read(content)
     agent = policy_agent(state["eval_return"], header["policy_agent"])
-    return LearntTable(state["table"][agent], state["visits"][agent], header)
+    return of_agent(agent, state["table"], state["visits"], header)
+
+
+def of_agent(
+    agent: int, table: NDArray[np.float32], visits: NDArray[np.int32], facts: Mapping[str, Any]
+) -> LearntTable:
+    """One agent's, of all agents' tables and visits [agents, S, A] and a checkpoint's facts."""
+    return LearntTable(table[agent], visits[agent], {**facts, "epsilon": facts["epsilon"][agent]})
 
 
 def policy_agent(eval_return: NDArray[np.float32], which: str) -> int:

@@ -24,7 +24,7 @@ from core.algorithms.q_learning.learner import (
     agent_keys,
 )
 from core.algorithms.q_learning.mappers import num_arms
-from core.algorithms.q_learning.policy import FORMAT, LearntTable, policy_agent, write_policy
+from core.algorithms.q_learning.policy import FORMAT, of_agent, policy_agent, write_policy
 from core.algorithms.q_learning.programs import Programs, trace
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.schedule import Schedule
@@ -69,7 +69,7 @@ class QLearningTrainer:
         self._description = describe(environment, settings)
         self._facts = self._description | {
             "num_arms": num_arms(environment),
-            "epsilon": settings.epsilon.end,
+            "epsilon": self._hyperparameters.epsilon_end.tolist(),
             "policy_agent": settings.policy_agent,
         }
         self._loop = Loop(
@@ -110,9 +110,9 @@ class QLearningTrainer:
 
     def policy(self) -> bytes:
         """The table of the agent that is the policy; see `policy.read_policy`."""
-        state, agent = self._begun, self._policy_agent
-        table, visits = np.asarray(state.table)[agent], np.asarray(state.visits)[agent]
-        return write_policy(LearntTable(table, visits, self._facts))
+        state = self._begun
+        table, visits = np.asarray(state.table), np.asarray(state.visits)
+        return write_policy(of_agent(self._policy_agent, table, visits, self._facts))
 
     def tables(self) -> Mapping[str, NDArray[Any]]:
         """All agents' tables and visits, [agents, rows, columns]; valid between two events."""
