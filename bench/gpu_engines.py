@@ -21,9 +21,8 @@ _UPDATES = 12
 _MOST_TRAINING_S = 10.0
 _PHYSICS_S = 3.0
 _TIMEOUT_S = 560.0
-# Compiled side by side, timed one after the other.
 _AT_ONCE = 4
-# What would not be compiled in the time there is; gpu_rodent waits for it.
+# One update of it would take most of a minute; gpu_rodent has its physics.
 _LEFT_OUT = {("rodent", "mjx")}
 
 
@@ -139,7 +138,7 @@ def _notes() -> list[str]:
         "number of worlds under random actions, fallen ones begun anew, without networks; the median of "
         "several seconds. A step is one action of one world. `native` steps on the host's cores, the learner "
         "is on the GPU. The fastest training of a body is in bold.",
-        f"Programs were compiled anew, {_AT_ONCE} runs side by side, and timed one after the other; Warp's "
-        "kernels are compiled in the first update of the bench's first run on `warp`, and kept for the "
-        "others. The rodent on `mjx` is in gpu_rodent: its compilation takes many minutes.",
+        f"Programs were compiled anew, {_AT_ONCE} runs at once; Warp's kernels are compiled in the first "
+        "update of the bench's first run on `warp`, and kept for the others. The rodent's physics on `mjx` "
+        "is in gpu_rodent: one update of its training would take most of a minute.",
     ]

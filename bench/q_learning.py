@@ -135,23 +135,15 @@ def _rates(runs: Runs, fastest: str) -> list[Figure]:
 def _walls(done: Mapping[str, Run], most_s: float) -> list[Figure]:
     """Of warm runs there are several: the learning ones after the first find everything compiled, too."""
     name = "100 episodes, the process's begin to the learnt table"
-    cold, *warm = (
-        [run["learnt_at"] - run["began_at"] for key in keys if (run := done.get(key))]
-        for keys in (["cold"], ["warm", "centralised-1", "centralised-2"])
-    )
-    figures = [Figure(name=f"{name}, cold", value=seconds, unit="s") for seconds in cold]
-    return figures + [
-        Figure(
-            name=f"{name}, warm",
-            value=median(seconds),
-            low=min(seconds),
-            high=max(seconds),
-            unit="s",
-            target=at_most(most_s),
-        )
-        for seconds in warm
-        if seconds
-    ]
+    walls = {key: run["learnt_at"] - run["began_at"] for key, run in done.items() if "learnt_at" in run}
+    warm = [walls[key] for key in ("warm", "centralised-1", "centralised-2") if key in walls]
+    figures = list[Figure]()
+    if "cold" in walls:
+        figures.append(Figure(name=f"{name}, cold", value=walls["cold"], unit="s"))
+    if warm:
+        spread = {"value": median(warm), "low": min(warm), "high": max(warm)}
+        figures.append(Figure(name=f"{name}, warm", **spread, unit="s", target=at_most(most_s)))
+    return figures
 
 
 def _steering(done: Mapping[str, Run], tables: Mapping[str, list[Run]]) -> list[Figure]:

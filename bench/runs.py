@@ -52,6 +52,7 @@ class Runs:
         self.done: dict[str, Run] = {}
         self.failed: dict[str, str] = {}
         self.left: list[str] = []
+        self._in_turns = False
         self.machine = this_machine()
         self._folder = options.out / "runs" / (f"{bench}-quick" if options.quick else bench)
         # Compiled programs are large, and are of use on this machine only: they stay out of the results.
@@ -74,6 +75,7 @@ class Runs:
         (bench.turn); a run's limit in time covers its waiting.
         """
         wanted = list(works)
+        self._in_turns = in_turns
         if in_turns:
             os.environ.setdefault(TURN, str(self._caches / "turn"))
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # One process would take the card.
@@ -114,6 +116,11 @@ class Runs:
         seen = [{name: getattr(machine, name) for name in _ALIKE} for machine in self._machines.values()]
         differing = [name for name in _ALIKE if any(one[name] != seen[0][name] for one in seen)]
         notes = [f"Failed: {name} ({reason})." for name, reason in self.failed.items()]
+        if self._in_turns:
+            notes.append(
+                "Runs were compiled side by side and timed one after the other: a run's wall has its waiting "
+                "in it."
+            )
         for name in differing:
             values = dict.fromkeys(json.dumps(one[name]) for one in seen)
             notes.append(f"The runs differ in {name}: {', '.join(values)}.")

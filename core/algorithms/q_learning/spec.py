@@ -91,7 +91,7 @@ class QLearningSpec(BaseSpec):
         le=10**9,
         description="Episodes of each agent, rounded up to whole rounds: one in each of its worlds.",
     )
-    num_envs: int = Field(default=10, ge=1, le=2**20, description="Worlds of each agent, side by side.")
+    num_envs: int = Field(default=10, ge=1, le=MOST_WORLDS, description="Worlds of each agent, side by side.")
     decisions_per_episode: int = Field(
         default=50, ge=1, le=10**6, description="Decisions after which an episode is cut off."
     )
