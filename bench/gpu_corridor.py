@@ -43,8 +43,9 @@ def measure(options: Options) -> Result:
         figures=_figures(runs, engine),
         rows=[comparison.row(name, run) for name, run in runs.done.items() if name == "ours"],
         notes=[
-            f"Ours: the tuned settings, {_UPDATES} updates; then the same worlds under random actions "
-            "without networks. A control step is one action of one world, five physics steps.",
+            f"Ours: the tuned settings, {_UPDATES} updates; then the same worlds without networks, under a "
+            "random action in each control step, which is five physics steps of one world. In training, too, "
+            "control steps are counted, not the policy's actions.",
             f"Composed: {_COMPOSED_WORLDS} worlds of the model as dm_control composes it, physics alone "
             "under random actions; only what MJX has not got is left out of it (the search against slipping, "
             "sensors).",
