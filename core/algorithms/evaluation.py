@@ -13,7 +13,7 @@ from core.environments.wrappers import select
 
 @struct.dataclass
 class EpisodeTotals:
-    """Sums over one episode for each of N environments, [N]. metrics: by name, `reward` among them."""
+    """Sums over one episode's actions for each of N environments, [N]. metrics: by name, `reward` among them."""
 
     metrics: dict[str, jax.Array]
     length: jax.Array
@@ -75,9 +75,14 @@ def run_episodes(
 def evaluation_metrics(totals: EpisodeTotals, action_repeat: int = 1) -> dict[str, float]:
     """Means over the episodes, by Brax's names; totals: arrays on the host.
 
-    action_repeat: environment steps for each action; the totals count actions, the mean length steps.
+    action_repeat: environment steps for each action. What is returned is summed over steps, as rewards are;
+    the totals count actions, and an action's metrics are means over its steps (`RepeatedAction`).
     """
-    metrics = {f"eval/episode_{name}": float(np.mean(value)) for name, value in totals.metrics.items()}
+    summed = {
+        name: value if name == "reward" else value * np.float32(action_repeat)
+        for name, value in totals.metrics.items()
+    }
+    metrics = {f"eval/episode_{name}": float(np.mean(value)) for name, value in summed.items()}
     metrics["eval/episode_reward_std"] = float(np.std(totals.metrics["reward"]))
     metrics["eval/avg_episode_length"] = float(np.mean(totals.length)) * action_repeat
     if "x_velocity" in totals.metrics:

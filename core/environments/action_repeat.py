@@ -15,7 +15,9 @@ from core.physics.engine import NOMINAL, ModelFields
 class RepeatedAction(Wrapped):
     """An environment in which every action is taken `num_repeats` times, and rewards add up.
 
-    A step that ends the episode is the last one taken; metrics are those of the last one, as in Brax.
+    A step that ends the episode is the last one taken. Metrics are means over `num_repeats` steps, to which
+    those that are not taken add nothing: `num_repeats` times as much is what an action did. (Brax keeps
+    those of the last step, and loses what happened in the others.)
     """
 
     num_repeats: int
@@ -32,15 +34,17 @@ class RepeatedAction(Wrapped):
         return self.environment.reset(key, model)
 
     def step(self, state: State, action: jax.Array) -> State:
-        def again(state: State, _: None) -> tuple[State, jax.Array]:
+        def again(state: State, _: None) -> tuple[State, tuple[jax.Array, dict[str, jax.Array]]]:
             after = self.environment.step(state, action)
             ended = state.done > 0
-            return select(ended, state, after), jnp.where(ended, 0.0, after.reward)
+            seen = (after.reward, dict(after.metrics))
+            return select(ended, state, after), jax.tree.map(lambda x: jnp.where(ended, 0.0, x), seen)
 
         # `done` may still tell of the episode before this one.
         running = replace(state, done=jnp.zeros_like(state.done))
-        last, rewards = jax.lax.scan(again, running, length=self.num_repeats)
-        return replace(last, reward=jnp.sum(rewards))
+        last, (rewards, metrics) = jax.lax.scan(again, running, length=self.num_repeats)
+        means = {name: jnp.sum(values) / self.num_repeats for name, values in metrics.items()}
+        return replace(last, reward=jnp.sum(rewards), metrics=means)
 
 
 def repeat_action(environment: Environment, num_repeats: int) -> Environment:

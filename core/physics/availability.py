@@ -31,7 +31,7 @@ _BRITTLE_STARS = ("brittle_star", "brittle_star_light_escape", "brittle_star_und
 # What measurements say `auto` should do on a GPU; the first rule that fits is taken, and MJX without one.
 # Training steps a second on one H200, under the tuned settings (docs/performance.md).
 ON_A_GPU: tuple[Rule, ...] = (
-    Rule("ant", 1024, "warp", "Measured on an H200: 1.23 M training steps/s, 1.10 M by mjx."),
+    Rule("ant", 1024, "warp", "Measured on an H200: 1.23 M training steps/s, 0.99 M by mjx."),
     *(
         Rule(star, 1, "warp", "Measured on an H200: 243 k actions/s in training, 21 k by native on 16 cores.")
         for star in _BRITTLE_STARS
@@ -42,13 +42,17 @@ ON_A_GPU: tuple[Rule, ...] = (
     ),
     Rule("corridor", 1, "warp", "Platforms make many pairs of shapes, of which MJX looks at all."),
     Rule("corridor", 1, "native", "Platforms make many pairs of shapes, of which MJX looks at all."),
-    Rule("half_cheetah", 1024, "warp", "Measured on an H200: 536 k training steps/s, 90 k by mjx."),
-    Rule("hopper", 1024, "warp", "Measured on an H200: 898 k training steps/s, 137 k by mjx."),
-    Rule("humanoid", 1024, "warp", "Measured on an H200: 549 k training steps/s, 457 k by mjx."),
+    Rule("half_cheetah", 1024, "warp", "Measured on an H200: 597 k training steps/s, 87 k by mjx."),
+    Rule("hopper", 1024, "warp", "Measured on an H200: 1.04 M training steps/s, 141 k by mjx."),
+    Rule("humanoid", 1024, "warp", "Measured on an H200: 571 k training steps/s, 415 k by mjx."),
+    Rule(
+        "inverted_pendulum", 1024, "warp", "Measured on an H200: 1.54 M training steps/s, 635 k by mjx."
+    ),
     Rule("mjcf", 1, "warp", "On an H200 it was the fastest for every body of the catalog."),
-    Rule("rodent", 1, "warp", "Measured on an H200: 138 k physics steps/s, 3.5 k by mjx."),
-    Rule("rodent", 1, "native", "MJX steps 3.5 k a second on an H200, C MuJoCo 10 k on one core."),
-    Rule("walker2d", 1024, "warp", "Measured on an H200: 811 k training steps/s, 122 k by mjx."),
+    Rule("reacher", 1024, "warp", "Measured on an H200: 921 k training steps/s, 306 k by mjx."),
+    Rule("rodent", 1, "warp", "Measured on an H200: 133 k physics steps/s, 21 k by mjx."),
+    Rule("rodent", 1, "native", "MJX steps 21 k a second on an H200, C MuJoCo 10 k on one core."),
+    Rule("walker2d", 1024, "warp", "Measured on an H200: 905 k training steps/s, 114 k by mjx."),
 )
 
 

@@ -51,3 +51,17 @@ def test_metrics_are_means_over_episodes_and_the_speed_is_one_over_steps() -> No
         # Nine metres per second over three steps.
         "eval/forward_speed": pytest.approx(3.0),
     }
+
+
+def test_what_an_action_is_the_mean_of_counts_once_for_each_of_its_steps() -> None:
+    # Two actions of four steps; it fell in one of the eight.
+    totals = EpisodeTotals(
+        metrics={"reward": np.float32([8.0]), "x_velocity": np.float32([3.0]), "fell": np.float32([0.25])},
+        length=np.float32([2.0]),
+    )
+    metrics = evaluation_metrics(totals, action_repeat=4)
+    assert metrics["eval/episode_reward"] == 8.0
+    assert metrics["eval/episode_fell"] == 1.0
+    assert metrics["eval/episode_x_velocity"] == 12.0
+    assert metrics["eval/avg_episode_length"] == 8.0
+    assert metrics["eval/forward_speed"] == 1.5

@@ -29,6 +29,14 @@ def test_an_episode_that_ends_half_way_stands_still_from_there_on() -> None:
     assert seen(world.step(state, ACTION)) == (5.0, 3.0 + 4.0, 1.0)
 
 
+def test_metrics_are_means_over_the_steps_and_those_not_taken_add_nothing() -> None:
+    # The velocity is the action, 1.
+    world = repeat_action(WORLD, 3)
+    state = world.step(world.reset(jax.random.PRNGKey(0)), ACTION)
+    assert float(state.metrics["x_velocity"]) == pytest.approx(1.0)
+    assert float(world.step(state, ACTION).metrics["x_velocity"]) == pytest.approx(2 / 3)
+
+
 def test_the_end_of_an_episode_before_is_not_that_of_this_one() -> None:
     world = repeat_action(WORLD, 2)
     fresh = world.reset(jax.random.PRNGKey(0))
