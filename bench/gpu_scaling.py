@@ -21,7 +21,13 @@ def measure(options: Options) -> Result:
     numbers = [n for n in (1, 2, 4) if n <= max(1, len(visible_gpus()))]
     runs = Runs("gpu_scaling", options)
     runs.make(
-        Work(str(n), "bench.train_ours", _request(device, body, n, options), timeout_s=_TIMEOUT_S, cache="kernels")
+        Work(
+            str(n),
+            "bench.train_ours",
+            _request(device, body, n, options),
+            timeout_s=_TIMEOUT_S,
+            cache="kernels",
+        )
         for n in numbers
     )
     return Result(

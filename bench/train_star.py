@@ -91,7 +91,9 @@ def _steered(environment: Any, settings: Any, table: Any, episodes: int) -> dict
             )
         )(jax.random.PRNGKey(_UNSEEN))
     )
-    reached = totals.metrics["target_reached"] * settings.decision_steps  # an action's are means over its steps
+    reached = (
+        totals.metrics["target_reached"] * settings.decision_steps
+    )  # an action's are means over its steps
     seconds = totals.length * settings.decision_steps * environment.dt
     return {
         "reached": float(reached.mean()),

@@ -45,9 +45,7 @@ ON_A_GPU: tuple[Rule, ...] = (
     Rule("half_cheetah", 1024, "warp", "Measured on an H200: 597 k training steps/s, 87 k by mjx."),
     Rule("hopper", 1024, "warp", "Measured on an H200: 1.04 M training steps/s, 141 k by mjx."),
     Rule("humanoid", 1024, "warp", "Measured on an H200: 571 k training steps/s, 415 k by mjx."),
-    Rule(
-        "inverted_pendulum", 1024, "warp", "Measured on an H200: 1.54 M training steps/s, 635 k by mjx."
-    ),
+    Rule("inverted_pendulum", 1024, "warp", "Measured on an H200: 1.54 M training steps/s, 635 k by mjx."),
     Rule("mjcf", 1, "warp", "On an H200 it was the fastest for every body of the catalog."),
     Rule("reacher", 1024, "warp", "Measured on an H200: 921 k training steps/s, 306 k by mjx."),
     Rule("rodent", 1, "warp", "Measured on an H200: 133 k physics steps/s, 21 k by mjx."),
