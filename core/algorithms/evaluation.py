@@ -13,7 +13,7 @@ from core.environments.wrappers import select
 
 @struct.dataclass
 class EpisodeTotals:
-    """Sums over an episode's actions for each of N environments, [N]. metrics: by name, `reward` among them."""
+    """Sums over an episode's actions for each of N environments, [N]. metrics: by name, and `reward`."""
 
     metrics: dict[str, jax.Array]
     length: jax.Array
