@@ -1,6 +1,7 @@
 """Acting more slowly than the world steps: one action, held for several steps."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 from core.environments.environment import Environment, State
 from core.environments.wrapped import Wrapped
 from core.environments.wrappers import select
-from core.physics.engine import NOMINAL, ModelFields
+from core.physics.engine import NOMINAL, OVERFLOW, ModelFields
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,8 @@ class RepeatedAction(Wrapped):
 
     A step that ends the episode is the last one taken. Metrics are means over `num_repeats` steps, to which
     those that are not taken add nothing: `num_repeats` times as much is what an action did. (Brax keeps
-    those of the last step, and loses what happened in the others.)
+    those of the last step, and loses what happened in the others.) Of an engine that tells it, `OVERFLOW`
+    is 1 where any of the steps lost contacts.
     """
 
     num_repeats: int
@@ -34,17 +36,20 @@ class RepeatedAction(Wrapped):
         return self.environment.reset(key, model)
 
     def step(self, state: State, action: jax.Array) -> State:
-        def again(state: State, _: None) -> tuple[State, tuple[jax.Array, dict[str, jax.Array]]]:
+        def again(state: State, _: None) -> tuple[State, Any]:
             after = self.environment.step(state, action)
             ended = state.done > 0
-            seen = (after.reward, dict(after.metrics))
+            seen = (after.reward, dict(after.metrics), after.physics.derived.get(OVERFLOW))
             return select(ended, state, after), jax.tree.map(lambda x: jnp.where(ended, 0.0, x), seen)
 
         # `done` may still tell of the episode before this one.
         running = replace(state, done=jnp.zeros_like(state.done))
-        last, (rewards, metrics) = jax.lax.scan(again, running, length=self.num_repeats)
+        last, (rewards, metrics, lost) = jax.lax.scan(again, running, length=self.num_repeats)
         means = {name: jnp.sum(values) / self.num_repeats for name, values in metrics.items()}
-        return replace(last, reward=jnp.sum(rewards), metrics=means)
+        physics = last.physics
+        if lost is not None:
+            physics = replace(physics, derived={**physics.derived, OVERFLOW: jnp.max(lost)})
+        return replace(last, physics=physics, reward=jnp.sum(rewards), metrics=means)
 
 
 def repeat_action(environment: Environment, num_repeats: int) -> Environment:

@@ -15,6 +15,7 @@ from core.environments.rollout import Roller
 from core.errors import JobFailed
 from tests.learning.q_probes import STAR, PlanarStar, q_settings, q_trainer, two_rooms
 from tests.learning.runs import last_evaluation
+from tests.overflowing import Overflowing
 
 # Two rooms, γ = 0.5. In room 1 the end brings 2, in room 0 the way there 0.5 · 2 = 1; so staying is worth
 # 0.4 + 0.5 · 1 = 0.9, and going back 0.5 · 1.
@@ -185,6 +186,21 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
     assert {f"training/{name}" for name in names} <= last.metrics.keys()
     evaluation = [event.metrics for event in events if isinstance(event, Evaluated)][-1]
     assert {"eval/episode_reward", "eval/avg_episode_length", "eval/walltime"} <= evaluation.keys()
+
+
+def test_contacts_that_the_engine_lost_are_told_as_the_share_of_decisions_that_lost_some() -> None:
+    # Equal cells and no exploration: all stay in room 0. The second of 8 steps is in the first of 4 decisions.
+    settings = q_settings(
+        decisions_per_episode=4,
+        decision_steps=2,
+        num_episodes=8,
+        num_evals=0,
+        initial_table="constant",
+        epsilon={"start": 0.0, "end": 0.0},
+    )
+    events = q_trainer(Overflowing(two_rooms()), settings).events()
+    told = [event.metrics["training/physics_overflow"] for event in events if isinstance(event, Progress)]
+    assert told == [0.25]
 
 
 def test_a_reward_that_is_no_number_ends_the_run_with_the_last_good_table() -> None:

@@ -18,6 +18,7 @@ from core.algorithms.q_learning.table import Transitions, epsilon_greedy, greedy
 from core.environments.environment import State
 from core.environments.worlds import Worlds
 from core.environments.wrappers import select
+from core.physics.engine import OVERFLOW
 
 # What is looked at in each round, in the order in which one spoils the next.
 QUANTITIES = ("observation", "reward", "table")
@@ -230,6 +231,8 @@ class Learner:
         values = {name: values for name, values in after.metrics.items() if name != "x_velocity"}
         if (speed := after.metrics.get("x_velocity")) is not None:
             values["forward_speed"] = speed
+        if (lost := after.physics.derived.get(OVERFLOW)) is not None:
+            values["physics_overflow"] = lost
         values |= {"score": after.reward, "alive": jnp.ones_like(after.reward)}
         still = {name: jnp.where(alive, value, 0.0) for name, value in values.items()}
         means = {name: jnp.mean(self._by_agent(value), axis=1) for name, value in still.items()}

@@ -13,11 +13,12 @@ from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
-from core.environments.environment import State
+from core.environments.environment import Environment, State
 from core.environments.probes import Probe, endless
 from core.environments.worlds import Worlds
 from core.environments.wrappers import start_episodes
 from core.physics.engine import NOMINAL, ModelFields
+from tests.overflowing import Overflowing
 
 SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8], "value_hidden_layer_sizes": [8]})
 
@@ -161,7 +162,7 @@ class Measured(Probe):
         return replace(after, metrics={"height": after.physics.time, "reward_task": after.reward})
 
 
-def outcome_of_four_steps(world: Probe) -> tuple[dict[str, float], float]:
+def outcome_of_four_steps(world: Environment) -> tuple[dict[str, float], float]:
     """What is told of 8 worlds that act with ±0.5 four times, under a limit of four; how many show +1."""
 
     def policy(observation: jax.Array, key: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
@@ -201,3 +202,10 @@ def test_every_metric_of_the_environment_is_told_as_its_mean_over_the_steps() ->
     assert told["height"] == pytest.approx((7 * falling + 10 * (8 - falling)) / 32)
     assert told["reward_task"] == -1.0
     assert "forward_speed" not in told
+
+
+def test_lost_contacts_are_told_as_the_share_of_steps_that_lost_some() -> None:
+    # Nobody falls; each world's second step of four loses some.
+    world = Probe(lambda obs, time, action: (action, jnp.zeros(())))
+    assert outcome_of_four_steps(Overflowing(world))[0]["physics_overflow"] == 0.25
+    assert "physics_overflow" not in outcome_of_four_steps(world)[0]

@@ -5,6 +5,8 @@ import pytest
 from core.environments.action_repeat import repeat_action
 from core.environments.environment import State
 from core.environments.probes import Probe
+from core.physics.engine import OVERFLOW
+from tests.overflowing import Overflowing
 
 # The observation is the time and so is the reward; a step from time 4 ends the episode.
 WORLD = Probe(lambda obs, time, action: (time, jnp.where(time == 4, 1.0, 0.0)), shows_time=True)
@@ -35,6 +37,13 @@ def test_metrics_are_means_over_the_steps_and_those_not_taken_add_nothing() -> N
     state = world.step(world.reset(jax.random.PRNGKey(0)), ACTION)
     assert float(state.metrics["x_velocity"]) == pytest.approx(1.0)
     assert float(world.step(state, ACTION).metrics["x_velocity"]) == pytest.approx(2 / 3)
+
+
+def test_contacts_that_any_of_the_steps_lost_are_told_of_the_action() -> None:
+    world = repeat_action(Overflowing(WORLD), 3)
+    once = world.step(world.reset(jax.random.PRNGKey(0)), ACTION)
+    twice = world.step(once, ACTION)
+    assert [float(state.physics.derived[OVERFLOW]) for state in (once, twice)] == [1.0, 0.0]
 
 
 def test_the_end_of_an_episode_before_is_not_that_of_this_one() -> None:

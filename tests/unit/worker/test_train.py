@@ -1,0 +1,28 @@
+"""What a training tells its job, besides what the trainer tells."""
+
+import json
+import os
+from pathlib import Path
+
+from core.algorithms.trainer import Progress
+from core.environments.probes import endless
+from tests.learning.runs import small_trainer
+from worker.training.channel import Channel
+from worker.training.train import Report
+
+
+def test_contacts_that_are_lost_are_warned_of_once_and_told_each_time(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    channel = Channel(tmp_path, write)
+    report = Report(channel, small_trainer(endless()))
+    for step, lost in enumerate([0.0, 0.1, 0.2]):
+        report.tell(Progress(step, 3, {"training/physics_overflow": lost}))
+    channel._pipe.close()
+    with os.fdopen(read, "rb") as pipe:
+        said = [json.loads(line) for line in pipe]
+    notes = [message["text"] for message in said if message["type"] == "note"]
+    assert len(notes) == 1
+    assert "By step 1" in notes[0]
+    assert "contacts were lost" in notes[0]
+    rows = [message["values"] for message in said if message["type"] == "metrics"]
+    assert [row["training/physics_overflow"] for row in rows] == [0.0, 0.1, 0.2]
