@@ -22,7 +22,7 @@ _MOST_TRAINING_S = 10.0
 _PHYSICS_S = 3.0
 _TIMEOUT_S = 560.0
 _AT_ONCE = 4
-# One update of it would take most of a minute; gpu_rodent has its physics.
+# Its training compiles for many minutes; gpu_rodent has its physics.
 _LEFT_OUT = {("rodent", "mjx")}
 
 
@@ -140,5 +140,5 @@ def _notes() -> list[str]:
         "is on the GPU. The fastest training of a body is in bold.",
         f"Programs were compiled anew, {_AT_ONCE} runs at once; Warp's kernels are compiled in the first "
         "update of the bench's first run on `warp`, and kept for the others. The rodent's physics on `mjx` "
-        "is in gpu_rodent: one update of its training would take most of a minute.",
+        "is in gpu_rodent: its training compiles for many minutes.",
     ]

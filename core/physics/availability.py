@@ -46,10 +46,10 @@ ON_A_GPU: tuple[Rule, ...] = (
     Rule("hopper", 1024, "warp", "Measured on an H200: 1.04 M training steps/s, 141 k by mjx."),
     Rule("humanoid", 1024, "warp", "Measured on an H200: 571 k training steps/s, 415 k by mjx."),
     Rule("inverted_pendulum", 1024, "warp", "Measured on an H200: 1.54 M training steps/s, 635 k by mjx."),
-    Rule("mjcf", 1, "warp", "On an H200 it was the fastest for every body of the catalog."),
+    Rule("mjcf", 1, "warp", "On an H200 it was the fastest for every body that was measured."),
     Rule("reacher", 1024, "warp", "Measured on an H200: 921 k training steps/s, 306 k by mjx."),
-    Rule("rodent", 1, "warp", "Measured on an H200: 133 k physics steps/s, 21 k by mjx."),
-    Rule("rodent", 1, "native", "MJX steps 21 k a second on an H200, C MuJoCo 10 k on one core."),
+    Rule("rodent", 1, "warp", "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),
+    Rule("rodent", 1, "native", "MJX compiles its training for many minutes, for 21 k steps/s on an H200."),
     Rule("walker2d", 1024, "warp", "Measured on an H200: 905 k training steps/s, 114 k by mjx."),
 )
 

@@ -189,7 +189,7 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
 
 
 def test_contacts_that_the_engine_lost_are_told_as_the_share_of_decisions_that_lost_some() -> None:
-    # Equal cells and no exploration: all stay in room 0. The second of 8 steps is in the first of 4 decisions.
+    # All stay in room 0. The second of an episode's 8 steps is in the first of its 4 decisions.
     settings = q_settings(
         decisions_per_episode=4,
         decision_steps=2,

@@ -59,7 +59,7 @@ class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's f
     num_next_obstacles: int = Field(
         0, ge=0, le=10, description="So many of the gaps or walls ahead are shown to it."
     )
-    episode_length: int = Field(1000, ge=1, le=100_000, description="Actions until an episode is cut off.")
+    episode_length: int = Field(1000, ge=1, le=100_000, description="Steps until an episode is cut off.")
 
     @property
     def healthy_range(self) -> tuple[float, float]:

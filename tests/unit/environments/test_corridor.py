@@ -383,3 +383,10 @@ def test_a_job_is_judged_by_the_walker_that_it_asks_for() -> None:
     info = catalog.find("corridor")
     row = info.under(catalog.parse_options(info, environment["options"]))
     assert resolve(PPOSpec(), row, "cpu").episode_length == 300
+
+
+def test_an_action_of_the_ants_is_held_and_the_others_act_in_every_step() -> None:
+    info = catalog.find("corridor")
+    for walker, held in (("ant", 4), ("rodent", 1), ("humanoid", 1)):
+        row = info.under(catalog.parse_options(info, {"walker": walker}))
+        assert {resolve(PPOSpec(), row, device).action_repeat for device in ("cpu", "gpu")} == {held}
