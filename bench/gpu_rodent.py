@@ -98,7 +98,8 @@ def _notes(given: Settings, updates: int) -> list[str]:
     return [
         f"{given.get('num_envs', _WORLDS):,} worlds under the rodent's tuned settings for a GPU, {updates} "
         "updates without evaluations; the rate is of training alone, over the second half of the run. A "
-        "training step is one control step of one world.",
+        "training step is one control step of one world. Brax has neither the bound on observations nor the "
+        "random beginnings of episodes that these settings have; they cost next to no time.",
         "MJX-JAX: the same worlds under random actions, without networks. Brax's trainer on it is not "
         "here: it compiles its loop twice, and the second time had not ended after 17 minutes. It cannot be "
         "faster than that physics alone.",
