@@ -12,10 +12,11 @@ class BaseSpec(Strict):
     """An algorithm's hyperparameters; a subclass adds `kind` and its fields.
 
     fixed_by_checkpoint: names of what a run that resumes must have in common with its checkpoint; everything
-    else may change.
+    else may change. checkpoint_holds_worlds: whether a run goes on in the very worlds that it left.
     """
 
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = ()
+    checkpoint_holds_worlds: ClassVar[bool] = False
 
     @classmethod
     def algorithm(cls) -> str:

@@ -105,7 +105,21 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
     if spec.resume_from is not None:
         source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
         _check_fields(spec, store.get(spec.resume_from.job))
+        _check_engine(spec, store.get(spec.resume_from.job))
         _check_fit(spec, info, store.get(spec.resume_from.job))
+
+
+def _check_engine(spec: TrainSpec, source: Job) -> None:
+    """Worlds of `warp` carry a field more than those of the others; `auto` is known only where it runs."""
+    had = next((attempt.engine for attempt in reversed(source.attempts) if attempt.engine), None)
+    if had is None or spec.physics == "auto" or not spec.algorithm.checkpoint_holds_worlds:
+        return
+    if (had == "warp") != (spec.physics == "warp"):
+        detail = (
+            f"The checkpoint holds worlds of the engine {had}, and a run on {spec.physics} cannot go on from "
+            f"them: ask for {had}."
+        )
+        raise Rejected(detail, [Problem("/physics", detail)])
 
 
 def _check_fields(spec: TrainSpec, source: Job) -> None:

@@ -35,6 +35,7 @@ class PPOSpec(BaseSpec):
         "normalize_observations_max_abs_value",
         "returns_to_first_state",
     )
+    checkpoint_holds_worlds: ClassVar[bool] = True
 
     kind: Literal["ppo"] = "ppo"
     num_timesteps: int = Field(

@@ -323,6 +323,21 @@ def test_a_job_of_another_shape_cannot_go_on_from_a_checkpoint(service: Service)
     assert "/algorithm/num_envs" in [problem.pointer for problem in caught.value.problems]
 
 
+def test_a_job_cannot_go_on_from_worlds_of_warp_on_another_engine_nor_the_other_way_round(
+    service: Service,
+) -> None:
+    for had, has in (("warp", "mjx"), ("native", "warp")):
+        job = service.submit()
+        holding = service.claim(job)
+        holding.start(device="NVIDIA H200", engine=had, details={})
+        holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+        with pytest.raises(Rejected, match=f"worlds of the engine {had}, and a run on {has}") as caught:
+            service.submit(resume_from={"job": job.id}, physics=has)
+        assert [problem.pointer for problem in caught.value.problems] == ["/physics"]
+        assert service.submit(resume_from={"job": job.id}, physics=had)
+        assert service.submit(resume_from={"job": job.id})
+
+
 def test_a_job_goes_on_in_worlds_that_differ_further_but_in_nothing_else(service: Service) -> None:
     friction = {"field": "geom_friction", "range": [0.8, 1.2]}
     job = service.submit(randomization=[friction])
