@@ -1,4 +1,6 @@
-"""A process that trains for one update on native physics: `python -m tests.learning.start_process CACHE LR`.
+"""A process that trains shortly on native physics: `python -m tests.learning.start_process CACHE CHANGES`.
+
+CHANGES: JSON, what differs from one update under `small_settings`.
 
 Prints, as one line of JSON, how often JAX's cache had a program and had not, and which libraries of physics
 for accelerators were loaded.
@@ -7,6 +9,7 @@ for accelerators were loaded.
 import json
 import sys
 from collections import Counter
+from typing import Any
 
 import jax
 
@@ -15,21 +18,20 @@ from core.physics.choose import engine_builder
 from tests.learning.runs import STEPS_PER_UPDATE, small_trainer
 
 
-def run(learning_rate: float) -> None:
-    """Train for one update."""
+def run(changes: dict[str, Any]) -> None:
+    """Train to the end."""
     info = catalog.find("inverted_pendulum")
     environment = catalog.make(info, info.options(), engine_builder("native"))
-    budget = {"num_timesteps": STEPS_PER_UPDATE, "learning_rate": learning_rate}
-    for _ in small_trainer(environment, **budget).events():
+    for _ in small_trainer(environment, **{"num_timesteps": STEPS_PER_UPDATE, **changes}).events():
         pass
 
 
-def main(cache: str, learning_rate: str) -> None:
+def main(cache: str, changes: str) -> None:
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     events = Counter[str]()
     jax.monitoring.register_event_listener(lambda event, **_: events.update([event.rpartition("/")[2]]))
-    run(float(learning_rate))
+    run(json.loads(changes))
     answer = {
         "hits": events["cache_hits"],
         "misses": events["cache_misses"],

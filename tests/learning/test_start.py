@@ -14,7 +14,7 @@ from core.algorithms.ppo.programs import trace
 from core.algorithms.ppo.update import Learner
 from core.environments import probes
 from tests.compiling import compiling_quickly
-from tests.learning.runs import small_settings
+from tests.learning.runs import STEPS_PER_UPDATE, small_settings
 
 
 def test_an_update_is_traced_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -33,22 +33,39 @@ def test_an_update_is_traced_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert times == 1
 
 
-def test_a_second_process_compiles_no_program_with_native_physics(tmp_path: Path) -> None:
-    first, second = start(tmp_path, learning_rate=1e-3), start(tmp_path, learning_rate=2e-3)
+# What may be another number without being another program.
+CHANGES = {
+    "learning_rate": 2e-3,
+    "entropy_cost": 0.1,
+    "clipping_epsilon": 0.2,
+    "discounting": 0.9,
+    "gae_lambda": 0.9,
+    "reward_scaling": 0.1,
+    "vf_loss_coefficient": 0.25,
+    "max_grad_norm": 1.0,
+    "seed": 7,
+    "num_timesteps": 2 * STEPS_PER_UPDATE,
+    "checkpoint_every_steps": STEPS_PER_UPDATE,
+}
+
+
+def test_a_second_process_compiles_no_program_with_native_physics_whatever_numbers_changed(
+    tmp_path: Path,
+) -> None:
+    first, second = start(tmp_path, {}), start(tmp_path, CHANGES)
     assert first["hits"] == 0
     for name in ("init", "epoch", "evaluate"):
         assert any(file.name.startswith(f"jit_{name}-") for file in tmp_path.iterdir())
-    # Another learning rate is the same program.
     assert second["misses"] == 0
     assert second["hits"] == first["misses"]
     # Of Brax only the training code is loaded, without physics that would take as long as all the rest.
     assert second["physics"] == []
 
 
-def start(cache: Path, *, learning_rate: float) -> dict[str, Any]:
-    """What a process says that trains for one update."""
+def start(cache: Path, changes: dict[str, Any]) -> dict[str, Any]:
+    """What a process says that trains with these changes."""
     said = subprocess.run(
-        [sys.executable, "-m", "tests.learning.start_process", str(cache), str(learning_rate)],
+        [sys.executable, "-m", "tests.learning.start_process", str(cache), json.dumps(changes)],
         env={**os.environ, **compiling_quickly(), "JAX_PLATFORMS": "cpu"},
         stdout=subprocess.PIPE,
         check=True,
