@@ -69,11 +69,7 @@ def describe(model: mujoco.MjModel, /, **facts: Any) -> dict[str, Any]:
     """The file's own explanation: arrays with shapes and units, joints and actuators by name, and `facts`."""
     arrays = _described(*_ARRAYS)
     arrays["episode_<i>/terminated"] = {"shape": "[]", "unit": "", "meaning": "ended by the environment"}
-    arrays["episode_<i>/metrics/<name>"] = {
-        "shape": "[T]",
-        "unit": "",
-        "meaning": "the environment's own; of an action held for several steps, the mean over these",
-    }
+    arrays["episode_<i>/metrics/<name>"] = {"shape": "[T]", "unit": "", "meaning": "the environment's own"}
     joints = [
         {
             "name": str(joint.name),

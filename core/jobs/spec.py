@@ -212,7 +212,9 @@ class RolloutSpec(_Common):
 
     kind: Literal["rollout"] = "rollout"
     policy: PolicyChoice
-    num_steps: int = Field(default=1000, ge=1, le=100_000, description="Actions in an episode, at most.")
+    num_steps: int = Field(
+        default=1000, ge=1, le=100_000, description="Steps of the environment in an episode, at most."
+    )
     num_episodes: int = Field(default=1, ge=1, le=1000)
     deterministic: bool = True
 

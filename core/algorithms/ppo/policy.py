@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import serialization
 
@@ -16,8 +17,8 @@ from core.algorithms.ppo import checkpoint
 from core.algorithms.ppo.brax_training import make_inference_fn
 from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, make_networks
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments.action_repeat import repeat_action
-from core.environments.environment import Environment, ObservationSize
+from core.environments.environment import Environment, ObservationSize, State
+from core.environments.holding import Holding
 from core.errors import JobFailed
 
 Inference = Callable[[Any, jax.Array], jax.Array]
@@ -63,10 +64,15 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
         return make_inference(params, deterministic=deterministic)(observation, key)
 
     def acting(environment: Environment) -> Acting:
-        return Acting(
-            repeat_action(environment, params.design.action_repeat),
-            lambda params, state, key: answer(params, state.obs, key),
-        )
+        steps = params.design.action_repeat
+        if steps == 1:
+            return Acting(environment, lambda params, state, key: answer(params, state.obs, key))
+
+        def act(params: PolicyParams, state: State, key: jax.Array) -> jax.Array:
+            action = answer(params, state.obs, key)
+            return jnp.where(Holding.is_due(state, steps), action, Holding.held(state))
+
+        return Acting(Holding(environment), act)
 
     return TrainedPolicy(params, acting, answer)
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from core.algorithms.q_learning.indexers import Indexer, make_indexer
 from core.algorithms.q_learning.mappers import Mapper, make_mapper, num_arms
@@ -16,8 +15,8 @@ from core.environments.wrapped import Wrapped
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, ModelFields
 
-# What the environments below keep in `State.info`, besides what is there.
-_OBSERVATION, _HELD, _STEPS = "inner_observation", "held_action", "steps_taken"
+# What the environment below keeps in `State.info`, besides what is there.
+_OBSERVATION = "inner_observation"
 
 
 @dataclass(frozen=True)
@@ -81,41 +80,6 @@ class Decisions(Wrapped):
     def _read(self, state: State) -> State:
         rows = self.table.indexer(self.table.indexer.look(state))
         return replace(state, obs=rows, info={**state.info, _OBSERVATION: state.obs})
-
-
-@dataclass(frozen=True)
-class Holding(Wrapped):
-    """The environment step by step, which remembers the action that is held, and since when."""
-
-    @property
-    def dt(self) -> float:
-        return self.environment.dt
-
-    @property
-    def episode_length(self) -> int:
-        return self.environment.episode_length
-
-    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
-        return _remembering(self.environment.reset(key, model), jnp.zeros(self.action_size), jnp.int32(0))
-
-    def step(self, state: State, action: jax.Array) -> State:
-        steps = state.info[_STEPS]
-        inner = replace(state, info=_without(state.info, _HELD, _STEPS))
-        return _remembering(self.environment.step(inner, action), action, steps + 1)
-
-    @staticmethod
-    def is_due(state: State, decision_steps: int) -> jax.Array:
-        """[] bool: whether the next step begins a decision."""
-        return state.info[_STEPS] % decision_steps == 0
-
-    @staticmethod
-    def held(state: State) -> jax.Array:
-        """[action_size]: the action of the last step."""
-        return state.info[_HELD]
-
-
-def _remembering(state: State, action: jax.Array, steps: jax.Array) -> State:
-    return replace(state, info={**state.info, _HELD: action, _STEPS: steps})
 
 
 def _without(info: Mapping[str, Any], *names: str) -> dict[str, Any]:

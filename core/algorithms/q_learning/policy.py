@@ -11,11 +11,12 @@ from pydantic import TypeAdapter
 
 from core.algorithms.checkpoint import Format
 from core.algorithms.policy import Acting, TrainedPolicy
-from core.algorithms.q_learning.decisions import Holding, Tabular
+from core.algorithms.q_learning.decisions import Tabular
 from core.algorithms.q_learning.indexers import make_indexer
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from core.environments.environment import Environment, State
+from core.environments.holding import Holding
 from core.errors import JobFailed
 
 FORMAT = Format("gaitway-q_learning-1")

@@ -13,9 +13,16 @@ from brax.training.agents.ppo.networks import make_inference_fn, make_ppo_networ
 
 from core.algorithms.ppo.checkpoint import describe, pack
 from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, init_params, make_networks
-from core.algorithms.ppo.policy import make_inference, policy_from_checkpoint, read_policy, write_policy
+from core.algorithms.ppo.policy import (
+    load,
+    make_inference,
+    policy_from_checkpoint,
+    read_policy,
+    write_policy,
+)
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments import probes
+from core.environments.rollout import Roller
 from core.errors import JobFailed
 
 SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]})
@@ -94,6 +101,23 @@ def test_a_policy_of_another_design_keeps_it_and_brax_still_reads_the_file(tmp_p
     np.testing.assert_array_equal(make_inference(kept)(OBSERVATIONS, KEY), brax[0])
     # The same numbers under the default activation act otherwise.
     assert not np.allclose(make_inference(tuple(kept))(OBSERVATIONS, KEY), brax[0])
+
+
+def test_a_policy_that_holds_its_actions_is_shown_step_by_step() -> None:
+    # Observed is the time: a new action after 0, 3 and 6 of the episode's 8 steps.
+    networks = make_networks(1, 1, SETTINGS)
+    trained = init_params(networks, jax.random.PRNGKey(0))
+    held = PolicyParams(init_normalizer(1), trained.policy, trained.value, Design(action_repeat=3))
+    world = probes.Probe(lambda obs, time, action: (action, jnp.where(time == 7, 1.0, 0.0)), shows_time=True)
+    for params, decided in ((held, [0, 0, 0, 3, 3, 3, 6, 6]), (held.replace(design=Design()), range(8))):
+        policy = load(write_policy(params), is_checkpoint=False)
+        shown, act = policy.acting(world)
+        [episode] = Roller(shown, act).episodes(policy.parameters, KEY, num_steps=20, num_episodes=1)
+        times = jnp.array([[float(time)] for time in decided])
+        np.testing.assert_allclose(episode.action, make_inference(params)(times, KEY), rtol=1e-5)
+        assert len(np.unique(episode.action)) == len(set(decided))
+        np.testing.assert_array_equal(episode.reward, episode.action[:, 0])
+        assert (shown.dt, episode.time[-1]) == (world.dt, 8 * world.dt)
 
 
 def test_a_bounded_policy_keeps_its_bound_and_brax_acts_alike_when_it_is_told(tmp_path: Path) -> None:
