@@ -85,7 +85,8 @@ def refused(record: ModelRecord, objects: ObjectStore) -> BadModel:
 def tidy(*, objects: ObjectStore, queue: ModelQueue, now: datetime) -> int:
     """Forget refusals that are older than a day; how many. What waits and was lost is queued again.
 
-    A model is never ready sooner after a second upload than the removal takes that follows the reading.
+    A record is read just before it is removed, and a model that is sent again in between is not ready so
+    soon: what is lost is at most an upload whose sender still waits, and is told that it is not there.
     """
     forgotten = 0
     for record in every(objects):
