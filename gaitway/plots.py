@@ -23,21 +23,19 @@ Series = tuple[list[float], list[float]]
 class _Panel:
     """What one quantity looks like.
 
-    training, evaluation: its metrics after `training/` and `eval/`. instead: of the former, where that
-    was not measured. bounds: the least that the axis shows.
+    training, evaluation: its metrics after `training/` and `eval/`. bounds: the least that the axis shows.
+    unless: a metric of training that says it better; where that was measured, this is not shown.
     """
 
     label: str
     training: str
     evaluation: str | None = None
     bounds: tuple[float, float] | None = None
-    instead: str | None = None
+    unless: str | None = None
 
     def draw(self, axis: Any, rows: Rows) -> None:
         for kind, name in (("training", self.training), ("eval", self.evaluation)):
             points = series(rows, f"{kind}/{name}")
-            if kind == "training" and not points[0]:
-                points = series(rows, f"{kind}/{self.instead}")
             if points[0]:
                 axis.plot(*points, **_STYLES[kind])
         if self.bounds is not None:
@@ -54,7 +52,8 @@ _PANELS = (
     _Panel("share of episodes that fell", "fall_rate", bounds=(-0.02, 1.02)),
     _Panel("control effort (mean action²)", "control_effort", bounds=(0.0, 0.0)),
     _Panel("height in m", "height"),
-    _Panel("distance from the start in m", "distance_from_start", instead="distance_from_origin"),
+    _Panel("distance from the start in m", "distance_from_start"),
+    _Panel("distance from the origin in m", "distance_from_origin", unless="distance_from_start"),
 )
 
 
@@ -103,8 +102,9 @@ def series(rows: Iterable[Mapping[str, Any]], name: str) -> Series:
 
 
 def _is_measured(rows: Rows, panel: _Panel) -> bool:
-    names = {f"training/{panel.training}", f"training/{panel.instead}", f"eval/{panel.evaluation}"}
-    return any(row["values"].get(name) is not None for row in rows for name in names)
+    measured = {name for row in rows for name, value in row["values"].items() if value is not None}
+    names = {f"training/{panel.training}", f"eval/{panel.evaluation}"}
+    return bool(measured & names) and f"training/{panel.unless}" not in measured
 
 
 def _terms(rows: Rows) -> dict[str, Series]:

@@ -33,7 +33,7 @@ class RunnerOptions(Strict):
     ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
     healthy_reward: Weight = Field(0.5, description="Reward for each step.")
     reset_noise_scale: NoiseScale = Field(1e-2, description="Of the initial positions and velocities.")
-    n_frames: int = Field(5, ge=1, le=50, description="Physics steps for each action.")
+    n_frames: int = Field(5, ge=1, le=50, description="Physics steps of a control step.")
     timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds of a physics step.")
     solver: Literal["newton", "cg"] = Field("newton", description="On mjx and warp; native keeps Newton.")
     iterations: int = Field(

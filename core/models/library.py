@@ -3,8 +3,11 @@
 import hashlib
 import re
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import partial
+
+import structlog
+from pydantic import ValidationError
 
 from core.environments.mjcf.archive import examine
 from core.errors import BadModel, ModelNotFound, ObjectNotFound
@@ -13,7 +16,11 @@ from core.models.record import ModelRecord
 from core.storage import keys
 from core.storage.objects import ObjectStore
 
+log = structlog.get_logger()
+
 _ID = re.compile(r"sha256:[0-9a-f]{64}")
+# How long whoever was answered 202 may ask why the model was refused.
+_TOLD_FOR = timedelta(days=1)
 
 
 def identity(body: bytes) -> str:
@@ -75,16 +82,32 @@ def refused(record: ModelRecord, objects: ObjectStore) -> BadModel:
     return BadModel(record.message or "It cannot be used.")
 
 
+def tidy(*, objects: ObjectStore, queue: ModelQueue, now: datetime) -> int:
+    """Forget refusals that are older than a day; how many. What waits and was lost is queued again.
+
+    A record is read just before it is removed, and a model that is sent again in between is not ready so
+    soon: what is lost is at most an upload whose sender still waits, and is told that it is not there.
+    """
+    forgotten = 0
+    for record in every(objects):
+        if record.status == "refused" and now - (record.refused_at or record.created_at) > _TOLD_FOR:
+            objects.delete_prefix(keys.model(record.id))
+            forgotten += 1
+        ask_again(record, queue)
+    return forgotten
+
+
 def every(objects: ObjectStore) -> Iterator[ModelRecord]:
     """All there are, by their ids."""
     records = [info.key for info in objects.list(keys.models()) if info.key.endswith("/record.json")]
-    for body in map(partial(_read, objects), records):
-        if body is not None:
-            yield ModelRecord.model_validate_json(body)
+    yield from filter(None, map(partial(_read, objects), records))
 
 
-def _read(objects: ObjectStore, key: str) -> bytes | None:
+def _read(objects: ObjectStore, key: str) -> ModelRecord | None:
     try:
-        return objects.get(key)
+        return ModelRecord.model_validate_json(objects.get(key))
     except ObjectNotFound:  # Deleted since it was listed.
+        return None
+    except ValidationError:  # Of another version; the others are to be seen all the same.
+        log.warning("model_record_not_understood", key=key)
         return None

@@ -27,7 +27,7 @@ class Description(Stored):
 
 
 class ModelRecord(Stored):
-    """id: `sha256:` and the hash of the file. message: why it was refused. size: bytes."""
+    """id: `sha256:` and the hash of the file. message, refused_at: why and when it was. size: bytes."""
 
     id: str
     status: ModelStatus
@@ -36,6 +36,7 @@ class ModelRecord(Stored):
     created_at: datetime
     description: Description | None = None
     message: str | None = None
+    refused_at: datetime | None = None
 
     @property
     def is_settled(self) -> bool:

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import structlog
 
+from core.errors import ObjectNotFound
+from core.jobs.job import utc_now
 from core.models import library
 from core.storage import keys
 from core.storage.objects import ObjectStore
@@ -22,6 +24,7 @@ ANSWER = "answer.json"
 _GLANCE_S = 0.05
 log = structlog.get_logger()
 
+_INTERRUPTED = "A worker was stopped while it refused the model; send it again to be told why."
 _UNFINISHED = "Trying the engines took too long; those that are not listed were not tried."
 
 
@@ -30,19 +33,25 @@ def validate(
 ) -> None:
     """Look at a model that waits for it, and store what is found; of one that is refused, only that.
 
-    folder: an empty one, for files that are needed meanwhile. Raises ModelNotFound, ObjectNotFound.
+    folder: an empty one, for files that are needed meanwhile. Raises ModelNotFound.
     """
     record = library.find(model_id, objects)
     if record.status != "validating":
         return
-    body = objects.get(keys.model_source(model_id))
+    try:
+        body = objects.get(keys.model_source(model_id))
+    except ObjectNotFound:  # What comes last, below, was not reached; or somebody is deleting the model.
+        answers = iter([Answer(refusal=_INTERRUPTED)])
+    else:
+        answers = look(body, folder, data_dir, limits or Limits())
     # Once it is described it can be used; loading all the engines takes longer than everything before.
-    for answer in look(body, folder, data_dir, limits or Limits()):
+    for answer in answers:
         library.find(model_id, objects)  # Raises, where somebody has deleted it meanwhile.
         if answer.description is not None:
             found = record.model_copy(update={"status": "ready", "description": answer.description})
         else:
-            found = record.model_copy(update={"status": "refused", "message": answer.refusal})
+            told = {"status": "refused", "message": answer.refusal, "refused_at": utc_now()}
+            found = record.model_copy(update=told)
             objects.delete_prefix(keys.model_source(model_id))
         library.keep(found, objects)
         log.info("model_validated", model=model_id, status=found.status, detail=found.message)

@@ -59,7 +59,9 @@ class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's f
     num_next_obstacles: int = Field(
         0, ge=0, le=10, description="So many of the gaps or walls ahead are shown to it."
     )
-    episode_length: int = Field(1000, ge=1, le=100_000, description="Steps until an episode is cut off.")
+    episode_length: int = Field(
+        1000, ge=1, le=100_000, description="Control steps until an episode is cut off."
+    )
 
     @property
     def healthy_range(self) -> tuple[float, float]:
@@ -130,7 +132,7 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
     """The fields of the row that are others under these options."""
     walker = WALKERS[options.walker]
     hidden = 2 if options.exclude_current_positions_from_observation else 0
-    length = {"episode_length": options.episode_length}
+    own = {"episode_length": options.episode_length, **_held(options)}
     return {
         "observation_size": walker.num_positions
         - hidden
@@ -143,12 +145,17 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
         "cameras": walker.cameras,
         "cannot_run": _cannot_run(options),
         "tuned": {
-            "ppo": {
-                device: {**settings, **_OF_WALKER.get(options.walker, {}), **length}
-                for device, settings in _TUNED.items()
-            }
+            "ppo": {device: {**settings, **own} for device, settings in _TUNED.items()},
         },
     }
+
+
+def _held(options: CorridorOptions) -> Mapping[str, Any]:
+    """What is tuned for the ant alone: with a new action each 0.01 s it explores by trembling."""
+    if options.walker != "ant":
+        return {}
+    num_steps = round(_ANT_ACTS_EVERY_S / (options.timestep * options.n_frames))
+    return {"action_repeat": max(1, num_steps), "discounting": 0.97}
 
 
 def _cannot_run(options: CorridorOptions) -> Mapping[str, str]:
@@ -185,8 +192,7 @@ _GPU = {
     "num_minibatches": 32,
 }
 _TUNED: Mapping[Device, Mapping[str, Any]] = {"cpu": _CPU, "gpu": _GPU}
-# An action of the ant's is held for 0.04 s: with a new one each 0.01 s it explores by trembling.
-_OF_WALKER: Mapping[Walker, Mapping[str, Any]] = {"ant": {"action_repeat": 4, "discounting": 0.97}}
+_ANT_ACTS_EVERY_S = 0.04
 
 INFO = EnvironmentInfo(
     id="corridor",

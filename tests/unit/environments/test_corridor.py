@@ -375,6 +375,17 @@ def test_the_renderers_setting_is_left_as_it_was(monkeypatch: pytest.MonkeyPatch
         assert os.environ.get("MUJOCO_GL") == value
 
 
+@pytest.mark.parametrize(
+    ("options", "num_steps"),
+    [({}, 4), ({"n_frames": 10}, 2), ({"n_frames": 25, "timestep": 0.004}, 1), ({"walker": "rodent"}, 1)],
+)
+def test_an_action_of_the_ant_is_held_for_0_04_s(options: dict[str, Any], num_steps: int) -> None:
+    # Control steps of 0.01, 0.02 and 0.1 s.
+    info = catalog.find("corridor")
+    row = info.under(catalog.parse_options(info, options))
+    assert resolve(PPOSpec(), row, "cpu").action_repeat == num_steps
+
+
 def test_a_job_is_judged_by_the_walker_that_it_asks_for() -> None:
     environment: dict[str, Any] = {"id": "corridor", "options": {"walker": "rodent", "episode_length": 300}}
     policy = {"kind": "constant", "action": [0.0] * 38}
@@ -383,10 +394,3 @@ def test_a_job_is_judged_by_the_walker_that_it_asks_for() -> None:
     info = catalog.find("corridor")
     row = info.under(catalog.parse_options(info, environment["options"]))
     assert resolve(PPOSpec(), row, "cpu").episode_length == 300
-
-
-def test_an_action_of_the_ants_is_held_and_the_others_act_in_every_step() -> None:
-    info = catalog.find("corridor")
-    for walker, held in (("ant", 4), ("rodent", 1), ("humanoid", 1)):
-        row = info.under(catalog.parse_options(info, {"walker": walker}))
-        assert {resolve(PPOSpec(), row, device).action_repeat for device in ("cpu", "gpu")} == {held}

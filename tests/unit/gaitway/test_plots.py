@@ -51,6 +51,18 @@ def test_every_term_is_drawn_once_whatever_its_name() -> None:
     assert list(_terms(rows)) == ["alive", "distance", "linvel", "pose", "upright"]
 
 
+def test_distance_is_from_the_start_where_that_was_measured_and_else_from_the_origin(tmp_path: Path) -> None:
+    def drawn(**measured: float) -> bytes:
+        values = {f"training/{name}": value for name, value in measured.items()}
+        learning_curve([{"step": 0, "values": values}], tmp_path / "curve.png")
+        return (tmp_path / "curve.png").read_bytes()
+
+    # A corridor begins 5 m from the origin.
+    both = drawn(distance_from_start=0.0, distance_from_origin=5.0)
+    assert both == drawn(distance_from_start=0.0)
+    assert both != drawn(distance_from_origin=0.0)
+
+
 def test_a_value_that_was_not_finite_is_left_out() -> None:
     rows = [{"step": 0, "values": {"a": None}}, {"step": 1, "values": {"a": 2.0}}]
     assert series(rows, "a") == ([1.0], [2.0])

@@ -178,10 +178,28 @@ def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(tmp_path:
         "refused",
         "The model has no actuators, so no policy could move it.",
     )
+    assert found.refused_at is not None
+    assert found.refused_at >= record.created_at
     assert [info.key for info in objects.list("")] == [keys.model_record(record.id)]
     # Sent again, it is looked at again.
     again = library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
     assert (again.status, queue.contains_model(record.id)) == ("validating", True)
+
+
+def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sent_again(
+    tmp_path: Path,
+) -> None:
+    objects, queue = MemoryObjectStore(), MemoryJobQueue()
+    record = library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
+    objects.delete_prefix(keys.model_source(record.id))  # as a worker that was killed before it kept why
+    validate(record.id, objects, tmp_path, tmp_path)
+    found = library.find(record.id, objects)
+    assert (found.status, found.message) == (
+        "refused",
+        "A worker was stopped while it refused the model; send it again to be told why.",
+    )
+    library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
+    assert objects.get(keys.model_source(record.id)) == NO_MOTOR
 
 
 def test_a_model_that_was_deleted_meanwhile_does_not_come_back(tmp_path: Path) -> None:
