@@ -111,6 +111,7 @@ class Task(Stored):
     device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to go on from
     (training), or to take the policy from (rollout). checkpoint_step: the environment step it is of. model:
     path of the user's own model, where the job names one; engines that cannot run it, with what keeps them.
+    begun_on: the engine of the job's own checkpoint, which `auto` then takes again.
     """
 
     job_id: str
@@ -121,3 +122,4 @@ class Task(Stored):
     checkpoint_step: int = 0
     model: str | None = None
     engines_that_cannot: dict[EngineName, str] = {}
+    begun_on: EngineName | None = None

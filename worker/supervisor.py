@@ -6,18 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import get_args
 
 import structlog
 
 from core.errors import JobFailed, LeaseLost, NotFound, Rejected, StorageUnavailable
 from core.jobs.attempts import Holding
 from core.jobs.checks import source_checkpoint
-from core.jobs.job import Artifact, Job, utc_now
+from core.jobs.job import Artifact, Attempt, Job, utc_now
 from core.jobs.own_model import engines_that_cannot, model_of
 from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
 from core.jobs.status import JobStatus, Reason
 from core.models import library
 from core.patience import CalledOff, through_outages
+from core.physics.availability import EngineName
 from core.settings import WorkerSettings
 from core.storage import keys
 from worker.caches import Caches
@@ -210,7 +212,7 @@ def write_task(job: Job, holding: Holding, device: str, spool: Path) -> None:
     job has gone meanwhile, JobFailed("bad_model") where the model has.
     """
     checkpoint = _checkpoint_to_use(job, holding)
-    task = Task(job_id=job.id, attempt=holding.number, spec=job.spec, device=device)
+    task = _as_begun(Task(job_id=job.id, attempt=holding.number, spec=job.spec, device=device), job.begun)
     if checkpoint is not None:
         with holding.objects.open(checkpoint.key) as pieces, (spool / "start.msgpack").open("wb") as file:
             for piece in pieces:
@@ -220,6 +222,20 @@ def write_task(job: Job, holding: Holding, device: str, spool: Path) -> None:
         )
     task = _with_model(task, holding, spool)
     (spool / "task.json").write_text(task.model_dump_json())
+
+
+def _as_begun(task: Task, begun: Attempt | None) -> Task:
+    """With what the attempt before resolved: tuned values and the choice of `auto` may be others by now."""
+    spec = task.spec
+    if begun is None or not isinstance(spec, TrainSpec):
+        return task
+    had = begun.details.get("hyperparameters", {})
+    known = {name: value for name, value in had.items() if name in type(spec.algorithm).model_fields}
+    if known:
+        spec = spec.model_copy(update={"algorithm": type(spec.algorithm).model_validate(known)})
+    # Environments with physics of their own name that instead, and have no choice.
+    engine = begun.engine if begun.engine in get_args(EngineName) else None
+    return task.model_copy(update={"spec": spec, "begun_on": engine})
 
 
 def _with_model(task: Task, holding: Holding, spool: Path) -> Task:

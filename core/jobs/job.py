@@ -114,16 +114,22 @@ class Job(Stored):
         return len(self.attempts) + 1
 
     @property
+    def begun(self) -> Attempt | None:
+        """The newest attempt that said what it runs on, if there is a checkpoint of the job's own."""
+        if self.newest("checkpoint") is None:
+            return None
+        return next((attempt for attempt in reversed(self.attempts) if attempt.device), None)
+
+    @property
     def accelerator(self) -> Accelerator:
         """What its next attempt needs: once it has a checkpoint, the kind of device that this was made on.
 
         Tuned settings differ by device, and a checkpoint fits those alone under which it was made.
         """
-        wanted = self.spec.resources.kind
-        made_on = next((a.device for a in reversed(self.attempts) if a.device), None)
-        if wanted != "any" or made_on is None or self.newest("checkpoint") is None:
+        wanted, begun = self.spec.resources.kind, self.begun
+        if wanted != "any" or begun is None or begun.device is None:
             return wanted
-        return "cpu" if made_on.startswith("cpu") else "gpu"
+        return "cpu" if begun.device.startswith("cpu") else "gpu"
 
     def next(self, **changes: Any) -> Self:
         """The same job, one version on."""

@@ -86,6 +86,14 @@ match behaviour:
         body = (spool / task["checkpoint"]).read_bytes() if task["checkpoint"] else b"nothing"
         keep("policy", "policy", body, task["checkpoint_step"])
         say(type="finished")
+    case "says_what_it_runs_on_and_is_killed":
+        hyperparameters = {"kind": "ppo", "num_envs": 64, "learning_rate": 0.125, "of_another_version": 1}
+        say(type="started", device="cpu × 2", engine="mjx", details={"hyperparameters": hyperparameters})
+        keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
+        os.kill(os.getpid(), signal.SIGKILL)
+    case "keeps_its_task":
+        keep("policy", "policy", (spool / "task.json").read_bytes(), 0)
+        say(type="finished")
     case "fails":
         say(type="failed", reason="diverged", message="The reward became non-finite at environment step 7.")
         sys.exit(1)

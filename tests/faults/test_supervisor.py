@@ -1,5 +1,6 @@
 """The supervisor against processes that do well, badly, and worse; the stores are the in-memory twins."""
 
+import json
 import os
 import threading
 from datetime import timedelta
@@ -72,6 +73,19 @@ def test_a_killed_process_gives_the_job_another_attempt_that_starts_from_the_che
     assert done.status == JobStatus.SUCCEEDED
     assert policy is not None
     assert (bench.objects.get(policy.key), policy.step) == (b"state", 10)
+
+
+def test_an_attempt_that_goes_on_keeps_the_hyperparameters_and_the_engine_of_the_one_before(
+    bench: Bench,
+) -> None:
+    job = bench.run("says_what_it_runs_on_and_is_killed")
+    bench.supervisor(job, "keeps_its_task").run()
+    kept = bench.store.get(job.id).newest("policy")
+    assert kept is not None
+    task = json.loads(bench.objects.get(kept.key))
+    # Tuned values may have changed since, with the version of a worker; its checkpoint would not fit them.
+    assert task["spec"]["algorithm"] == {"kind": "ppo", "num_envs": 64, "learning_rate": 0.125}
+    assert task["begun_on"] == "mjx"
 
 
 def test_attempts_run_out(bench: Bench) -> None:

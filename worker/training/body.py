@@ -19,7 +19,7 @@ from core.environments.info import Device, EnvironmentInfo
 from core.environments.randomized import randomize
 from core.errors import JobFailed
 from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
-from core.physics.choose import choose, engine_builder
+from core.physics.choose import EngineChoice, choose, engine_builder
 from worker.messages import Started, Task
 from worker.training.compilations import keep_programs, keep_warp_kernels
 
@@ -71,6 +71,8 @@ def load_body(task: Task) -> Body:
         info = replace(info, cannot_run=task.engines_that_cannot)
     num_worlds = _num_worlds(task.spec, info, device) // num_devices
     choice = choose(task.spec.physics, device, info.id, num_worlds, info.cannot_run)
+    if task.spec.physics == "auto" and task.begun_on is not None:
+        choice = EngineChoice(task.begun_on, "The job's checkpoint was made on it.")
     if choice.name == "warp":
         keep_warp_kernels()
     model = Path(task.model).absolute() if task.model else None  # It lies in the spool, where we stand.

@@ -1,10 +1,13 @@
+import json
 from typing import Any, get_args
 
 import pytest
 from brax.training.networks import ACTIVATION
 
 from core.algorithms.ppo.spec import Activation, PPOSpec, check_resumption, resolve
+from core.algorithms.q_learning.spec import QLearningSpec
 from core.environments import catalog
+from core.environments.info import Device
 from core.errors import Rejected
 
 
@@ -71,3 +74,15 @@ def test_what_does_not_change_the_state_may_change_on_the_way() -> None:
         "reset_pool_size": 7,
     }
     check_resumption(PPOSpec.model_validate(free), PPOSpec())
+
+
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+def test_what_was_resolved_for_an_environment_is_read_back_as_it_was(device: Device) -> None:
+    # An attempt that goes on begins from what the one before wrote down.
+    star = catalog.find("brittle_star")
+    steered = star.under(catalog.parse_options(star, {"control": "cpg"}))
+    trained = [(PPOSpec(), info) for info in catalog.ENVIRONMENTS.values()]
+    for spec, info in [*trained, (QLearningSpec(), steered)]:
+        settings = resolve(spec, info, device)
+        read_back = type(settings).model_validate_json(json.dumps(settings.model_dump()))
+        assert resolve(read_back, info, device) == settings
