@@ -217,8 +217,8 @@ class Client:
         """The trained policy as a jitted `act(observation, key=None) -> action` on arrays [..., size].
 
         step: that of this checkpoint; by default the final policy, or the newest checkpoint of a job
-        that has none yet. deterministic: without the exploration's noise (else `key` is needed). A policy that
-        was trained with `action_repeat` is to be asked once in so many steps, and its action held.
+        that has none yet. deterministic: without the exploration's noise (else `key` is needed). A policy
+        that was trained with `action_repeat` is to be asked once in so many steps, and its action held.
         Raises MissingExtra without the `worker` extra.
         """
         job = self.get(job_id)
