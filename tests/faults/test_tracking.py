@@ -117,13 +117,14 @@ def test_an_offline_run_is_an_artifact_that_wandb_can_sync(bench: Bench, tmp_pat
     with wandb_server() as server:
         # As a user would, elsewhere and with a key of one's own.
         surroundings = {"WANDB_API_KEY": KEY, "WANDB_BASE_URL": server.url, "HOME": str(tmp_path)}
-        subprocess.run(
+        said = subprocess.run(
             [sys.executable, "-m", "wandb", "sync", str(run)],
             env={**os.environ, **surroundings},
             check=True,
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
         )
-        assert measured(server.rows()) == [(10, 2.5), (20, 5.0)]
+        assert measured(server.rows()) == [(10, 2.5), (20, 5.0)], said.stdout.decode()
         config = json.loads(server.upserts[-1]["config"])
         assert config["algorithm"]["value"] == {"learning_rate": 0.25}  # as it was resolved
         assert config["seed"]["value"] == 0

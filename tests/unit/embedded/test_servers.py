@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import chain, repeat
 from pathlib import Path
 
 import psutil
@@ -140,8 +141,9 @@ class TestRestart:
         with socket.socket() as taken:
             taken.bind(("127.0.0.1", 0))
             blind = [taken.getsockname()[1], *free_ports(9)]
-            offers = iter([blind, free_ports(10)])
-            looks = iter([True, False])
+            # Another test may take one of the next ports, too: then it looks once more.
+            offers = chain([blind], iter(lambda: free_ports(10), None))
+            looks = chain([True], repeat(False))
             monkeypatch.setattr("gaitway.embedded.weed.free_ports", lambda _: next(offers))
             monkeypatch.setattr("gaitway.embedded.weed.are_free", lambda _: next(looks))
             with Weed(tmp_path) as weed:
