@@ -14,14 +14,6 @@ from core.physics.engine import NOMINAL, OVERFLOW, ModelFields
 class Overflowing(Wrapped):
     """The environment with no room for contacts in the second step of each episode; time counts steps."""
 
-    @property
-    def dt(self) -> float:
-        return self.environment.dt
-
-    @property
-    def episode_length(self) -> int:
-        return self.environment.episode_length
-
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         return _at(self.environment.reset(key, model), jnp.zeros(()))
 

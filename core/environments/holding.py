@@ -20,14 +20,6 @@ _HELD, _STEPS = "held_action", "steps_taken"
 class Holding(Wrapped):
     """The environment step by step, which remembers the action that is held, and since when."""
 
-    @property
-    def dt(self) -> float:
-        return self.environment.dt
-
-    @property
-    def episode_length(self) -> int:
-        return self.environment.episode_length
-
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         return _remembering(self.environment.reset(key, model), jnp.zeros(self.action_size), jnp.int32(0))
 
@@ -37,14 +29,9 @@ class Holding(Wrapped):
         return _remembering(self.environment.step(inner, action), action, steps + 1)
 
     @staticmethod
-    def is_due(state: State, decision_steps: int) -> jax.Array:
-        """[] bool: whether the next step begins a decision."""
-        return state.info[_STEPS] % decision_steps == 0
-
-    @staticmethod
-    def held(state: State) -> jax.Array:
-        """[action_size]: the action of the last step."""
-        return state.info[_HELD]
+    def due_or_held(state: State, num_steps: int, due: jax.Array) -> jax.Array:
+        """[action_size]: what is due, once in so many steps; in the others the last step's action."""
+        return jnp.where(state.info[_STEPS] % num_steps == 0, due, state.info[_HELD])
 
 
 def _remembering(state: State, action: jax.Array, steps: jax.Array) -> State:

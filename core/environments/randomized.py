@@ -36,14 +36,6 @@ class RandomizedEnvironment(Wrapped):
 
     pool: Mapping[str, NDArray[np.float32]]
 
-    @property
-    def dt(self) -> float:
-        return self.environment.dt
-
-    @property
-    def episode_length(self) -> int:
-        return self.environment.episode_length
-
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         reset_key, model_key = jax.random.split(key)
         chosen = jax.random.randint(model_key, (), 0, NUM_MODELS)

@@ -9,13 +9,21 @@ from core.environments.environment import Environment, ObservationSize
 
 @dataclass(frozen=True)
 class Wrapped:
-    """Body, sizes and names are those of the environment inside."""
+    """Body, times, sizes and names are those of the environment inside."""
 
     environment: Environment
 
     @property
     def model(self) -> mujoco.MjModel:
         return self.environment.model
+
+    @property
+    def dt(self) -> float:
+        return self.environment.dt
+
+    @property
+    def episode_length(self) -> int:
+        return self.environment.episode_length
 
     @property
     def observation_size(self) -> ObservationSize:

@@ -8,7 +8,6 @@ from dataclasses import asdict
 from typing import Any, cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from flax import serialization
 
@@ -69,8 +68,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
             return Acting(environment, lambda params, state, key: answer(params, state.obs, key))
 
         def act(params: PolicyParams, state: State, key: jax.Array) -> jax.Array:
-            action = answer(params, state.obs, key)
-            return jnp.where(Holding.is_due(state, steps), action, Holding.held(state))
+            return Holding.due_or_held(state, steps, answer(params, state.obs, key))
 
         return Acting(Holding(environment), act)
 

@@ -90,7 +90,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
 
         def act(table: jax.Array, state: State, key: jax.Array) -> jax.Array:
             choices = choose(table, tabular.indexer(tabular.indexer.look(state)), key)
-            return jnp.where(Holding.is_due(state, steps), tabular.mapper.act(choices), Holding.held(state))
+            return Holding.due_or_held(state, steps, tabular.mapper.act(choices))
 
         return Acting(Holding(environment), act)
 

@@ -41,14 +41,6 @@ class CPGActions(Wrapped):
     def action_size(self) -> int:
         return action_size(self.num_arms)
 
-    @property
-    def dt(self) -> float:
-        return self.environment.dt
-
-    @property
-    def episode_length(self) -> int:
-        return self.environment.episode_length
-
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         state = self.environment.reset(key, model)
         spread = self.options.initial_phase_spread
