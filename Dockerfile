@@ -15,7 +15,10 @@ RUN apt-get update \
     && groupadd --gid 10001 gaitway \
     && useradd --uid 10001 --gid gaitway --home-dir /tmp --no-create-home gaitway \
     # New volumes take their owner from these folders.
-    && install -d -o gaitway -g gaitway -m 700 /run/gaitway /var/lib/gaitway /volumes/valkey /volumes/objects
+    && install -d -o gaitway -g gaitway -m 700 /run/gaitway /var/lib/gaitway /volumes/objects \
+    && install -d -o gaitway -g gaitway -m 755 /volumes/database-password \
+    # The user of the image postgres.
+    && install -d -o 999 -g 999 -m 700 /volumes/postgres
 ENV PATH=/opt/gaitway/bin:$PATH \
     PYTHONSAFEPATH=1 \
     PYTHONUNBUFFERED=1 \
@@ -42,11 +45,12 @@ WORKDIR /source
 
 FROM build AS dependencies
 COPY pyproject.toml uv.lock ./
-# What nobody imports here: other packages' tests, and the pitch and the players of dm_control's football.
+# What nobody imports here: other packages' tests and their data, MuJoCo's studio for the browser, and the pitch and
+# the players of dm_control's football.
 RUN python -m uv venv /opt/gaitway \
     && printf '%s\n' '#!/bin/sh' \
-    "find /opt/gaitway/lib -type d '(' -name tests -o -name SelfTest -o -path '*/locomotion/soccer' ')' \\" \
-    "    -prune -exec rm -r {} +" > /usr/local/bin/slim \
+    "find /opt/gaitway/lib -type d '(' -name tests -o -name SelfTest -o -path '*/mjx/test_data' \\" \
+    "    -o -path '*/mujoco/experimental/studio' -o -path '*/locomotion/soccer' ')' -prune -exec rm -r {} +" > /usr/local/bin/slim \
     && chmod +x /usr/local/bin/slim
 
 FROM dependencies AS dependencies-api

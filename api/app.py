@@ -7,6 +7,7 @@ from fastapi import FastAPI
 from api import problems
 from api.correlation import Correlation
 from api.dependencies import Service
+from api.doors import Doors
 from api.openapi import describe
 from api.routes import ROUTERS
 from core.configuration import read
@@ -32,19 +33,19 @@ def create_app(settings: ApiSettings, *, store: JobStore, queue: JobQueue, objec
     app.state.service = Service(settings, store, queue, objects)
     app.openapi = lambda: describe(app)
     problems.install(app)
-    app.add_middleware(Correlation)
+    app.add_middleware(Correlation, doors=Doors(settings.hosts))
     for router in ROUTERS:
         app.include_router(router)
     return app
 
 
 def build(settings: ApiSettings) -> FastAPI:
-    """The service over Redis, RQ and the object store that the settings name."""
+    """The service over PostgreSQL, RQ and the object store that the settings name."""
     from core.adapters.connect import job_queue, job_store, object_store
 
-    return create_app(
-        settings, store=job_store(settings), queue=job_queue(settings), objects=object_store(settings)
-    )
+    # Somebody waits for each answer: a silent store is given up after two seconds.
+    objects = object_store(settings, retries=1, timeout_s=2.0)
+    return create_app(settings, store=job_store(settings), queue=job_queue(settings), objects=objects)
 
 
 def from_environment() -> FastAPI:

@@ -1,4 +1,4 @@
-"""Around every request: a correlation id, one log line, and an answer even to a defect."""
+"""Around every request: the doors, a correlation id, one log line, and an answer even to a defect."""
 
 import re
 import secrets
@@ -8,21 +8,22 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.errors import CrossSiteRequest, UnexpectedError
+from api.doors import Doors
+from api.errors import UnexpectedError
 from api.problems import answer
 
 log = structlog.get_logger()
 
 HEADER = "X-Request-ID"
 _ACCEPTABLE = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
-_SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
 class Correlation:
     """ASGI middleware. It takes the client's X-Request-ID where that is harmless, and answers with it."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, doors: Doors) -> None:
         self._app = app
+        self._doors = doors
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -36,8 +37,7 @@ class Correlation:
     async def _answer(self, scope: Scope, receive: Receive, sender: "_Sender", correlation_id: str) -> None:
         started = time.perf_counter()
         try:
-            if _is_cross_site(scope):
-                refusal = CrossSiteRequest("A page of another site may not change anything here.")
+            if (refusal := self._doors.refusal(scope)) is not None:
                 await answer(refusal, scope["path"])(scope, receive, sender)
             else:
                 await self._app(scope, receive, sender)
@@ -69,8 +69,3 @@ class _Sender:
             self.status = message["status"]
             MutableHeaders(scope=message)[HEADER] = self._correlation_id
         await self._send(message)
-
-
-def _is_cross_site(scope: Scope) -> bool:
-    """Whether a browser says that another site's page wants to change something: jobs have no other guard."""
-    return scope["method"] not in _SAFE_METHODS and Headers(scope=scope).get("Sec-Fetch-Site") == "cross-site"

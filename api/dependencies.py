@@ -1,5 +1,6 @@
 """What routes ask for: the service's parts, and checked parameters."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -7,9 +8,11 @@ from anyio import CapacityLimiter
 from fastapi import Depends, Path, Request
 from pydantic import AfterValidator, BaseModel, ConfigDict
 
+from api.watching import JobWatcher
+from core.jobs import feeds
 from core.jobs.job import check_job_id
 from core.jobs.queue import JobQueue
-from core.jobs.store import JobStore
+from core.jobs.store import Channel, Entry, JobStore
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
 
@@ -22,6 +25,7 @@ class Service:
 
     stopping: true once the process was asked to end, so that streams close.
     watching: the threads that streams read with, apart from those that other requests share.
+    watcher: tells streams of news.
     """
 
     settings: ApiSettings
@@ -30,6 +34,24 @@ class Service:
     objects: ObjectStore
     stopping: bool = False
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))
+    watcher: JobWatcher = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.watcher = JobWatcher(self.store)
+
+    def read_feed(
+        self, job_id: str, channel: Channel, *, after: int = 0, kind: str | None = None, limit: int = 1000
+    ) -> Sequence[Entry]:
+        """As `core.jobs.feeds.read` does, from these stores."""
+        return feeds.read(
+            job_id,
+            channel,
+            store=self.store,
+            objects=self.objects,
+            after=after,
+            kind=kind,
+            limit=limit,
+        )
 
 
 async def _service(request: Request) -> Service:

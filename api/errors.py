@@ -105,6 +105,21 @@ class RangeNotSatisfiable(EdgeError):
         return {"Content-Range": f"bytes */{self._size}"}
 
 
+class UnknownHost(EdgeError):
+    """The request names a host that is not this service's: a page of another site may have given its own name
+    to this address. GAITWAY_ALLOWED_HOSTS lists further names."""
+
+    status = 421
+    code = "unknown-host"
+    title = "Not a name of this service"
+
+    def __init__(self, host: str) -> None:
+        super().__init__(
+            f"This service does not answer as {host[:100]!r}. If that is its name, add it to "
+            "GAITWAY_ALLOWED_HOSTS where it is started."
+        )
+
+
 class CrossSiteRequest(EdgeError):
     """A page of another site asked a browser to change something here."""
 

@@ -14,7 +14,14 @@ from starlette.types import Receive, Scope, Send
 from api.errors import RangeNotSatisfiable
 from api.problems import refusals
 from api.ranges import ByteRange, is_known, requested_range
-from core.errors import ArtifactNotFound, ArtifactNotReady, JobNotFound, StorageUnavailable
+from core.errors import (
+    ArtifactNotFound,
+    ArtifactNotReady,
+    JobNotFound,
+    JobUnreadable,
+    RecordsUnavailable,
+    StorageUnavailable,
+)
 from core.jobs.job import Artifact
 from core.storage.objects import ObjectStore
 
@@ -25,7 +32,15 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
     },
     206: {"description": "The bytes that `Range` asked for"},
     304: {"description": "`If-None-Match` names this version"},
-    **refusals(JobNotFound, ArtifactNotFound, ArtifactNotReady, RangeNotSatisfiable, StorageUnavailable),
+    **refusals(
+        JobNotFound,
+        ArtifactNotFound,
+        ArtifactNotReady,
+        JobUnreadable,
+        RangeNotSatisfiable,
+        RecordsUnavailable,
+        StorageUnavailable,
+    ),
 }
 
 

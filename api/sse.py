@@ -9,7 +9,8 @@ from collections.abc import AsyncIterator, Sequence
 from pydantic_core import to_json
 
 from api.following import Follower
-from core.jobs.job import Job
+from api.views import JobView
+from core.jobs.job import Job, UnreadableJob
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry
 
@@ -21,11 +22,11 @@ async def event_stream(follower: Follower) -> AsyncIterator[bytes]:
     """Every entry, a comment in silence, and at the end the job's final status, once."""
     told = False
     yield b"retry: 2000\n\n"
-    async for page in follower.pages(to_the_end=True):
+    async for page in follower.coming():
         yield encoded(page) if page else b": still here\n\n"
         told = told or any(_tells_the_end(entry) for entry in page)
     if follower.job is not None and follower.job.status.is_final and not told:
-        # A job rebuilt from the object store has a status, but no feed.
+        # A job of version 0.1 that was imported has a status, but no feed.
         yield encoded([_final(follower.job)])
 
 
@@ -44,6 +45,12 @@ def _tells_the_end(entry: Entry) -> bool:
     return entry.kind == "status" and JobStatus(entry.data["status"]).is_final
 
 
-def _final(job: Job) -> Entry:
-    data = {"status": job.status, "reason": job.reason, "message": job.message, "attempt": len(job.attempts)}
+def _final(job: Job | UnreadableJob) -> Entry:
+    view = JobView.of(job)
+    data = {
+        "status": view.status,
+        "reason": view.reason,
+        "message": view.message,
+        "attempt": len(view.attempts),
+    }
     return Entry(kind="status", time=job.finished_at or job.created_at, data=data)

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Annotated, Any, Generic, Self, TypeVar
+from typing import Annotated, Any, Generic, Literal, Self, TypeVar
 from urllib.parse import quote
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from core.environments.info import Device, EnvironmentInfo
-from core.jobs.job import Artifact, ArtifactRole, Job, Progress
+from core.jobs.job import Artifact, ArtifactRole, Job, Progress, UnreadableJob
 from core.jobs.spec import SentSpec
 from core.jobs.status import JobStatus, Reason
 from core.physics.availability import EngineName
@@ -64,14 +64,18 @@ class AttemptView(View):
 
 
 class JobView(View):
-    """A job as it is now. spec: as it was sent; what it leaves out, the environment's tuned values fill."""
+    """A job as it is now. spec: as it was sent; what it leaves out, the environment's tuned values fill.
+
+    A record of another version that cannot be read is shown with the reason `unreadable`, without attempts
+    and artifacts.
+    """
 
     id: str = Field(examples=["019aa3c2f0b1-5be0c1d2e3"])
     kind: str = Field(examples=["train"])
     name: str | None
     labels: dict[str, str]
     status: JobStatus
-    reason: Reason | None = Field(description="Why it ended.")
+    reason: Reason | Literal["unreadable"] | None = Field(description="Why it ended.")
     message: str | None = Field(description="The same as a sentence for people.")
     created_at: datetime
     started_at: datetime | None
@@ -79,11 +83,13 @@ class JobView(View):
     progress: Progress
     attempts: Sequence[AttemptView]
     artifacts: Sequence[ArtifactView]
-    spec: SentSpec
+    spec: SentSpec | dict[str, Any]
     links: dict[str, str]
 
     @classmethod
-    def of(cls, job: Job) -> Self:
+    def of(cls, job: Job | UnreadableJob) -> Self:
+        if isinstance(job, UnreadableJob):
+            return cls._of_unreadable(job)
         return cls(
             id=job.id,
             kind=job.spec.kind,
@@ -99,6 +105,21 @@ class JobView(View):
             attempts=[AttemptView.model_validate(attempt) for attempt in job.attempts],
             artifacts=[ArtifactView.of(job.id, artifact) for artifact in job.artifacts],
             spec=job.spec,
+            links=_links(job),
+        )
+
+    @classmethod
+    def _of_unreadable(cls, job: UnreadableJob) -> Self:
+        return cls(
+            **job.model_dump(include={"id", "kind", "name", "labels", "status", "spec"}),
+            reason="unreadable",
+            message=f"This version of Gaitway cannot read the job's record ({job.problem}).",
+            created_at=job.created_at,
+            started_at=job.started_at,
+            finished_at=job.finished_at,
+            progress=Progress(),
+            attempts=(),
+            artifacts=(),
             links=_links(job),
         )
 
@@ -174,7 +195,7 @@ class Health(View):
     status: str = "ok"
 
 
-def _links(job: Job) -> dict[str, str]:
+def _links(job: Job | UnreadableJob) -> dict[str, str]:
     here = f"/jobs/{job.id}"
     parts = ["events", "metrics", "logs", "checkpoints", "artifacts", "video", "poster"]
     links = {"self": here, **{part: f"{here}/{part}" for part in parts}}

@@ -14,7 +14,18 @@ from rich.console import Console
 from bench import charts, report
 from bench.result import Options, Result
 
-NAMES = ("physics", "training", "corridor", "q_learning", "service", "models", "video", "demo")
+NAMES = (
+    "physics",
+    "training",
+    "corridor",
+    "q_learning",
+    "record",
+    "faults",
+    "service",
+    "models",
+    "video",
+    "demo",
+)
 ON_A_GPU = (
     *("gpu_engines", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_rodent", "gpu_corridor", "gpu_q_learning", "gpu_profile", "gpu_scaling"),

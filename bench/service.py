@@ -52,8 +52,8 @@ def _notes(count: int, memory: Row, returns: set[float]) -> list[str]:
     agreement = "the same return" if len(returns) == 1 else f"DIFFERENT returns: {sorted(returns)}"
     return [
         f"Submissions: {count} `POST /jobs` over loopback at {_PER_SECOND:g} a second, due at fixed times "
-        "whatever the answers do; each is timed from when it was due. Each stores its specification in the "
-        "object store and its record in Valkey before it is answered. The load generator, the servers and "
+        "whatever the answers do; each is timed from when it was due. Each is one durable transaction in "
+        "PostgreSQL, and the queue has been told, before it is answered. The load generator, the servers and "
         "the idle worker share the machine.",
         "First line: from just before the POST to the time of the event `process`, which the training "
         "process causes before it imports anything; the worker was idle.",
@@ -85,7 +85,7 @@ def _submissions(stack: Stack, count: int) -> tuple[list[Figure], list[Row]]:
     ]
     figures += [
         Figure(name=f"processor time of a submission, {name}", value=used.get(name, 0.0), unit="ms")
-        for name in ("api", "weed", "valkey-server")
+        for name in ("api", "postgres", "valkey-server")
     ]
     return figures, [
         {"part": "submission", "number": number, "ms": 1000 * s} for number, s in enumerate(seconds)

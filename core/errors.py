@@ -145,6 +145,17 @@ class JobExists(Conflict):
         super().__init__(f"Job {job_id} exists already.", job=job_id)
 
 
+class JobUnreadable(Conflict):
+    """The record is set aside; all others are served."""
+
+    code = "job-unreadable"
+    title = "The job's record cannot be read"
+
+    def __init__(self, job_id: str, problem: str) -> None:
+        super().__init__(f"This version cannot read the record of job {job_id} ({problem}).", job=job_id)
+        self.problem = problem
+
+
 class JobNotFinished(Conflict):
     code = "job-not-finished"
     title = "The job has not ended"
@@ -167,6 +178,19 @@ class ModelInUse(Conflict):
         super().__init__(
             f"{len(jobs)} unfinished jobs need the model ({named}): cancel them first.",
             model=model_id,
+            jobs=list(jobs),
+        )
+
+
+class JobInUse(Conflict):
+    code = "job-in-use"
+    title = "Jobs need its checkpoint"
+
+    def __init__(self, job_id: str, jobs: Sequence[str]) -> None:
+        named = ", ".join(jobs[:5])
+        super().__init__(
+            f"{len(jobs)} unfinished jobs need a checkpoint of job {job_id} ({named}): cancel them first.",
+            job=job_id,
             jobs=list(jobs),
         )
 
@@ -205,7 +229,7 @@ class RecordsRefuse(RecordsUnavailable):
     """It answers, and a setting has to change before it does what is asked."""
 
     code = "records-refuse"
-    title = "Redis refuses"
+    title = "The job records refuse"
 
 
 class NoWorker(Unavailable):

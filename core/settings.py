@@ -1,6 +1,6 @@
 """Every setting of the service; a process reads its own once, at its composition root.
 
-StoreSettings            what every process needs: where the records and the objects are
+StoreSettings            what every process needs: where the record, the queue and the objects are
 ├── ApiSettings
 ├── WorkerSettings       one worker; `worker.fleet` hands them on, with one device each
 └── ReconcilerSettings
@@ -48,9 +48,16 @@ def _redis_address(value: SecretStr) -> SecretStr:
     return value
 
 
+def _database_address(value: SecretStr) -> SecretStr:
+    if not value.get_secret_value().startswith(("postgresql://", "postgres://")):
+        raise ValueError("begin it with postgresql://")
+    return value
+
+
 Seconds = Annotated[timedelta, BeforeValidator(_number_of_seconds), Field(gt=timedelta(0))]
 Address = Annotated[str, Field(min_length=1), AfterValidator(_address)]
 RedisAddress = Annotated[SecretStr, AfterValidator(_redis_address)]
+DatabaseAddress = Annotated[SecretStr, AfterValidator(_database_address)]
 AliveFile = Annotated[
     Path | None,
     Field(
@@ -71,6 +78,10 @@ class StoreSettings(BaseSettings):
         env_prefix=PREFIX, env_ignore_empty=True, frozen=True, hide_input_in_errors=True, extra="ignore"
     )
 
+    database_url: DatabaseAddress = Field(
+        description="Where PostgreSQL is: postgresql://USER:PASSWORD@HOST:PORT/DATABASE; for TLS with "
+        "?sslmode=verify-full at its end."
+    )
     redis_url: RedisAddress = Field(
         description="Where Redis or Valkey is: redis://:PASSWORD@HOST:PORT/0, rediss:// for TLS, or "
         "unix:///path/to/its.sock."
@@ -115,6 +126,17 @@ class ApiSettings(StoreSettings):
         description="The host address at which others reach the API, where it cannot know: behind a proxy, "
         "or published by a container engine. For its warning about an open door.",
     )
+    allowed_hosts: str = Field(
+        "",
+        description="Names at which the API is reached, separated by commas, besides localhost and numeric "
+        "addresses; requests that name another host are refused, and pages of these hosts may use the API.",
+    )
+
+    @property
+    def hosts(self) -> frozenset[str]:
+        """The names that are allowed, and the one that is published."""
+        named = [*self.allowed_hosts.split(","), self.published or ""]
+        return frozenset(name.strip().lower() for name in named) - {""}
 
 
 class WorkerSettings(StoreSettings):
@@ -133,6 +155,11 @@ class WorkerSettings(StoreSettings):
         timedelta(seconds=1), description="How often a worker renews its lease and looks for a cancel."
     )
     grace: Seconds = Field(timedelta(seconds=60), description="From a cancel, timeout or drain to SIGKILL.")
+    stall: Seconds = Field(
+        timedelta(minutes=10),
+        description="A training that says nothing for this long, and for twenty times its longest silence so "
+        "far, hangs: it is ended, and tried again.",
+    )
     cache_max_bytes: int = Field(
         2**31,
         ge=0,
@@ -167,7 +194,17 @@ class ReconcilerSettings(StoreSettings):
 
     alive_file: AliveFile = None
     lease: Lease = timedelta(seconds=15)
-    reconcile_every: Seconds = Field(timedelta(seconds=5), description="Between two looks at every job.")
+    reconcile_every: Seconds = Field(timedelta(seconds=1), description="Between two looks at every job.")
+
+    @model_validator(mode="after")
+    def _watches_leases(self) -> Self:
+        if self.lease < 3 * self.reconcile_every:
+            raise ValueError(
+                f"{PREFIX}LEASE ({self.lease.total_seconds():g} s) has to be at least three times "
+                f"{PREFIX}RECONCILE_EVERY ({self.reconcile_every.total_seconds():g} s), or no lease ever "
+                "runs out: leases that nobody watches are not held against a worker."
+            )
+        return self
 
 
 def _is_open(url: str) -> bool:

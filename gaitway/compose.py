@@ -9,14 +9,18 @@ import secrets
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from gaitway.embedded.folders import remembered, write_private
 from gaitway.embedded.weed_environment import REGION, weed_environment
 
 SECRETS = Path("/run/gaitway")
+# Apart from the others: PostgreSQL's container sees it, runs as another user, and keeps it as it was first.
+DATABASE_PASSWORD = Path("/volumes/database-password/password")
 
-_REDIS, _S3 = "GAITWAY_REDIS_URL", "GAITWAY_S3_ENDPOINT"
+_DATABASE, _REDIS, _S3 = "GAITWAY_DATABASE_URL", "GAITWAY_REDIS_URL", "GAITWAY_S3_ENDPOINT"
 _PASSED_ON = (
+    _DATABASE,
     _REDIS,
     "GAITWAY_REDIS_WITHOUT_PASSWORD",
     _S3,
@@ -24,13 +28,13 @@ _PASSED_ON = (
 )
 
 
-def setup(folder: Path, environ: Mapping[str, str]) -> None:
+def setup(folder: Path, environ: Mapping[str, str], database_password: Path = DATABASE_PASSWORD) -> None:
     """Fill the secrets' folder: keys made once, and settings for stores that the user has not named."""
-    keys = _keys(folder)
+    keys = _keys(folder, database_password)
     write_private(folder / "valkey.password", keys["redis_password"])
     write_private(folder / "valkey.conf", f"requirepass {keys['redis_password']}\n")
     write_private(folder / "objects.sh", _starting_weed(keys))
-    wanted = own_stores(keys, environ, redis_host="valkey", s3_host="objects")
+    wanted = own_stores(keys, environ, Hosts("postgres", "valkey", "objects"))
     for name in _PASSED_ON:
         file = folder / name.lower()
         if name in wanted:
@@ -39,25 +43,36 @@ def setup(folder: Path, environ: Mapping[str, str]) -> None:
             file.unlink(missing_ok=True)
 
 
-def join(folder: Path, environ: Mapping[str, str]) -> dict[str, str]:
+def join(
+    folder: Path, environ: Mapping[str, str], database_password: Path = DATABASE_PASSWORD
+) -> dict[str, str]:
     """The settings of a worker elsewhere. Raises ValueError where it could not find our stores by them."""
     named = {name: environ[name] for name in _PASSED_ON if environ.get(name)}
-    if _REDIS in named and _S3 in named:
+    if {_DATABASE, _REDIS, _S3} <= named.keys():
         return named
     shared = _shared_address(environ.get("GAITWAY_SHARE", ""))
-    return {**own_stores(_keys(folder), environ, redis_host=shared, s3_host=shared), **named}
+    own = own_stores(_keys(folder, database_password), environ, Hosts(shared, shared, shared))
+    return {**own, **named}
 
 
-def own_stores(
-    keys: Mapping[str, str], environ: Mapping[str, str], *, redis_host: str, s3_host: str
-) -> dict[str, str]:
+class Hosts(NamedTuple):
+    """Where the stores are, as somebody sees them."""
+
+    postgres: str
+    valkey: str
+    objects: str
+
+
+def own_stores(keys: Mapping[str, str], environ: Mapping[str, str], hosts: Hosts) -> dict[str, str]:
     """Settings that lead to the stores of docker-compose.yml, as far as the user has not named others."""
     found = dict[str, str]()
+    if not environ.get(_DATABASE):
+        found[_DATABASE] = f"postgresql://gaitway:{keys['database_password']}@{hosts.postgres}:5432/gaitway"
     if not environ.get(_REDIS):
-        found[_REDIS] = f"redis://:{keys['redis_password']}@{redis_host}:6379/0"
+        found[_REDIS] = f"redis://:{keys['redis_password']}@{hosts.valkey}:6379/0"
     if not environ.get(_S3):
         found |= {
-            _S3: f"{s3_host}:8333",
+            _S3: f"{hosts.objects}:8333",
             "GAITWAY_S3_ACCESS_KEY": keys["s3_access_key"],
             "GAITWAY_S3_SECRET_KEY": keys["s3_secret_key"],
             "GAITWAY_S3_SECURE": "false",
@@ -74,7 +89,7 @@ def _shared_address(address: str) -> str:
     return f"[{address}]" if ":" in address and not address.startswith("[") else address
 
 
-def _keys(folder: Path) -> dict[str, str]:
+def _keys(folder: Path, database_password: Path) -> dict[str, str]:
     def make() -> dict[str, str]:
         return {
             "redis_password": secrets.token_urlsafe(32),
@@ -83,7 +98,16 @@ def _keys(folder: Path) -> dict[str, str]:
             "s3_inner_key": secrets.token_hex(32),
         }
 
-    return remembered(folder / "keys.json", make)
+    keys: dict[str, str] = remembered(folder / "keys.json", make)
+    return {**keys, "database_password": _remembered_word(database_password)}
+
+
+def _remembered_word(path: Path) -> str:
+    """What the file holds; made at the first call, and readable by whoever sees the volume."""
+    if not path.exists():
+        write_private(path, secrets.token_urlsafe(32))
+        path.chmod(0o644)
+    return path.read_text()
 
 
 def _starting_weed(keys: Mapping[str, str]) -> str:

@@ -126,7 +126,7 @@ def _default(field: FieldInfo) -> str:
 
 def _text(value: Any) -> str:
     match value:
-        case None:
+        case None | "":
             return "–"
         case bool():
             return f"`{str(value).lower()}`"

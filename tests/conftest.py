@@ -1,22 +1,28 @@
 """Real servers for the tests, one of each per process of the test run, empty for every test."""
 
+import secrets
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import psycopg
 import pytest
 import redis
 
 from core.adapters.connect import connect_redis, connect_s3
-from core.adapters.memory_jobs import MemoryJobStore
 from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
-from core.adapters.redis_jobs import RedisJobStore
+from core.adapters.postgres import schema
+from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.rq_queue import RQQueue
 from core.adapters.s3_objects import S3ObjectStore
 from core.jobs.queue import JobQueue
 from core.jobs.store import JobStore
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
+from gaitway.embedded.postgres import Postgres
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
@@ -36,6 +42,50 @@ def compiled_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     """What this test starts is compiled as the test is, and not as users have it."""
     for name, value in compiling_quickly().items():
         monkeypatch.setenv(name, value)
+
+
+@dataclass(frozen=True)
+class Databases:
+    """A running PostgreSQL with a template that has the tables; each test gets a copy of it."""
+
+    server: Postgres
+    admin: psycopg.Connection[Any]
+
+    def fresh(self) -> str:
+        """The address of a new database with empty tables."""
+        name = f"test_{secrets.token_hex(6)}"
+        self.admin.execute(f"CREATE DATABASE {name} TEMPLATE gaitway")
+        return self.server.url.replace("/gaitway?", f"/{name}?")
+
+    def drop(self, url: str) -> None:
+        name = url.partition("?")[0].rpartition("/")[2]
+        self.admin.execute(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
+
+
+@pytest.fixture(scope="session")
+def databases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Databases]:
+    """A running PostgreSQL; tests take `job_store`, `database_url` or `settings`."""
+    with Postgres(tmp_path_factory.mktemp("postgres"), durable=False) as server:
+        schema.upgrade(connect_postgres(server.url, pool_size=0))
+        maintenance = server.url.replace("/gaitway?", "/postgres?")
+        with psycopg.connect(maintenance, autocommit=True) as admin:
+            yield Databases(server, admin)
+
+
+@pytest.fixture
+def database_url(databases: Databases) -> Iterator[str]:
+    """The address of a database with empty tables."""
+    url = databases.fresh()
+    yield url
+    databases.drop(url)
+
+
+@pytest.fixture
+def job_store(database_url: str) -> Iterator[PostgresJobStore]:
+    """The record, empty."""
+    store = PostgresJobStore(connect_postgres(database_url))
+    yield store
+    store.close()
 
 
 @pytest.fixture(scope="session")
@@ -71,11 +121,17 @@ def object_store(weed: Weed) -> S3ObjectStore:
 
 @pytest.fixture
 def settings(
-    valkey: Valkey, weed: Weed, redis_client: redis.Redis, object_store: S3ObjectStore, tmp_path: Path
+    database_url: str,
+    valkey: Valkey,
+    weed: Weed,
+    redis_client: redis.Redis,
+    object_store: S3ObjectStore,
+    tmp_path: Path,
 ) -> WorkerSettings:
-    """WorkerSettings that lead to both servers, both empty, and to an empty data folder."""
+    """WorkerSettings that lead to the three servers, all empty, and to an empty data folder."""
     return WorkerSettings.model_validate(
         {
+            "database_url": database_url,
             "redis_url": valkey.url,
             "s3_endpoint": weed.endpoint,
             "s3_access_key": weed.access_key,
@@ -88,12 +144,10 @@ def settings(
     )
 
 
-@pytest.fixture(params=["memory", "redis"])
-def jobs(request: pytest.FixtureRequest) -> JobStore:
-    """Each job store in turn, empty."""
-    if request.param == "memory":
-        return MemoryJobStore()
-    return RedisJobStore(request.getfixturevalue("redis_client"))
+@pytest.fixture
+def jobs(job_store: PostgresJobStore) -> JobStore:
+    """The record by its seam, empty."""
+    return job_store
 
 
 @pytest.fixture(params=["memory", "rq"])

@@ -1,5 +1,7 @@
 """Whether this worker has to go."""
 
+import time
+
 
 class Draining:
     """A plain flag, because a signal handler sets it.
@@ -10,11 +12,16 @@ class Draining:
     """
 
     def __init__(self) -> None:
-        self._asked = False
+        self._asked_at: float | None = None
 
     def set(self, *_: object) -> None:
         """Also as a signal handler."""
-        self._asked = True
+        if self._asked_at is None:
+            self._asked_at = time.monotonic()
 
     def is_set(self) -> bool:
-        return self._asked
+        return self._asked_at is not None
+
+    def for_s(self) -> float:
+        """For how many seconds it has been set; 0 where it is not."""
+        return 0.0 if self._asked_at is None else time.monotonic() - self._asked_at

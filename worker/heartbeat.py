@@ -42,6 +42,8 @@ class Heartbeat:
                 log.warning("heartbeat_missed", error=error.detail)
             except LeaseLost:
                 self.lost.set()
+            except Exception as error:  # A mistake of ours: it must not cost the job its lease.
+                log.error("heartbeat_failed", error=repr(error))
             else:
                 if status == JobStatus.CANCELLING:
                     self.cancelled.set()

@@ -31,6 +31,8 @@ from worker.alive import show_life
 from worker.device import device_of, visible_gpus
 from worker.disk import check_folder
 from worker.lifeline import die_with_parent
+from worker.named_job import NamedJob
+from worker.stall import is_stopped
 
 log = structlog.get_logger()
 
@@ -46,6 +48,9 @@ class GaitwayWorker(rq.Worker):
     def __init__(self, settings: WorkerSettings, device: str, store: JobStore) -> None:
         self._store = store
         self._alive_file = settings.alive_file
+        self._horse_is_stopped = False
+        self._is_announcing = False
+        self._stopped_by: tuple[Any, Any] | None = None
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
         now = utc_now()
         self._info = WorkerInfo(
@@ -60,15 +65,25 @@ class GaitwayWorker(rq.Worker):
         super().__init__(  # pyright: ignore[reportUnknownMemberType]
             list(queue_names(device)),
             name=name,
+            # RQ sets a time limit of its own: a worker blocks while nothing is there for it.
             connection=connect_redis(settings.redis_url.get_secret_value()),
             serializer=JSONSerializer,
+            job_class=NamedJob,
             worker_ttl=3 * _ANNOUNCE_EVERY_S + 15,
             job_monitoring_interval=_ANNOUNCE_EVERY_S,
         )
 
     def heartbeat(self, *args: Any, **kwargs: Any) -> None:
+        self._end_stopped_horse()
         super().heartbeat(*args, **kwargs)
         self.announce()
+
+    def _end_stopped_horse(self) -> None:
+        """End a work-horse that is found stopped by a signal at two heartbeats: it would keep its device."""
+        was_stopped, self._horse_is_stopped = self._horse_is_stopped, is_stopped(self.horse_pid or 0)
+        if was_stopped and self._horse_is_stopped:
+            log.error("work_horse_stopped", pid=self.horse_pid)
+            self.kill_horse()
 
     def monitor_work_horse(self, job: Any, queue: Any) -> None:
         """Wait for the job's end, through any outage of Redis: RQ alone would give up and orphan the job."""
@@ -86,16 +101,26 @@ class GaitwayWorker(rq.Worker):
         show_life(self._alive_file)
         job = self.get_current_job_id()
         info = self._info.model_copy(update={"seen_at": utc_now(), "job": job_of(job) if job else None})
+        self._is_announcing = True
         try:
             self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
         except Unavailable as error:
             log.warning("announcement_missed", error=error.detail)
+        finally:
+            self._is_announcing = False
+        stopped_by, self._stopped_by = self._stopped_by, None
+        if stopped_by is not None:
+            super().request_stop(*stopped_by)  # pyright: ignore[reportUnknownMemberType]
 
     def request_stop(self, signum: Any, frame: Any) -> None:
         """First SIGTERM or SIGINT: the job drains, then the worker goes. RQ itself would only wait."""
         if self.horse_pid:
             os.kill(self.horse_pid, signal.SIGTERM)
-        super().request_stop(signum, frame)  # pyright: ignore[reportUnknownMemberType]
+        if self._is_announcing:
+            # RQ stops by an exception, and a database's driver may take that for a failure of its own.
+            self._stopped_by = (signum, frame)
+        else:
+            super().request_stop(signum, frame)  # pyright: ignore[reportUnknownMemberType]
 
 
 @stopping_if_misconfigured()
@@ -110,7 +135,8 @@ def main() -> None:
         log.warning("gpu_not_used", remedy="JAX cannot use it: pip install 'gaitway[worker,cuda]'.")
     check_folder(settings.data_dir)
     check_stores(settings)
-    store = job_store(settings)
+    # Without a pool: a connection must not be shared with what is forked.
+    store = job_store(settings, pool_size=0)
     worker = GaitwayWorker(settings, device, store)
     log.info("worker_started", worker=worker.name)
     try:

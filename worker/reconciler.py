@@ -1,19 +1,26 @@
-"""The reconciler as a process: every few seconds unfinished jobs, every hour models. Composition root."""
+"""The reconciler as a process: every second unfinished jobs and feeds, every hour the rest. Composition root.
+
+It also makes the database's tables when it starts, and brings them up to date.
+"""
 
 import math
 import os
 import signal
 import sys
+import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 
 import structlog
 
 from core.adapters.connect import job_queue, job_store, object_store
-from core.adapters.startup import check_stores
+from core.adapters.startup import check_stores, prepare_database
 from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
-from core.jobs.job import utc_now
-from core.jobs.reconciliation import reconcile
+from core.jobs import feeds, orphans
+from core.jobs.reconciliation import Reconciler
 from core.models import library
 from core.settings import ReconcilerSettings
 from core.telemetry import configure_logging
@@ -24,6 +31,69 @@ log = structlog.get_logger()
 
 # It reads the record of every model, and nobody waits for it.
 _TIDY_EVERY_S = 3600.0
+# How long a look may spend on what takes minutes.
+_AT_ONCE_S = 0.2
+
+
+@dataclass
+class Chore:
+    """Something to be done again and again. An outage makes it late, and keeps no other from being done."""
+
+    name: str
+    every_s: float
+    do: Callable[[], object]
+    done_at: float = field(default=-math.inf, init=False)
+
+    def do_if_due(self) -> None:
+        if time.monotonic() - self.done_at < self.every_s:
+            return
+        try:
+            self.do()
+        except Unavailable as error:
+            log.warning("reconciliation_missed", chore=self.name, error=error.detail)
+        else:
+            self.done_at = time.monotonic()
+
+
+@dataclass
+class LongChore:
+    """A chore that takes minutes, done a little at each look, so that nothing urgent waits for its end.
+
+    begin: what it returns does one step each time it is asked for the next.
+    """
+
+    name: str
+    every_s: float
+    begin: Callable[[], Iterator[object]]
+    done_at: float = field(default=-math.inf, init=False)
+    _steps: Iterator[object] | None = field(default=None, init=False)
+
+    def do_if_due(self) -> None:
+        if self._steps is None and time.monotonic() - self.done_at < self.every_s:
+            return
+        until = time.monotonic() + _AT_ONCE_S
+        try:
+            self._steps = self._steps or self.begin()
+            while time.monotonic() < until:
+                next(self._steps)
+        except StopIteration:
+            self._steps, self.done_at = None, time.monotonic()
+        except Unavailable as error:  # It begins again at the next look.
+            self._steps = None
+            log.warning("reconciliation_missed", chore=self.name, error=error.detail)
+
+
+def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
+    """All that is to be done, the urgent first."""
+    store, queue, objects = job_store(settings), job_queue(settings), object_store(settings)
+    every_s = settings.reconcile_every.total_seconds()
+    return [
+        Chore("jobs", every_s, Reconciler(store, queue, settings.lease).look),
+        Chore("feeds", every_s, partial(feeds.compact, store=store, objects=objects)),
+        Chore("record", _TIDY_EVERY_S, store.tidy),
+        Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
+        LongChore("orphans", _TIDY_EVERY_S, partial(orphans.sweep, store=store, objects=objects)),
+    ]
 
 
 @stopping_if_misconfigured()
@@ -36,26 +106,25 @@ def main() -> None:
         die_with_parent(int(parent))
     configure_logging("reconciler")
     settings = read(ReconcilerSettings)
+    prepare_database(settings)
     check_stores(settings)
-    store, queue, objects = job_store(settings), job_queue(settings), object_store(settings)
-    tidied = -math.inf
+    urgent, *others = chores(settings)
+    pause_s = settings.reconcile_every.total_seconds()
+    # Apart: a silent object store holds a chore up for a minute, and leases have to be watched all the time.
+    patient = threading.Thread(target=_go_on, args=(others, pause_s), name="chores", daemon=True)
+    patient.start()
+    while patient.is_alive():  # Otherwise it has met a mistake of ours, and its last words are in the log.
+        urgent.do_if_due()
+        show_life(settings.alive_file)
+        time.sleep(pause_s)
+    sys.exit(1)
+
+
+def _go_on(chores: Sequence[Chore | LongChore], pause_s: float) -> None:
     while True:
-        try:
-            reconcile(
-                store=store,
-                queue=queue,
-                objects=objects,
-                lease=settings.lease,
-                now=utc_now(),
-            )
-            show_life(settings.alive_file)
-            if time.monotonic() - tidied >= _TIDY_EVERY_S:
-                num_forgotten = library.tidy(objects=objects, queue=queue, now=utc_now())
-                log.info("models_tidied", num_forgotten=num_forgotten)
-                tidied = time.monotonic()
-        except Unavailable as error:
-            log.warning("reconciliation_missed", error=error.detail)
-        time.sleep(settings.reconcile_every.total_seconds())
+        for chore in chores:
+            chore.do_if_due()
+        time.sleep(pause_s)
 
 
 if __name__ == "__main__":

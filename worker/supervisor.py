@@ -2,36 +2,34 @@
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import get_args
 
 import structlog
 
-from core.errors import JobFailed, LeaseLost, NotFound, Rejected, StorageUnavailable
+from core.errors import JobFailed, LeaseLost, NotFound, Rejected, Unavailable
 from core.jobs.attempts import Holding
-from core.jobs.checks import source_checkpoint
-from core.jobs.job import Artifact, Attempt, Job, utc_now
-from core.jobs.own_model import engines_that_cannot, model_of
-from core.jobs.spec import CheckpointPolicy, RolloutSpec, TrainSpec
+from core.jobs.job import Job
+from core.jobs.own_model import model_of
+from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus, Reason
-from core.models import library
 from core.patience import CalledOff, through_outages
-from core.physics.availability import EngineName
 from core.settings import WorkerSettings
-from core.storage import keys
 from worker.caches import Caches
 from worker.disk import is_full, what_to_do
 from worker.draining import Draining
 from worker.heartbeat import Heartbeat
-from worker.messages import Failed, Finished, PhaseEnded, Task
+from worker.log_limit import LogLimit
+from worker.messages import Advanced, Failed, Finished, Noted, PhaseEnded
 from worker.outbox import Outbox
 from worker.outcome import Outcome, Stop, judge
 from worker.process import TRAINING, TrainingProcess
 from worker.slot import SlotTaken, slots
 from worker.spool import SPOOLS, spool
+from worker.stall import StallWatch
+from worker.starting_point import write_task
 from worker.tracking.attempt import Tracking
 
 log = structlog.get_logger()
@@ -41,7 +39,9 @@ _GLANCE_S = 0.1
 # The phases after which there are new programs, and new kernels.
 _COMPILED = ("compile", "first_update")
 # How long finished work waits for a store that is away, before the attempt is given up.
-_STORAGE_PATIENCE_S = 900.0
+_STORAGE_PATIENCE_S = 86_400.0
+# What is stored last gets at least this time, also where the training process has used up its grace time.
+_LAST_S = 3.0
 
 
 @dataclass
@@ -64,33 +64,38 @@ class Supervisor:
         own = folder / SPOOLS / f"{self.holding.job_id}.{self.holding.number}"
         caches = Caches(self.holding.objects, self.settings, self.device, own)
         try:
-            with spool(own), Heartbeat(self.holding, self.settings) as heartbeat:
-                self._attempt(heartbeat, caches, folder, own)
+            with Heartbeat(self.holding, self.settings) as heartbeat:
+                self._conclude(self._outcome(heartbeat, caches, folder, own))
         except LeaseLost:
             log.warning("attempt_abandoned", job_id=self.holding.job_id, attempt=self.holding.number)
+        caches.close(self.draining.is_set)  # The job has ended: nobody waits for this.
+
+    def _outcome(self, heartbeat: Heartbeat, caches: Caches, folder: Path, own: Path) -> Outcome:
+        try:
+            with spool(own):
+                return self._attempt(heartbeat, caches, folder, own)
         except CalledOff:
             message = "The worker was shut down before it had begun with the job."
-            self._conclude(Outcome(None, Reason.WORKER_DRAINED, message))
+            return Outcome(None, Reason.WORKER_DRAINED, message)
         except SlotTaken as error:
-            self._conclude(Outcome(None, Reason.WORKER_LOST, str(error)))
+            return Outcome(None, Reason.WORKER_LOST, str(error))
         except JobFailed as error:
-            self._conclude(Outcome(JobStatus.FAILED, Reason(error.reason), error.detail))
+            return Outcome(JobStatus.FAILED, Reason(error.reason), error.detail)
         except (NotFound, Rejected) as error:
-            self._conclude(Outcome(JobStatus.FAILED, Reason.BAD_CHECKPOINT, error.detail))
-        except StorageUnavailable as error:
-            self._conclude(Outcome(None, Reason.STORAGE_UNAVAILABLE, error.detail))
+            return Outcome(JobStatus.FAILED, Reason.BAD_CHECKPOINT, error.detail)
+        except Unavailable as error:
+            return Outcome(None, Reason.STORAGE_UNAVAILABLE, error.detail)
         except OSError as error:
             if not is_full(error):
                 raise
-            self._conclude(Outcome(None, Reason.STORAGE_UNAVAILABLE, what_to_do(folder)))
-        caches.close(self.draining.is_set)  # The job has ended: nobody waits for this.
+            return Outcome(None, Reason.STORAGE_UNAVAILABLE, what_to_do(folder))
 
-    def _attempt(self, heartbeat: Heartbeat, caches: Caches, folder: Path, spool: Path) -> None:
+    def _attempt(self, heartbeat: Heartbeat, caches: Caches, folder: Path, spool: Path) -> Outcome:
         leaving = self.draining.is_set
         job = through_outages(
             partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S, called_off=leaving
         )
-        through_outages(
+        notes = through_outages(
             partial(write_task, job, self.holding, self.device, spool),
             _STORAGE_PATIENCE_S,
             called_off=leaving,
@@ -99,11 +104,13 @@ class Supervisor:
         with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
             caches.open(_cached_as(job), leaving)
             outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
+            for note in notes:
+                outbox.put(Noted(text=note))
             tracking = Tracking(job, self.holding, spool, self.settings, outbox)
             tracking.begin()
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fds)
             try:
-                ear = _Ear(process, outbox, caches, tracking)
+                ear = _Ear(process, outbox, caches, tracking, StallWatch(self.settings.stall))
                 outcome = self._watch(process, ear, heartbeat, job.spec.timeout_s)
             except BaseException:
                 tracking.abandon()
@@ -114,13 +121,10 @@ class Supervisor:
             tracking.abandon()
         else:
             tracking.finish(outcome.status)
-        if not outbox.close(_STORAGE_PATIENCE_S):
-            raise StorageUnavailable(
-                f"The results could not be stored for {_STORAGE_PATIENCE_S / 60:.0f} minutes: Redis or the "
-                "object store was away, or refused; the worker's log says which."
-            )
+        if not outbox.close(_STORAGE_PATIENCE_S, self._must_leave(_LAST_S)):
+            return _not_stored(leaving())
         tracking.write_up(outcome.status, leaving)
-        self._conclude(outcome)
+        return outcome
 
     def _watch(
         self,
@@ -144,6 +148,11 @@ class Supervisor:
                 process.stop(stop)  # It may have been deaf for a moment: see worker/training/stopping.py.
             if time.monotonic() > kill_at:
                 process.kill()
+            if (hung := ear.stall.what_is_wrong(process.pid)) is not None:
+                log.warning("training_stalled", job_id=self.holding.job_id, detail=hung)
+                process.kill()
+                ear.join()
+                return Outcome(None, Reason.TRAINING_STALLED, hung)
         process.kill()
         ear.join()
         if status == 0:  # A process that crashed may have left kernels that would crash the next.
@@ -157,24 +166,41 @@ class Supervisor:
             return Stop.DRAIN
         return Stop.TIMEOUT if time.monotonic() > deadline else None
 
+    def _must_leave(self, at_least_s: float = 0.0) -> Callable[[], bool]:
+        """Whether the grace time of a drain is over, and `at_least_s` from now, too."""
+        grace_s, not_before = self.settings.grace.total_seconds(), time.monotonic() + at_least_s
+        return lambda: self.draining.for_s() >= grace_s and time.monotonic() >= not_before
+
     def _conclude(self, outcome: Outcome) -> None:
-        job = through_outages(partial(self._end, outcome), _STORAGE_PATIENCE_S)
+        end = partial(self._end, outcome)
+        try:
+            job = through_outages(end, _STORAGE_PATIENCE_S, called_off=self._must_leave())
+        except CalledOff:  # PostgreSQL is away: the lease runs out, and another worker gets the job.
+            log.warning("attempt_left", job_id=self.holding.job_id, detail=outcome.message)
+            return
         log.info(
             "attempt_ended", job_id=job.id, status=job.status, reason=outcome.reason, detail=outcome.message
         )
 
     def _end(self, outcome: Outcome) -> Job:
-        now = utc_now()
         if outcome.status is None:
-            return self.holding.give_back(outcome.reason, outcome.message, now)
-        return self.holding.end(outcome.status, outcome.reason, outcome.message, now)
+            return self.holding.give_back(outcome.reason, outcome.message)
+        return self.holding.end(outcome.status, outcome.reason, outcome.message)
 
 
 class _Ear:
     """Two threads that hear what the process says, so that no pipe ever fills up and halts it."""
 
-    def __init__(self, process: TrainingProcess, outbox: Outbox, caches: Caches, tracking: Tracking) -> None:
+    def __init__(
+        self,
+        process: TrainingProcess,
+        outbox: Outbox,
+        caches: Caches,
+        tracking: Tracking,
+        stall: StallWatch,
+    ) -> None:
         self.last_word: Failed | Finished | None = None
+        self.stall = stall
         self.outbox = outbox
         self.caches = caches
         self._process = process
@@ -193,6 +219,7 @@ class _Ear:
 
     def _hear_messages(self) -> None:
         for message in self._process.messages():
+            self.stall.hear(is_progress=isinstance(message, Advanced))
             if isinstance(message, Failed | Finished):
                 self.last_word = message
             self._tracking.tell(message)
@@ -201,68 +228,24 @@ class _Ear:
                 self.caches.keep()
 
     def _hear_lines(self) -> None:
+        limit = LogLimit()
         for line in self._process.lines():
-            self.outbox.put(line)
+            self.stall.hear()
+            for told in limit.pass_on(line, self.outbox.num_waiting):
+                self.outbox.put(told)
+        for told in limit.end():
+            self.outbox.put(told)
 
 
-def write_task(job: Job, holding: Holding, device: str, spool: Path) -> None:
-    """Leave in the spool what the training process needs: the task, and the checkpoint it starts from.
-
-    And the user's own model, where it names one. Raises Rejected or NotFound where the checkpoint of another
-    job has gone meanwhile, JobFailed("bad_model") where the model has.
-    """
-    checkpoint = _checkpoint_to_use(job, holding)
-    task = _as_begun(Task(job_id=job.id, attempt=holding.number, spec=job.spec, device=device), job.begun)
-    if checkpoint is not None:
-        with holding.objects.open(checkpoint.key) as pieces, (spool / "start.msgpack").open("wb") as file:
-            for piece in pieces:
-                file.write(piece)
-        task = task.model_copy(
-            update={"checkpoint": "start.msgpack", "checkpoint_step": checkpoint.step or 0}
-        )
-    task = _with_model(task, holding, spool)
-    (spool / "task.json").write_text(task.model_dump_json())
-
-
-def _as_begun(task: Task, begun: Attempt | None) -> Task:
-    """With what the attempt before resolved: tuned values and the choice of `auto` may be others by now."""
-    spec = task.spec
-    if begun is None or not isinstance(spec, TrainSpec):
-        return task
-    had = begun.details.get("hyperparameters", {})
-    known = {name: value for name, value in had.items() if name in type(spec.algorithm).model_fields}
-    if known:
-        spec = spec.model_copy(update={"algorithm": type(spec.algorithm).model_validate(known)})
-    # Environments with physics of their own name that instead, and have no choice.
-    engine = begun.engine if begun.engine in get_args(EngineName) else None
-    return task.model_copy(update={"spec": spec, "begun_on": engine})
-
-
-def _with_model(task: Task, holding: Holding, spool: Path) -> Task:
-    model_id = model_of(task.spec.environment)
-    if model_id is None:
-        return task
-    try:
-        record = library.find(model_id, holding.objects)
-        (spool / "model").write_bytes(holding.objects.get(keys.model_source(model_id)))
-    except NotFound:
-        raise JobFailed("bad_model", f"The model {model_id} was deleted before the job began.") from None
-    cannot = dict(engines_that_cannot(record.description))
-    return task.model_copy(update={"model": "model", "engines_that_cannot": cannot})
-
-
-def _checkpoint_to_use(job: Job, holding: Holding) -> Artifact | None:
-    """Its own newest one, if an earlier attempt got that far; else the one its specification names."""
-    own = job.newest("checkpoint")
-    match job.spec:
-        case TrainSpec(resume_from=None):
-            return own
-        case TrainSpec(resume_from=point) if own is None and point is not None:
-            return source_checkpoint(job.spec, point.job, point.step, "/resume_from", holding.store.get)
-        case RolloutSpec(policy=CheckpointPolicy(job=source, step=step)):
-            return source_checkpoint(job.spec, source, step, "/policy", holding.store.get)
-        case _:
-            return own
+def _not_stored(is_leaving: bool) -> Outcome:
+    """The end of an attempt whose results no store took."""
+    away = "PostgreSQL or the object store was away, or refused; the worker's log says which"
+    if is_leaving:
+        message = f"The worker was shut down before everything was stored: {away}."
+        return Outcome(None, Reason.WORKER_DRAINED, message)
+    hours = _STORAGE_PATIENCE_S / 3600
+    message = f"The results could not be stored for {hours:.0f} hours: {away}."
+    return Outcome(None, Reason.STORAGE_UNAVAILABLE, message)
 
 
 def _cached_as(job: Job) -> str:

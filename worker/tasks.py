@@ -4,15 +4,15 @@ import os
 import signal
 import socket
 from contextlib import suppress
+from functools import partial
 
 import structlog
 
 from core.adapters.connect import job_store, object_store
 from core.configuration import read
-from core.errors import Misconfigured, NotFound
-from core.jobs.attempts import claim
-from core.jobs.job import utc_now
-from core.patience import CalledOff, pause
+from core.errors import JobUnreadable, Misconfigured, NotFound
+from core.jobs.attempts import claim, new_secret
+from core.patience import CalledOff, pause, through_outages
 from core.previews.record import PreviewRequest
 from core.settings import WorkerSettings
 from worker.device import device_of
@@ -49,15 +49,21 @@ def run_attempt(job_id: str, attempt: int) -> None:
     except Misconfigured as error:  # A GPU has gone since the worker started.
         _leave_to_others(error.detail, draining)
         return
-    holding = claim(
+    take = partial(
+        claim,
         job_id,
         attempt,
         f"{socket.gethostname()}:{device}",
         store=job_store(settings),
         objects=object_store(settings),
         lease=settings.lease,
-        now=utc_now(),
+        secret=new_secret(),
     )
+    try:
+        holding = through_outages(take, called_off=draining.is_set)
+    except (CalledOff, NotFound, JobUnreadable) as error:
+        log.info("dispatch_ignored", error=str(error))
+        return
     if holding is None:
         log.info("dispatch_ignored")
         return
@@ -70,7 +76,7 @@ def validate_model(model_id: str) -> None:
     settings = read(WorkerSettings)
     spools = settings.data_dir.absolute() / SPOOLS
     with spool(spools / f"{model_id.replace(':', '-')}.{os.getpid()}") as folder, suppress(NotFound):
-        validate(model_id, object_store(settings), folder, settings.data_dir.absolute())
+        validate(model_id, job_store(settings), object_store(settings), folder, settings.data_dir.absolute())
 
 
 def draw_preview(document: str) -> None:

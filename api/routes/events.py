@@ -7,15 +7,15 @@ from fastapi import APIRouter, Header, Query, Response
 from starlette.responses import StreamingResponse
 
 from api import sse
-from api.dependencies import JobId, Parameters, Service, ServiceDep
-from api.following import Follower
+from api.dependencies import JobId, Parameters, ServiceDep
+from api.following import Follower, look
 from api.problems import refusals
-from core.errors import JobNotFound, RecordsUnavailable, Rejected
-from core.jobs.job import Job
+from core.errors import JobNotFound, RecordsUnavailable, Rejected, StorageUnavailable
+from core.jobs.store import entry_number
 
 router = APIRouter(tags=["jobs"])
 
-_EXAMPLE = 'id: 7-0\nevent: status\ndata: {"time":"2026-11-20T09:00:00Z","data":{"status":"running"}}\n\n'
+_EXAMPLE = 'id: 7\nevent: status\ndata: {"time":"2026-11-20T09:00:00Z","data":{"status":"running"}}\n\n'
 
 
 class After(Parameters):
@@ -34,7 +34,7 @@ class After(Parameters):
             "content": {sse.MEDIA_TYPE: {"example": _EXAMPLE}},
         },
         204: {"description": "The job has ended and everything was seen: do not come back"},
-        **refusals(JobNotFound, Rejected, RecordsUnavailable),
+        **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable),
     },
 )
 async def follow_events(
@@ -44,15 +44,9 @@ async def follow_events(
     last_event_id: Annotated[str | None, Header(alias="Last-Event-ID")] = None,
 ) -> Response:
     """Server-sent events until the job ends; resumes after Last-Event-ID."""
-    after = last_event_id or asked.after
-    job, has_more = await to_thread.run_sync(_look, service, job_id, after)
+    after = entry_number(last_event_id or asked.after)
+    job, has_more = await to_thread.run_sync(look, service, job_id, "events", after)
     if after and job.status.is_final and not has_more:
         return Response(status_code=204)
     stream = sse.event_stream(Follower(service, job, "events", after))
     return StreamingResponse(stream, headers=sse.HEADERS, media_type=sse.MEDIA_TYPE)
-
-
-def _look(service: Service, job_id: str, after: str) -> tuple[Job, bool]:
-    """The job, and whether anything comes after; what is wrong is raised before the stream begins."""
-    job = service.store.get(job_id)
-    return job, bool(service.store.feed(job_id, "events", after=after, limit=1))

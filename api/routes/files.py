@@ -10,7 +10,14 @@ from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import RESPONSES, file_response
 from api.problems import refusals
 from api.views import ArtifactView, Listing
-from core.errors import ArtifactNotFound, ArtifactNotReady, JobNotFound, NotFound, RecordsUnavailable
+from core.errors import (
+    ArtifactNotFound,
+    ArtifactNotReady,
+    JobNotFound,
+    JobUnreadable,
+    NotFound,
+    RecordsUnavailable,
+)
 from core.jobs.job import Artifact, ArtifactRole, Job
 
 router = APIRouter(tags=["files"])
@@ -43,14 +50,14 @@ def _file_route(path: str, **options: Any) -> Callable[[Callable[..., Response]]
     return register
 
 
-@router.get("/jobs/{job_id}/artifacts", responses=refusals(JobNotFound, RecordsUnavailable))
+@router.get("/jobs/{job_id}/artifacts", responses=refusals(JobNotFound, JobUnreadable, RecordsUnavailable))
 def list_artifacts(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView]:
     """Every file there is for readers."""
     artifacts = service.store.get(job_id).artifacts
     return Listing[ArtifactView](items=[ArtifactView.of(job_id, artifact) for artifact in artifacts])
 
 
-@router.get("/jobs/{job_id}/checkpoints", responses=refusals(JobNotFound, RecordsUnavailable))
+@router.get("/jobs/{job_id}/checkpoints", responses=refusals(JobNotFound, JobUnreadable, RecordsUnavailable))
 def list_checkpoints(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView]:
     """The checkpoints that are kept, by step."""
     found = [artifact for artifact in service.store.get(job_id).artifacts if artifact.role == "checkpoint"]

@@ -1,7 +1,7 @@
 """Jobs: submit, list, read, cancel, delete."""
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 from pydantic import Field
@@ -14,8 +14,10 @@ from api.views import JobView, Listing
 from core.errors import (
     IdempotencyKeyReused,
     JobFinished,
+    JobInUse,
     JobNotFinished,
     JobNotFound,
+    JobUnreadable,
     Problem,
     RecordsUnavailable,
     Rejected,
@@ -23,7 +25,7 @@ from core.errors import (
 )
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
-from core.jobs.job import utc_now
+from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
 from core.jobs.submission import submit
@@ -37,16 +39,16 @@ _BODY: dict[str, Any] = {
         "content": {"application/json": {"schema": _SCHEMA, "examples": EXAMPLES}},
     }
 }
-_LABEL = re.compile(r"([A-Za-z0-9_.-]{1,63})[:=](.{0,200})", re.DOTALL)
+_LABEL = re.compile(r"([A-Za-z0-9_.-]{1,63})[:=]([^\0]{0,200})")
 
 
 class Listed(Parameters):
     """Which jobs; each filter that is given must match."""
 
     status: JobStatus | None = None
-    kind: Literal["train", "rollout"] | None = None
-    environment: str | None = Field(None, max_length=100, examples=["ant"])
-    name: str | None = Field(None, max_length=200)
+    kind: JobKind | None = None
+    environment: Text | None = Field(None, examples=["ant"])
+    name: Text | None = None
     label: list[str] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
     cursor: str | None = Field(None, max_length=100, description="The `next` of an earlier page.")
     limit: int = Field(50, ge=1, le=200)
@@ -72,20 +74,12 @@ class Listed(Parameters):
         BodyTooLarge,
         UnsupportedMediaType,
         Rejected,
-        StorageUnavailable,
         RecordsUnavailable,
     ),
 )
 def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep, response: Response) -> JobView:
     """Queue a training or a rollout."""
-    job = submit(
-        spec,
-        store=service.store,
-        queue=service.queue,
-        objects=service.objects,
-        now=utc_now(),
-        idempotency=idempotency(key, spec),
-    )
+    job = submit(spec, store=service.store, queue=service.queue, idempotency=idempotency(key, spec))
     response.headers["Location"] = f"/jobs/{job.id}"
     return JobView.of(job)
 
@@ -100,7 +94,7 @@ def list_jobs(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listin
 @router.get("/jobs/{job_id}", responses=refusals(JobNotFound, RecordsUnavailable))
 def read_job(job_id: JobId, service: ServiceDep) -> JobView:
     """A job as it is now."""
-    return JobView.of(service.store.get(job_id))
+    return JobView.of(service.store.find(job_id))
 
 
 @router.post(
@@ -109,22 +103,24 @@ def read_job(job_id: JobId, service: ServiceDep) -> JobView:
     response_description="It stops as soon as what there is has been saved",
     responses={
         200: {"model": JobView, "description": "It is cancelled"},
-        **refusals(JobNotFound, JobFinished, RecordsUnavailable),
+        **refusals(JobNotFound, JobFinished, JobUnreadable, RecordsUnavailable),
     },
 )
 def cancel_job(job_id: JobId, service: ServiceDep, response: Response) -> JobView:
     """Stop a job, keeping checkpoint, metrics and video up to now. Twice is the same as once."""
-    job = cancel(job_id, store=service.store, queue=service.queue, objects=service.objects, now=utc_now())
+    job = cancel(job_id, store=service.store, queue=service.queue)
     response.status_code = 200 if job.status.is_final else 202
     return JobView.of(job)
 
 
 @router.delete(
-    "/jobs/{job_id}", status_code=204, responses=refusals(JobNotFound, JobNotFinished, StorageUnavailable)
+    "/jobs/{job_id}",
+    status_code=204,
+    responses=refusals(JobNotFound, JobNotFinished, JobInUse, RecordsUnavailable, StorageUnavailable),
 )
 def delete_job(job_id: JobId, service: ServiceDep) -> None:
     """Remove an ended job and its files for good."""
-    delete(job_id, store=service.store, queue=service.queue, objects=service.objects)
+    delete(job_id, store=service.store, objects=service.objects)
 
 
 def _label(text: str) -> tuple[str, str]:

@@ -4,15 +4,13 @@ from collections.abc import AsyncIterator
 from typing import Annotated
 
 from anyio import to_thread
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 from starlette.responses import StreamingResponse
 
-from api.dependencies import JobId, Parameters, Service, ServiceDep
-from api.files import file_response
-from api.following import Follower
+from api.dependencies import JobId, Parameters, ServiceDep
+from api.following import Follower, look
 from api.problems import refusals
-from core.errors import JobNotFound, RecordsUnavailable, Rejected
-from core.jobs.job import Job
+from core.errors import JobNotFound, RecordsUnavailable, Rejected, StorageUnavailable
 
 router = APIRouter(tags=["jobs"])
 
@@ -30,27 +28,17 @@ class Lines(Parameters):
     response_class=StreamingResponse,
     responses={
         200: {"description": "Lines of text", "content": {"text/plain": {"example": "compiled in 12.1 s\n"}}},
-        **refusals(JobNotFound, Rejected, RecordsUnavailable),
+        **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable),
     },
 )
-async def read_logs(
-    job_id: JobId, asked: Annotated[Lines, Query()], service: ServiceDep, request: Request
-) -> Response:
+async def read_logs(job_id: JobId, asked: Annotated[Lines, Query()], service: ServiceDep) -> Response:
     """The log so far, of every attempt; with `follow=true` also what is still to come."""
-    job, has_lines = await to_thread.run_sync(_look, service, job_id)
-    kept = None if has_lines else job.newest("log")
-    if kept is not None:  # The feed is gone when the records had to be rebuilt; the file is not.
-        return await to_thread.run_sync(file_response, request, kept, service.objects)
-    stream = _text(Follower(service, job, "logs", ""), follow=asked.follow)
+    job, _ = await to_thread.run_sync(look, service, job_id, "logs")
+    stream = _text(Follower(service, job, "logs", 0), follow=asked.follow)
     return StreamingResponse(stream, headers=_HEADERS, media_type="text/plain; charset=utf-8")
 
 
 async def _text(follower: Follower, *, follow: bool) -> AsyncIterator[bytes]:
-    async for page in follower.pages(to_the_end=follow):
+    async for page in follower.coming() if follow else follower.present():
         if page:
             yield "".join(f"{entry.data.get('text', '')}\n" for entry in page).encode("utf-8", "replace")
-
-
-def _look(service: Service, job_id: str) -> tuple[Job, bool]:
-    job = service.store.get(job_id)
-    return job, bool(service.store.feed(job_id, "logs", limit=1))

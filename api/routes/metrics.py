@@ -2,18 +2,17 @@
 
 import csv
 import io
-import json
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
-from api.dependencies import JobId, Parameters, Service, ServiceDep
+from api.dependencies import JobId, Parameters, ServiceDep
 from api.problems import refusals
 from api.views import Metrics, MetricsRow
 from core.errors import JobNotFound, RecordsUnavailable, Rejected, StorageUnavailable
-from core.jobs.store import Entry
+from core.jobs.store import Entry, entry_number
 
 router = APIRouter(tags=["jobs"])
 
@@ -40,10 +39,10 @@ def read_metrics(
     job_id: JobId, asked: Annotated[Measured, Query()], service: ServiceDep, request: Request
 ) -> Metrics | Response:
     """Every measurement so far; of a step that a later attempt measured again, the newer values."""
-    entries = service.store.feed(job_id, "events", after=asked.after, kind="metrics", limit=asked.limit)
+    entries = service.read_feed(
+        job_id, "events", after=entry_number(asked.after), kind="metrics", limit=asked.limit
+    )
     rows = _newest([MetricsRow(**entry.data, time=entry.time) for entry in entries])
-    if not entries and not asked.after:
-        rows = _kept(service, job_id)[: asked.limit]
     wants_csv = asked.format == "csv" or (
         asked.format is None and _prefers_csv(request.headers.get("accept", ""))
     )
@@ -70,14 +69,6 @@ def _newest(rows: Sequence[MetricsRow]) -> list[MetricsRow]:
         found.pop(identity, None)
         found[identity] = row
     return list(found.values())
-
-
-def _kept(service: Service, job_id: str) -> list[MetricsRow]:
-    """The rows in the job's own file: its feed is gone when the records had to be rebuilt."""
-    artifact = service.store.get(job_id).newest("metrics")
-    if artifact is None:
-        return []
-    return [MetricsRow(**json.loads(line)) for line in service.objects.get(artifact.key).splitlines()]
 
 
 def _last_id(entries: Sequence[Entry]) -> str | None:

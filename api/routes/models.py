@@ -17,7 +17,6 @@ from api.submissions import read_body
 from api.views import Listing, View
 from core.environments.mjcf.archive import is_zip
 from core.errors import BadModel, ModelInUse, ModelNotFound, RecordsUnavailable, StorageUnavailable
-from core.jobs.job import utc_now
 from core.jobs.model_removal import remove_model
 from core.models import library
 from core.models.record import Description, ModelRecord, ModelStatus
@@ -95,7 +94,7 @@ async def add_model(
     response.status_code = 200 if record.status == "ready" else 201
     record = await _settled(record, service)
     if record.status == "refused":
-        raise await run_sync(library.refused, record, service.objects)
+        raise await run_sync(_refused, record, service)
     if record.status == "validating":
         response.status_code = 202
     if not record.is_settled:
@@ -104,17 +103,17 @@ async def add_model(
     return ModelView.of(record)
 
 
-@router.get("/models", responses=refusals(StorageUnavailable))
+@router.get("/models", responses=refusals(RecordsUnavailable))
 def list_models(service: ServiceDep) -> Listing[ModelView]:
     """Every model there is."""
-    items: Sequence[ModelView] = [ModelView.of(record) for record in library.every(service.objects)]
+    items: Sequence[ModelView] = [ModelView.of(record) for record in service.store.models()]
     return Listing[ModelView](items=items)
 
 
-@router.get("/models/{model_id}", responses=refusals(ModelNotFound, StorageUnavailable))
+@router.get("/models/{model_id}", responses=refusals(ModelNotFound, RecordsUnavailable))
 def read_model(model_id: ModelId, service: ServiceDep) -> ModelView:
     """What is in a model, or how far its validation is."""
-    return ModelView.of(library.ask_again(library.find(model_id, service.objects), service.queue))
+    return ModelView.of(library.find(model_id, service.store))
 
 
 @router.delete(
@@ -128,7 +127,14 @@ def delete_model(model_id: ModelId, service: ServiceDep) -> None:
 
 
 def _add(body: bytes, media_type: str, service: Service) -> ModelRecord:
-    return library.add(body, media_type, objects=service.objects, queue=service.queue, now=utc_now())
+    store = service.store
+    return library.add(
+        body, media_type, store=store, objects=service.objects, queue=service.queue, now=store.now()
+    )
+
+
+def _refused(record: ModelRecord, service: Service) -> BadModel:
+    return library.refused(record, store=service.store, objects=service.objects)
 
 
 async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
@@ -139,5 +145,5 @@ async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
     until = time.monotonic() + _PATIENCE_S
     while record.status == "validating" and time.monotonic() < until and not service.stopping:
         await sleep(_GLANCE_S)
-        record = await run_sync(library.find, record.id, service.objects)
+        record = await run_sync(library.find, record.id, service.store)
     return record

@@ -148,7 +148,7 @@ def _wanted(environment_id: str, asked: Asked, service: Service) -> tuple[Previe
     catalog.find(environment_id)
     environment = EnvironmentSpec(id=environment_id, options=_options(asked.options))
     try:
-        info, options = chosen(environment, service.objects)
+        info, options = chosen(environment, service.store)
         cameras = camera_choices(info.cameras)
         camera = None if asked.camera is None else _camera(asked.camera, info.cameras)
     except Rejected as refusal:

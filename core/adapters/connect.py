@@ -11,27 +11,27 @@ from urllib3 import PoolManager
 from urllib3 import Retry as HTTPRetry
 from urllib3 import Timeout as HTTPTimeout
 
-from core.adapters.redis_jobs import LONGEST_BLOCK_S, RedisJobStore
+from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.rq_queue import RQQueue
 from core.adapters.s3_objects import S3ObjectStore
 from core.errors import Misconfigured
 from core.settings import StoreSettings
 
 
-def connect_redis(url: str, *, retries: int = 2) -> Redis:
+def connect_redis(url: str, *, retries: int = 1, timeout_s: float = 2.0) -> Redis:
     """A client for a redis://, rediss:// or unix:// address; it connects at its first command.
 
-    An outage is noticed within seconds: a refused connection at once, a silent one after its timeout.
+    timeout_s: how long a silent server is waited for; None leaves that to RQ, whose workers block for news.
     Raises Misconfigured for an address that cannot be read.
     """
     try:
-        # A repeated write is the same as one: each carries an identity that its script knows again.
+        # What RQ is told twice is the same as once.
         return Redis.from_url(  # pyright: ignore[reportUnknownMemberType]
             url,
-            socket_connect_timeout=3,
-            socket_timeout=LONGEST_BLOCK_S + 5,
+            socket_connect_timeout=2,
+            socket_timeout=timeout_s,
             health_check_interval=30,
-            max_connections=1000,  # each reader that follows a feed holds one
             retry=Retry(ExponentialBackoff(cap=0.5, base=0.05), retries),
             retry_on_error=[RedisConnectionError, RedisTimeoutError],
         )
@@ -42,20 +42,27 @@ def connect_redis(url: str, *, retries: int = 2) -> Redis:
         ) from None
 
 
-def connect_s3(
-    endpoint: str, access_key: str, secret_key: str, *, secure: bool, region: str | None, retries: int = 2
+def connect_s3(  # noqa: PLR0913 # As the SDK's own.
+    endpoint: str,
+    access_key: str,
+    secret_key: str,
+    *,
+    secure: bool,
+    region: str | None,
+    retries: int = 2,
+    timeout_s: float = 15.0,
 ) -> Minio:
     """A client for the object store at host:port; it connects at its first request.
 
-    It trusts the system's authorities, or those in the file that SSL_CERT_FILE names.
-    Raises Misconfigured for an address that cannot be read.
+    timeout_s: how long a silent store is waited for. It trusts the system's authorities, or those in the file
+    that SSL_CERT_FILE names. Raises Misconfigured for an address that cannot be read.
     """
     pool = PoolManager(
         maxsize=32,
-        timeout=HTTPTimeout(connect=3, read=15),
+        timeout=HTTPTimeout(connect=2, read=timeout_s),
         retries=HTTPRetry(
             total=retries,
-            read=min(1, retries),
+            read=retries // 2,  # Silence takes longer than a refusal.
             backoff_factor=0.1,
             status_forcelist=[500, 502, 503, 504],
             raise_on_status=False,  # the last answer says more than "too many"
@@ -77,15 +84,16 @@ def connect_s3(
         ) from error
 
 
-def job_store(settings: StoreSettings) -> RedisJobStore:
-    return RedisJobStore(connect_redis(settings.redis_url.get_secret_value()))
+def job_store(settings: StoreSettings, *, pool_size: int = 10) -> PostgresJobStore:
+    return PostgresJobStore(connect_postgres(settings.database_url.get_secret_value(), pool_size=pool_size))
 
 
 def job_queue(settings: StoreSettings) -> RQQueue:
     return RQQueue(connect_redis(settings.redis_url.get_secret_value()))
 
 
-def object_store(settings: StoreSettings, *, retries: int = 2) -> S3ObjectStore:
+def object_store(settings: StoreSettings, *, retries: int = 2, timeout_s: float = 15.0) -> S3ObjectStore:
+    """The object store; with short limits for a process whose callers wait."""
     client = connect_s3(
         settings.s3_endpoint,
         settings.s3_access_key,
@@ -93,6 +101,7 @@ def object_store(settings: StoreSettings, *, retries: int = 2) -> S3ObjectStore:
         secure=settings.s3_secure,
         region=settings.s3_region,
         retries=retries,
+        timeout_s=timeout_s,
     )
     match settings.s3_style:
         case "auto":

@@ -1,6 +1,6 @@
 """A job queue in this process' memory."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from threading import Lock
 
@@ -39,6 +39,10 @@ class MemoryJobQueue:
         dispatch = Dispatch(job_id, attempt)
         with self._lock:
             return dispatch in self._waiting or dispatch in self._taken
+
+    def known(self) -> Collection[tuple[str, int]]:
+        with self._lock:
+            return {(dispatch.job_id, dispatch.attempt) for dispatch in (*self._waiting, *self._taken)}
 
     def remove(self, job_id: str, attempt: int) -> None:
         dispatch = Dispatch(job_id, attempt)

@@ -72,9 +72,7 @@ def _meaning(error: RedisError) -> RecordsUnavailable | None:
                 "user `~* &* +@all` (ACL SETUSER), or name another."
             )
         case OutOfMemoryError():
-            return RecordsUnavailable(
-                "Redis at GAITWAY_REDIS_URL has no memory left: raise its maxmemory, or delete old jobs."
-            )
+            return RecordsUnavailable("Redis at GAITWAY_REDIS_URL has no memory left: raise its maxmemory.")
         case ReadOnlyError() | MasterDownError():
             return RecordsUnavailable(
                 "GAITWAY_REDIS_URL leads to a replica. It takes no writes: set it to its primary's address."

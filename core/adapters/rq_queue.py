@@ -1,6 +1,7 @@
 """The job queue on RQ."""
 
 import time
+from collections.abc import Collection
 from datetime import timedelta
 from typing import Any
 
@@ -19,7 +20,8 @@ from core.previews.record import PreviewRequest
 TASK = "worker.tasks.run_attempt"
 MODEL_TASK = "worker.tasks.validate_model"
 PREVIEW_TASK = "worker.tasks.draw_preview"
-_KEEP_FAILURES = timedelta(days=1)
+# What RQ thinks of an end is nobody's concern: the record says why an attempt ended.
+_KEEP_FAILURES = timedelta(minutes=1)
 _NO_LIMIT = -1  # the supervisor keeps the deadline
 
 
@@ -42,6 +44,19 @@ class RQQueue:
     @reaching_redis()
     def contains(self, job_id: str, attempt: int) -> bool:
         return self._contains(_rq_id(job_id, attempt))
+
+    @reaching_redis()
+    def known(self) -> Collection[tuple[str, int]]:
+        queues = Queue.all(connection=self._redis, serializer=JSONSerializer)  # pyright: ignore[reportUnknownMemberType]
+        with self._redis.pipeline(transaction=False) as pipeline:
+            for queue in queues:
+                pipeline.lrange(queue.key, 0, -1)
+                # Started: as long as the worker that took it prolongs its entry.
+                pipeline.zrangebyscore(queue.started_job_registry.key, time.time(), "+inf")
+            found: list[list[bytes]] = pipeline.execute()
+        # A started one stands there with the number of its execution, behind a colon.
+        names = (name.decode().partition(":")[0] for names in found for name in names)
+        return {(job_id, int(attempt)) for job_id, _, attempt in (n.rpartition("_") for n in names) if job_id}
 
     @reaching_redis()
     def remove(self, job_id: str, attempt: int) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
 
@@ -74,17 +75,12 @@ class S3ObjectStore:
             # The answer to a HEAD has no body, so it cannot say that there is no bucket, or what is refused.
             self.list(key)
             raise
-        return ObjectInfo(key, found.size or 0, found.content_type or _ANY)
+        return ObjectInfo(key, found.size or 0, found.content_type or _ANY, modified_at=found.last_modified)
 
     def list(self, prefix: str) -> Iterator[ObjectInfo]:
-        with self._reaching(prefix):
-            try:
-                listed = list(self._client.list_objects(self._bucket, prefix=prefix, recursive=True))
-            except (ValueError, ParseError) as error:  # Of the answer: a web server's page is no listing.
-                raise no_s3("its listing cannot be read") from error
-        # Servers that keep objects in folders list them folder by folder, which is another order.
-        found = [ObjectInfo(item.object_name, item.size or 0) for item in listed if item.object_name]
-        return iter(sorted(found, key=lambda item: item.key))
+        found = _in_key_order(self._listed(prefix), prefix)
+        first = next(found, None)  # A refusal is raised here, and not where the listing is read.
+        return iter(()) if first is None else chain([first], found)
 
     def delete_prefix(self, prefix: str) -> None:
         self.delete([item.key for item in self.list(prefix)])
@@ -97,6 +93,16 @@ class S3ObjectStore:
         if failures:
             raise meaning(failures[0].code, failures[0].message, self._bucket)
 
+    def _listed(self, prefix: str) -> Generator[ObjectInfo]:
+        """In the server's order, a page of 1000 at a time."""
+        with self._reaching(prefix):
+            try:
+                for item in self._client.list_objects(self._bucket, prefix=prefix, recursive=True):
+                    if item.object_name:
+                        yield ObjectInfo(item.object_name, item.size or 0, modified_at=item.last_modified)
+            except (ValueError, ParseError) as error:  # Of the answer: a web server's page is no listing.
+                raise no_s3("its listing cannot be read") from error
+
     def _reaching(self, key: str = "") -> AbstractContextManager[None]:
         return reaching_s3(self._bucket, key)
 
@@ -107,6 +113,25 @@ class S3ObjectStore:
             # Somebody else was faster.
             if error.code not in ("BucketAlreadyOwnedByYou", "BucketAlreadyExists"):
                 raise
+
+
+def _in_key_order(listed: Iterable[ObjectInfo], prefix: str) -> Generator[ObjectInfo]:
+    """Sorted by key, holding one child of `prefix` in memory at a time.
+
+    Servers that keep objects in folders list them folder by folder: jobs/a/1 before jobs/a-b. Such a listing
+    differs from the order of keys only among children of which the first one's name begins the others'.
+    """
+    held: list[ObjectInfo] = []
+    begins = ""
+    for info in listed:
+        child = info.key[len(prefix) :].partition("/")[0]
+        if held and not child.startswith(begins):
+            yield from sorted(held, key=lambda info: info.key)
+            held.clear()
+        if not held:
+            begins = child
+        held.append(info)
+    yield from sorted(held, key=lambda info: info.key)
 
 
 @contextmanager

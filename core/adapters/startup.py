@@ -1,5 +1,6 @@
-"""What a process makes sure of before it works: that both stores do what it will ask of them."""
+"""What a process makes sure of before it works: that the stores do what it will ask of them."""
 
+import math
 import secrets
 from collections.abc import Callable
 from contextlib import suppress
@@ -8,7 +9,8 @@ from functools import partial
 import structlog
 from redis import Redis
 
-from core.adapters.connect import connect_redis, object_store
+from core.adapters.connect import connect_redis, job_store, object_store
+from core.adapters.postgres.connection import connect_postgres
 from core.adapters.redis_errors import reaching_redis
 from core.adapters.s3_objects import S3ObjectStore
 from core.errors import (
@@ -34,14 +36,18 @@ _WRITE = "redis.call('SET', KEYS[1], '', 'PX', 1000) return redis.call('DEL', KE
 
 
 def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> None:
-    """Return when both stores serve, or have been away for so long: what is away may come back.
+    """Return when all stores serve, or have been away for so long: what is away may come back.
 
     Raises Misconfigured where one answers, and refuses for some seconds: time alone will not mend that.
     """
     # Without tries of their own: what a first one finds is in the log at once.
-    records = connect_redis(settings.redis_url.get_secret_value(), retries=0)
+    queue = connect_redis(settings.redis_url.get_secret_value(), retries=0)
     objects = object_store(settings, retries=0)
-    looks = {"redis": partial(exercise_records, records), "object_store": partial(exercise_objects, objects)}
+    looks = {
+        "postgresql": job_store(settings, pool_size=0).ping,
+        "redis": partial(exercise_queue, queue),
+        "object_store": partial(exercise_objects, objects),
+    }
     for name, look in looks.items():
         try:
             _try(look, patience_s)
@@ -49,6 +55,21 @@ def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> No
             raise Misconfigured(error.detail) from error
         except Unavailable as error:
             log.warning("store_away_at_start", store=name, error=error.detail)
+
+
+def prepare_database(settings: StoreSettings) -> None:
+    """Make the tables, or bring them up to date; waits as long as the database is away.
+
+    Raises Misconfigured where it refuses for some seconds, or is of a newer version.
+    """
+    # Alembic takes a quarter of a second to load, and only the reconciler migrates.
+    from core.adapters.postgres import schema
+
+    engine = connect_postgres(settings.database_url.get_secret_value(), pool_size=0)
+    try:
+        _try(partial(schema.upgrade, engine), math.inf)
+    except RecordsRefuse as error:
+        raise Misconfigured(error.detail) from error
 
 
 def _try(look: Callable[[], None], patience_s: float) -> None:
@@ -59,7 +80,7 @@ def _try(look: Callable[[], None], patience_s: float) -> None:
 
 
 @reaching_redis()
-def exercise_records(client: Redis) -> None:
+def exercise_queue(client: Redis) -> None:
     """Let a script write and delete a key. Raises RecordsUnavailable, or RecordsRefuse naming a setting."""
     client.eval(_WRITE, 1, f"gaitway:probe:{secrets.token_hex(8)}")  # pyright: ignore[reportUnknownMemberType]
 

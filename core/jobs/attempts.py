@@ -1,13 +1,14 @@
 """What an attempt may do to its job: every write carries its token, so that a stale one changes nothing."""
 
+import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from core.errors import IllegalTransition, LeaseLost, StaleJob
-from core.jobs.durability import Manifest, keep_record
+from core.errors import IllegalTransition, JobNotFound, LeaseLost, StaleJob
 from core.jobs.job import Artifact, Job
+from core.jobs.record_copy import copy_record
 from core.jobs.status import LOSSES, JobStatus, Reason
 from core.jobs.store import JobStore
 from core.storage import keys
@@ -16,7 +17,7 @@ from core.storage.objects import ObjectStore
 
 @dataclass(frozen=True)
 class Holding:
-    """An attempt that holds its job."""
+    """An attempt that holds its job. Each method may be called again after its answer was lost."""
 
     job_id: str
     number: int
@@ -30,39 +31,60 @@ class Holding:
             lambda job: job.running(**facts) if job.status == JobStatus.STARTING else job.noted(**facts)
         )
 
-    def publish(self, artifacts: tuple[Artifact, ...], keep_checkpoints: int) -> Job:
-        """Let readers see these files, already in the store; forget checkpoints beyond the newest few."""
-        dropped: list[Artifact] = []
+    def publish(self, artifacts: tuple[Artifact, ...], keep_checkpoints: int) -> tuple[Job, list[str]]:
+        """Let readers see these files, already in the store; forget checkpoints beyond the newest few.
+
+        Those that an unfinished job was promised stay. Returns the job, and the keys of objects that it no
+        longer names: somebody may still be reading them.
+        """
+        dropped: list[str] = []
+        promised = [step for _, step in self.store.borrowers_of(self.job_id) if step is not None]
 
         def change(job: Job) -> Job:
-            grown = job.with_artifacts(artifacts)
-            kept = grown.with_newest_checkpoints(keep_checkpoints)
-            dropped[:] = [a for a in grown.artifacts if a not in kept.artifacts]
-            return kept
+            changed = job.with_artifacts(artifacts).with_newest_checkpoints(keep_checkpoints, promised)
+            named = {artifact.key for artifact in changed.artifacts}
+            dropped[:] = [a.key for a in (*job.artifacts, *artifacts) if a.key not in named]
+            return changed
 
         job = self._change(change)
-        mine = [a for a in job.artifacts if a.key.startswith(keys.artifact(self.job_id, self.number, ""))]
-        manifest = Manifest(job=self.job_id, attempt=self.number, artifacts=mine)
-        self.objects.put(
-            keys.manifest(self.job_id, self.number),
-            manifest.model_dump_json().encode(),
-            media_type="application/json",
-        )
-        for artifact in dropped:
-            self.objects.delete_prefix(artifact.key)
-        return job
+        copy_record(job, self.objects)
+        return job, dropped
 
-    def end(self, status: JobStatus, reason: Reason, message: str, now: datetime) -> Job:
-        """In its final status; the durable record follows."""
-        job = self._change(lambda job: job.ended(status, reason, message, now))
-        keep_record(job, self.objects)
-        return job
+    def strike(self, artifact: Artifact) -> Job:
+        """Take a file that turned out to be damaged or gone from the record."""
+        return self._change(lambda job: job.without_artifact(artifact))
 
-    def give_back(self, reason: Reason, message: str, now: datetime) -> Job:
+    def end(self, status: JobStatus, reason: Reason, message: str) -> Job:
+        """In its final status."""
+        now = self.store.now()
+        return self._leave(lambda job: job.ended(status, reason, message, now), message)
+
+    def give_back(self, reason: Reason, message: str) -> Job:
         """Queued for another attempt, unless a cancel has come meanwhile: then cancelled."""
-        job = self._change(lambda job: given_back(job, reason, message, now))
-        keep_record(job, self.objects)
+        now = self.store.now()
+        return self._leave(lambda job: given_back(job, reason, message, now), message)
+
+    def _leave(self, change: Callable[[Job], Job], message: str) -> Job:
+        try:
+            job = self._change(change)
+        except LeaseLost:
+            job = self.store.get(self.job_id)
+            if not self._left(job, message):
+                raise
+        copy_record(job, self.objects)
+        try:
+            self.store.find(job.id)
+        except JobNotFound:  # Somebody has deleted it in this moment.
+            self.objects.delete_prefix(keys.job(job.id))
         return job
+
+    def _left(self, job: Job, message: str) -> bool:
+        """Whether an earlier call, whose answer was lost, has ended this attempt already."""
+        mine = next((attempt for attempt in job.attempts if attempt.token == self.token), None)
+        if mine is None or mine.ended_at is None:
+            return False
+        # The reconciler gives that reason too, in words of its own.
+        return mine.reason != Reason.WORKER_LOST or (message != "" and message in (mine.message or ""))
 
     def _change(self, change: Callable[[Job], Job]) -> Job:
         while True:
@@ -77,7 +99,12 @@ class Holding:
             return changed
 
 
-def claim(  # noqa: PLR0913 # Who, what, and the three places it is written to.
+def new_secret() -> str:
+    """What makes the token of one claim."""
+    return secrets.token_hex(8)
+
+
+def claim(  # noqa: PLR0913 # Who, what, and where it is written.
     job_id: str,
     number: int,
     worker: str,
@@ -85,19 +112,29 @@ def claim(  # noqa: PLR0913 # Who, what, and the three places it is written to.
     store: JobStore,
     objects: ObjectStore,
     lease: timedelta,
-    now: datetime,
+    secret: str,
 ) -> Holding | None:
-    """Take a queued job; None where somebody else has it, or this dispatch is an old one."""
+    """Take a queued job; None where somebody else has it, or this dispatch is an old one.
+
+    secret: a fresh one for each claim. Called again with the same one, because the answer was lost, the claim
+    finds what it took.
+    """
     job = store.get(job_id)
-    if job.status != JobStatus.QUEUED or job.next_attempt != number:
-        return None
+    claimed = None
+    if job.status == JobStatus.QUEUED and job.next_attempt == number:
+        claimed = _claimed(job, worker, secret, store, lease)
+    elif job.token == Job.token_of(number, secret):
+        claimed = job
+    return None if claimed is None else Holding(job_id, number, claimed.token, store, objects)
+
+
+def _claimed(job: Job, worker: str, secret: str, store: JobStore, lease: timedelta) -> Job | None:
     try:
-        claimed = job.claimed(worker, now)
+        claimed = job.claimed(worker, store.now(), secret)
         store.save(claimed, lease=lease)
     except (StaleJob, IllegalTransition):
         return None
-    keep_record(claimed, objects)
-    return Holding(job_id, number, claimed.token, store, objects)
+    return claimed
 
 
 def given_back(job: Job, reason: Reason, message: str, now: datetime) -> Job:

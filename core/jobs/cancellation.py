@@ -1,20 +1,17 @@
 """The end a user asks for."""
 
-from datetime import datetime
-
-from core.errors import JobFinished, StaleJob
-from core.jobs.durability import keep_record
+from core.errors import JobFinished, RecordsUnavailable, StaleJob
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
-from core.storage.objects import ObjectStore
 
 
-def cancel(job_id: str, *, store: JobStore, queue: JobQueue, objects: ObjectStore, now: datetime) -> Job:
+def cancel(job_id: str, *, store: JobStore, queue: JobQueue) -> Job:
     """The job, cancelled if it waited, `cancelling` while its worker saves what there is.
 
-    Cancelling twice is the same as once. Raises JobNotFound; JobFinished where the job ended otherwise.
+    Cancelling twice is the same as once. Raises JobNotFound, JobUnreadable; JobFinished where the job ended
+    otherwise.
     """
     while True:
         job = store.get(job_id)
@@ -26,7 +23,7 @@ def cancel(job_id: str, *, store: JobStore, queue: JobQueue, objects: ObjectStor
             )
         try:
             if job.status == JobStatus.QUEUED:
-                return _end(job, store, queue, objects, now)
+                return _end(job, store, queue)
             store.save(cancelling := job.become(JobStatus.CANCELLING))
         except StaleJob:
             continue
@@ -36,10 +33,17 @@ def cancel(job_id: str, *, store: JobStore, queue: JobQueue, objects: ObjectStor
 _ENDED = {JobStatus.SUCCEEDED: "succeeded", JobStatus.FAILED: "failed"}
 
 
-def _end(job: Job, store: JobStore, queue: JobQueue, objects: ObjectStore, now: datetime) -> Job:
+def _end(job: Job, store: JobStore, queue: JobQueue) -> Job:
     message = "Cancelled while it was queued."
-    ended = job.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, message, now)
+    ended = job.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, message, store.now())
     store.save(ended)
-    queue.remove(job.id, job.next_attempt)
-    keep_record(ended, objects)
+    forget_dispatch(job, queue)
     return ended
+
+
+def forget_dispatch(job: Job, queue: JobQueue) -> None:
+    """Take the next attempt out of the queue, if it can be reached: no worker could claim it any more."""
+    try:
+        queue.remove(job.id, job.next_attempt)
+    except RecordsUnavailable:
+        return

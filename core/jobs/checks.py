@@ -8,7 +8,7 @@ from core.algorithms.spec import check_resumption, resolve
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
-from core.errors import EnvironmentNotFound, JobNotFound, Problem, Rejected
+from core.errors import EnvironmentNotFound, JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.own_model import engines_that_cannot, own_model
 from core.jobs.spec import (
@@ -23,9 +23,9 @@ from core.jobs.spec import (
 from core.jobs.store import JobStore
 from core.model import Strict
 from core.models.record import Description
+from core.models.store import ModelStore
 from core.physics.availability import check_physics
 from core.rendering.camera import check_cameras, check_width, model_camera
-from core.storage.objects import ObjectStore
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
@@ -33,9 +33,9 @@ DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": 
 _MOST_ROLLOUT_STEPS = 1_000_000
 
 
-def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
+def check(spec: JobSpec, store: JobStore) -> None:
     """Raises Rejected with every problem of the first group that has one."""
-    info, _ = chosen(spec.environment, objects)
+    info, _ = chosen(spec.environment, store)
     check_physics(spec.physics, info.id, info.cannot_run)
     _check_worlds(spec, info)
     _check_cameras(spec, info)
@@ -47,7 +47,7 @@ def check(spec: JobSpec, store: JobStore, objects: ObjectStore) -> None:
             _check_rollout(spec, info, store)
 
 
-def chosen(environment: EnvironmentSpec, objects: ObjectStore) -> tuple[EnvironmentInfo, Strict]:
+def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[EnvironmentInfo, Strict]:
     """The catalog's row as it is under these options, and the options themselves. Raises Rejected."""
     try:
         info = catalog.find(environment.id)
@@ -56,7 +56,7 @@ def chosen(environment: EnvironmentSpec, objects: ObjectStore) -> tuple[Environm
     options = catalog.parse_options(info, environment.options)
     info = info.under(options)
     if isinstance(options, MjcfOptions):
-        info = _row_of(info, own_model(options, objects))
+        info = _row_of(info, own_model(options, store))
     return info, options
 
 
@@ -173,7 +173,7 @@ def source_checkpoint(
     """The checkpoint another job lends to this one; raises Rejected where it cannot."""
     try:
         source = get(job_id)
-    except JobNotFound as error:
+    except (JobNotFound, JobUnreadable) as error:
         raise Rejected(error.detail, [Problem(f"{pointer}/job", error.detail)]) from None
     if (source.spec.environment.id, source.spec.environment.options) != (
         spec.environment.id,

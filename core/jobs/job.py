@@ -2,6 +2,7 @@
 
 import re
 import secrets
+from collections.abc import Collection
 from datetime import UTC, datetime
 from typing import Any, Literal, Self
 
@@ -82,6 +83,22 @@ class Attempt(Stored):
     message: str | None = None
 
 
+class UnreadableJob(Stored):
+    """What can be told of a job whose record this version does not understand. problem: a sentence."""
+
+    id: str
+    version: int
+    kind: str
+    name: str | None = None
+    labels: dict[str, str] = {}
+    status: JobStatus
+    created_at: datetime
+    started_at: datetime | None = None
+    finished_at: datetime | None = None
+    spec: dict[str, Any] = {}
+    problem: str
+
+
 class Job(Stored):
     """The record. `version` rises by one with every step; the store refuses any other."""
 
@@ -141,12 +158,15 @@ class Job(Stored):
             raise IllegalTransition(self.id, self.status, wanted)
         return self.next(status=wanted, **changes)
 
-    def claimed(self, worker: str, now: datetime) -> Self:
-        """Starting, with a new attempt and a fresh token."""
-        number = len(self.attempts) + 1
-        attempt = Attempt(
-            number=number, token=f"{number}-{secrets.token_hex(8)}", worker=worker, started_at=now
-        )
+    @staticmethod
+    def token_of(number: int, secret: str) -> str:
+        """The token of an attempt. secret: known to the one who claims, and different for each claim."""
+        return f"{number}-{secret}"
+
+    def claimed(self, worker: str, now: datetime, secret: str = "") -> Self:
+        """Starting, with a new attempt; without a secret, with a fresh one."""
+        token = self.token_of(self.next_attempt, secret or secrets.token_hex(8))
+        attempt = Attempt(number=self.next_attempt, token=token, worker=worker, started_at=now)
         return self.become(
             JobStatus.STARTING, attempts=(*self.attempts, attempt), started_at=self.started_at or now
         )
@@ -180,10 +200,15 @@ class Job(Stored):
         named = {artifact.name: artifact for artifact in (*self.artifacts, *artifacts)}
         return self.next(artifacts=tuple(named.values()))
 
-    def with_newest_checkpoints(self, keep: int) -> Self:
-        """The same version, without checkpoints older than the newest `keep`."""
+    def without_artifact(self, artifact: Artifact) -> Self:
+        """Without this file."""
+        return self.next(artifacts=tuple(found for found in self.artifacts if found.key != artifact.key))
+
+    def with_newest_checkpoints(self, keep: int, promised: Collection[int] = ()) -> Self:
+        """The same version, without checkpoints older than the newest `keep`; `promised` steps stay."""
         steps = sorted({a.step or 0 for a in self.artifacts if a.role == "checkpoint"})[-keep:]
-        kept = tuple(a for a in self.artifacts if a.role != "checkpoint" or (a.step or 0) in steps)
+        wanted = {*steps, *promised}
+        kept = tuple(a for a in self.artifacts if a.role != "checkpoint" or (a.step or 0) in wanted)
         return self.model_copy(update={"artifacts": kept})
 
     def newest(self, role: ArtifactRole, step: int | None = None) -> Artifact | None:

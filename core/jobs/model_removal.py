@@ -12,9 +12,8 @@ def remove_model(model_id: str, *, store: JobStore, objects: ObjectStore) -> Non
 
     Jobs that have ended keep what they made; nothing more can be done with their policies here.
     """
-    library.find(model_id, objects)
-    users = [job.id for job in store.unfinished() if job.spec.environment.options.get("model") == model_id]
-    if users:
+    library.find(model_id, store)
+    if users := store.users_of(model_id):
         raise ModelInUse(model_id, users)
     objects.delete_prefix(keys.previews_of(model_id))
-    objects.delete_prefix(keys.model(model_id))
+    library.forget(model_id, store=store, objects=objects)

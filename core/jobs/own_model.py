@@ -9,19 +9,19 @@ from core.errors import ModelNotFound, Problem, Rejected
 from core.jobs.spec import EnvironmentSpec
 from core.models import library
 from core.models.record import Description
+from core.models.store import ModelStore
 from core.physics.availability import EngineName
-from core.storage.objects import ObjectStore
 
 _POINTER = "/environment/options/model"
 
 
-def own_model(options: MjcfOptions, objects: ObjectStore) -> Description:
+def own_model(options: MjcfOptions, store: ModelStore) -> Description:
     """What is in the model that the options name.
 
     Raises Rejected where there is none, it is not validated yet, or the terms do not fit it.
     """
     try:
-        record = library.find(options.model, objects)
+        record = library.find(options.model, store)
     except ModelNotFound as error:
         raise Rejected(error.detail, [Problem(_POINTER, error.detail)]) from None
     if record.status != "ready" or record.description is None:

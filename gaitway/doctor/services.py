@@ -1,4 +1,4 @@
-"""What the service leans on: Redis and the object store; and the service itself."""
+"""What the service leans on: PostgreSQL, Redis and the object store; and the service itself."""
 
 import os
 from datetime import UTC, datetime
@@ -19,28 +19,57 @@ if TYPE_CHECKING:
 _NO_SETTINGS = "no settings that lead to one"
 
 
+def postgresql(settings: "StoreSettings | None") -> Check:
+    """Whether the record can be reached, keeps what it promised, and has tables of this version."""
+    if settings is None:
+        return Check("postgresql", "skip", _NO_SETTINGS)
+    from core.adapters.connect import connect_postgres, job_store
+    from core.adapters.postgres import schema
+
+    try:
+        found = schema.facts(connect_postgres(settings.database_url.get_secret_value(), pool_size=0))
+        if found.revision is not None:
+            job_store(settings, pool_size=0).ping()
+    except GaitwayError as error:
+        return Check("postgresql", "fail", error.detail)
+    detail = f"PostgreSQL {found.server}, tables of revision {found.revision}"
+    if not found.is_known:
+        remedy = "Start that version, or downgrade the tables with it first."
+        return Check("postgresql", "fail", f"{detail}, which a newer version of Gaitway made", remedy)
+    if not found.is_durable:
+        remedy = "Set fsync, full_page_writes and synchronous_commit to on."
+        return Check("postgresql", "warn", f"{detail}; a power cut may lose what was promised", remedy)
+    if found.revision is None:
+        return Check("postgresql", "pass", f"PostgreSQL {found.server}; the reconciler will make the tables")
+    if found.revision != found.newest:
+        remedy = "Start the reconciler: it upgrades them."
+        return Check("postgresql", "warn", f"{detail}; this version's are of {found.newest}", remedy)
+    return Check("postgresql", "pass", detail)
+
+
 def redis(settings: "StoreSettings | None") -> Check:
-    """Whether the job records can be written, and survive a restart."""
+    """Whether the queue can be written."""
     if settings is None:
         return Check("redis", "skip", _NO_SETTINGS)
     from core.adapters.connect import connect_redis
     from core.adapters.redis_errors import reaching_redis
-    from core.adapters.startup import exercise_records
+    from core.adapters.startup import exercise_queue
 
     try:
         with connect_redis(settings.redis_url.get_secret_value(), retries=0) as client, reaching_redis():
-            exercise_records(client)
+            exercise_queue(client)
             facts: Any = client.info()  # pyright: ignore[reportUnknownMemberType]
     except GaitwayError as error:
         return Check("redis", "fail", error.detail)
     number = facts.get("valkey_version") or facts.get("redis_version", "?")
     detail = f"{facts.get('server_name', 'redis')} {number}"
-    if not facts.get("aof_enabled"):
-        remedy = (
-            "Set `appendonly yes`: without it a restart of Redis loses what happened since its last snapshot."
-        )
-        return Check("redis", "warn", f"{detail}, append-only file off", remedy)
-    return Check("redis", "pass", f"{detail}, append-only file on")
+    if not facts.get("maxmemory"):
+        remedy = "Set `maxmemory`: without it a flood of jobs takes the machine's memory."
+        return Check("redis", "warn", f"{detail}, no maxmemory", remedy)
+    if facts.get("maxmemory_policy") != "noeviction":
+        remedy = "Set `maxmemory-policy noeviction`: another one makes Redis forget jobs that wait."
+        return Check("redis", "warn", f"{detail}, evicts keys", remedy)
+    return Check("redis", "pass", detail)
 
 
 def object_store(settings: "StoreSettings | None") -> Check:

@@ -38,9 +38,10 @@ class ServerProcess:
     On Linux the kernel kills it when the *thread* that started it ends: start it from one that stays.
     """
 
-    def __init__(self, name: str, folder: Path) -> None:
+    def __init__(self, name: str, folder: Path, *, stop_signal: signal.Signals = signal.SIGTERM) -> None:
         self.name = name
         self._folder = folder
+        self._stop_signal = stop_signal
         self._log = folder / f"{name}.log"
         self._child: subprocess.Popen[bytes] | None = None
 
@@ -48,13 +49,26 @@ class ServerProcess:
     def pid(self) -> int | None:
         return self._child.pid if self._child is not None and self._child.poll() is None else None
 
-    def start(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
-        """Start it; a second one in the same folder raises ServerFailed."""
+    def start(
+        self,
+        command: Sequence[str],
+        environment: Mapping[str, str],
+        *,
+        prefix: Sequence[str] = (),
+        prepare: Callable[[int], object] = lambda lock: None,
+    ) -> None:
+        """Start it; a second one in the same folder raises ServerFailed.
+
+        prefix: a command that becomes another user and then runs the command after it.
+        prepare: runs once the folder is locked; a child that inherits the descriptor keeps the lock.
+        """
         wrapper = [sys.executable, "-I", "-S", "-c", _END_WITH_PARENT, str(os.getpid())]
         with _locked(self._folder / "lock", self.name) as lock, self._log.open("wb") as log:
+            prepare(lock.fileno())
             # The child inherits the lock, so it is held until the last byte is written.
+            # The prefix comes first: the kernel forgets PR_SET_PDEATHSIG when a process changes its user.
             self._child = subprocess.Popen(
-                [*wrapper, *command],
+                [*prefix, *wrapper, *command],
                 cwd=self._folder,
                 env=dict(environment),
                 stdin=subprocess.DEVNULL,
@@ -93,12 +107,12 @@ class ServerProcess:
         return "\n".join(self.log().splitlines()[-count:])
 
     def stop(self, grace_s: float) -> None:
-        """SIGTERM, then SIGKILL to its whole group; returns when it has ended."""
+        """Its stop signal, then SIGKILL to its whole group; returns when it has ended."""
         if self._child is None:
             return
         try:
             if self._child.poll() is None:
-                self._child.terminate()
+                self._child.send_signal(self._stop_signal)
                 with suppress(subprocess.TimeoutExpired):
                     self._child.wait(grace_s)
         finally:  # an impatient second Ctrl-C leaves nothing running either

@@ -1,45 +1,56 @@
-"""Both servers of the embedded stack under one data folder."""
+"""The servers of the embedded stack under one data folder."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
+from gaitway.embedded.postgres import Postgres
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 
 
 class EmbeddedServers:
-    """Valkey and SeaweedFS, started together. They end with the thread that starts them."""
+    """PostgreSQL, Valkey and SeaweedFS, started together. They end with the thread that starts them.
 
-    def __init__(self, data_dir: Path) -> None:
-        self.valkey = Valkey(data_dir / "valkey")
+    append_only: Valkey loads what version 0.1 left.
+    """
+
+    def __init__(self, data_dir: Path, *, append_only: bool = False) -> None:
+        self.postgres = Postgres(data_dir / "postgres")
+        self.valkey = Valkey(data_dir / "valkey", append_only=append_only)
         self.weed = Weed(data_dir / "objects")
+        self.all = (self.postgres, self.valkey, self.weed)
 
     def start(self) -> Self:
-        """Return when both are ready. Raises ServerFailed, and leaves none behind then."""
+        """Return when all are ready. Raises ServerFailed, and leaves none behind then."""
         try:
-            self.weed.launch()
-            self.valkey.launch()
-            self.valkey.wait_ready()
-            self.weed.wait_ready()
+            # PostgreSQL last: at the first start it makes its files, and returns then.
+            for server in reversed(self.all):
+                server.launch()
+            return self.wait_ready()
         except BaseException:
             self.stop()
             raise
+
+    def wait_ready(self) -> Self:
+        """Return when all that were launched are ready. Raises ServerFailed."""
+        for server in self.all:
+            server.wait_ready()
         return self
 
     def check(self) -> None:
         """Raises ServerFailed where one of them has ended."""
-        self.valkey.process.check()
-        self.weed.process.check()
+        for server in self.all:
+            server.process.check()
 
     def stop(self) -> None:
-        try:
-            self.valkey.stop()
-        finally:
-            self.weed.stop()
+        with ExitStack() as stopping:  # It stops the others where one cannot be stopped.
+            for server in self.all:
+                stopping.callback(server.stop)
 
     def environment(self) -> dict[str, str]:
-        """The settings under which a process of the service finds both."""
-        return {**self.valkey.environment(), **self.weed.environment()}
+        """The settings under which a process of the service finds all of them."""
+        return {name: value for server in self.all for name, value in server.environment().items()}
 
     def __enter__(self) -> Self:
         return self.start()

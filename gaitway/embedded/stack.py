@@ -1,4 +1,4 @@
-"""The whole service on one machine: servers, API, workers and reconciler under one data folder."""
+"""The whole service on one machine: servers, reconciler, API and workers under one data folder."""
 
 import fcntl
 import os
@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import IO, Self
 
@@ -19,20 +20,23 @@ from gaitway.embedded.folders import private_folder
 from gaitway.embedded.interruption import Interruption
 from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free
 from gaitway.embedded.servers import EmbeddedServers
+from gaitway.embedded.version_01 import tell_if_left
 
 FIRST_PORT = 8000
 _PORTS_TRIED = 100
 _GRACE_S = 30
+_WORKER = "worker-"
 _MOST_RESTARTS = 5  # in so many seconds:
 _RESTART_WINDOW_S = 60.0
 
 
 @dataclass
 class _Member:
-    """A process of the stack, and how to start it."""
+    """A process of the stack, and how to start and stop it."""
 
     process: ServerProcess
     launch: Callable[[], object]
+    stop: Callable[[], object]
     restarts: deque[float] = field(default_factory=lambda: deque[float](maxlen=_MOST_RESTARTS))
     due_at: float | None = None
 
@@ -122,30 +126,34 @@ class Stack:
     def _start(self) -> None:
         port = _choose_port(self._wanted_port)
         self._folder = private_folder(self._folder)
-        self._lock = _lock(self._folder)
+        self._lock = lock_folder(self._folder)
+        tell_if_left(self._folder, self._tell)
         servers = EmbeddedServers(self._folder)
-        self._add(servers.weed.process, servers.weed.launch)
-        self._add(servers.valkey.process, servers.valkey.launch)
+        # PostgreSQL last: at the first start it makes its files, and returns then.
+        for server in reversed(servers.all):
+            self._add(_Member(server.process, server.launch, server.stop))
         with self._interruption.allowed():
-            servers.valkey.wait_ready()
+            # What follows would take a database or a bucket that is not there yet for a wrong setting.
+            servers.wait_ready()
         environment = self._environment(servers)
+        reconciler = self._add_module("reconciler", environment, "worker.reconciler")
         api = self._add_module("api", environment, "api", "--port", str(port))
         for number in range(1, self._num_workers + 1):
-            self._add_module(f"worker-{number}", environment, "worker.main")
-        self._add_module("reconciler", environment, "worker.reconciler")
+            self._add_module(f"{_WORKER}{number}", environment, "worker.main")
         self.url = f"http://127.0.0.1:{port}"
         with self._interruption.allowed():
-            servers.weed.wait_ready()
-            api.wait_until(lambda: _answers(self.url))
+            api.wait_until(lambda: _check_ready(reconciler, self.url))
 
-    def _add(self, process: ServerProcess, launch: Callable[[], object]) -> None:
-        self._members.append(_Member(process, launch))
-        launch()
+    def _add(self, member: _Member) -> None:
+        self._members.append(member)
+        member.launch()
 
     def _add_module(self, name: str, environment: dict[str, str], *module: str) -> ServerProcess:
         process = ServerProcess(name, private_folder(self._folder / name))
         command = [sys.executable, "-m", *module]
-        self._add(process, lambda: process.start(command, environment))
+        launch = partial(process.start, command, environment)
+        # Workers have had their time when they are stopped.
+        self._add(_Member(process, launch, partial(process.stop, 0 if name.startswith(_WORKER) else 3)))
         return process
 
     def _environment(self, servers: EmbeddedServers) -> dict[str, str]:
@@ -163,7 +171,7 @@ class Stack:
     def _stop(self) -> None:
         """Workers first, all at once: they save what they have. A second signal ends the wait."""
         signals_before = self._interruption.count
-        workers = [m.process for m in self._members if m.process.name.startswith("worker-")]
+        workers = [m.process for m in self._members if m.process.name.startswith(_WORKER)]
         for worker in workers:
             if worker.pid is not None:
                 with suppress(ProcessLookupError):
@@ -174,8 +182,7 @@ class Stack:
                 break
             time.sleep(0.02)
         for member in reversed(self._members):
-            is_worker = member.process in workers
-            member.process.stop(grace_s=0 if is_worker else 3)
+            member.stop()
         self._members.clear()
 
 
@@ -190,8 +197,8 @@ def _choose_port(wanted: int | None) -> int:
     raise ServerFailed(f"No port from {FIRST_PORT} to {FIRST_PORT + _PORTS_TRIED - 1} is free; name one.")
 
 
-def _lock(folder: Path) -> IO[str]:
-    """The folder's lock, with this process's id in it for whoever comes second."""
+def lock_folder(folder: Path) -> IO[str]:
+    """The folder's lock, with this process's id in it for whoever comes second. Raises ServerFailed."""
     lock = (folder / "stack.lock").open("a+")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -206,8 +213,9 @@ def _lock(folder: Path) -> IO[str]:
     return lock
 
 
-def _answers(url: str) -> None:
-    """Raises Unavailable until the API says that it is ready."""
+def _check_ready(reconciler: ServerProcess, url: str) -> None:
+    """Raises Unavailable until the API says that it is ready; ServerFailed where it cannot become so."""
+    reconciler.check()  # Without it there are no tables.
     try:
         answer = httpx.get(f"{url}/readyz", timeout=2, trust_env=False)
     except httpx.TransportError as error:

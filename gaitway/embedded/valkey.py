@@ -1,4 +1,4 @@
-"""An embedded Valkey: the live records and the queue."""
+"""An embedded Valkey: the queue."""
 
 import os
 import shutil
@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Self
 from urllib.parse import quote
 
-from core.adapters.connect import connect_redis
-from core.adapters.redis_jobs import RedisJobStore
 from gaitway.embedded.folders import private_folder
 from gaitway.embedded.processes import ServerFailed, ServerProcess
 
@@ -18,10 +16,14 @@ _LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
 
 
 class Valkey:
-    """A Valkey of one's own on a unix socket, its data in one folder."""
+    """A Valkey of one's own on a unix socket, its data in one folder.
 
-    def __init__(self, folder: Path) -> None:
+    append_only: it loads and writes the append-only file of version 0.1.
+    """
+
+    def __init__(self, folder: Path, *, append_only: bool = False) -> None:
         self._folder = private_folder(folder)
+        self._append_only = append_only
         self._socket = self._folder / "valkey.sock"
         self._borrowed: tempfile.TemporaryDirectory[str] | None = None
         if len(os.fsencode(self._socket)) > _LONGEST_SOCKET_PATH:
@@ -38,9 +40,12 @@ class Valkey:
             "unixsocket": str(self._socket),
             "unixsocketperm": "700",
             "dir": str(self._folder),
-            "appendonly": "yes",
-            "appendfsync": "everysec",
+            # No file: what is lost here is dispatched again. It would read one of version 0.1 all the same.
+            "appendonly": "yes" if self._append_only else "no",
+            "appenddirname": "appendonlydir" if self._append_only else "unused",
             "save": "",
+            # Room for 50,000 waiting jobs; more wait in the record until there is room.
+            "maxmemory": "0" if self._append_only else "128mb",
             "maxmemory-policy": "noeviction",
         }
         arguments = [part for name, value in options.items() for part in (f"--{name}", value)]
@@ -49,8 +54,12 @@ class Valkey:
 
     def wait_ready(self) -> Self:
         """Return when it answers. Raises ServerFailed."""
+        # Loaded while the servers start already.
+        from core.adapters.connect import connect_redis
+        from core.adapters.startup import exercise_queue
+
         with connect_redis(self.url, retries=0) as client:
-            self.process.wait_until(RedisJobStore(client).ping)
+            self.process.wait_until(lambda: exercise_queue(client))
         return self
 
     def stop(self) -> None:

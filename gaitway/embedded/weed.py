@@ -8,8 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from core.adapters.connect import connect_s3
-from core.adapters.s3_objects import S3ObjectStore
 from gaitway.embedded.folders import private_folder, remembered
 from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
 from gaitway.embedded.weed_environment import REGION, weed_environment
@@ -100,6 +98,10 @@ class Weed:
         self.stop()
 
     def _wait_until_it_keeps(self) -> None:
+        # Loaded while the servers start already.
+        from core.adapters.connect import connect_s3
+        from core.adapters.s3_objects import S3ObjectStore
+
         client = connect_s3(
             self.endpoint, self.access_key, self.secret_key, secure=False, region=REGION, retries=0
         )

@@ -1,12 +1,14 @@
-"""The real service under the real uvicorn on a free port, over the in-memory twins of the stores."""
+"""The real service under the real uvicorn on a free port, over the real record and twins of the rest."""
 
 import hashlib
+import secrets
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, Generic, Literal, TypeVar
 
 import httpx
 import pytest
@@ -16,14 +18,16 @@ from fastapi import FastAPI
 from api.app import create_app
 from api.dependencies import Service
 from api.main import Server, listen
-from core.adapters.memory_jobs import MemoryJobStore
 from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
-from core.jobs.attempts import claim
+from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.errors import RecordsUnavailable, StorageUnavailable, Unavailable
+from core.jobs.attempts import claim, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
-from core.jobs.store import Channel, Entry
+from core.jobs.store import Channel, Entry, JobQuery
 from core.settings import ApiSettings
 from core.storage import keys
 
@@ -39,32 +43,70 @@ def quiet() -> Iterator[None]:
     structlog.configure(**before)
 
 
+Part = TypeVar("Part")
+
+
+class Frail(Generic[Part]):
+    """A part of the service that can be away for a while."""
+
+    def __init__(self, part: Part, error: Unavailable) -> None:
+        self._part = part
+        self._error = error
+        self._is_away = False
+        self._missed = threading.Event()
+
+    def __getattr__(self, name: str) -> Any:
+        return self._fail if self._is_away else getattr(self._part, name)
+
+    def _fail(self, *_: object, **__: object) -> None:
+        self._missed.set()
+        raise self._error
+
+    @contextmanager
+    def away(self) -> Iterator[threading.Event]:
+        """Every call of the service fails; the event is set once one has."""
+        self._missed.clear()
+        self._is_away = True
+        yield self._missed
+        self._is_away = False
+
+
 @dataclass(frozen=True)
 class Stack:
-    """A running service, its stores, and a client for it."""
+    """A running service, the stores behind it, and a client for it."""
 
     service: Service
-    store: MemoryJobStore
+    store: PostgresJobStore
     queue: MemoryJobQueue
     objects: MemoryObjectStore
     http: httpx.Client
     port: int
 
+    def away(self, part: Literal["store", "queue", "objects"]) -> AbstractContextManager[threading.Event]:
+        """Meanwhile the service cannot reach this part, and the test can. The event: it has tried."""
+        return getattr(self.service, part).away()
+
     def is_empty(self) -> bool:
         """Whether nothing was stored or queued."""
-        return not (list(self.store.unfinished()) or list(self.objects.list("")) or self.queue.waiting())
+        stored = [*self.store.list(JobQuery()).jobs, *self.store.models(), *self.store.undispatched()]
+        return not (stored or list(self.objects.list("")) or self.queue.waiting())
 
 
-# The twins need no address.
+# Each test brings stores of its own, whose addresses nobody asks for.
 NOWHERE = ApiSettings(
-    redis_url="unix:///unused", s3_endpoint="unused", s3_access_key="unused", s3_secret_key="unused"
+    database_url="postgresql:///unused",
+    redis_url="unix:///unused",
+    s3_endpoint="unused",
+    s3_access_key="unused",
+    s3_secret_key="unused",
 )
 
 
 @pytest.fixture(scope="session")
 def server() -> Iterator[tuple[FastAPI, int]]:
     """The app under uvicorn, and its port. It holds nothing: each test hands it stores of its own."""
-    app = create_app(NOWHERE, store=MemoryJobStore(), queue=MemoryJobQueue(), objects=MemoryObjectStore())
+    unused = PostgresJobStore(connect_postgres(NOWHERE.database_url.get_secret_value()))
+    app = create_app(NOWHERE, store=unused, queue=MemoryJobQueue(), objects=MemoryObjectStore())
     with serving(app) as port:
         yield app, port
 
@@ -84,14 +126,23 @@ def serving(app: FastAPI) -> Iterator[int]:
 
 
 @pytest.fixture
-def stack(server: tuple[FastAPI, int]) -> Iterator[Stack]:
+def stack(server: tuple[FastAPI, int], job_store: PostgresJobStore) -> Iterator[Stack]:
     app, port = server
-    store, queue, objects = MemoryJobStore(), MemoryJobQueue(), MemoryObjectStore()
-    app.state.service = Service(NOWHERE, store, queue, objects)
+    queue, objects = MemoryJobQueue(), MemoryObjectStore()
+    app.state.service = service = Service(
+        NOWHERE,
+        Frail(job_store, RecordsUnavailable("PostgreSQL does not answer.", retry_after_s=7)),
+        Frail(queue, RecordsUnavailable("Redis does not answer.")),
+        Frail(objects, StorageUnavailable("The object store does not answer.")),
+    )
     # Without certificates, whose loading takes longer than most tests.
     with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20, verify=False) as http:  # noqa: S501
-        yield Stack(app.state.service, store, queue, objects, http, port)
-    app.state.service.stopping = True  # Whatever stream a test has left open.
+        yield Stack(service, job_store, queue, objects, http, port)
+    service.stopping = True  # Whatever stream a test has left open.
+    until = time.monotonic() + 10
+    while service.watcher.is_looking and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not service.watcher.is_looking
 
 
 @pytest.fixture
@@ -121,25 +172,31 @@ class Attempt:
             store=stack.store,
             objects=stack.objects,
             lease=timedelta(minutes=1),
-            now=NOON,
+            secret=new_secret(),
         )
         assert claimed is not None
         self.holding = claimed
         self.id = job.id
         self.holding.start(device="cpu", engine="native", details={"cores": 2})
 
-    def say(self, kind: str, channel: Channel = "events", **data: Any) -> None:
-        self._stack.store.record(
-            self.id, self.holding.token, channel, [Entry(kind=kind, time=NOON, data=data)]
-        )
+    def say(self, kind: str, **data: Any) -> None:
+        self._record("events", Entry(kind=kind, time=NOON, data=data))
+
+    def print(self, *lines: str) -> None:
+        """Lines of the log, in one write."""
+        self._record("logs", *(Entry(kind="line", time=NOON, data={"text": line}) for line in lines))
+
+    def _record(self, channel: Channel, *entries: Entry) -> None:
+        self._stack.store.record(self.id, self.holding.token, channel, entries, write_id=secrets.token_hex(8))
 
     def keep(self, name: str, body: bytes = ARTIFACT, **facts: Any) -> Artifact:
         """Publish a file as the supervisor does."""
+        digest = hashlib.sha256(body).hexdigest()
         artifact = Artifact(
             name=name,
-            key=keys.artifact(self.id, 1, name),
+            key=keys.artifact(self.id, 1, digest, name),
             size=len(body),
-            sha256=hashlib.sha256(body).hexdigest(),
+            sha256=digest,
             **{"role": "video", "media_type": "video/mp4", **facts},
         )
         self._stack.objects.put(artifact.key, body, media_type=artifact.media_type)
@@ -147,4 +204,4 @@ class Attempt:
         return artifact
 
     def end(self, status: JobStatus = JobStatus.SUCCEEDED, reason: Reason = Reason.COMPLETED) -> None:
-        self.holding.end(status, reason, "It came to its end.", NOON)
+        self.holding.end(status, reason, "It came to its end.")

@@ -87,6 +87,16 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         (MINIMAL | {"timeout_s": 10**400}, "/timeout_s", "finite number"),
         (MINIMAL | {"timeout_s": True}, "/timeout_s", "must be a valid number, not true"),
         (MINIMAL | {"labels": {"white space": "x"}}, "/labels/white space", "must match"),
+        (MINIMAL | {"labels": {"null\0": "x"}}, "/labels/null\0", "must match"),
+        (MINIMAL | {"labels": {"null": "x\0"}}, "/labels/null", "must not contain the character U+0000"),
+        (MINIMAL | {"name": "\0"}, "/name", "must not contain the character U+0000"),
+        (MINIMAL | {"environment": "ant\0"}, "/environment", "no environment 'ant\\x00'"),
+        (corridor(walker="\0"), "/environment/options/walker", "should be 'ant'"),
+        (
+            {"kind": "train", "environment": {"id": "mjcf", "options": {"model": "sha256:\0"}}},
+            "/environment/options/model",
+            "sha256",
+        ),
         (
             MINIMAL | {"environment": {"id": "ant", "options": {"gravity": 0}}},
             "/environment/options/gravity",
@@ -219,11 +229,9 @@ def test_a_body_over_a_mebibyte_is_refused(stack: Stack, is_chunked: bool) -> No
 
 def test_a_body_that_announces_a_terabyte_is_refused_unread(stack: Stack) -> None:
     # Nothing but the head is ever sent: an answer can only come if nobody waits for the body.
-    head = (
-        f"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {2**40}\r\n\r\n"
-    )
+    fields = f"Host: localhost\r\nContent-Type: application/json\r\nContent-Length: {2**40}\r\n"
     with socket.create_connection(("127.0.0.1", stack.port), timeout=10) as connection:
-        connection.sendall(head.encode())
+        connection.sendall(f"POST /jobs HTTP/1.1\r\n{fields}\r\n".encode())
         assert connection.recv(1000).startswith(b"HTTP/1.1 413 ")
 
 

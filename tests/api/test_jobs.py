@@ -1,12 +1,17 @@
 """Submitting, reading, listing, cancelling and deleting jobs."""
 
 import re
+from datetime import timedelta
+from typing import Literal
 
 import httpx
 import pytest
+from sqlalchemy import text
 
 from core.jobs.job import utc_now
+from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus, Reason
+from core.jobs.store import JobQuery
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.problems import pointers, problem
 
@@ -25,7 +30,8 @@ def test_a_submission_is_stored_queued_and_answered_with_its_address(stack: Stac
     assert answer.headers["Location"] == f"/jobs/{view['id']}" == view["links"]["self"]
     assert stack.store.get(view["id"]).status == JobStatus.QUEUED
     assert [(d.job_id, d.attempt) for d in stack.queue.waiting()] == [(view["id"], 1)]
-    assert [info.key for info in stack.objects.list("")] == [f"jobs/{view['id']}/spec.json"]
+    assert stack.store.undispatched() == []
+    assert list(stack.objects.list("")) == []
 
 
 def test_a_job_reads_as_it_was_sent_with_times_in_utc(stack: Stack) -> None:
@@ -35,6 +41,31 @@ def test_a_job_reads_as_it_was_sent_with_times_in_utc(stack: Stack) -> None:
     assert (view["kind"], view["name"], view["labels"]) == ("train", "first steps", {"project": "gaits"})
     assert (view["status"], view["reason"], view["attempts"], view["artifacts"]) == ("queued", None, [], [])
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z", view["created_at"])
+
+
+@pytest.mark.parametrize("part", ["queue", "objects"])
+def test_a_submission_needs_nothing_but_the_record(stack: Stack, part: Literal["queue", "objects"]) -> None:
+    with stack.away(part):
+        answer = stack.http.post("/jobs", json=MINIMAL)
+    assert (answer.status_code, answer.json()["status"]) == (202, "queued")
+    assert stack.store.get(answer.json()["id"]).status == JobStatus.QUEUED
+    # What the queue was not told, the reconciler tells it.
+    Reconciler(stack.store, stack.queue, timedelta(seconds=15)).look()
+    assert [(d.job_id, d.attempt) for d in stack.queue.waiting()] == [(answer.json()["id"], 1)]
+
+
+def test_a_submission_while_the_record_is_away_may_be_repeated(stack: Stack) -> None:
+    with stack.away("store"):
+        answer = stack.http.post("/jobs", json=MINIMAL)
+    problem(answer, 503, "records-unavailable")
+    assert answer.headers["Retry-After"] == "7"
+    assert stack.is_empty()
+
+
+def test_text_that_no_job_is_found_by_may_hold_any_character(stack: Stack) -> None:
+    sent = MINIMAL | {"tracking": {"wandb": {"project": "vnl", "name": "null \0, \U0001f98e"}}}
+    view = stack.http.get(stack.http.post("/jobs", json=sent).headers["Location"]).json()
+    assert view["spec"]["tracking"] == sent["tracking"]
 
 
 def test_an_attempt_is_shown_without_its_lease_token(stack: Stack) -> None:
@@ -65,7 +96,7 @@ def test_an_idempotency_key_with_another_body_is_refused(stack: Stack) -> None:
     stack.http.post("/jobs", json=MINIMAL, headers=headers)
     answer = stack.http.post("/jobs", json=MINIMAL | {"seed": 1}, headers=headers)
     assert "'once'" in problem(answer, 409, "idempotency-key-reused")["detail"]
-    assert len(stack.queue.waiting()) == len(list(stack.objects.list(""))) == 1
+    assert len(stack.queue.waiting()) == len(stack.store.list(JobQuery()).jobs) == 1
 
 
 def test_a_listing_goes_page_by_page_from_the_newest(stack: Stack) -> None:
@@ -117,6 +148,10 @@ def test_filters_narrow_a_listing(stack: Stack, query: str, found: str) -> None:
         ("statsu=queued", "/statsu"),
         ("cursor=../..", "/cursor"),
         ("label=nothing", "/label"),
+        ("label=a:%00", "/label"),
+        ("name=%00", "/name"),
+        ("environment=%00", "/environment"),
+        ("cursor=%00", "/cursor"),
     ],
 )
 def test_a_wrong_filter_is_refused_and_not_passed_over(stack: Stack, query: str, pointer: str) -> None:
@@ -143,6 +178,100 @@ def test_cancelling_what_has_ended_is_a_conflict(stack: Stack) -> None:
     attempt.end()
     answer = stack.http.post(f"/jobs/{attempt.id}/cancel")
     assert "already succeeded" in problem(answer, 409, "job-finished")["detail"]
+
+
+def test_a_job_may_end_with_words_that_no_database_stores(stack: Stack) -> None:
+    attempt = Attempt(stack, job())
+    attempt.holding.end(JobStatus.FAILED, Reason.TRAINING_CRASHED, "It last said: \0\0.")
+    view = stack.http.get(f"/jobs/{attempt.id}").json()
+    assert (view["message"], view["attempts"][0]["message"]) == ("It last said: \ufffd\ufffd.",) * 2
+
+
+@pytest.fixture
+def unreadable(stack: Stack) -> Attempt:
+    """A running job whose specification another version wrote; and a job before and after it."""
+    attempt = Attempt(stack, job("00000000000b-0000000000", name="b", labels={"group": "x"}))
+    damage(stack, attempt.id, '{"kind": "train", "environment": {"id": "ant"}, "algorithm": {"kind": "sac"}}')
+    for other in ("a", "c"):
+        stack.store.add(job(f"00000000000{other}-0000000000", name=other))
+    return attempt
+
+
+def damage(stack: Stack, job_id: str, spec: str) -> None:
+    with stack.store._engine.begin() as connection:
+        connection.execute(text("UPDATE jobs SET spec = :spec WHERE id = :id"), {"spec": spec, "id": job_id})
+
+
+def test_a_record_that_cannot_be_read_is_listed_among_the_others(stack: Stack, unreadable: Attempt) -> None:
+    items = stack.http.get("/jobs").json()["items"]
+    assert [(item["name"], item["status"], item["reason"]) for item in items] == [
+        ("c", "queued", None),
+        ("b", "running", "unreadable"),
+        ("a", "queued", None),
+    ]
+    assert stack.http.get("/jobs?label=group:x").json()["items"] == [items[1]]
+    assert stack.http.get(f"/jobs/{unreadable.id}").json() == items[1]
+
+
+def test_a_record_that_cannot_be_read_shows_what_can(stack: Stack, unreadable: Attempt) -> None:
+    unreadable.say("phase", name="trace")
+    unreadable.print("a line")
+    view = stack.http.get(f"/jobs/{unreadable.id}").json()
+    assert view["message"].startswith("This version of Gaitway cannot read the job's record (")
+    assert "algorithm" in view["message"]
+    assert view["spec"]["algorithm"] == {"kind": "sac"}
+    assert (view["kind"], view["labels"], view["attempts"], view["artifacts"]) == (
+        "train",
+        {"group": "x"},
+        [],
+        [],
+    )
+    assert stack.http.get(f"/jobs/{unreadable.id}/logs").text == "a line\n"
+    assert stack.http.get(f"/jobs/{unreadable.id}/metrics").json()["rows"] == []
+    damage(stack, unreadable.id, "no JSON at all")
+    assert stack.http.get(f"/jobs/{unreadable.id}").json()["spec"] == {}
+
+
+def test_a_status_of_another_version_is_shown_as_not_ended(stack: Stack, unreadable: Attempt) -> None:
+    with stack.store._engine.begin() as connection:
+        connection.execute(text("UPDATE jobs SET status = 'paused' WHERE name = 'c'"))
+    first, *others = stack.http.get("/jobs").json()["items"]
+    assert (first["name"], first["status"], first["reason"]) == ("c", "running", "unreadable")
+    assert "status" in first["message"]
+    assert [item["name"] for item in others] == ["b", "a"]
+    problem(stack.http.delete(f"/jobs/{first['id']}"), 409, "job-not-finished")
+
+
+@pytest.mark.parametrize(
+    "part", ["cancel", "video", "artifacts", "checkpoints", "checkpoints/1", "artifacts/x"]
+)
+def test_what_needs_the_whole_record_is_a_conflict_where_it_cannot_be_read(
+    stack: Stack, unreadable: Attempt, part: str
+) -> None:
+    answer = stack.http.request("POST" if part == "cancel" else "GET", f"/jobs/{unreadable.id}/{part}")
+    assert unreadable.id in problem(answer, 409, "job-unreadable")["detail"]
+
+
+def test_a_job_whose_record_cannot_be_read_can_be_deleted_once_it_has_ended(
+    stack: Stack, unreadable: Attempt
+) -> None:
+    problem(stack.http.delete(f"/jobs/{unreadable.id}"), 409, "job-not-finished")
+    with stack.store._engine.begin() as connection:
+        connection.execute(text("UPDATE jobs SET status = 'failed' WHERE name = 'b'"))
+    events = stack.http.get(f"/jobs/{unreadable.id}/events").text
+    assert '"reason":"unreadable"' in events
+    assert stack.http.delete(f"/jobs/{unreadable.id}").status_code == 204
+    problem(stack.http.get(f"/jobs/{unreadable.id}"), 404, "job-not-found")
+    assert [item["name"] for item in stack.http.get("/jobs").json()["items"]] == ["c", "a"]
+
+
+def test_a_job_does_not_begin_from_one_whose_record_cannot_be_read(stack: Stack, unreadable: Attempt) -> None:
+    for sent, pointer in (
+        ({"kind": "train", "resume_from": {"job": unreadable.id}}, "/resume_from/job"),
+        ({"kind": "rollout", "policy": {"kind": "checkpoint", "job": unreadable.id}}, "/policy/job"),
+    ):
+        answer = stack.http.post("/jobs", json={"environment": "ant", **sent})
+        assert pointers(problem(answer, 422, "invalid-request")) == [pointer]
 
 
 def test_only_what_has_ended_can_be_deleted(stack: Stack) -> None:

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import Any
 
 import httpx
@@ -12,6 +13,7 @@ import pytest
 
 from api.routes import models as route
 from core.environments.mjcf.describe import inventory
+from core.jobs.reconciliation import Reconciler
 from core.models import library
 from core.models.record import Description
 from core.storage import keys
@@ -41,8 +43,8 @@ def worker(stack: Stack, **found: Any) -> Iterator[None]:
     def work() -> None:
         while not idle.is_set():
             if model_id := stack.queue.take_model():
-                record = library.find(model_id, stack.objects)
-                library.keep(record.model_copy(update=found), stack.objects)
+                record = library.find(model_id, stack.store)
+                stack.store.settle_model(record.model_copy(update=found))
             time.sleep(0.01)
 
     thread = threading.Thread(target=work)
@@ -100,11 +102,12 @@ def test_a_slow_validation_is_asked_for_elsewhere(stack: Stack, monkeypatch: pyt
     assert stack.http.get(answer.headers["location"]).json()["status"] == "validating"
     refused = problem(stack.http.post("/jobs", json=job(model_id)), 422, "invalid-request")
     assert "still being validated" in refused["detail"]
-    # Whatever the queue has lost is asked for again.
-    assert stack.queue.take_model() == model_id
-    stack.http.get(f"/models/{model_id}")
-    assert stack.queue.contains_model(model_id)
     assert send(stack.http).status_code == 202
+    # Whatever the queue has lost is asked for again, at the second look that misses it.
+    assert stack.queue.take_model() == model_id
+    reconciler = Reconciler(stack.store, stack.queue, timedelta(seconds=15))
+    assert [reconciler.look(), reconciler.look()] == [0, 1]
+    assert stack.queue.contains_model(model_id)
 
 
 def test_a_refused_model_leaves_nothing_behind(stack: Stack) -> None:

@@ -2,22 +2,29 @@
 
 import json
 import math
+import queue
 import threading
+import time
 from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import event
 
 from api import following
-from core.errors import RecordsUnavailable
+from core.jobs import feeds
+from core.jobs.feeds import compact
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Entry
 from tests.api.conftest import NOON, Attempt, Stack, job, serving
 from tests.api.problems import pointers, problem
 
+Event = tuple[str, str, dict[str, Any]]
 
-def events(answer: httpx.Response) -> Iterator[tuple[str, str, dict[str, Any]]]:
+
+def events(answer: httpx.Response) -> Iterator[Event]:
     """(id, kind, data) of each server-sent event."""
     fields: dict[str, str] = {}
     for line in answer.iter_lines():
@@ -34,7 +41,7 @@ def attempt(stack: Stack) -> Attempt:
     return Attempt(stack, job())
 
 
-def all_events(stack: Stack, job_id: str, **headers: str) -> list[tuple[str, str, dict[str, Any]]]:
+def all_events(stack: Stack, job_id: str, **headers: str) -> list[Event]:
     with stack.http.stream("GET", f"/jobs/{job_id}/events", headers=headers) as answer:
         assert answer.status_code == 200
         assert answer.headers["Content-Type"].startswith("text/event-stream")
@@ -106,34 +113,40 @@ def test_silence_is_broken_by_comments(
         assert "event: status" in list(lines)
 
 
-def test_a_stream_outlives_an_outage_of_the_records(
-    stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stream_outlives_an_outage_of_the_records(stack: Stack, attempt: Attempt) -> None:
     with stack.http.stream("GET", f"/jobs/{attempt.id}/events") as answer:
         coming = events(answer)
         assert [next(coming)[1], next(coming)[1]] == ["status", "status"]
-        was_asked, working = threading.Event(), stack.store.feed
-
-        def away(*_: object, **__: object) -> None:
-            was_asked.set()
-            raise RecordsUnavailable("Redis does not answer.")
-
-        monkeypatch.setattr(stack.store, "feed", away)
-        assert was_asked.wait(10)
-        monkeypatch.setattr(stack.store, "feed", working)
-        attempt.end()
+        with stack.away("store") as missed:
+            assert missed.wait(10)
+            attempt.end()
         assert [data["status"] for _, _, data in coming] == ["succeeded"]
+
+
+def test_a_stream_outlives_an_outage_of_the_object_store(stack: Stack, attempt: Attempt) -> None:
+    with stack.http.stream("GET", f"/jobs/{attempt.id}/logs?follow=true") as answer:
+        lines = answer.iter_lines()
+        attempt.print("first")
+        assert next(lines) == "first"
+        with stack.away("objects") as objects_missed:
+            with stack.away("store") as missed:  # Until the rest is there, and lies in a chunk.
+                assert missed.wait(10)
+                attempt.print("second")
+                attempt.end()
+                compact(store=stack.store, objects=stack.objects)
+            assert objects_missed.wait(10)
+        assert list(lines) == ["second"]
 
 
 def test_a_deleted_job_ends_its_streams(stack: Stack, attempt: Attempt) -> None:
     with stack.http.stream("GET", f"/jobs/{attempt.id}/events") as answer:
         coming = events(answer)
         next(coming), next(coming)
-        stack.store.delete(stack.store.get(attempt.id))
+        stack.store.delete(attempt.id, stack.store.get(attempt.id).version)
         assert list(coming) == []
 
 
-def test_a_job_restored_without_its_feed_still_tells_its_end(stack: Stack) -> None:
+def test_a_job_that_was_imported_without_a_feed_still_tells_its_end(stack: Stack) -> None:
     ended = job().ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, "Enough.", NOON)
     stack.store.add(ended)
     assert [(kind, data["status"]) for _, kind, data in all_events(stack, ended.id)] == [
@@ -141,10 +154,11 @@ def test_a_job_restored_without_its_feed_still_tells_its_end(stack: Stack) -> No
     ]
 
 
-@pytest.mark.parametrize("last_id", ["x", "-1", "1-0; DROP"])
+@pytest.mark.parametrize("last_id", ["x", "-1", "1-0; DROP", "1700000000000-0", "٣", "9" * 30])
 def test_an_id_that_no_feed_gave_is_refused(stack: Stack, attempt: Attempt, last_id: str) -> None:
-    answer = stack.http.get(f"/jobs/{attempt.id}/events", headers={"Last-Event-ID": last_id})
-    assert pointers(problem(answer, 422, "invalid-request")) == ["/after"]
+    here = f"/jobs/{attempt.id}/events"
+    for asked in ({"params": {"after": last_id}}, {"headers": {"Last-Event-ID": last_id.encode()}}):
+        assert pointers(problem(stack.http.get(here, **asked), 422, "invalid-request")) == ["/after"]
 
 
 def test_numbers_that_are_not_finite_become_null(stack: Stack, attempt: Attempt) -> None:
@@ -207,19 +221,9 @@ def test_metrics_come_as_a_table(stack: Stack, attempt: Attempt, accept: str, qu
     ]
 
 
-def test_metrics_of_a_restored_job_come_from_its_file(stack: Stack, attempt: Attempt) -> None:
-    line = {"step": 3, "time": "2026-11-20T12:00:00+00:00", "values": {"reward": 1.0}}
-    attempt.keep(
-        "metrics.jsonl", json.dumps(line).encode() + b"\n", role="metrics", media_type="application/jsonl"
-    )
-    rows = stack.http.get(f"/jobs/{attempt.id}/metrics").json()["rows"]
-    assert [(row["step"], row["values"]) for row in rows] == [(3, {"reward": 1.0})]
-
-
 def test_a_log_is_plain_text_and_whole(stack: Stack, attempt: Attempt) -> None:
     lines = [f"line {i} <b>é" for i in range(1201)]  # more than two pages of the feed
-    for line in lines:
-        attempt.say("line", "logs", text=line)
+    attempt.print(*lines)
     answer = stack.http.get(f"/jobs/{attempt.id}/logs")
     assert answer.text.splitlines() == lines
     assert answer.headers["Content-Type"] == "text/plain; charset=utf-8"
@@ -227,35 +231,190 @@ def test_a_log_is_plain_text_and_whole(stack: Stack, attempt: Attempt) -> None:
 
 
 def test_a_followed_log_goes_on_until_the_job_ends(stack: Stack, attempt: Attempt) -> None:
-    attempt.say("line", "logs", text="first")
+    attempt.print("first")
     with stack.http.stream("GET", f"/jobs/{attempt.id}/logs?follow=true") as answer:
         lines = answer.iter_lines()
         assert next(lines) == "first"
-        attempt.say("line", "logs", text="second")
+        attempt.print("second")
         assert next(lines) == "second"
         attempt.end()
         assert list(lines) == []
-
-
-def test_the_log_of_a_restored_job_comes_from_its_file(stack: Stack, attempt: Attempt) -> None:
-    attempt.keep("log.txt", b"kept\n", role="log", media_type="text/plain")
-    assert stack.http.get(f"/jobs/{attempt.id}/logs").text == "kept\n"
 
 
 def test_a_watcher_who_leaves_is_forgotten(
     stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ended = threading.Event()
-    follow = following.Follower.pages
+    follow = following.Follower.coming
 
-    async def watched(self: following.Follower, *, to_the_end: bool) -> AsyncIterator[Sequence[Entry]]:
+    async def watched(self: following.Follower) -> AsyncIterator[Sequence[Entry]]:
         try:
-            async for page in follow(self, to_the_end=to_the_end):
+            async for page in follow(self):
                 yield page
         finally:
             ended.set()
 
-    monkeypatch.setattr(following.Follower, "pages", watched)
+    monkeypatch.setattr(following.Follower, "coming", watched)
     with stack.http.stream("GET", f"/jobs/{attempt.id}/events") as answer:
         next(events(answer))
+        assert stack.service.watcher.is_looking
     assert ended.wait(10)
+    # The fixture `stack` waits until nobody looks any more.
+
+
+def test_followers_look_for_themselves_where_the_watcher_breaks(
+    stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def defect(_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(stack.store, "marks", defect)
+    with stack.http.stream("GET", f"/jobs/{attempt.id}/events") as answer:
+        coming = events(answer)
+        assert [next(coming)[1], next(coming)[1]] == ["status", "status"]
+        attempt.say("phase", name="trace")
+        assert next(coming)[1] == "phase"
+        attempt.end()
+        assert [data["status"] for _, _, data in coming] == ["succeeded"]
+
+
+NUM_ROWS = 60
+
+
+@pytest.fixture
+def chunked(stack: Stack, attempt: Attempt, due_at_once: None) -> str:
+    """The id of a running job with measurements and lines in six chunks each, and some that lie in none."""
+    for start in range(0, NUM_ROWS, 9):  # 9 rows, 6 times; and 6 rows in the record.
+        rows = range(start, min(start + 9, NUM_ROWS))
+        for step in rows:
+            attempt.say("metrics", step=step, values={"reward": step / 2})
+        attempt.print(*(f"line {step}" for step in rows))
+        if len(rows) == 9:
+            assert compact(store=stack.store, objects=stack.objects) == 2
+    for channel in ("events", "logs"):
+        part = stack.store.feed(attempt.id, channel)
+        assert len(part.chunks) == 4, "a reader gets a few at a time"
+    return attempt.id
+
+
+@pytest.fixture
+def due_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every entry becomes part of a chunk when it is looked at."""
+    monkeypatch.setattr(feeds, "MAX_BYTES", 0)
+
+
+def test_events_are_read_across_chunks_without_gap_or_double(
+    stack: Stack, attempt: Attempt, chunked: str
+) -> None:
+    attempt.end()
+    whole = all_events(stack, chunked)
+    # Starting, running, the rows, succeeded.
+    assert [number for number, _, _ in whole] == [str(number) for number in range(1, NUM_ROWS + 4)]
+    assert [data["step"] for _, kind, data in whole if kind == "metrics"] == list(range(NUM_ROWS))
+    # The first chunk ends with 11, the second with 20: at their borders, and within them.
+    for seen in (1, 5, 11, 12, 19, 20, 21, 47, 56, 57, 60):
+        assert all_events(stack, chunked, **{"Last-Event-ID": str(seen)}) == whole[seen:]
+    last = stack.http.get(f"/jobs/{chunked}/events", headers={"Last-Event-ID": whole[-1][0]})
+    assert last.status_code == 204
+
+
+def test_metrics_are_read_across_chunks_without_gap_or_double(stack: Stack, chunked: str) -> None:
+    here = f"/jobs/{chunked}/metrics"
+    whole = stack.http.get(here).json()
+    assert [row["step"] for row in whole["rows"]] == list(range(NUM_ROWS))
+    for limit in (1, 7, 9, 50):
+        steps, after = list[int](), ""
+        while rows := (page := stack.http.get(here, params={"after": after, "limit": limit}).json())["rows"]:
+            assert len(rows) <= limit
+            steps += [row["step"] for row in rows]
+            after = page["next"]
+        assert steps == list(range(NUM_ROWS))
+
+
+def test_a_log_is_read_across_chunks_without_gap_or_double(
+    stack: Stack, attempt: Attempt, chunked: str
+) -> None:
+    lines = [f"line {step}" for step in range(NUM_ROWS)]
+    assert stack.http.get(f"/jobs/{chunked}/logs").text.splitlines() == lines
+    attempt.end()
+    assert stack.http.get(f"/jobs/{chunked}/logs?follow=true").text.splitlines() == lines
+
+
+def test_entries_that_become_a_chunk_while_one_watches_are_seen_once(
+    stack: Stack, attempt: Attempt, due_at_once: None
+) -> None:
+    with stack.http.stream("GET", f"/jobs/{attempt.id}/logs?follow=true") as answer:
+        coming, seen = answer.iter_lines(), list[str]()
+        for number in range(10):
+            attempt.print(f"{number}a", f"{number}b")
+            if number % 3:  # With the stream somewhere within it, or not yet at it.
+                compact(store=stack.store, objects=stack.objects)
+            if number % 2:
+                seen += [next(coming), next(coming)]
+        attempt.end()
+        compact(store=stack.store, objects=stack.objects)
+        seen += coming
+    assert seen == [f"{number}{half}" for number in range(10) for half in "ab"]
+
+
+def test_a_feed_whose_chunks_cannot_be_read_is_refused_before_its_stream_begins(
+    stack: Stack, chunked: str
+) -> None:
+    with stack.away("objects"):
+        for part in ("events", "logs", "logs?follow=true", "metrics"):
+            problem(stack.http.get(f"/jobs/{chunked}/{part}"), 503, "storage-unavailable")
+
+
+@contextmanager
+def followers(stack: Stack, job_id: str, number: int) -> Iterator[list[Iterator[Event]]]:
+    """As many streams of the job's events, each of which has brought the first two."""
+    with ExitStack() as opened:
+        limits = httpx.Limits(max_connections=number)
+        http = opened.enter_context(
+            httpx.Client(base_url=stack.http.base_url, limits=limits, timeout=60, verify=False)  # noqa: S501
+        )
+        request = http.build_request("GET", f"/jobs/{job_id}/events")
+        answers = [http.send(request, stream=True) for _ in range(number)]
+        for answer in answers:
+            opened.callback(answer.close)
+        streams = [events(answer) for answer in answers]
+        for stream in streams:
+            assert [next(stream)[0], next(stream)[0]] == ["1", "2"]
+        yield streams
+
+
+def test_each_of_two_hundred_followers_gets_every_entry_once(
+    stack: Stack, attempt: Attempt, due_at_once: None
+) -> None:
+    with followers(stack, attempt.id, 200) as streams:
+        for step in range(20):
+            attempt.say("progress", step=step, total=20)
+            if step % 5 == 4:
+                compact(store=stack.store, objects=stack.objects)
+        attempt.end()
+        for stream in streams:
+            assert [number for number, _, _ in stream] == [str(number) for number in range(3, 24)]
+
+
+@pytest.mark.parametrize("number", [1, 200])
+def test_idle_followers_cost_one_query_together(stack: Stack, attempt: Attempt, number: int) -> None:
+    seen: queue.SimpleQueue[str] = queue.SimpleQueue()
+    other = Attempt(stack, job("019aa3c2f0b2-5be0c1d2e3"))
+    with followers(stack, attempt.id, number), followers(stack, other.id, 1):
+        engine = stack.store._engine
+        event.listen(engine, "before_cursor_execute", lambda *said: seen.put(said[2]))
+        looks = 0
+        while looks < 5:  # Until the last of the followers has found that there is nothing more.
+            looks = looks + 1 if is_look(seen.get(timeout=10)) else 0
+        began = time.monotonic()
+        while looks < 35:
+            statement = seen.get(timeout=10)
+            assert is_look(statement), statement
+            looks += 1
+        # 30 looks, each at both jobs, with 0.1 s between two; the first may have been late.
+        assert time.monotonic() - began > 2.5
+
+
+def is_look(statement: str) -> bool:
+    """Whether it is the one that asks how far jobs have come."""
+    return statement.startswith("SELECT jobs.id, jobs.version, jobs.num_events, jobs.num_logs")

@@ -1,11 +1,24 @@
-"""Warp's compiled kernels, kept for all processes of one test run: compiling them takes most of a minute."""
+"""The record's tables; and Warp's compiled kernels, kept for all processes of one test run.
+
+Compiling those takes most of a minute.
+"""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
+import psycopg
 import pytest
 
 from core.physics.kernels import keep_kernels
+from tests.contract.recording import Database
+
+
+@pytest.fixture
+def database(database_url: str) -> Iterator[Database]:
+    """The tables of the record that this test has."""
+    with psycopg.connect(database_url, autocommit=True) as connection:
+        yield Database(connection)
 
 
 @pytest.fixture(scope="session")

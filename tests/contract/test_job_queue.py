@@ -47,6 +47,16 @@ class TestEveryQueue:
         queue.remove(JOB, 1)
         assert queue.contains(OTHER, 1)
 
+    def test_what_is_known_is_told_in_one_look(self, queue: JobQueue) -> None:
+        assert set(queue.known()) == set()
+        for number in (1, 2):
+            queue.enqueue(JOB, number, accelerator="any", priority="normal")
+        queue.enqueue(OTHER, 1, accelerator="gpu", priority="high", gpus=2)
+        queue.enqueue_model("sha256:00")
+        assert set(queue.known()) == {(JOB, 1), (JOB, 2), (OTHER, 1)}
+        queue.remove(JOB, 1)
+        assert set(queue.known()) == {(JOB, 2), (OTHER, 1)}
+
     def test_removing_one_attempt_leaves_the_others(self, queue: JobQueue) -> None:
         enqueue(queue, JOB, 1)
         enqueue(queue, JOB, 2)
@@ -188,7 +198,8 @@ seen_from: JobQueue | None = None
 def look(job_id: str, attempt: int) -> None:
     """A task: note whether the queue contains what it is part of."""
     assert seen_from is not None
-    seen.append((job_id, attempt, seen_from.contains(job_id, attempt)))
+    known = seen_from.contains(job_id, attempt) and (job_id, attempt) in seen_from.known()
+    seen.append((job_id, attempt, known))
 
 
 def work(client: redis.Redis) -> None:

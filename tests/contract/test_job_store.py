@@ -1,56 +1,49 @@
-"""What every JobStore promises, on each of them."""
+"""What the record promises of jobs, models and workers.
+
+Its other promises: test_leases.py, test_job_feeds.py, test_lost_answers.py, test_lost_server.py.
+"""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime, timedelta
-from pathlib import Path
+from datetime import timedelta
+from functools import partial
 
 import pytest
-import redis
+from structlog.testing import capture_logs
 
-from core.adapters.connect import connect_redis
-from core.adapters.redis_jobs import RedisJobStore
+from core.environments.mjcf.inventory import Inventory, Sizes
 from core.errors import (
     IdempotencyKeyReused,
     JobExists,
     JobNotFound,
-    LeaseLost,
-    RecordsUnavailable,
+    JobUnreadable,
+    ModelNotFound,
     Rejected,
     StaleJob,
 )
-from core.jobs.job import Job, Progress, new_job_id
-from core.jobs.spec import JOB_SPEC
+from core.jobs.job import Job, Progress, UnreadableJob, new_job_id
 from core.jobs.status import JobStatus, Reason
-from core.jobs.store import Entry, Idempotency, JobQuery, JobStore, WorkerInfo
-from gaitway.embedded.valkey import Valkey
+from core.jobs.store import Dispatch, Idempotency, JobQuery, JobStore
+from core.models.record import Description
+from tests.contract.recording import (
+    LEASE,
+    MODEL,
+    NOW,
+    Database,
+    artifact,
+    at_once,
+    cancelled,
+    chunk_of,
+    held,
+    model,
+    queued_job,
+    say,
+    statuses,
+    watch,
+    worker,
+)
 
-NOW = datetime(2026, 11, 21, 12, 0, 0, tzinfo=UTC)
-LEASE = timedelta(seconds=30)
-A_MOMENT = timedelta(milliseconds=50)
 ANY = JobQuery()
-
-
-def queued_job(at_s: int = 0, **said: object) -> Job:
-    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **said})
-    created_at = NOW + timedelta(seconds=at_s)
-    return Job(id=new_job_id(created_at), spec=spec, created_at=created_at)
-
-
-def held(jobs: JobStore, job: Job, lease: timedelta = LEASE) -> Job:
-    """The job in `jobs`, held by its first attempt."""
-    jobs.add(job)
-    claimed = job.claimed("worker-1", NOW)
-    jobs.save(claimed, lease=lease)
-    return claimed
-
-
-def line(text: str) -> Entry:
-    return Entry(kind="line", time=NOW, data={"text": text})
-
-
-def texts(entries: object) -> list[str]:
-    return [entry.data["text"] for entry in entries]  # type: ignore[attr-defined]
 
 
 class TestJobs:
@@ -58,10 +51,29 @@ class TestJobs:
         job = queued_job(name="erste Schritte – 初めて 🐜", labels={"project": "vnl"}, seed=7)
         assert jobs.add(job) == job
         assert jobs.get(job.id) == job
+        assert jobs.find(job.id) == job
+
+    def test_every_part_of_a_job_is_read_back_equal(self, jobs: JobStore) -> None:
+        details = {"hyperparameters": {"num_envs": 64, "gamma": 0.99}, "odd": "a\0b", "none": None}
+        running = held(jobs, queued_job()).running(device="cpu", engine="native", details=details)
+        jobs.save(running)
+        files = (
+            artifact("b", metadata={"reward": 1.5}),
+            artifact("a", role="checkpoint", step=10**11, size=2**40),
+        )
+        published = running.with_artifacts(files)
+        jobs.save(published)
+        requeued = published.requeued(Reason.WORKER_LOST, "Silent.", NOW + timedelta(microseconds=1))
+        jobs.save(requeued)
+        jobs.save(ended := requeued.claimed("worker-2", NOW))
+        jobs.save(ended := ended.ended(JobStatus.FAILED, Reason.DIVERGED, "NaN at 7 – 初", NOW))
+        assert jobs.get(ended.id) == ended
+        assert list(jobs.list(ANY).jobs) == [ended]
 
     def test_an_unknown_job_is_not_found(self, jobs: JobStore) -> None:
-        with pytest.raises(JobNotFound):
-            jobs.get(new_job_id(NOW))
+        for look in (jobs.get, jobs.find):
+            with pytest.raises(JobNotFound):
+                look(new_job_id(NOW))
 
     @pytest.mark.parametrize("job_id", ["", "..", "a:events", "x" * 300, "0\0", "*"])
     def test_what_cannot_be_an_id_is_not_found(self, jobs: JobStore, job_id: str) -> None:
@@ -86,9 +98,9 @@ class TestJobs:
         job = queued_job()
         claimed = held(jobs, job)
         with pytest.raises(StaleJob):
-            jobs.save(job.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, "", NOW))
+            jobs.save(job.ended(JobStatus.FAILED, Reason.DIVERGED, "", NOW))
         assert jobs.get(job.id) == claimed
-        assert len(jobs.feed(job.id, "events")) == 1
+        assert len(statuses(jobs, job)) == 1
 
     def test_the_same_version_is_saved_once(self, jobs: JobStore) -> None:
         claimed = held(jobs, queued_job())
@@ -108,20 +120,10 @@ class TestJobs:
     def test_of_many_that_save_at_once_one_wins(self, jobs: JobStore) -> None:
         job = queued_job()
         jobs.add(job)
-        together = threading.Barrier(8)
-
-        def claim(number: int) -> bool:
-            together.wait()
-            try:
-                jobs.save(job.claimed(f"worker-{number}", NOW), lease=LEASE)
-            except StaleJob:
-                return False
-            return True
-
-        with ThreadPoolExecutor(8) as pool:
-            won = list(pool.map(claim, range(8)))
+        claims = [job.claimed(f"worker-{number}", NOW) for number in range(8)]
+        won = at_once([partial(jobs.save, claim, lease=LEASE) for claim in claims], StaleJob)
         assert won.count(True) == 1
-        assert jobs.get(job.id).attempts[0].worker == f"worker-{won.index(True)}"
+        assert jobs.get(job.id) == claims[won.index(True)]
 
     def test_a_change_of_status_is_told_in_the_events(self, jobs: JobStore) -> None:
         claimed = held(jobs, queued_job())
@@ -129,52 +131,61 @@ class TestJobs:
         jobs.save(running)
         jobs.save(running.next(message="no new status"))
         jobs.save(running.next().ended(JobStatus.FAILED, Reason.DIVERGED, "NaN at 7", NOW))
-        assert [entry.data for entry in jobs.feed(claimed.id, "events", kind="status")] == [
+        assert [entry.data for entry in statuses(jobs, claimed)] == [
             {"status": "starting", "reason": None, "message": None, "attempt": 1},
             {"status": "running", "reason": None, "message": None, "attempt": 1},
             {"status": "failed", "reason": "diverged", "message": "NaN at 7", "attempt": 1},
         ]
 
-    def test_a_deleted_job_leaves_nothing(self, jobs: JobStore) -> None:
+    def test_artifacts_are_replaced_kept_and_struck_in_their_order(self, jobs: JobStore) -> None:
         claimed = held(jobs, queued_job())
-        jobs.record(claimed.id, claimed.token, "logs", [line("a")])
-        jobs.delete(claimed)
+        first = claimed.with_artifacts((artifact("b"), artifact("a"), artifact("c")))
+        jobs.save(first)
+        struck = first.without_artifact(artifact("a"))
+        jobs.save(struck)
+        newer = artifact("b", key="of b, newer", sha256="1" * 64)
+        replaced = struck.with_artifacts((newer, artifact("a")))
+        jobs.save(replaced)
+        assert jobs.get(claimed.id).artifacts == (newer, artifact("c"), artifact("a"))
+
+    def test_what_a_process_said_may_hold_any_character(self, jobs: JobStore) -> None:
+        # PostgreSQL's text has no U+0000.
+        claimed = held(jobs, queued_job())
+        jobs.save(claimed.ended(JobStatus.FAILED, Reason.TRAINING_CRASHED, "a\0b 初", NOW))
+        stored = jobs.get(claimed.id)
+        assert (stored.message, stored.attempts[0].message) == ("a\ufffdb 初", "a\ufffdb 初")
+
+    def test_a_deleted_job_leaves_nothing(self, jobs: JobStore, database: Database) -> None:
+        claimed = held(jobs, queued_job())
+        say(jobs, claimed, "a", "b")
+        jobs.replace_by_chunk(claimed.id, chunk_of(jobs.oldest_entries(claimed.id, "logs", limit=1)))
+        jobs.save(published := claimed.with_artifacts((artifact("a"),)))
+        watch(jobs, database)
+        jobs.delete(claimed.id, published.version)
         with pytest.raises(JobNotFound):
             jobs.get(claimed.id)
         with pytest.raises(JobNotFound):
             jobs.feed(claimed.id, "logs")
-        assert not jobs.lease_is_alive(claimed.id)
-        assert (list(jobs.list(ANY).jobs), list(jobs.unfinished())) == ([], [])
+        assert (list(jobs.list(ANY).jobs), list(jobs.expired()), jobs.undispatched()) == ([], [], [])
+        for table in ("jobs", "attempts", "artifacts", "chunks", "entries", "dispatches"):
+            assert database.count(table) == 0
 
     def test_deleting_an_older_version_is_refused(self, jobs: JobStore) -> None:
         job = queued_job()
         claimed = held(jobs, job)
         with pytest.raises(StaleJob):
-            jobs.delete(job)
+            jobs.delete(job.id, job.version)
         assert jobs.get(job.id) == claimed
 
     def test_deleting_an_unknown_job_is_not_found(self, jobs: JobStore) -> None:
         with pytest.raises(JobNotFound):
-            jobs.delete(queued_job())
-
-    def test_unfinished_jobs_come_oldest_first(self, jobs: JobStore) -> None:
-        first, second, third = queued_job(0), queued_job(1), queued_job(2)
-        for job in (third, first, second):
-            jobs.add(job)
-        jobs.save(second.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, "", NOW))
-        assert list(jobs.unfinished()) == [first, third]
-
-    def test_a_requeued_job_is_unfinished(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        requeued = claimed.requeued(Reason.WORKER_LOST, "", NOW)
-        jobs.save(requeued)
-        assert list(jobs.unfinished()) == [requeued]
+            jobs.delete(new_job_id(NOW), 1)
 
     def test_a_finished_job_can_be_added(self, jobs: JobStore) -> None:
-        ended = queued_job().ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, "", NOW)
+        ended = cancelled(queued_job())
         jobs.add(ended)
         assert jobs.get(ended.id) == ended
-        assert list(jobs.unfinished()) == []
+        assert (jobs.undispatched(), jobs.waiting()) == ([], [])
 
 
 class TestIdempotency:
@@ -203,7 +214,7 @@ class TestIdempotency:
     def test_a_key_never_seen_is_not_remembered(self, jobs: JobStore) -> None:
         assert jobs.remembered(Idempotency("k", "body")) is None
 
-    @pytest.mark.parametrize("key", ["é ü 日本", "a\0b", "k" * 10_000, ":*?"])
+    @pytest.mark.parametrize("key", ["é ü 日本", "a\0b", "k" * 10_000, ":*?", "\udce9"])
     def test_any_text_is_a_key(self, jobs: JobStore, key: str) -> None:
         job = queued_job()
         jobs.add(job, Idempotency(key, "body"))
@@ -212,9 +223,19 @@ class TestIdempotency:
     def test_the_key_of_a_deleted_job_is_free(self, jobs: JobStore) -> None:
         job, another = queued_job(0), queued_job(1)
         jobs.add(job, Idempotency("k", "body"))
-        jobs.delete(job)
+        jobs.delete(job.id, job.version)
         assert jobs.remembered(Idempotency("k", "body")) is None
         assert jobs.add(another, Idempotency("k", "body")) == another
+
+    def test_a_key_is_remembered_for_a_day(self, jobs: JobStore, database: Database) -> None:
+        job, another = queued_job(0), queued_job(1)
+        jobs.add(job, Idempotency("k", "body"))
+        for hours, known in ((23, job), (1, None)):
+            passed = timedelta(hours=hours)
+            database.change("UPDATE idempotency_keys SET forgotten_at = forgotten_at - %s", passed)
+            assert jobs.remembered(Idempotency("k", "body")) == known
+        assert jobs.add(another, Idempotency("k", "other")) == another
+        assert jobs.remembered(Idempotency("k", "other")) == another
 
     def test_of_many_that_submit_at_once_one_job_comes(self, jobs: JobStore) -> None:
         together = threading.Barrier(8)
@@ -233,7 +254,7 @@ class TestListing:
         added = [queued_job(i) for i in range(7)]
         for job in added:
             jobs.add(job)
-        got: list[Job] = []
+        got: list[Job | UnreadableJob] = []
         sizes: list[int] = []
         cursor: str | None = None
         while cursor is not None or not sizes:
@@ -256,16 +277,25 @@ class TestListing:
             jobs.add(job)
         page = jobs.list(ANY, limit=1)
         jobs.add(d)
-        jobs.delete(c)
+        jobs.delete(c.id, c.version)
         assert list(jobs.list(ANY, cursor=page.next_cursor).jobs) == [b, a]
 
-    def test_more_jobs_than_one_look_at_the_index(self, jobs: JobStore) -> None:
-        # Redis' adapter reads the index 200 at a time: the only match lies in the second piece.
-        added = [queued_job(i, name="it" if i == 3 else None) for i in range(230)]
+    def test_a_match_beyond_the_newest_is_found_by_one_filter_and_by_several(
+        self, jobs: JobStore, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        # Several filters look at the newest jobs first, here at ten: the only match lies behind these.
+        monkeypatch.setattr("core.adapters.postgres.listing._NEAR", 10)
+        added = [queued_job(i, name="it" if i == 3 else None, labels={"i": str(i)}) for i in range(30)]
         for job in added:
             jobs.add(job)
-        assert list(jobs.list(JobQuery(name="it")).jobs) == [added[3]]
-        assert [job.id for job in jobs.list(ANY, limit=300).jobs] == [job.id for job in added[::-1]]
+        for query in (JobQuery(name="it"), JobQuery(labels={"i": "3"}), JobQuery(name="it", kind="train")):
+            page = jobs.list(query, limit=1)
+            assert (list(page.jobs), page.next_cursor) == ([added[3]], None)
+        # Nine are among the newest, and the next page begins behind them.
+        several = JobQuery(kind="train", environment="ant")
+        first = jobs.list(several, limit=9)
+        rest = jobs.list(several, cursor=first.next_cursor, limit=100)
+        assert [*first.jobs, *rest.jobs] == added[::-1]
 
     @pytest.mark.parametrize(
         ("query", "expected"),
@@ -278,6 +308,7 @@ class TestListing:
             (JobQuery(labels={"project": "vnl", "arm": "b"}), [1]),
             (JobQuery(environment="ant", labels={"arm": "b"}), [1]),
             (JobQuery(name="nobody"), []),
+            (JobQuery(labels={"project": "VNL"}), []),
         ],
     )
     def test_filters(self, jobs: JobStore, query: JobQuery, expected: list[int]) -> None:
@@ -289,214 +320,242 @@ class TestListing:
         ]
         for job in added:
             jobs.add(job)
-        jobs.save(added[1].ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, "", NOW))
+        jobs.save(cancelled(added[1]))
         page = jobs.list(query)
         assert [job.id for job in page.jobs] == [added[i].id for i in expected]
         assert page.next_cursor is None
 
-    @pytest.mark.parametrize("cursor", ["", "nonsense", "0", "[", "é"])
+    @pytest.mark.parametrize("cursor", ["", "nonsense", "0", "[", "é", "a\0"])
     def test_a_cursor_of_nowhere_is_refused(self, jobs: JobStore, cursor: str) -> None:
         with pytest.raises(Rejected, match="cursor"):
             jobs.list(ANY, cursor=cursor)
 
 
-class TestLeases:
-    def test_a_claim_starts_a_lease(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        assert jobs.lease_is_alive(claimed.id)
+class TestNames:
+    """What jobs name: models, checkpoints of other jobs, objects."""
 
-    def test_a_queued_job_has_no_lease(self, jobs: JobStore) -> None:
-        job = queued_job()
-        jobs.add(job)
-        assert not jobs.lease_is_alive(job.id)
-        assert not jobs.lease_is_alive(new_job_id(NOW))
+    def test_unfinished_jobs_use_a_model(self, jobs: JobStore) -> None:
+        model = {"id": "mjcf", "options": {"model": MODEL}}
+        first, second, ended = (queued_job(i, environment=model) for i in range(3))
+        for job in (second, first, ended, queued_job(3)):
+            jobs.add(job)
+        jobs.save(cancelled(ended))
+        assert jobs.users_of(MODEL) == [first.id, second.id]
+        assert jobs.users_of(MODEL.replace("0", "1")) == []
 
-    def test_a_lease_not_renewed_ends(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job(), lease=A_MOMENT)
-        threading.Event().wait(0.08)
-        assert not jobs.lease_is_alive(claimed.id)
+    def test_unfinished_jobs_borrow_a_checkpoint(self, jobs: JobStore) -> None:
+        source = queued_job().id
+        resumed = queued_job(1, resume_from={"job": source, "step": 10})
+        policy = {"kind": "checkpoint", "job": source}
+        rollout, ended = (queued_job(i, kind="rollout", policy=policy) for i in (2, 3))
+        for job in (resumed, rollout, ended):
+            jobs.add(job)
+        jobs.save(cancelled(ended))
+        assert jobs.borrowers_of(source) == [(resumed.id, 10), (rollout.id, None)]
+        assert jobs.borrowers_of(resumed.id) == []
 
-    def test_a_renewed_lease_goes_on(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job(), lease=A_MOMENT)
-        assert jobs.renew(claimed.id, claimed.token, LEASE) == JobStatus.STARTING
-        threading.Event().wait(0.08)
-        assert jobs.lease_is_alive(claimed.id)
-
-    def test_a_lease_that_ended_is_renewed_while_nobody_took_the_job(self, jobs: JobStore) -> None:
-        # After an outage of the store the attempt that went on working is still the one that holds the job.
-        claimed = held(jobs, queued_job(), lease=timedelta(milliseconds=1))
-        threading.Event().wait(0.01)
-        jobs.renew(claimed.id, claimed.token, LEASE)
-        assert jobs.lease_is_alive(claimed.id)
-
-    def test_renewing_tells_of_a_cancel(self, jobs: JobStore) -> None:
-        running = held(jobs, queued_job()).running()
-        jobs.save(running)
-        jobs.save(running.become(JobStatus.CANCELLING))
-        assert jobs.renew(running.id, running.token, LEASE) == JobStatus.CANCELLING
-        assert jobs.lease_is_alive(running.id)
-
-    @pytest.mark.parametrize("token", ["", "1-0000000000000000"])
-    def test_another_token_renews_nothing(self, jobs: JobStore, token: str) -> None:
-        claimed = held(jobs, queued_job(), lease=A_MOMENT)
-        with pytest.raises(LeaseLost):
-            jobs.renew(claimed.id, token, LEASE)
-        threading.Event().wait(0.08)
-        assert not jobs.lease_is_alive(claimed.id)
-
-    @pytest.mark.parametrize("token", ["", "1-0000000000000000"])
-    def test_nobody_renews_a_job_that_nobody_holds(self, jobs: JobStore, token: str) -> None:
-        job = queued_job()
-        jobs.add(job)
-        with pytest.raises(LeaseLost):
-            jobs.renew(job.id, token, LEASE)
-        with pytest.raises(LeaseLost):
-            jobs.renew(new_job_id(NOW), token, LEASE)
-
-    def test_a_job_that_left_its_attempt_has_no_lease(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        requeued = claimed.requeued(Reason.WORKER_LOST, "", NOW)
-        jobs.save(requeued)
-        assert not jobs.lease_is_alive(claimed.id)
-        with pytest.raises(LeaseLost):
-            jobs.renew(claimed.id, claimed.token, LEASE)
-
-    def test_the_lease_of_one_attempt_is_not_the_next_ones(self, jobs: JobStore) -> None:
-        requeued = held(jobs, queued_job()).requeued(Reason.WORKER_LOST, "", NOW)
-        jobs.save(requeued)
-        jobs.save(requeued.claimed("worker-2", NOW))
-        assert not jobs.lease_is_alive(requeued.id)
+    def test_artifacts_and_chunks_are_named_objects(self, jobs: JobStore) -> None:
+        first, second, third = (held(jobs, queued_job(i)) for i in range(3))
+        jobs.save(first.with_artifacts((artifact("a"), artifact("b"))))
+        say(jobs, second, "x")
+        jobs.replace_by_chunk(second.id, chunk_of(jobs.oldest_entries(second.id, "logs", limit=1)))
+        jobs.save(third.with_artifacts((artifact("c"),)))
+        named = jobs.objects_named([first.id, second.id, new_job_id(NOW)])
+        assert set(named) == {"of a", "of b", "chunk"}
+        assert set(jobs.objects_named([])) == set()
 
 
-class TestFeeds:
-    def test_entries_come_back_in_order_with_rising_ids(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        jobs.record(claimed.id, claimed.token, "logs", [line("a"), line("é\n\0🐜")])
-        jobs.record(claimed.id, claimed.token, "logs", [line("c")])
-        entries = jobs.feed(claimed.id, "logs")
-        assert texts(entries) == ["a", "é\n\0🐜", "c"]
-        assert (entries[0].kind, entries[0].time) == ("line", NOW)
-        assert len({entry.id for entry in entries}) == 3
-        assert all(entry.id and " " not in entry.id for entry in entries)
+DESCRIPTION = Description(
+    inventory=Inventory(
+        joints=[],
+        actuators=[],
+        sensors=[],
+        bodies=["torso"],
+        geoms=[],
+        cameras=["top"],
+        keyframes=[],
+        sizes=Sizes(nq=0, nv=0, nu=0, na=0, nbody=2, ngeom=0),
+        root="torso",
+        has_free_joint=False,
+        travels=False,
+        initial_height=0.5,
+        mass_kg=1.0,
+        timestep_s=0.002,
+    ),
+    engines={"native": None, "mjx": "No."},
+    physics_steps_per_second=1000.0,
+    settled_height=0.5,
+)
 
-    def test_reading_goes_on_after_an_id(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        jobs.record(claimed.id, claimed.token, "logs", [line(str(i)) for i in range(25)])
-        got: list[str] = []
-        after = ""
-        while entries := jobs.feed(claimed.id, "logs", after=after, limit=10):
-            assert len(entries) <= 10
-            got += texts(entries)
-            after = entries[-1].id
-        assert got == [str(i) for i in range(25)]
 
-    def test_channels_are_apart(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        jobs.record(claimed.id, claimed.token, "logs", [line("a")])
-        assert [entry.kind for entry in jobs.feed(claimed.id, "events")] == ["status"]
+class TestModels:
+    def test_what_was_added_is_read_back_equal(self, jobs: JobStore) -> None:
+        ready = model(description=DESCRIPTION)
+        jobs.add_model(ready)
+        assert jobs.find_model(MODEL) == ready
 
-    def test_one_kind_is_found_among_many_others(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        said = [
-            Entry(kind="metrics" if i % 150 == 149 else "phase", time=NOW, data={"i": i}) for i in range(600)
-        ]
-        jobs.record(claimed.id, claimed.token, "events", said)
-        first = jobs.feed(claimed.id, "events", kind="metrics", limit=3)
-        assert [entry.data["i"] for entry in first] == [149, 299, 449]
-        rest = jobs.feed(claimed.id, "events", kind="metrics", after=first[-1].id, limit=3)
-        assert [entry.data["i"] for entry in rest] == [599]
+    def test_an_unknown_model_is_not_found(self, jobs: JobStore) -> None:
+        with pytest.raises(ModelNotFound):
+            jobs.find_model(MODEL)
 
-    def test_a_new_job_has_an_empty_feed(self, jobs: JobStore) -> None:
-        job = queued_job()
-        jobs.add(job)
-        assert list(jobs.feed(job.id, "events")) == []
+    def test_a_model_that_waits_for_its_validation_is_to_be_dispatched(self, jobs: JobStore) -> None:
+        jobs.add_model(model(status="validating"))
+        assert jobs.undispatched() == [Dispatch("model", MODEL)]
+        jobs.model_dispatched(MODEL)
+        assert jobs.undispatched() == []
 
-    def test_the_feed_of_an_unknown_job_is_not_found(self, jobs: JobStore) -> None:
-        with pytest.raises(JobNotFound):
-            jobs.feed(new_job_id(NOW), "events")
+    def test_a_ready_model_is_not_to_be_dispatched(self, jobs: JobStore) -> None:
+        jobs.add_model(model())
+        assert (jobs.undispatched(), jobs.waiting()) == ([], [])
 
-    @pytest.mark.parametrize("after", ["x", "1", "-", "1-2-3", "9" * 40 + "-0"])
-    def test_an_id_of_nowhere_is_refused(self, jobs: JobStore, after: str) -> None:
-        job = queued_job()
-        jobs.add(job)
-        with pytest.raises(Rejected):
-            jobs.feed(job.id, "events", after=after)
+    def test_what_was_found_out_is_stored(self, jobs: JobStore) -> None:
+        jobs.add_model(model(status="validating"))
+        refused = model(status="refused", message="a\0b", refused_at=NOW)
+        jobs.settle_model(refused)
+        assert jobs.find_model(MODEL) == refused.model_copy(update={"message": "a\ufffdb"})
+        assert jobs.waiting() == []
 
-    def test_progress_is_read_with_the_job_and_survives_saves(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        progress = Progress(step=10, total=100, steps_per_second=5.0, metrics={"episode_reward": 1.5})
-        jobs.record(claimed.id, claimed.token, "events", [], progress)
-        jobs.save(claimed.running(device="cpu"))
-        assert jobs.get(claimed.id).progress == progress
-        assert jobs.list(ANY).jobs[0].progress == progress
+    def test_a_refused_model_that_is_sent_again_waits_again(self, jobs: JobStore) -> None:
+        jobs.add_model(model(status="refused", message="No.", refused_at=NOW))
+        again = model(status="validating")
+        jobs.add_model(again)
+        assert jobs.find_model(MODEL) == again
+        assert jobs.undispatched() == jobs.waiting() == [Dispatch("model", MODEL)]
 
-    def test_a_save_does_not_write_progress(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        jobs.save(claimed.running().model_copy(update={"progress": Progress(step=999)}))
-        assert jobs.get(claimed.id).progress == Progress()
+    def test_nothing_is_found_out_of_a_model_that_was_deleted(self, jobs: JobStore) -> None:
+        jobs.add_model(model(status="validating"))
+        jobs.delete_model(MODEL)
+        with pytest.raises(ModelNotFound):
+            jobs.settle_model(model())
+        with pytest.raises(ModelNotFound):
+            jobs.find_model(MODEL)
+        assert (jobs.undispatched(), jobs.waiting()) == ([], [])
+        jobs.delete_model(MODEL)
 
-    def test_progress_moves_no_version(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        jobs.record(claimed.id, claimed.token, "events", [], Progress(step=1))
-        jobs.save(claimed.running())
-        assert jobs.get(claimed.id).version == claimed.version + 1
+    def test_all_are_listed_and_one_that_cannot_be_read_hides_no_other(
+        self, jobs: JobStore, database: Database
+    ) -> None:
+        first, second, third = (model(MODEL.replace("0", digit)) for digit in "123")
+        for record in (third, first, second):
+            jobs.add_model(record)
+        assert jobs.models() == [first, second, third]
+        database.change("UPDATE models SET description = '{}' WHERE id = %s", second.id)
+        with capture_logs() as said:
+            assert jobs.models() == [first, third]
+        assert [(entry["event"], entry["model"]) for entry in said] == [("model_unreadable", second.id)]
 
-    @pytest.mark.parametrize("token", ["", "1-0000000000000000"])
-    def test_a_stale_token_writes_nothing(self, jobs: JobStore, token: str) -> None:
-        claimed = held(jobs, queued_job())
-        with pytest.raises(LeaseLost):
-            jobs.record(claimed.id, token, "events", [line("a")], Progress(step=5))
-        assert [entry.kind for entry in jobs.feed(claimed.id, "events")] == ["status"]
-        assert jobs.get(claimed.id).progress == Progress()
 
-    def test_an_attempt_that_lost_its_job_writes_nothing(self, jobs: JobStore) -> None:
-        lost = held(jobs, queued_job())
-        requeued = lost.requeued(Reason.WORKER_LOST, "", NOW)
-        jobs.save(requeued)
-        jobs.save(requeued.claimed("worker-2", NOW), lease=LEASE)
-        with pytest.raises(LeaseLost):
-            jobs.record(lost.id, lost.token, "logs", [line("late")], Progress(step=5))
-        assert list(jobs.feed(lost.id, "logs")) == []
+class TestUnreadable:
+    """A record of another version, or a damaged one, is set aside and keeps no other from being served."""
 
-    def test_an_ended_job_takes_no_entries(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        jobs.save(claimed.ended(JobStatus.FAILED, Reason.DIVERGED, "", NOW))
-        with pytest.raises(LeaseLost):
-            jobs.record(claimed.id, claimed.token, "logs", [line("late")])
-        with pytest.raises(LeaseLost):
-            jobs.record(new_job_id(NOW), claimed.token, "logs", [line("late")])
-
-    def test_waiting_ends_when_an_entry_comes(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        newest = jobs.feed(claimed.id, "events")[-1].id
-        with ThreadPoolExecutor(1) as pool:
-            waiting = pool.submit(
-                jobs.wait, claimed.id, "events", after=newest, timeout=timedelta(seconds=30)
+    @pytest.mark.parametrize(
+        "damage",
+        [
+            {"spec": "not JSON"},
+            {"spec": "[]"},
+            {"spec": '{"kind": "train"}'},
+            {"spec": '{"kind": "distil", "environment": "ant"}'},
+            {"spec": '{"kind": "train", "environment": {"id": "ant"}, "seed": "a lot"}'},
+            {"reason": "bad_weather"},
+        ],
+    )
+    def test_it_is_listed_among_the_others_and_says_why(
+        self, jobs: JobStore, database: Database, damage: dict[str, str]
+    ) -> None:
+        before, damaged, after = (queued_job(i, name=str(i), labels={"project": "vnl"}) for i in range(3))
+        for job in (before, damaged, after):
+            jobs.add(job)
+        database.damage(damaged, **damage)
+        for query in (ANY, JobQuery(labels={"project": "vnl"}), JobQuery(status=JobStatus.QUEUED)):
+            newest, unreadable, oldest = jobs.list(query).jobs
+            assert (newest, oldest) == (after, before)
+            assert isinstance(unreadable, UnreadableJob)
+            assert (unreadable.id, unreadable.version, unreadable.status) == (
+                damaged.id,
+                1,
+                JobStatus.QUEUED,
             )
-            jobs.save(claimed.running())
-            assert waiting.result(timeout=5) is True
+            assert (unreadable.name, unreadable.labels, unreadable.created_at) == (
+                "1",
+                {"project": "vnl"},
+                damaged.created_at,
+            )
+            assert unreadable.problem
+        assert jobs.find(damaged.id) == unreadable
+        with pytest.raises(JobUnreadable) as caught:
+            jobs.get(damaged.id)
+        assert unreadable.problem in caught.value.detail
 
-    def test_waiting_for_what_is_there_ends_at_once(self, jobs: JobStore) -> None:
-        claimed = held(jobs, queued_job())
-        assert jobs.wait(claimed.id, "events", timeout=timedelta(seconds=30)) is True
+    def test_it_can_be_deleted(self, jobs: JobStore, database: Database) -> None:
+        job = queued_job()
+        jobs.add(job)
+        database.damage(job, spec="{")
+        jobs.delete(job.id, jobs.find(job.id).version)
+        with pytest.raises(JobNotFound):
+            jobs.find(job.id)
 
-    @pytest.mark.parametrize("timeout_s", [0.0, 0.02])
-    def test_waiting_in_vain_says_so(self, jobs: JobStore, timeout_s: float) -> None:
-        claimed = held(jobs, queued_job())
-        newest = jobs.feed(claimed.id, "events")[-1].id
-        assert jobs.wait(claimed.id, "events", after=newest, timeout=timedelta(seconds=timeout_s)) is False
+    def test_one_of_an_unknown_status_counts_as_running(self, jobs: JobStore, database: Database) -> None:
+        job = queued_job()
+        jobs.add(job)
+        database.damage(job, status="paused")
+        assert jobs.find(job.id).status == JobStatus.RUNNING
+
+    def test_it_stops_neither_the_watch_over_leases_nor_dispatches(
+        self, jobs: JobStore, database: Database
+    ) -> None:
+        first, damaged, last = (held(jobs, queued_job(i)) for i in range(3))
+        waiting = queued_job(3)
+        jobs.add(waiting)
+        watch(jobs, database)
+        for job in (first, damaged, last):
+            database.end_lease(job)
+        for job in (damaged, waiting):
+            database.damage(job, spec="{")
+        with capture_logs() as said:
+            assert list(jobs.expired()) == [first, last]
+        assert [(entry["event"], entry["job_id"]) for entry in said] == [("job_unreadable", damaged.id)]
+        assert jobs.waiting() == jobs.undispatched() == [Dispatch("attempt", waiting.id, 1)]
+
+    def test_a_key_that_made_it_says_so(self, jobs: JobStore, database: Database) -> None:
+        job = queued_job()
+        jobs.add(job, Idempotency("k", "body"))
+        database.damage(job, spec="{")
+        with pytest.raises(JobUnreadable):
+            jobs.add(queued_job(1), Idempotency("k", "body"))
+        with pytest.raises(JobUnreadable):
+            jobs.remembered(Idempotency("k", "body"))
+
+    def test_an_unknown_field_in_a_specification_is_passed_over(
+        self, jobs: JobStore, database: Database
+    ) -> None:
+        job = queued_job(algorithm={"kind": "ppo", "num_envs": 64})
+        jobs.add(job)
+        for path in ("{later}", "{algorithm,later}", "{environment,later}"):
+            database.change("UPDATE jobs SET spec = jsonb_set(spec::jsonb, %s, '{\"a\": 1}')", path)
+        assert "later" in database.read("SELECT spec FROM jobs")[0][0]
+        assert jobs.get(job.id) == job
+        jobs.save(claimed := job.claimed("worker-1", NOW))
+        assert jobs.get(job.id) == claimed
+
+    def test_damaged_progress_is_no_progress(self, jobs: JobStore, database: Database) -> None:
+        job = queued_job()
+        jobs.add(job)
+        database.damage(job, progress='{"step": "many"}')
+        assert jobs.get(job.id).progress == Progress()
 
 
 class TestWorkers:
-    def test_workers_are_known_by_name_until_they_fall_silent(self, jobs: JobStore) -> None:
-        for name in ("b", "a"):
+    def test_workers_are_known_by_name_until_they_fall_silent(
+        self, jobs: JobStore, database: Database
+    ) -> None:
+        for name in ("b", "a", "c"):
             jobs.announce(worker(name), ttl=LEASE)
-        jobs.announce(worker("c"), ttl=timedelta(milliseconds=1))
-        threading.Event().wait(0.01)
+        database.change("UPDATE workers SET gone_at = gone_at - %s WHERE name = 'c'", LEASE)
         assert list(jobs.workers()) == [worker("a"), worker("b")]
 
-    def test_a_heartbeat_replaces_the_one_before(self, jobs: JobStore) -> None:
+    def test_a_heartbeat_replaces_the_one_before(self, jobs: JobStore, database: Database) -> None:
         jobs.announce(worker("a"), ttl=LEASE)
+        database.change("UPDATE workers SET gone_at = gone_at - %s", LEASE)
         busy = worker("a").model_copy(update={"job": "019aa3c2f0b1-5be0c1d2e3"})
         jobs.announce(busy, ttl=LEASE)
         assert list(jobs.workers()) == [busy]
@@ -507,78 +566,29 @@ class TestWorkers:
         jobs.withdraw("never came")
         assert list(jobs.workers()) == []
 
-
-def worker(name: str) -> WorkerInfo:
-    return WorkerInfo(name=name, host="h", pid=1, device="cpu", started_at=NOW, seen_at=NOW)
-
-
-class TestRedis:
-    """What only a store behind a network can get wrong."""
-
-    def test_an_answer_that_was_lost_does_not_double_the_write(self, redis_client: redis.Redis) -> None:
-        jobs = RedisJobStore(redis_client)
-        job = queued_job()
-        for script in ("_add", "_save", "_record"):
-            _send_twice(jobs, script)
-        jobs.add(job)
-        claimed = job.claimed("worker-1", NOW)
-        jobs.save(claimed, lease=LEASE)
-        jobs.record(job.id, claimed.token, "logs", [line("once")])
-        assert jobs.get(job.id) == claimed
-        assert len(jobs.feed(job.id, "events")) == 1
-        assert texts(jobs.feed(job.id, "logs")) == ["once"]
-
-    def test_every_call_says_within_seconds_that_the_store_is_gone(self, tmp_path: Path) -> None:
-        with Valkey(tmp_path) as server, connect_redis(server.url) as client:
-            jobs = RedisJobStore(client)
-            claimed = held(jobs, queued_job())
-            server.stop()
-            calls = [
-                lambda: jobs.add(queued_job()),
-                lambda: jobs.remembered(Idempotency("k", "b")),
-                lambda: jobs.get(claimed.id),
-                lambda: jobs.save(claimed.running()),
-                lambda: jobs.delete(claimed),
-                lambda: jobs.list(ANY),
-                jobs.unfinished,
-                lambda: jobs.renew(claimed.id, claimed.token, LEASE),
-                lambda: jobs.lease_is_alive(claimed.id),
-                lambda: jobs.record(claimed.id, claimed.token, "logs", [line("a")]),
-                lambda: jobs.feed(claimed.id, "logs"),
-                lambda: jobs.wait(claimed.id, "logs", timeout=LEASE),
-                lambda: jobs.announce(worker("a"), LEASE),
-                lambda: jobs.withdraw("a"),
-                jobs.workers,
-                jobs.ping,
-            ]
-            for call in calls:
-                with pytest.raises(RecordsUnavailable, match="GAITWAY_REDIS_URL"):
-                    call()
-
-    def test_it_goes_on_when_the_store_is_back(self, tmp_path: Path) -> None:
-        with Valkey(tmp_path) as server, connect_redis(server.url) as client:
-            jobs = RedisJobStore(client)
-            job = queued_job()
-            jobs.add(job)
-            server.stop()
-            server.launch().wait_ready()
-            assert jobs.get(job.id) == job
-
-    def test_a_server_that_refuses_writes_is_unavailable(self, redis_client: redis.Redis) -> None:
-        redis_client.config_set("maxmemory", "1")
-        try:
-            with pytest.raises(RecordsUnavailable):
-                RedisJobStore(redis_client).add(queued_job())
-        finally:
-            redis_client.config_set("maxmemory", "0")
+    def test_one_of_another_version_hides_no_other(self, jobs: JobStore, database: Database) -> None:
+        for name in ("a", "b"):
+            jobs.announce(worker(name), ttl=LEASE)
+        database.change("UPDATE workers SET said = '{\"name\": \"a\"}' WHERE name = 'a'")
+        assert list(jobs.workers()) == [worker("b")]
 
 
-def _send_twice(jobs: RedisJobStore, name: str) -> None:
-    """Let the script run twice at every call, as a client does that lost the answer."""
-    script = getattr(jobs, name)
+class TestTidying:
+    def test_keys_and_workers_whose_time_is_over_are_forgotten_and_no_others(
+        self, jobs: JobStore, database: Database
+    ) -> None:
+        for i, key in enumerate(("old", "new")):
+            jobs.add(queued_job(i), Idempotency(key, "body"))
+            jobs.announce(worker(key), ttl=LEASE)
+            if key == "old":
+                database.change("UPDATE idempotency_keys SET forgotten_at = now() - interval '1 s'")
+                database.change("UPDATE workers SET gone_at = now() - interval '1 s'")
+        jobs.tidy()
+        assert database.count("idempotency_keys") == database.count("workers") == 1
+        assert list(jobs.workers()) == [worker("new")]
+        assert jobs.remembered(Idempotency("new", "body")) is not None
+        assert len(jobs.list(ANY).jobs) == 2
 
-    def twice(**sent: object) -> object:
-        script(**sent)
-        return script(**sent)
-
-    setattr(jobs, name, twice)
+    def test_nothing_to_forget_is_no_error(self, jobs: JobStore) -> None:
+        jobs.tidy()
+        jobs.ping()

@@ -4,9 +4,14 @@ import hashlib
 import random
 import resource
 import time
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import cast
 
 import pytest
+from minio import Minio
+from minio.datatypes import Object
 
 from core.adapters.connect import connect_s3
 from core.adapters.s3_objects import S3ObjectStore
@@ -59,6 +64,19 @@ class TestEveryStore:
         objects.put("a", b"now")
         assert objects.get("a") == b"now"
         assert objects.info("a") == ObjectInfo("a", 3)
+
+    def test_it_is_told_when_an_object_was_put(self, objects: ObjectStore) -> None:
+        # By a clock of the store's own, whose answers may be whole seconds.
+        before = datetime.now(UTC) - timedelta(seconds=2)
+        objects.put("a", b"x")
+        after = datetime.now(UTC) + timedelta(seconds=2)
+        [listed] = objects.list("a")
+        for info in (listed, objects.info("a")):
+            assert info.modified_at is not None
+            assert before < info.modified_at < after
+
+    def test_two_looks_at_an_object_are_equal_whenever_it_was_put(self) -> None:
+        assert ObjectInfo("a", 1, modified_at=datetime.now(UTC)) == ObjectInfo("a", 1)
 
     @pytest.mark.parametrize(
         "key", ["a b", "é/日本/🐜", "a+b&c=d?e#f%41", "a.b/..c/d..", "x" * 200, "'\"<>&"]
@@ -170,6 +188,25 @@ class TestS3:
         assert [found.key for found in object_store.list("many/")] == [f"many/{n:04d}" for n in range(1005)]
         object_store.delete_prefix("many/")
         assert list(object_store.list("")) == []
+
+    @pytest.mark.parametrize("in_folders", [True, False])
+    def test_a_listing_in_either_order_is_read_a_child_at_a_time(self, in_folders: bool) -> None:
+        # Servers that keep objects in folders have a/… before a-b; others go by the bytes of the keys.
+        children = [("a/1", "a/2", "a-b", "a.c/1", "ab"), ("b/x/1", "b/x-y"), ("c",)]
+        ordered = [sorted(keys) for keys in children]
+        num_given = 0
+
+        class Client:
+            def list_objects(self, *_: object, **__: object) -> Iterator[Object]:
+                nonlocal num_given
+                for keys in children if in_folders else ordered:
+                    for key in keys:
+                        num_given += 1
+                        yield Object("bucket", f"jobs/{key}", size=1)
+
+        listed = S3ObjectStore(cast("Minio", Client()), "bucket").list("jobs/")
+        assert num_given <= len(children[0]) + 1  # The first child, and where the second begins.
+        assert [info.key for info in listed] == [f"jobs/{key}" for keys in ordered for key in keys]
 
     def test_a_large_file_is_never_held_in_memory(self, object_store: S3ObjectStore, tmp_path: Path) -> None:
         before_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

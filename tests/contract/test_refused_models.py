@@ -1,11 +1,16 @@
-"""What becomes of a model that was refused after its upload had been answered, in each of the stores."""
+"""What becomes of a model that was refused after its upload had been answered, with each object store."""
 
 from datetime import timedelta
 
 import pytest
+from sqlalchemy import update
 
 from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.tables import models
 from core.errors import ModelNotFound
+from core.jobs.reconciliation import Reconciler
+from core.jobs.store import JobStore
 from core.models import library
 from core.models.record import ModelRecord, ModelStatus
 from core.storage import keys
@@ -16,7 +21,7 @@ from tests.unit.jobs.making import NOON
 DAY = timedelta(days=1)
 
 
-def kept(objects: ObjectStore, status: ModelStatus, body: bytes) -> ModelRecord:
+def kept(jobs: JobStore, objects: ObjectStore, status: ModelStatus, body: bytes) -> ModelRecord:
     """A model that was uploaded at noon, and refused an hour later if it was."""
     record = ModelRecord(
         id=library.identity(body), status=status, media_type="", size=len(body), created_at=NOON
@@ -26,49 +31,63 @@ def kept(objects: ObjectStore, status: ModelStatus, body: bytes) -> ModelRecord:
         record = record.model_copy(update=told)
     else:
         objects.put(keys.model_source(record.id), body)
-    library.keep(record, objects)
+    jobs.add_model(record)
     return record
 
 
-def tidied(objects: ObjectStore, after: timedelta, queue: MemoryJobQueue | None = None) -> int:
-    return library.tidy(objects=objects, queue=queue or MemoryJobQueue(), now=NOON + after)
+def tidied(jobs: JobStore, objects: ObjectStore, after: timedelta) -> int:
+    return library.tidy(store=jobs, objects=objects, now=NOON + after)
 
 
-def test_a_refusal_can_be_asked_for_for_a_day_and_is_then_forgotten(objects: ObjectStore) -> None:
-    refused = kept(objects, "refused", XML)
-    assert tidied(objects, DAY + timedelta(minutes=59)) == 0
-    assert library.find(refused.id, objects).message == "It has no actuators."
-    assert tidied(objects, DAY + timedelta(minutes=61)) == 1
+def test_a_refusal_can_be_asked_for_for_a_day_and_is_then_forgotten(
+    jobs: JobStore, objects: ObjectStore
+) -> None:
+    refused = kept(jobs, objects, "refused", XML)
+    assert tidied(jobs, objects, DAY + timedelta(minutes=59)) == 0
+    assert library.find(refused.id, jobs).message == "It has no actuators."
+    assert tidied(jobs, objects, DAY + timedelta(minutes=61)) == 1
     with pytest.raises(ModelNotFound):
-        library.find(refused.id, objects)
+        library.find(refused.id, jobs)
     assert list(objects.list("")) == []
 
 
-def test_nothing_of_a_model_that_was_not_refused_is_ever_removed(objects: ObjectStore) -> None:
+def test_nothing_of_a_model_that_was_not_refused_is_ever_removed(
+    jobs: JobStore, objects: ObjectStore
+) -> None:
     for status in ("ready", "validating"):
-        kept(objects, status, status.encode())
-    before = {info.key: objects.get(info.key) for info in objects.list("")}
-    assert tidied(objects, 1000 * DAY) == 0
-    assert {info.key: objects.get(info.key) for info in objects.list("")} == before
+        kept(jobs, objects, status, status.encode())
+    before = {info.key: objects.get(info.key) for info in objects.list("")}, jobs.models()
+    assert tidied(jobs, objects, 1000 * DAY) == 0
+    assert ({info.key: objects.get(info.key) for info in objects.list("")}, jobs.models()) == before
 
 
-def test_a_refused_model_that_was_sent_again_is_none(objects: ObjectStore) -> None:
-    refused, queue = kept(objects, "refused", XML), MemoryJobQueue()
-    library.add(XML, "application/xml", objects=objects, queue=queue, now=NOON + DAY)
+def test_a_refused_model_that_was_sent_again_is_none(jobs: JobStore, objects: ObjectStore) -> None:
+    refused, queue = kept(jobs, objects, "refused", XML), MemoryJobQueue()
+    library.add(XML, "application/xml", store=jobs, objects=objects, queue=queue, now=NOON + DAY)
     assert queue.take_model() == refused.id
-    assert tidied(objects, 1000 * DAY, queue) == 0
-    assert library.find(refused.id, objects).status == "validating"
+    assert tidied(jobs, objects, 1000 * DAY) == 0
+    assert library.find(refused.id, jobs).status == "validating"
     assert objects.get(keys.model_source(refused.id)) == XML
 
 
-def test_a_model_that_waits_and_was_lost_is_queued_again(objects: ObjectStore) -> None:
-    waiting, queue = kept(objects, "validating", XML), MemoryJobQueue()
-    kept(objects, "ready", b"another")
-    tidied(objects, DAY, queue)
+def test_a_model_that_waits_and_was_lost_is_queued_again(jobs: JobStore, objects: ObjectStore) -> None:
+    waiting, queue = kept(jobs, objects, "validating", XML), MemoryJobQueue()
+    kept(jobs, objects, "ready", b"another")
+    reconciler = Reconciler(jobs, queue, timedelta(seconds=15))
+    reconciler.look()  # The queue had never heard of it.
+    assert (queue.take_model(), queue.take_model()) == (waiting.id, None)
+    # A worker that took it was killed: the queue does not know it any more.
+    for _ in range(2):
+        reconciler.look()
     assert (queue.take_model(), queue.take_model()) == (waiting.id, None)
 
 
-def test_a_record_that_cannot_be_read_hides_no_other(objects: ObjectStore) -> None:
-    objects.put(keys.model_record(f"sha256:{'0' * 64}"), b'{"status": "of another version"}')
-    kept(objects, "refused", XML)
-    assert tidied(objects, 2 * DAY) == 1
+def test_a_record_that_cannot_be_read_hides_no_other(
+    jobs: JobStore, database_url: str, objects: ObjectStore
+) -> None:
+    other = kept(jobs, objects, "ready", b"of another version")
+    refused = kept(jobs, objects, "refused", XML)
+    with connect_postgres(database_url, pool_size=0).begin() as connection:
+        connection.execute(update(models).where(models.c.id == other.id).values(status="glowing"))
+    assert [record.id for record in jobs.models()] == [refused.id]
+    assert tidied(jobs, objects, 2 * DAY) == 1

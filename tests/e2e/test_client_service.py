@@ -70,7 +70,7 @@ def test_a_job_is_followed_to_its_end_and_its_files_are_fetched(
 
     def work() -> None:
         attempt.say("metrics", step=7, values={"eval/episode_reward": 2.5})
-        attempt.say("line", channel="logs", text="hello")
+        attempt.print("hello")
         attempt.keep("video.mp4", step=7)
         attempt.end()
 

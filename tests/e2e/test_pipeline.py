@@ -182,6 +182,22 @@ def test_a_drained_worker_changes_nothing_in_the_result(client: Client, undistur
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
 
 
+def test_killed_stores_change_nothing_in_the_result_and_cost_no_attempt(
+    client: Client, undisturbed: JobView
+) -> None:
+    job = client.submit(SMALL)
+    until_checkpoint(client, job)
+    (worker,) = client.workers()
+    launcher = psutil.Process(worker.pid).parent()
+    assert launcher is not None
+    stores = {child.name(): child for child in launcher.children()}
+    for name in ("postgres", "valkey-server", "weed"):
+        stores[name].kill()  # The stack starts another one in its place.
+    ended = client.wait(job.id, timeout=110)
+    assert [attempt.reason for attempt in ended.attempts] == ["completed"]
+    assert final_checkpoint(ended) == final_checkpoint(undisturbed)
+
+
 def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(client: Client) -> None:
     job = client.submit({**SMALL, "algorithm": {**SMALL["algorithm"], "num_timesteps": 10_000_000}})
     _, pid = until_checkpoint(client, job)

@@ -14,11 +14,16 @@ from pathlib import Path
 
 import httpx
 import psutil
+import psycopg
 import pytest
+
+from gaitway.embedded.postgres import Postgres
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 
 MARK = "GAITWAY_TEST_STACK"
+# No worker here has a GPU, so it stays in the queue.
+WAITS_FOR_A_GPU = {"environment": "ant", "kind": "train", "resources": {"accelerator": "gpu"}}
 
 
 @dataclass(frozen=True)
@@ -32,8 +37,8 @@ class Launched:
     def family(self) -> list[psutil.Process]:
         """Every living process of this stack, by its environment or its data folder.
 
-        weed has an environment of its own; valkey writes over its environment and arguments, and stands in
-        its part of the folder.
+        weed and postgres have environments of their own; valkey writes over its environment and arguments,
+        and stands in its part of the folder, as postgres does.
         """
         return [process for process in psutil.process_iter() if self._is_ours(process)]
 
@@ -102,8 +107,8 @@ def test_the_stack_serves_has_its_workers_and_ends_with_nothing_left(launch: Lau
     url = stack.url()
     assert httpx.get(f"{url}/readyz").status_code == 200
     assert eventually(lambda: len(httpx.get(f"{url}/workers").json()["items"]) == 2, 20)
-    # Launcher, valkey, weed, API, two workers and the reconciler, at least.
-    assert eventually(lambda: len(stack.family()) >= 7, 5)
+    # Launcher, postgres, valkey, weed, reconciler, API and two workers, at least.
+    assert eventually(lambda: len(stack.family()) >= 8, 5)
     stack.process.send_signal(signal.SIGINT)
     _, told = stack.process.communicate(timeout=30)
     assert stack.process.returncode == 0, told
@@ -126,20 +131,23 @@ def test_a_signal_while_it_starts_leaves_nothing(launch: Launch, seconds: float,
 def test_killing_the_launcher_ends_everything(launch: Launch) -> None:
     stack = launch()
     stack.url()
-    assert len(stack.family()) >= 6
+    assert len(stack.family()) >= 7
     stack.process.kill()
     assert eventually(lambda: stack.family() == [], 10), stack.family()
 
 
-def test_a_process_that_ends_is_started_again_and_named(launch: Launch) -> None:
+def test_what_ends_is_started_again_and_named(launch: Launch) -> None:
     stack = launch()
     url = stack.url()
-    for one in stack.named("-m api"):
+    job = httpx.post(f"{url}/jobs", json=WAITS_FOR_A_GPU).json()
+    for one in (*stack.named("-m api"), *stack.named("postgres -D"), *stack.named("valkey-server")):
         one.kill()
     assert eventually(lambda: _is_ready(url), 20)
+    assert httpx.get(f"{url}/jobs/{job['id']}").json() == job
     stack.process.send_signal(signal.SIGINT)
     _, told = stack.process.communicate(timeout=30)
-    assert "api has ended unexpectedly and is started again" in told
+    for name in ("api", "postgres", "valkey-server"):
+        assert f"{name} has ended unexpectedly and is started again" in told
 
 
 def test_a_port_in_use_is_refused_before_anything_starts(launch: Launch) -> None:
@@ -165,14 +173,26 @@ def test_a_second_stack_on_the_same_data_is_refused_with_the_first_ones_id(launc
 def test_a_job_survives_a_restart_of_everything(launch: Launch) -> None:
     first = launch()
     url = first.url()
-    # No worker here has a GPU, so it stays in the queue.
-    wish = {"environment": "ant", "kind": "train", "resources": {"accelerator": "gpu"}}
-    answer = httpx.post(f"{url}/jobs", json=wish)
+    answer = httpx.post(f"{url}/jobs", json=WAITS_FOR_A_GPU)
     assert answer.status_code == 202, answer.text
     first.process.send_signal(signal.SIGTERM)
     first.process.communicate(timeout=30)
     again = httpx.get(f"{launch().url()}/jobs/{answer.json()['id']}")
     assert again.json()["status"] == "queued"
+
+
+def test_tables_of_a_newer_version_end_the_start_with_what_to_do(launch: Launch) -> None:
+    stack = launch()
+    stack.url()
+    stack.process.send_signal(signal.SIGTERM)
+    stack.process.communicate(timeout=30)
+    with Postgres(stack.data / "postgres") as server, psycopg.connect(server.url) as connection:
+        connection.execute("UPDATE alembic_version SET version_num = 'of a newer version'")
+    again = launch()
+    _, told = again.process.communicate(timeout=60)
+    assert again.process.returncode == 1
+    assert "A newer version of Gaitway made the tables" in told
+    assert again.family() == []
 
 
 def _is_ready(url: str) -> bool:

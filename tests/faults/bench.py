@@ -1,9 +1,9 @@
-"""What tests of the supervisor share: a service without servers, and a training of the smallest size."""
+"""What tests of the supervisor share: a service in one process, and a training of the smallest size."""
 
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
@@ -11,13 +11,14 @@ from typing import Any
 
 from pydantic import SecretStr
 
-from core.adapters.memory_jobs import MemoryJobStore
 from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
-from core.jobs.attempts import claim
+from core.jobs import feeds
+from core.jobs.attempts import claim, new_secret
 from core.jobs.cancellation import cancel
-from core.jobs.job import Job, utc_now
+from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC
+from core.jobs.store import Channel, Entry, JobStore
 from core.jobs.submission import submit
 from core.settings import WorkerSettings
 from worker.supervisor import Supervisor
@@ -43,35 +44,40 @@ SPEC: dict[str, Any] = {
 }
 
 
-class Bench:
-    """A service of in-memory parts, and supervisors for the probe process."""
+def unused_servers(data_dir: Path) -> WorkerSettings:
+    """Settings of a quick worker, whose addresses nobody looks at."""
+    return WorkerSettings(
+        database_url=SecretStr("postgresql://unused"),
+        redis_url=SecretStr("unix:///unused"),
+        s3_endpoint="unused",
+        s3_access_key="unused",
+        s3_secret_key=SecretStr("unused"),
+        data_dir=data_dir,
+        heartbeat=timedelta(seconds=0.02),
+        grace=timedelta(seconds=1),
+    )
 
-    def __init__(self, data_dir: Path) -> None:
-        self.store, self.queue, self.objects = MemoryJobStore(), MemoryJobQueue(), MemoryObjectStore()
-        self.settings = WorkerSettings(
-            redis_url=SecretStr("unix:///unused"),
-            s3_endpoint="unused",
-            s3_access_key="unused",
-            s3_secret_key=SecretStr("unused"),
-            data_dir=data_dir,
-            heartbeat=timedelta(seconds=0.02),
-            grace=timedelta(seconds=1),
-        )
+
+class Bench:
+    """A service with its queue and objects in memory, and supervisors for the probe process."""
+
+    def __init__(self, data_dir: Path, store: JobStore) -> None:
+        self.store, self.queue, self.objects = store, MemoryJobQueue(), MemoryObjectStore()
+        self.settings = unused_servers(data_dir)
 
     def submit(self, **fields: Any) -> Job:
         spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
-        return submit(spec, store=self.store, queue=self.queue, objects=self.objects, now=utc_now())
+        return submit(spec, store=self.store, queue=self.queue)
 
     def supervisor(self, job: Job, behaviour: str) -> Supervisor:
-        number = self.store.get(job.id).next_attempt
         holding = claim(
             job.id,
-            number,
+            self.store.get(job.id).next_attempt,
             "w",
             store=self.store,
             objects=self.objects,
             lease=self.settings.lease,
-            now=utc_now(),
+            secret=new_secret(),
         )
         assert holding is not None
         return Supervisor(holding, self.settings, "cpu", ("slot",), (sys.executable, str(PROBE), behaviour))
@@ -82,7 +88,15 @@ class Bench:
         return self.store.get(job.id)
 
     def cancel(self, job: Job) -> None:
-        cancel(job.id, store=self.store, queue=self.queue, objects=self.objects, now=utc_now())
+        cancel(job.id, store=self.store, queue=self.queue)
+
+    def feed(self, job: Job, channel: Channel, kind: str | None = None) -> Sequence[Entry]:
+        """All of it."""
+        return feeds.read(job.id, channel, store=self.store, objects=self.objects, kind=kind, limit=1_000_000)
+
+    def lines(self, job: Job) -> list[str]:
+        """Its log."""
+        return [entry.data["text"] for entry in self.feed(job, "logs")]
 
     @contextmanager
     def running(self, job: Job, behaviour: str) -> Iterator[Supervisor]:

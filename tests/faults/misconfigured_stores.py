@@ -9,12 +9,16 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import psycopg
 import pytest
 
-from core.adapters.connect import connect_redis, connect_s3
+from core.adapters.connect import connect_postgres, connect_redis, connect_s3
+from core.adapters.postgres import schema
 from core.adapters.s3_objects import S3ObjectStore
 from core.errors import StorageUnavailable
+from gaitway.embedded import postgres as postgres_module
 from gaitway.embedded import weed as weed_module
+from gaitway.embedded.postgres import Postgres
 from gaitway.embedded.processes import free_ports
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
@@ -25,13 +29,20 @@ SECRET = "correct-horse"
 
 @dataclass(frozen=True)
 class Stores:
-    """A Valkey with a password, and a SeaweedFS with two ports, one for TLS. Settings that fit both."""
+    """A PostgreSQL and a Valkey with passwords, and a SeaweedFS with two ports, one for TLS.
+
+    environment: settings that fit all of them.
+    """
 
     environment: dict[str, str]
+    postgres_port: int
     socket: str
     redis_port: int
     https_port: int
     authority: Path
+
+    def postgres(self, login: str, database: str = "gaitway") -> str:
+        return f"postgresql://{login}@127.0.0.1:{self.postgres_port}/{database}"
 
     def redis(self, login: str) -> str:
         return f"unix://{login}{self.socket}"
@@ -39,8 +50,8 @@ class Stores:
 
 @contextmanager
 def serving(folder: Path) -> Iterator[Stores]:
-    """Both, with users that may do everything (`all`), or only read (`reader`)."""
-    https_port, redis_port = free_ports(2)
+    """All, with users that may do everything (`all`), or only read or nothing (`reader`)."""
+    https_port, redis_port, postgres_port = free_ports(3)
     folder.mkdir()
     certify(folder)
     identities = folder / "identities.json"
@@ -61,7 +72,11 @@ def serving(folder: Path) -> Iterator[Stores]:
         f"-s3.cert.file={folder / 'server.pem'}",
         f"-s3.key.file={folder / 'server.key'}",
     )
-    with store_with(folder / "objects", *options) as weed, Valkey(folder / "valkey") as valkey:
+    with (
+        store_with(folder / "objects", *options) as weed,
+        Valkey(folder / "valkey") as valkey,
+        postgres_with_passwords(folder / "postgres", postgres_port),
+    ):
         with connect_redis(valkey.url) as client:
             client.acl_setuser(
                 "reader", enabled=True, passwords=[f"+{SECRET}"], keys="*", categories=["+@read"]
@@ -72,11 +87,12 @@ def serving(folder: Path) -> Iterator[Stores]:
         socket = valkey.url.removeprefix("unix://")
         environment = {
             **weed.environment(),
+            "GAITWAY_DATABASE_URL": f"postgresql://gaitway:{SECRET}@127.0.0.1:{postgres_port}/gaitway",
             "GAITWAY_REDIS_URL": f"unix://:{SECRET}@{socket}",
             "GAITWAY_S3_ACCESS_KEY": "all",
             "GAITWAY_S3_SECRET_KEY": SECRET,
         }
-        yield Stores(environment, socket, redis_port, https_port, folder / "authority.pem")
+        yield Stores(environment, postgres_port, socket, redis_port, https_port, folder / "authority.pem")
 
 
 @contextmanager
@@ -92,6 +108,27 @@ def store_with(folder: Path, *options: str) -> Iterator[Weed]:
         yield weed
     finally:
         weed.stop()
+
+
+@contextmanager
+def postgres_with_passwords(folder: Path, port: int) -> Iterator[None]:
+    """A PostgreSQL with its tables at a loopback port, where it wants a password."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(postgres_module, "_PORT", port)
+        patch.setitem(postgres_module._OPTIONS, "port", str(port))
+        patch.setitem(postgres_module._OPTIONS, "listen_addresses", "127.0.0.1")
+        server = Postgres(folder, durable=True).start()
+    try:
+        schema.upgrade(connect_postgres(server.url, pool_size=0))
+        with psycopg.connect(server.url, autocommit=True) as admin:
+            for role in ("ALTER ROLE gaitway", "CREATE ROLE reader LOGIN"):
+                admin.execute(f"{role} PASSWORD '{SECRET}'")  # type: ignore[arg-type]
+            access = folder / "data" / "pg_hba.conf"
+            access.write_text("local all all trust\nhost all all 127.0.0.1/32 scram-sha-256\n")
+            admin.execute("SELECT pg_reload_conf()")
+        yield
+    finally:
+        server.stop()
 
 
 def certify(folder: Path) -> None:
@@ -136,8 +173,8 @@ def full_object_store(folder: Path) -> Iterator[dict[str, str]]:
 
 @contextmanager
 def full_redis(folder: Path) -> Iterator[str]:
-    """The address of a Valkey whose append-only file has no room for a byte more."""
-    with volume(folder, "256k"), Valkey(folder) as valkey:
+    """The address of a Valkey whose append-only file has no room for a byte more; ours writes none."""
+    with volume(folder, "256k"), Valkey(folder, append_only=True) as valkey:
         with connect_redis(valkey.url) as client, suppress(Exception):
             while True:
                 client.rpush("filling", secrets.token_bytes(2**12))

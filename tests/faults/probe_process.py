@@ -107,9 +107,10 @@ match behaviour:
         child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
         keep("summary.json", "summary", str(child.pid).encode())
         say(type="finished")
-    case "floods":
-        for number in range(20_000):
-            print(f"line {number} " + "x" * 200)
+    case "prints_much" | "floods":
+        # 3 and 10 MB.
+        for _ in range(15_000 if behaviour == "prints_much" else 50_000):
+            print("x" * 199)
         say(type="finished")
     case _:
         raise SystemExit(f"no such behaviour: {behaviour}")

@@ -9,10 +9,12 @@ from typing import Any
 
 import pytest
 
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.s3_objects import S3ObjectStore
 from core.errors import StorageUnavailable
 from core.jobs.job import utc_now
 from core.jobs.status import JobStatus, Reason
+from core.jobs.store import JobStore
 from core.storage import keys
 from tests.faults.bench import Bench
 from worker import caches
@@ -26,8 +28,8 @@ _JAX = str(Path(__file__).with_name("jax_process.py"))
 class Machine(Bench):
     """A service whose objects may be another's, and a worker with a data folder of its own."""
 
-    def __init__(self, data_dir: Path, objects: Any = None, **settings: Any) -> None:
-        super().__init__(data_dir)
+    def __init__(self, data_dir: Path, store: JobStore, objects: Any = None, **settings: Any) -> None:
+        super().__init__(data_dir, store)
         self.objects = objects or self.objects
         self.settings = self.settings.model_copy(update=settings)
 
@@ -50,31 +52,33 @@ class Machine(Bench):
         return json.loads(self.objects.get(summary.key))
 
 
-def test_a_second_machine_starts_warm(tmp_path: Path, object_store: S3ObjectStore) -> None:
-    first = Machine(tmp_path / "first", object_store).compiles()
+def test_a_second_machine_starts_warm(
+    tmp_path: Path, job_store: PostgresJobStore, object_store: S3ObjectStore
+) -> None:
+    first = Machine(tmp_path / "first", job_store, object_store).compiles()
     assert (first["hits"], first["misses"]) == (0, 1)
     # Another folder of another depth, which JAX 0.10 would take for another program.
-    second = Machine(tmp_path / "elsewhere" / "second", object_store).compiles()
+    second = Machine(tmp_path / "elsewhere" / "second", job_store, object_store).compiles()
     assert (second["hits"], second["misses"]) == (1, 0)
     assert second["result"] == first["result"]
 
 
-def test_a_machine_may_keep_nothing_and_still_share(tmp_path: Path) -> None:
-    machine = Machine(tmp_path, cache_max_bytes=0)
+def test_a_machine_may_keep_nothing_and_still_share(tmp_path: Path, job_store: PostgresJobStore) -> None:
+    machine = Machine(tmp_path, job_store, cache_max_bytes=0)
     assert machine.run("compiles").status == JobStatus.SUCCEEDED
     assert names(tmp_path / "cache") == set()
     assert [info.key.rpartition("/")[2] for info in machine.objects.list(keys.caches())] == ["compiled"]
 
 
-def test_a_machine_may_keep_all_and_share_nothing(tmp_path: Path) -> None:
-    machine = Machine(tmp_path, shared_cache_max_bytes=0)
+def test_a_machine_may_keep_all_and_share_nothing(tmp_path: Path, job_store: PostgresJobStore) -> None:
+    machine = Machine(tmp_path, job_store, shared_cache_max_bytes=0)
     assert machine.run("compiles").status == JobStatus.SUCCEEDED
     assert names(machine.kept) == {"jax/compiled"}
     assert list(machine.objects.list(keys.caches())) == []
 
 
-def test_a_damaged_program_is_compiled_again(tmp_path: Path) -> None:
-    machine = Machine(tmp_path, shared_cache_max_bytes=0)
+def test_a_damaged_program_is_compiled_again(tmp_path: Path, job_store: PostgresJobStore) -> None:
+    machine = Machine(tmp_path, job_store, shared_cache_max_bytes=0)
     right = machine.compiles()["result"]
     for name in names(machine.kept):
         (machine.kept / name).write_bytes(b"half a program")
@@ -85,9 +89,9 @@ def test_a_damaged_program_is_compiled_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("method", ["list", "open", "put_file"])
 def test_a_store_that_fails_leaves_the_job_alone(
-    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    method: str, tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(tmp_path)
+    bench = Bench(tmp_path, job_store)
     shared = SharedCache(bench.objects, fingerprint("cpu"), "ant")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "known").write_bytes(b"a program")
@@ -107,9 +111,9 @@ def test_a_store_that_fails_leaves_the_job_alone(
 
 
 def test_a_silent_store_delays_a_job_by_its_patience_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(tmp_path)
+    bench = Bench(tmp_path, job_store)
     silent = threading.Event()
     monkeypatch.setattr(bench.objects, "list", lambda _: silent.wait(30) and iter(()))
     monkeypatch.setattr(caches, "_FETCH_PATIENCE_S", 0.1)
@@ -120,8 +124,10 @@ def test_a_silent_store_delays_a_job_by_its_patience_alone(
     silent.set()
 
 
-def test_a_drain_does_not_wait_for_the_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(tmp_path)
+def test_a_drain_does_not_wait_for_the_store(
+    tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path, job_store)
     silent = threading.Event()
     monkeypatch.setattr(bench.objects, "list", lambda _: silent.wait(30) and iter(()))
     job = bench.submit()
@@ -134,7 +140,7 @@ def test_a_drain_does_not_wait_for_the_store(tmp_path: Path, monkeypatch: pytest
     silent.set()
 
 
-def test_what_a_crash_left_is_not_kept(tmp_path: Path) -> None:
-    bench = Bench(tmp_path)
+def test_what_a_crash_left_is_not_kept(tmp_path: Path, job_store: PostgresJobStore) -> None:
+    bench = Bench(tmp_path, job_store)
     bench.run("compiles_and_crashes")
     assert names(tmp_path / "cache") == set()

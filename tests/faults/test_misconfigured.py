@@ -57,6 +57,32 @@ WRONG_SETTINGS = {
         "object store",
         "Let SSL_CERT_FILE name a file with the certificate of the authority",
     ),
+    "a wrong password of PostgreSQL": (
+        {"DATABASE_URL": "{pg_wrong}"},
+        "postgresql",
+        "The user or the password in GAITWAY_DATABASE_URL is wrong",
+    ),
+    "no password for PostgreSQL": (
+        {"DATABASE_URL": "{pg_open}"},
+        "postgresql",
+        "GAITWAY_DATABASE_URL has no password and that PostgreSQL wants one",
+    ),
+    "no database": ({"DATABASE_URL": "{pg_elsewhere}"}, "postgresql", "has no database of the name"),
+    "a user of PostgreSQL without rights": (
+        {"DATABASE_URL": "{pg_reader}"},
+        "postgresql",
+        "The user of GAITWAY_DATABASE_URL may not use these tables",
+    ),
+    "TLS where PostgreSQL has none": (
+        {"DATABASE_URL": "{pg_tls}"},
+        "postgresql",
+        "asks for TLS and that PostgreSQL has none",
+    ),
+    "an unreadable address of PostgreSQL": (
+        {"DATABASE_URL": f"postgresql://u:pass/{SECRET}@h/gaitway"},
+        "postgresql",
+        "GAITWAY_DATABASE_URL cannot be read",
+    ),
     "no password": ({"REDIS_URL": "{redis}"}, "redis", "GAITWAY_REDIS_URL has no password"),
     "a wrong password": ({"REDIS_URL": "{wrong}"}, "redis", "the password in GAITWAY_REDIS_URL is wrong"),
     "a user who may only read": ({"REDIS_URL": "{reader}"}, "redis", "give that user `~* &* +@all`"),
@@ -67,6 +93,7 @@ WRONG_SETTINGS = {
         "GAITWAY_REDIS_URL names another machine and has no password",
     ),
 }
+FITTING = ("settings", "postgresql", "redis", "object store", "clock")
 # What signs a request takes its time from there.
 LATE = (
     "import datetime, runpy, minio.time as clock; right = clock.utcnow\n"
@@ -102,6 +129,11 @@ def spoil(environment: pytest.MonkeyPatch, stores: Stores, changed: dict[str, st
         "redis": stores.redis(""),
         "wrong": stores.redis(":guessed@"),
         "reader": stores.redis(f"reader:{SECRET}@"),
+        "pg_wrong": stores.postgres("gaitway:guessed"),
+        "pg_open": stores.postgres("gaitway"),
+        "pg_elsewhere": stores.postgres(f"gaitway:{SECRET}", "elsewhere"),
+        "pg_reader": stores.postgres(f"reader:{SECRET}"),
+        "pg_tls": stores.postgres(f"gaitway:{SECRET}") + "?sslmode=require",
     }
     for setting, value in changed.items():
         environment.setenv(f"GAITWAY_{setting}", value.format_map(places))
@@ -159,7 +191,7 @@ def end_of(process: subprocess.Popen[str]) -> tuple[int, dict[str, Any]]:
 
 def test_what_fits_passes(environment: pytest.MonkeyPatch) -> None:
     found = doctor()
-    assert {found[name]["state"] for name in ("settings", "redis", "object store", "clock")} == {"pass"}
+    assert {found[name]["state"] for name in FITTING} == {"pass"}
 
 
 @pytest.mark.parametrize("name", WRONG_SETTINGS)
@@ -246,6 +278,12 @@ def first_words_of(process: subprocess.Popen[str]) -> str:
 @pytest.mark.parametrize(
     ("setting", "value", "check", "words"),
     [
+        (
+            "DATABASE_URL",
+            "postgresql://u:w@127.0.0.1:1/gaitway",
+            "postgresql",
+            "PostgreSQL does not answer at GAITWAY_DATABASE_URL",
+        ),
         ("REDIS_URL", "redis://127.0.0.1:1", "redis", "Redis does not answer at GAITWAY_REDIS_URL"),
         (
             "S3_ENDPOINT",

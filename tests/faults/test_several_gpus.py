@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from core.jobs.attempts import claim
-from core.jobs.job import utc_now
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.jobs.attempts import claim, new_secret
 from core.jobs.status import JobStatus, Reason
 from tests.compiling import compiling_quickly
 from tests.faults.bench import SPEC, Bench
@@ -24,11 +24,11 @@ _SMALL: dict[str, Any] = {
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
+def bench(tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch) -> Bench:
     for name, value in compiling_quickly("--xla_force_host_platform_device_count=2").items():
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")
-    return Bench(tmp_path)
+    return Bench(tmp_path, job_store)
 
 
 @pytest.mark.timeout(300)
@@ -39,14 +39,14 @@ def test_two_gpus_share_a_job_that_asks_for_two(bench: Bench) -> None:
     assert dispatch is not None
     stores = {"store": bench.store, "objects": bench.objects}
     holding = claim(
-        dispatch.job_id, dispatch.attempt, "w", **stores, lease=bench.settings.lease, now=utc_now()
+        dispatch.job_id, dispatch.attempt, "w", **stores, lease=bench.settings.lease, secret=new_secret()
     )
     assert holding is not None
     Supervisor(holding, bench.settings, "gpu:0,1", ("nvidia0", "nvidia1"), _PRETENDED).run()
     done = bench.store.get(job.id)
     assert (done.status, done.reason) == (JobStatus.SUCCEEDED, Reason.COMPLETED), done.message
     assert (done.attempts[0].device, done.attempts[0].engine) == ("2 × Pretended", "native")
-    assert [line.data["text"] for line in bench.store.feed(job.id, "logs")] == ["laid out over 2"]
+    assert bench.lines(done) == ["laid out over 2"]
     checkpoint = done.newest("checkpoint")
     assert checkpoint is not None
     assert (checkpoint.step, done.progress.step) == (1280, 1280)

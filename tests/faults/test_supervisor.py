@@ -1,4 +1,4 @@
-"""The supervisor against processes that do well, badly, and worse; the stores are the in-memory twins."""
+"""The supervisor against processes that do well, badly, and worse; the objects are in memory."""
 
 import json
 import os
@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import utc_now
 from core.jobs.status import JobStatus, Reason
@@ -17,8 +18,8 @@ from worker.slot import slot
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Bench:
-    return Bench(tmp_path)
+def bench(tmp_path: Path, job_store: PostgresJobStore) -> Bench:
+    return Bench(tmp_path, job_store)
 
 
 def test_what_the_process_says_becomes_facts(bench: Bench) -> None:
@@ -30,12 +31,12 @@ def test_what_the_process_says_becomes_facts(bench: Bench) -> None:
     checkpoint = job.newest("checkpoint")
     assert checkpoint is not None
     assert bench.objects.get(checkpoint.key) == b"state 20"
-    rows = bench.store.feed(job.id, "events", kind="metrics")
+    rows = bench.feed(job, "events", kind="metrics")
     assert [row.data["values"] for row in rows] == [
         {"eval/episode_reward": 10.0},
         {"eval/episode_reward": 20.0},
     ]
-    assert [line.data["text"] for line in bench.store.feed(job.id, "logs")] == ["a line of the log"]
+    assert bench.lines(job) == ["a line of the log"]
 
 
 def test_metrics_up_to_the_last_checkpoint_are_a_file(bench: Bench) -> None:
@@ -61,7 +62,7 @@ def test_a_failure_carries_the_process_own_reason(bench: Bench) -> None:
 def test_a_crash_without_a_word_is_said_to_be_one_and_its_log_is_there(bench: Bench) -> None:
     job = bench.run("crashes")
     assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TRAINING_CRASHED)
-    assert [line.data["text"] for line in bench.store.feed(job.id, "logs")] == ["Traceback: something"]
+    assert bench.lines(job) == ["Traceback: something"]
 
 
 def test_a_killed_process_gives_the_job_another_attempt_that_starts_from_the_checkpoint(bench: Bench) -> None:
@@ -183,11 +184,19 @@ def test_a_child_that_the_process_leaves_behind_is_ended(bench: Bench) -> None:
         os.kill(child, 0)
 
 
-def test_a_flood_of_lines_halts_nothing(bench: Bench) -> None:
+def test_many_lines_halt_nothing_and_are_all_in_the_log(bench: Bench) -> None:
+    job = bench.run("prints_much")
+    assert job.status == JobStatus.SUCCEEDED
+    assert bench.lines(job) == ["x" * 199] * 15_000
+
+
+def test_a_flood_of_lines_halts_nothing_and_the_log_says_what_is_missing(bench: Bench) -> None:
     job = bench.run("floods")
     assert job.status == JobStatus.SUCCEEDED
-    lines = bench.store.feed(job.id, "logs", limit=100_000)
-    assert len(lines) == 20_000
+    lines = bench.lines(job)
+    left_out = [int(line[1:].split()[0]) for line in lines if line.startswith("[")]
+    assert left_out
+    assert lines.count("x" * 199) + sum(left_out) == 50_000
 
 
 def test_an_attempt_whose_job_was_taken_stops_and_writes_no_more(bench: Bench) -> None:

@@ -9,11 +9,9 @@ from typing import Any
 
 import pytest
 
-from core.adapters.redis_jobs import RedisJobStore
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.rq_queue import RQQueue
-from core.adapters.s3_objects import S3ObjectStore
 from core.errors import Misconfigured, RecordsUnavailable
-from core.jobs.job import utc_now
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.submission import submit
@@ -60,10 +58,10 @@ def says_what_to_do(message: str | None, folder: Path) -> bool:
 
 @pytest.mark.usefixtures("compiled_quickly")
 def test_a_checkpoint_that_does_not_fit_ends_the_job_with_the_setting_and_the_remedy(
-    make_disk: MakeDisk, capfd: pytest.CaptureFixture[str]
+    make_disk: MakeDisk, job_store: PostgresJobStore, capfd: pytest.CaptureFixture[str]
 ) -> None:
     disk = make_disk(1024)
-    bench = Bench(disk)
+    bench = Bench(disk, job_store)
     job = bench.submit(**{**SPEC, "checkpoints": {"every_steps": 640}, "max_attempts": 1})
     supervisor = bench.supervisor(job, "")
     supervisor.command = TRAINING
@@ -76,9 +74,11 @@ def test_a_checkpoint_that_does_not_fit_ends_the_job_with_the_setting_and_the_re
     assert says_what_to_do(capfd.readouterr().out, disk)
 
 
-def test_a_task_that_does_not_fit_is_given_back_until_its_attempts_are_used_up(make_disk: MakeDisk) -> None:
+def test_a_task_that_does_not_fit_is_given_back_until_its_attempts_are_used_up(
+    make_disk: MakeDisk, job_store: PostgresJobStore
+) -> None:
     disk = make_disk(1024)
-    bench = Bench(disk)
+    bench = Bench(disk, job_store)
     fill(disk)
     job = bench.submit(max_attempts=2)
     bench.supervisor(job, "succeeds").run()
@@ -93,9 +93,9 @@ def test_a_task_that_does_not_fit_is_given_back_until_its_attempts_are_used_up(m
     assert (ended.status, ended.reason) == (JobStatus.FAILED, Reason.STORAGE_UNAVAILABLE)
 
 
-def test_a_job_goes_on_once_there_is_room_again(make_disk: MakeDisk) -> None:
+def test_a_job_goes_on_once_there_is_room_again(make_disk: MakeDisk, job_store: PostgresJobStore) -> None:
     disk = make_disk(1024)
-    bench = Bench(disk)
+    bench = Bench(disk, job_store)
     filling = fill(disk)
     job = bench.submit()
     bench.supervisor(job, "succeeds").run()
@@ -122,12 +122,10 @@ def test_a_video_that_does_not_fit_is_no_reason_to_fail_and_says_why(
 
 
 def test_a_worker_without_room_leaves_jobs_in_the_queue(
-    make_disk: MakeDisk, settings: WorkerSettings, object_store: S3ObjectStore, redis_client: Any
+    make_disk: MakeDisk, settings: WorkerSettings, job_store: PostgresJobStore, redis_client: Any
 ) -> None:
     disk = make_disk(1024)
-    store = RedisJobStore(redis_client)
-    spec = JOB_SPEC.validate_python(SPEC)
-    job = submit(spec, store=store, queue=RQQueue(redis_client), objects=object_store, now=utc_now())
+    job = submit(JOB_SPEC.validate_python(SPEC), store=job_store, queue=RQQueue(redis_client))
     code = "import sys; from worker.tasks import run_attempt; run_attempt(sys.argv[1], 1)"
     done = subprocess.run(
         [sys.executable, "-c", code, job.id],
@@ -138,7 +136,7 @@ def test_a_worker_without_room_leaves_jobs_in_the_queue(
     )
     assert "no_job_begun" in done.stdout
     assert says_what_to_do(done.stdout, disk)
-    assert store.get(job.id) == job
+    assert job_store.get(job.id) == job
 
 
 def test_room_is_what_a_small_job_needs(make_disk: MakeDisk) -> None:
@@ -156,9 +154,9 @@ def test_a_folder_that_cannot_be_written_to_is_a_wrong_setting(tmp_path: Path) -
 
 
 def test_results_that_no_store_takes_end_the_attempt_for_that_reason(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(tmp_path)
+    bench = Bench(tmp_path, job_store)
 
     def away(*_: Any, **__: Any) -> None:
         raise RecordsUnavailable("The test switched it off.")
@@ -170,9 +168,9 @@ def test_results_that_no_store_takes_end_the_attempt_for_that_reason(
 
 
 def test_what_ends_the_storing_does_not_pass_for_success(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Bench(tmp_path)
+    bench = Bench(tmp_path, job_store)
 
     def broken(*_: Any, **__: Any) -> None:
         raise ValueError("a mistake")

@@ -20,8 +20,10 @@ import pytest
 from pydantic import SecretStr
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
+from core.settings import WorkerSettings
 from tests.faults.bench import Bench, wait_until
 from tests.faults.wandb_server import wandb_server
 from worker.tracking import attempt
@@ -32,9 +34,9 @@ OFFLINE = {"wandb": {"project": "vnl", "name": "first", "mode": "offline"}}
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setenv("PROBE_WAITS_FOR", str(tmp_path / "go"))
-    yield Bench(tmp_path)
+    yield Bench(tmp_path, job_store)
     assert left_overs(tmp_path) == []
 
 
@@ -50,9 +52,13 @@ def left_overs(folder: Path) -> list[str]:
     return found
 
 
+def that_lead_to(url: str, settings: WorkerSettings) -> WorkerSettings:
+    """These settings with a Weights & Biases server."""
+    return settings.model_copy(update={"wandb_api_key": SecretStr(KEY), "wandb_base_url": url})
+
+
 def speaks_to(bench: Bench, url: str) -> None:
-    update = {"wandb_api_key": SecretStr(KEY), "wandb_base_url": url}
-    bench.settings = bench.settings.model_copy(update=update)
+    bench.settings = that_lead_to(url, bench.settings)
 
 
 @contextmanager
@@ -71,7 +77,7 @@ def going(bench: Bench, job: Job, behaviour: str) -> Iterator[None]:
 
 
 def notes(bench: Bench, job: Job) -> list[str]:
-    return [entry.data["text"] for entry in bench.store.feed(job.id, "events", kind="note")]
+    return [entry.data["text"] for entry in bench.feed(job, "events", kind="note")]
 
 
 def body(bench: Bench, job: Job, role: Any) -> bytes:
@@ -93,7 +99,7 @@ def test_scalars_for_tensorboard_are_the_stored_metrics_of_all_attempts(bench: B
         pass
     (tmp_path / "events.out.tfevents").write_bytes(body(bench, job, "tensorboard"))
     events = EventAccumulator(str(tmp_path / "events.out.tfevents")).Reload()
-    rows = bench.store.feed(job.id, "events", kind="metrics")
+    rows = bench.feed(job, "events", kind="metrics")
     assert [row.data["step"] for row in rows] == [5, 10, 20]
     assert events.Tags()["scalars"] == ["eval/episode_reward"]
     # Sums of few powers of two are the same in the file's 32 bits.
@@ -151,7 +157,7 @@ def test_a_run_is_shown_while_it_goes_on_and_a_second_attempt_continues_it(bench
     assert server.keys == {KEY}
     kept = b"".join(bench.objects.get(info.key) for info in bench.objects.list(""))
     ended = bench.store.get(job.id)
-    feeds = [entry.data for channel in ("events", "logs") for entry in bench.store.feed(job.id, channel)]
+    feeds = [entry.data for entry in (*bench.feed(job, "events"), *bench.feed(job, "logs"))]
     assert KEY not in kept.decode(errors="replace") + ended.model_dump_json() + json.dumps(feeds)
     # All of it is there: no file is needed.
     assert (ended.status, ended.newest("wandb"), notes(bench, job)) == (JobStatus.SUCCEEDED, None, [])
@@ -200,16 +206,15 @@ _SUPERVISOR = """
 import sys, time
 from pathlib import Path
 from core.jobs.spec import JOB_SPEC
-from tests.faults.bench import Bench
-from tests.faults.test_tracking import speaks_to
+from tests.faults.bench import unused_servers
+from tests.faults.test_tracking import that_lead_to
 from worker.tracking.items import about_run
 from worker.tracking.live import Live
 folder = Path(sys.argv[1])
-bench = Bench(folder)
-speaks_to(bench, sys.argv[2])
+settings = that_lead_to(sys.argv[2], unused_servers(folder))
 tracking = {"wandb": {"project": "vnl"}}
 spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", "tracking": tracking})
-live = Live(about_run("019aa3c2f0b1-5be0c1d2e3", spec, folder), folder, bench.settings, print)
+live = Live(about_run("019aa3c2f0b1-5be0c1d2e3", spec, folder), folder, settings, print)
 time.sleep(600)
 """
 

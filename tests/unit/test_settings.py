@@ -11,6 +11,7 @@ from gaitway.settings_page import OTHERS, page
 
 ROOT = Path(__file__).parents[2]
 GOOD = {
+    "GAITWAY_DATABASE_URL": "postgresql://gaitway:secret@record:5432/gaitway",
     "GAITWAY_REDIS_URL": "redis://:secret@records:6379/0",
     "GAITWAY_S3_ENDPOINT": "objects:8333",
     "GAITWAY_S3_ACCESS_KEY": "key",
@@ -64,6 +65,8 @@ def test_all_that_is_wrong_is_said_at_once(environ: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
+        ("GAITWAY_DATABASE_URL", "mysql://records/gaitway", "begin it with postgresql://"),
+        ("GAITWAY_DATABASE_URL", "records:5432/gaitway", "begin it with postgresql://"),
         ("GAITWAY_REDIS_URL", "http://records", "redis://, rediss:// (TLS) or unix://"),
         ("GAITWAY_REDIS_URL", "redis://records:6379/0", "redis://:PASSWORD@HOST:PORT/0"),
         ("GAITWAY_REDIS_URL", "redis://192.0.2.1", "GAITWAY_REDIS_WITHOUT_PASSWORD=true"),
@@ -118,8 +121,14 @@ def test_names_that_others_use_are_let_be(environ: pytest.MonkeyPatch) -> None:
     read(ApiSettings)
 
 
+def test_a_reconciler_that_looks_too_seldom_is_refused(environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_RECONCILE_EVERY", "10")
+    assert "GAITWAY_RECONCILE_EVERY (10 s), or no lease ever runs out" in refusal(ReconcilerSettings)
+
+
 @pytest.mark.parametrize(("value", "seconds"), [("90", 90), ("0.5", 0.5), ("PT1M30S", 90)])
 def test_a_duration_is_seconds_or_iso_8601(value: str, seconds: float, environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_LEASE", "600")
     environ.setenv("GAITWAY_RECONCILE_EVERY", value)
     assert read(ReconcilerSettings).reconcile_every.total_seconds() == seconds
 
@@ -135,12 +144,30 @@ def test_a_file_holds_a_setting_and_a_variable_wins(environ: pytest.MonkeyPatch,
 
 
 @pytest.mark.parametrize(
-    "url", ["http://:hunter2@records", "redis://:a[hunter2]b@records", "redis://:hunter2]@x"]
+    ("name", "url"),
+    [
+        ("GAITWAY_REDIS_URL", "http://:hunter2@records"),
+        ("GAITWAY_REDIS_URL", "redis://:a[hunter2]b@records"),
+        ("GAITWAY_REDIS_URL", "redis://:hunter2]@x"),
+        ("GAITWAY_DATABASE_URL", "mysql://gaitway:hunter2@records/gaitway"),
+        ("GAITWAY_DATABASE_URL", "gaitway:hunter2@records/gaitway"),
+    ],
 )
-def test_a_secret_is_in_no_sentence(url: str, environ: pytest.MonkeyPatch) -> None:
-    environ.setenv("GAITWAY_REDIS_URL", url)
-    assert "GAITWAY_REDIS_URL" in refusal()
+def test_a_secret_is_in_no_sentence(name: str, url: str, environ: pytest.MonkeyPatch) -> None:
+    environ.setenv(name, url)
+    assert name in refusal()
     assert "hunter2" not in refusal()
+
+
+@pytest.mark.parametrize("scheme", ["postgresql", "postgres"])
+def test_the_address_of_the_record_is_kept_as_it_is_and_out_of_sight(
+    scheme: str, environ: pytest.MonkeyPatch
+) -> None:
+    url = f"{scheme}://gaitway:hunter2@record/gaitway?sslmode=verify-full"
+    environ.setenv("GAITWAY_DATABASE_URL", url)
+    settings = read(ApiSettings)
+    assert settings.database_url.get_secret_value() == url
+    assert "hunter2" not in repr(settings)
 
 
 def test_a_misconfigured_process_ends_with_its_own_status(capsys: pytest.CaptureFixture[str]) -> None:

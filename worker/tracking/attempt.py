@@ -17,7 +17,7 @@ from core.jobs.job import Job
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
 from core.settings import WorkerSettings
-from worker.measurements import measurements
+from worker.measurements import Measurements
 from worker.messages import FileReady, Message, Noted
 from worker.outbox import Outbox
 from worker.tracking.child import end, start
@@ -101,7 +101,7 @@ class Tracking:
 
     def _write_up(self, spec: TrainSpec, exit_code: int, called_off: Callable[[], bool]) -> None:
         folder = self.spool / _FOLDER
-        rows = measurements(self.holding.store, self.job.id)
+        rows = Measurements(self.job.id, self.holding.store, self.holding.objects).documents()
         if not rows or called_off():
             return
         (folder / "measurements.jsonl").write_text("".join(f"{row}\n" for row in rows))
@@ -120,7 +120,7 @@ class Tracking:
                 said = _last_words(child, words, called_off)
             finally:
                 end(child)
-        self._keep(said, spec.checkpoints.keep)
+        self._keep(said, spec.checkpoints.keep, called_off)
 
     def _with_archive(self, task: WriteUp, about: About, exit_code: int) -> WriteUp:
         job = self.holding.store.get(self.job.id)
@@ -143,7 +143,7 @@ class Tracking:
             }
         )
 
-    def _keep(self, notes: list[str], keep_checkpoints: int) -> None:
+    def _keep(self, notes: list[str], keep_checkpoints: int, called_off: Callable[[], bool]) -> None:
         """Store what was written; through an outage, if it is a short one."""
         later = Outbox(self.holding, self.spool, keep_checkpoints)
         for note in notes:
@@ -162,8 +162,8 @@ class Tracking:
         ):
             if (self.spool / file.path).exists():
                 later.put(file)
-        if not later.close(_STORE_S):
-            log.warning("tracking_not_kept", error=f"not stored within {_STORE_S:g} s")
+        if not later.close(_STORE_S, called_off):
+            log.warning("tracking_not_kept", error=f"not stored within {_STORE_S:g} s, or before a drain")
 
     def _note(self, text: str) -> None:
         self.outbox.put(Noted(text=text))

@@ -30,7 +30,7 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
     settings = resolve(spec.algorithm, body.info, body.device)
     channel.send(body.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     trainer = make_trainer(task, spec, settings, body, channel)
-    report = Report(channel, trainer)
+    report = Report(channel, trainer, spec.checkpoints.every_seconds)
     shots = Shots(spec, body, channel, trainer)
     try:
         for event in trainer.events():
@@ -39,6 +39,8 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
             report.tell(event)
             if stopping.asked:
                 break
+            if isinstance(event, Progress):
+                report.keep_checkpoint_if_due()
             if isinstance(event, CheckpointReady) and spec.video.every_checkpoint:
                 with stopping.nothing_to_keep():
                     shots.take(f"video-{event.step:012d}")
@@ -99,8 +101,10 @@ class Report:
 
     channel: Channel
     trainer: Trainer
+    checkpoint_every_s: float = float("inf")
     _metrics: dict[str, float] = field(default_factory=dict[str, float])
     _kept_step: int | None = None
+    _kept_at: float = field(default_factory=time.monotonic)
     _warned: bool = False
     _started: tuple[float, int] = (0.0, 0)
 
@@ -127,6 +131,12 @@ class Report:
             name = f"checkpoint-{step:012d}.msgpack"
             self.channel.keep(name, self.trainer.checkpoint(), "checkpoint", "application/msgpack", step=step)
             self._kept_step = step
+        self._kept_at = time.monotonic()
+
+    def keep_checkpoint_if_due(self) -> None:
+        """Of the present state, where the last one is older than a lost worker may cost."""
+        if time.monotonic() - self._kept_at >= self.checkpoint_every_s:
+            self.keep_checkpoint()
 
     def _warn_of_overflow(self, step: int, metrics: Mapping[str, float]) -> None:
         """Once; how often it happens from then on is a metric."""

@@ -14,6 +14,7 @@ import structlog
 from core.errors import ObjectNotFound
 from core.jobs.job import utc_now
 from core.models import library
+from core.models.store import ModelStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from worker.process import environment
@@ -28,14 +29,19 @@ _INTERRUPTED = "A worker was stopped while it refused the model; send it again t
 _UNFINISHED = "Trying the engines took too long; those that are not listed were not tried."
 
 
-def validate(
-    model_id: str, objects: ObjectStore, folder: Path, data_dir: Path, limits: Limits | None = None
+def validate(  # Which model, and the places that are needed.
+    model_id: str,
+    store: ModelStore,
+    objects: ObjectStore,
+    folder: Path,
+    data_dir: Path,
+    limits: Limits | None = None,
 ) -> None:
     """Look at a model that waits for it, and store what is found; of one that is refused, only that.
 
     folder: an empty one, for files that are needed meanwhile. Raises ModelNotFound.
     """
-    record = library.find(model_id, objects)
+    record = library.find(model_id, store)
     if record.status != "validating":
         return
     try:
@@ -46,14 +52,14 @@ def validate(
         answers = look(body, folder, data_dir, limits or Limits())
     # Once it is described it can be used; loading all the engines takes longer than everything before.
     for answer in answers:
-        library.find(model_id, objects)  # Raises, where somebody has deleted it meanwhile.
         if answer.description is not None:
             found = record.model_copy(update={"status": "ready", "description": answer.description})
         else:
             told = {"status": "refused", "message": answer.refusal, "refused_at": utc_now()}
             found = record.model_copy(update=told)
+        store.settle_model(found)  # Raises, where somebody has deleted it meanwhile.
+        if found.status == "refused":
             objects.delete_prefix(keys.model_source(model_id))
-        library.keep(found, objects)
         log.info("model_validated", model=model_id, status=found.status, detail=found.message)
 
 

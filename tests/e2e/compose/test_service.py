@@ -1,6 +1,7 @@
 """`docker compose up` as its users live with it: jobs, disturbances, a second machine, a back-up."""
 
 import json
+import secrets
 import shutil
 import time
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ import pytest
 
 from gaitway.client import Client
 from gaitway.views import Event, JobView
-from tests.e2e.compose.conftest import Figure
+from tests.e2e.compose.conftest import ROOT, Figure
 from tests.e2e.compose.project import BASE, CommandFailed, Project, removing, run, run_for_bytes, size_mb
 
 # Ten checkpoints in some twenty seconds of training, so that it can be disturbed in the middle.
@@ -26,7 +27,7 @@ ANT: dict[str, Any] = {
     "video": {"width": 320, "height": 240, "seconds": 2},
     "seed": 7,
 }
-SERVICES = ("valkey", "objects", "api", "reconciler", "worker")
+SERVICES = ("postgres", "valkey", "objects", "api", "reconciler", "worker")
 ROLLOUT = {"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}, "num_steps": 20}
 
 
@@ -93,9 +94,11 @@ def test_only_the_apis_port_is_open_and_on_loopback(project: Project) -> None:
 
 def test_no_secret_is_in_the_configuration_or_in_a_list_of_processes(project: Project) -> None:
     keys = json.loads(project.compose("run", "--rm", "-T", "setup", "cat", "/run/gaitway/keys.json"))
+    password = project.exec("postgres", "cat", "/run/database/password")
     containers = project.compose("ps", "--quiet").split()
     shown = [project.compose("config"), project.compose("top"), run("docker", "inspect", *containers)]
-    for secret in keys.values():
+    for secret in (*keys.values(), password):
+        assert secret
         assert not any(secret in text for text in shown)
 
 
@@ -104,7 +107,8 @@ def test_every_process_is_confined(project: Project) -> None:
         described = json.loads(run("docker", "inspect", *project.containers(service)))[0]
         assert described["HostConfig"]["ReadonlyRootfs"], service
         assert described["HostConfig"]["CapDrop"] == ["ALL"], service
-        assert project.exec(service, "id", "-u").strip() == "10001", service
+        user = "999" if service == "postgres" else "10001"
+        assert project.exec(service, "id", "-u").strip() == user, service
     assert project.exec("worker", "cat", "/proc/1/comm").strip() == "tini"
 
 
@@ -143,7 +147,7 @@ def test_a_killed_container_costs_no_work(
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
 
 
-@pytest.mark.parametrize("service", ["valkey", "objects"])
+@pytest.mark.parametrize("service", ["postgres", "valkey", "objects"])
 def test_a_restarted_store_changes_nothing(
     service: str, project: Project, client: Client, undisturbed: JobView
 ) -> None:
@@ -155,6 +159,20 @@ def test_a_restarted_store_changes_nothing(
     assert ended.succeeded, ended.message
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
     assert len(ended.attempts) == 1
+
+
+def test_an_emptied_valkey_loses_no_queued_job(project: Project, client: Client) -> None:
+    project.compose("stop", "worker")
+    try:
+        before = client.submit(ROLLOUT)
+        project.compose("rm", "--stop", "--force", "valkey")
+        meanwhile = client.submit(ROLLOUT)
+    finally:
+        project.compose("up", "--detach")
+    for job in (before, meanwhile):
+        ended = client.wait(job.id, timeout=120)
+        assert ended.succeeded, ended.message
+        assert [attempt.reason for attempt in ended.attempts] == ["completed"]
 
 
 def test_two_workers_work_at_once(project: Project, client: Client) -> None:
@@ -228,7 +246,8 @@ def test_a_second_machine_joins_by_one_command(
         (container,) = second_machine.containers("worker")
         assert (job.attempts[0].worker or "").startswith(container[:12])
         # The same stores, with an API and a reconciler of its own.
-        own = "COMPOSE_FILE=docker-compose.yml:deploy/own-redis.yml:deploy/own-s3.yml\n"
+        files = [f"deploy/own-{store}.yml" for store in ("postgres", "redis", "s3")]
+        own = f"COMPOSE_FILE=docker-compose.yml:{':'.join(files)}\n"
         (second_machine.checkout / ".env").write_text(told + own)
         second_machine.compose("up", "--detach")
         assert set(second_machine.compose("ps", "--services").split()) == {"api", "reconciler", "worker"}
@@ -238,10 +257,16 @@ def test_a_second_machine_joins_by_one_command(
         project.compose("up", "--detach")
 
 
+WITH_PASSWORD = "PGPASSWORD=$(cat /run/database/password)"
+AS = "--host=127.0.0.1 --username=gaitway --dbname=gaitway"
+
+
 def test_a_backup_is_restored_elsewhere(
     project: Project, checkout: Path, undisturbed: JobView, tmp_path: Path, client: Client
 ) -> None:
-    """The two commands of docs/operations.md; of the objects alone, so that the records are made anew."""
+    """The commands of docs/operations.md."""
+    dumping = project.command("exec", "-T", "postgres", "sh", "-c", f"{WITH_PASSWORD} pg_dump {AS} -Fc")
+    record = run_for_bytes(*dumping, **project.environment())
     project.compose("stop")
     try:
         archiving = project.command("run", "--rm", "-T", "setup", "tar", "-C", "/volumes", "-c", "objects")
@@ -250,6 +275,11 @@ def test_a_backup_is_restored_elsewhere(
         project.compose("start")
     with removing(Project(checkout, project.settings)) as other:
         other.compose("run", "--rm", "-T", "setup", "tar", "-C", "/volumes", "-x", stdin=backup)
+        other.compose("up", "--detach", "--wait", "postgres", "valkey", "objects")
+        restoring = f"{WITH_PASSWORD} pg_restore {AS} --clean --if-exists --no-owner"
+        other.compose("exec", "-T", "postgres", "sh", "-c", restoring, stdin=record)
+        recovering = ("run", "--rm", "-T", "--no-deps", "reconciler", "gaitway", "recover")
+        assert "nothing" in other.compose(*recovering).lower()
         other.compose("up", "--detach")
         with other.client() as elsewhere:
             reached_again(elsewhere, undisturbed)
@@ -300,13 +330,92 @@ def test_a_changed_secret_shuts_the_old_one_out(
     assert client.wait(client.submit(ROLLOUT).id, timeout=120).succeeded
 
 
+def log_in(project: Project, password: str) -> None:
+    """Raises CommandFailed where PostgreSQL does not let the password in."""
+    look = "import sys; from core.adapters.connect import connect_postgres as c; c(sys.argv[1]).connect()"
+    url = f"postgresql://gaitway:{password}@postgres:5432/gaitway"
+    project.exec("api", "python", "-c", look, url)
+
+
+def test_a_changed_password_of_the_database_shuts_the_old_one_out(
+    project: Project, client: Client, undisturbed: JobView
+) -> None:
+    """The commands of docs/operations.md."""
+    old, new = project.exec("postgres", "cat", "/run/database/password"), secrets.token_hex(24)
+    log_in(project, old)
+    changing = ("exec", "-T", "postgres", "sh", "-c", f"{WITH_PASSWORD} psql {AS}")
+    project.compose(*changing, stdin=f"ALTER USER gaitway PASSWORD '{new}'".encode())
+    writing = ("run", "--rm", "-T", "setup", "sh", "-c", "cat > /volumes/database-password/password")
+    project.compose(*writing, stdin=new.encode())
+    project.compose("up", "--detach", "--force-recreate")
+    reached_again(client, undisturbed)
+    log_in(project, new)
+    with pytest.raises(CommandFailed, match="password authentication failed"):
+        log_in(project, old)
+    assert client.wait(client.submit(ROLLOUT).id, timeout=120).succeeded
+
+
+# Puts what version 0.1 had where it was.
+LOAD_VERSION_01 = """
+import base64, json, sys
+from core.adapters.connect import connect_redis, object_store
+from core.configuration import read
+from core.settings import StoreSettings
+settings, old = read(StoreSettings), json.load(sys.stdin)
+redis, objects = connect_redis(settings.redis_url.get_secret_value()), object_store(settings)
+for key, body in old["objects"].items():
+    objects.put(key, base64.b64decode(body))
+for key, found in old["redis"].items():
+    match found["type"], found["value"]:
+        case "hash", fields:
+            redis.hset(key, mapping=fields)
+        case "stream", entries:
+            for number, said in entries:
+                redis.xadd(key, said, id=number)
+        case "zset", members:
+            redis.zadd(key, dict.fromkeys(members, 0))
+"""
+
+
+def test_version_01_is_taken_over(project: Project, checkout: Path) -> None:
+    """The commands of docs/operations.md, on the volumes of version 0.1: secrets, objects and valkey."""
+    names = ("redis_password", "s3_access_key", "s3_secret_key", "s3_inner_key")
+    keys = json.dumps({name: secrets.token_hex(16) for name in names})
+    data = (ROOT / "tests/unit/gaitway/version_01/data.json").read_bytes()
+    jobs = json.loads(data)["jobs"]
+    files = f"{checkout}/docker-compose.yml:{checkout}/deploy/from-0.1.yml"
+    upgraded = Project(checkout, project.settings)
+    with removing(
+        Project(checkout, {**project.settings, "COMPOSE_FILE": files}, upgraded.name, upgraded.port)
+    ) as with_old_data:
+        mount = f"--volume={upgraded.name}_valkey:/data"
+        image = f"gaitway-api:{project.settings['GAITWAY_TAG']}"
+        run("docker", "run", "--rm", "--user=0", mount, image, "chown", "10001:10001", "/data")
+        writing = ("run", "--rm", "-T", "setup", "sh", "-c", "cat > /run/gaitway/keys.json")
+        upgraded.compose(*writing, stdin=keys.encode())
+        with_old_data.compose("up", "--detach", "--wait", "valkey", "objects")
+        loading = ("run", "--rm", "-T", "--no-deps", "reconciler", "python", "-c", LOAD_VERSION_01)
+        upgraded.compose(*loading, stdin=data)
+        with_old_data.compose("down")
+
+        said = with_old_data.compose("run", "--rm", "-T", "reconciler", "gaitway", "import")
+        assert f"Jobs: {len(jobs)} imported" in said
+        upgraded.compose("up", "--detach", "api", "reconciler")
+        upgraded.wait_until_it_accepts(ROLLOUT, 60)
+        with upgraded.client() as user:
+            assert user.get(jobs["succeeded"]).succeeded
+        assert upgraded.exec("api", "cat", "/run/gaitway/keys.json") == keys
+        # The old records take none of the queue's memory.
+        cli = "REDISCLI_AUTH=$(cat /run/gaitway/valkey.password) valkey-cli"
+        assert upgraded.exec("valkey", "sh", "-c", f"{cli} exists gaitway:jobs").strip() == "0"
+
+
 def test_the_doctor_finds_nothing_wrong_in_the_worker(project: Project) -> None:
     checks = json.loads(project.exec("worker", "gaitway", "doctor", "--json"))["checks"]
     states = {check["name"]: check["state"] for check in checks}
     assert {name for name, state in states.items() if state == "fail"} == set()
-    assert {states[name] for name in ("jax", "physics", "renderer", "redis", "object store", "clock")} == {
-        "pass"
-    }
+    checked = ("jax", "physics", "renderer", "postgresql", "redis", "object store", "clock")
+    assert {states[name] for name in checked} == {"pass"}
 
 
 def test_a_port_in_use_is_said_and_its_owner_goes_on(
@@ -339,6 +448,7 @@ def test_a_wrong_key_ends_in_a_sentence(project: Project, checkout: Path) -> Non
 
 
 STORES = (
+    "--env=GAITWAY_DATABASE_URL=postgresql:///none",
     "--env=GAITWAY_REDIS_URL=unix:///none",
     *(f"--env=GAITWAY_S3_{name}=x" for name in ("ENDPOINT", "ACCESS_KEY", "SECRET_KEY")),
 )

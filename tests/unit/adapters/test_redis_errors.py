@@ -4,28 +4,16 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
 
 import pytest
 import redis
 
 from core.adapters.connect import connect_redis
 from core.adapters.redis_errors import reaching_redis
-from core.adapters.redis_jobs import RedisJobStore
-from core.adapters.startup import exercise_records
+from core.adapters.rq_queue import RQQueue
+from core.adapters.startup import exercise_queue
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
-from core.jobs.store import WorkerInfo
 from gaitway.embedded.valkey import Valkey
-
-A_WORKER = WorkerInfo(
-    name="w",
-    host="h",
-    pid=1,
-    device="cpu",
-    queues=(),
-    started_at=datetime(2026, 11, 20, tzinfo=UTC),
-    seen_at=datetime(2026, 11, 20, tzinfo=UTC),
-)
 
 
 @contextmanager
@@ -56,8 +44,8 @@ def answering(answer: bytes) -> Iterator[int]:
         thread.join()
 
 
-def test_a_probe_of_the_records_leaves_nothing(redis_client: redis.Redis) -> None:
-    exercise_records(redis_client)
+def test_a_probe_of_the_queue_leaves_nothing(redis_client: redis.Redis) -> None:
+    exercise_queue(redis_client)
     assert redis_client.dbsize() == 0
 
 
@@ -66,24 +54,24 @@ def test_too_little_memory_names_maxmemory_and_passes_with_time(redis_client: re
         configured(redis_client, "maxmemory", "1"),
         pytest.raises(RecordsUnavailable, match="raise its maxmemory") as caught,
     ):
-        exercise_records(redis_client)
+        exercise_queue(redis_client)
     assert not isinstance(caught.value, RecordsRefuse)
 
 
 def test_a_refusal_in_the_midst_of_a_pipeline_is_known_too(redis_client: redis.Redis) -> None:
-    store = RedisJobStore(redis_client)
+    queue = RQQueue(redis_client)
     with (
         configured(redis_client, "min-replicas-to-write", "1"),
         pytest.raises(RecordsUnavailable, match="min-replicas-to-write"),
     ):
-        store.announce(A_WORKER, timedelta(seconds=1))
+        queue.enqueue("019aa3c2f0b1-5be0c1d2e3", 1, accelerator="any", priority="normal")
 
 
 def test_a_replica_is_named(redis_client: redis.Redis) -> None:
     redis_client.replicaof("127.0.0.1", "1")
     try:
         with pytest.raises(RecordsUnavailable, match="leads to a replica"):
-            exercise_records(redis_client)
+            exercise_queue(redis_client)
     finally:
         redis_client.replicaof("NO", "ONE")
 
@@ -107,7 +95,7 @@ def test_a_database_that_is_not_there_is_named(redis_client: redis.Redis, valkey
         connect_redis(f"{valkey.url}?db=99", retries=0) as client,
         pytest.raises(RecordsRefuse, match="no database of the number"),
     ):
-        exercise_records(client)
+        exercise_queue(client)
 
 
 def test_our_own_mistakes_pass_through(redis_client: redis.Redis) -> None:
@@ -121,7 +109,7 @@ def test_what_is_no_redis_is_refused() -> None:
         connect_redis(f"redis://127.0.0.1:{port}", retries=0) as client,
         pytest.raises(RecordsRefuse, match="is no Redis"),
     ):
-        exercise_records(client)
+        exercise_queue(client)
 
 
 def test_tls_asked_of_a_redis_without_it_is_named() -> None:
@@ -133,7 +121,7 @@ def test_tls_asked_of_a_redis_without_it_is_named() -> None:
         ) as client,
         pytest.raises(RecordsUnavailable, match="begin the address with redis://"),
     ):
-        exercise_records(client)
+        exercise_queue(client)
 
 
 @pytest.mark.parametrize(

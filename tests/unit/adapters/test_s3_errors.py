@@ -51,6 +51,7 @@ def answering(status: int, body: bytes) -> Iterator[S3ObjectStore]:
 
 def settings_with(**changed: str) -> StoreSettings:
     values = {
+        "database_url": "postgresql://unused",
         "redis_url": "unix:///unused",
         "s3_endpoint": "127.0.0.1:1",
         "s3_access_key": "a",

@@ -14,13 +14,14 @@ import psutil
 import pytest
 import urllib3
 
-from core.adapters.connect import job_store, object_store
+from core.adapters.connect import connect_redis, job_store, object_store
+from core.adapters.startup import prepare_database
 from core.settings import WorkerSettings
 from gaitway.embedded.processes import ServerFailed, are_free, free_ports
 from gaitway.embedded.servers import EmbeddedServers
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
-from tests.contract.test_job_store import queued_job
+from tests.unit.jobs.making import make_job
 
 LAUNCHER = """
 import sys, time
@@ -28,7 +29,7 @@ from pathlib import Path
 from gaitway.embedded.servers import EmbeddedServers
 
 servers = EmbeddedServers(Path(sys.argv[1])).start()
-print(servers.valkey.process.pid, servers.weed.process.pid, flush=True)
+print(*(server.process.pid for server in servers.all), flush=True)
 time.sleep(600)
 """
 
@@ -55,16 +56,17 @@ class TestTogether:
         self, servers: EmbeddedServers, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
         settings = settings_of(servers, monkeypatch, tmp_path)
-        job = queued_job()
-        job_store(settings).add(job)
-        assert job_store(settings).get(job.id) == job
+        prepare_database(settings)
+        job = make_job()
+        job_store(settings, pool_size=0).add(job)
+        assert job_store(settings, pool_size=0).get(job.id) == job
         object_store(settings).put("a", b"x")
         assert object_store(settings).get("a") == b"x"
 
     def test_only_this_machine_reaches_them(self, servers: EmbeddedServers) -> None:
         listening = [
             connection.laddr.ip
-            for server in (servers.valkey, servers.weed)
+            for server in servers.all
             for connection in psutil.Process(server.process.pid).net_connections("inet")
             if connection.status == psutil.CONN_LISTEN
         ]
@@ -91,20 +93,26 @@ class TestTogether:
         assert [answer.status for answer in got] == [401, 401]
 
     def test_ctrl_c_in_a_terminal_does_not_reach_them(self, servers: EmbeddedServers) -> None:
-        for server in (servers.valkey, servers.weed):
+        for server in servers.all:
             pid = server.process.pid
             assert pid is not None
             assert os.getpgid(pid) == pid
 
-    def test_one_that_ended_is_noticed(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("name", ["postgres", "valkey", "weed"])
+    def test_one_that_ended_is_noticed(self, name: str, tmp_path: Path) -> None:
         with EmbeddedServers(tmp_path) as running:
             running.check()
-            pid = running.valkey.process.pid
+            process = getattr(running, name).process
+            pid = process.pid
             assert pid is not None
             os.kill(pid, signal.SIGKILL)
             os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
-            with pytest.raises(ServerFailed, match="valkey-server ended with status -9"):
+            with pytest.raises(ServerFailed, match=f"{process.name} ended with status -9"):
                 running.check()
+
+
+def _without_sockets(environment: dict[str, str]) -> dict[str, str]:
+    return {name: value for name, value in environment.items() if not name.endswith("_URL")}
 
 
 class TestRestart:
@@ -112,18 +120,34 @@ class TestRestart:
     def test_everything_acknowledged_is_there_again(
         self, ending: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
-        job, body = queued_job(), os.urandom(3 * 2**20)
+        job, body = make_job(), os.urandom(3 * 2**20)
         with EmbeddedServers(tmp_path / "stack") as first:
             settings = settings_of(first, monkeypatch, tmp_path)
-            job_store(settings).add(job)
+            prepare_database(settings)
+            job_store(settings, pool_size=0).add(job)
             object_store(settings).put("a/b", body)
             if ending == "kill":
-                for server in (first.valkey, first.weed):
+                for server in first.all:
                     os.kill(server.process.pid or 0, signal.SIGKILL)
         with EmbeddedServers(tmp_path / "stack") as second:
-            assert second.environment() == first.environment()
-            assert job_store(settings).get(job.id) == job
+            # A socket whose path would be too long lies in a folder that is made at each start.
+            assert _without_sockets(second.environment()) == _without_sockets(first.environment())
+            settings = settings_of(second, monkeypatch, tmp_path)
+            assert job_store(settings, pool_size=0).get(job.id) == job
             assert object_store(settings).get("a/b") == body
+
+    def test_the_queue_is_empty_after_a_restart_and_what_an_earlier_version_left_is_not_read(
+        self, tmp_path: Path
+    ) -> None:
+        # Version 0.1 kept its record in an append-only file; one that is damaged would end the start.
+        (tmp_path / "appendonlydir").mkdir()
+        (tmp_path / "appendonlydir" / "appendonly.aof.manifest").write_text("nonsense\n")
+        with Valkey(tmp_path) as first, connect_redis(first.url) as client:
+            client.set("waits", "1")
+        with Valkey(tmp_path) as second, connect_redis(second.url) as client:
+            assert client.keys() == []
+            assert client.config_get("*")["maxmemory-policy"] == "noeviction"
+        assert sorted(path.name for path in tmp_path.iterdir() if path.suffix == ".rdb") == []
 
     def test_a_port_taken_meanwhile_is_given_up(self, tmp_path: Path) -> None:
         with Weed(tmp_path) as weed:
@@ -159,18 +183,16 @@ class TestFailure:
             first.process.check()
 
     def test_a_server_that_does_not_start_shows_its_log(self, tmp_path: Path) -> None:
-        (tmp_path / "appendonlydir").mkdir()
-        (tmp_path / "appendonlydir" / "appendonly.aof.manifest").write_text("nonsense\n")
-        with pytest.raises(ServerFailed, match=r"ended with status 1(.|\n)*manifest"):
+        (tmp_path / "dump.rdb").write_text("nonsense\n")
+        with pytest.raises(ServerFailed, match=r"ended with status 1(.|\n)*Wrong signature"):
             Valkey(tmp_path).start()
 
     def test_a_start_that_fails_leaves_no_process(self, tmp_path: Path) -> None:
         servers = EmbeddedServers(tmp_path)
-        (tmp_path / "valkey" / "appendonlydir").mkdir()
-        (tmp_path / "valkey" / "appendonlydir" / "appendonly.aof.manifest").write_text("nonsense\n")
+        (tmp_path / "valkey" / "dump.rdb").write_text("nonsense\n")
         with pytest.raises(ServerFailed):
             servers.start()
-        assert (servers.valkey.process.pid, servers.weed.process.pid) == (None, None)
+        assert [server.process.pid for server in servers.all] == [None, None, None]
 
     def test_a_long_path_is_no_hindrance(self, tmp_path: Path) -> None:
         # A unix socket's address has room for 107 bytes.
@@ -192,9 +214,9 @@ class TestFailure:
             assert launcher.stdout is not None
             running = [psutil.Process(int(pid)) for pid in launcher.stdout.readline().split()]
             launcher.kill()
-        assert len(running) == 2
+        assert len(running) == 3
         gone, alive = psutil.wait_procs(running, timeout=5)
-        assert (len(gone), alive) == (2, [])
+        assert (len(gone), alive) == (3, [])
 
 
 class TestPorts:

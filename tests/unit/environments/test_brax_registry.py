@@ -121,7 +121,7 @@ def test_its_physics_is_chosen_by_an_option_and_by_no_engine() -> None:
         ),
     ):
         with pytest.raises(Rejected) as refusal:
-            checks.check(JOB_SPEC.validate_python(job | extra), None, None)  # type: ignore[arg-type]
+            checks.check(JOB_SPEC.validate_python(job | extra), None)  # type: ignore[arg-type]
         assert [problem.pointer for problem in refusal.value.problems] == [place]
     info = catalog.find("brax/inverted_pendulum")
     assert info.dt == pytest.approx(0.04)

@@ -12,8 +12,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.adapters.memory_jobs import MemoryJobStore
-from core.adapters.memory_objects import MemoryObjectStore
 from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.environments import catalog
 from core.environments.corridor import compose
@@ -25,6 +23,7 @@ from core.environments.environment import State
 from core.errors import JobFailed, Rejected
 from core.jobs.checks import check
 from core.jobs.spec import JOB_SPEC
+from core.jobs.store import JobStore
 from core.physics import availability
 from core.physics.availability import choose
 from core.physics.choose import engine_builder
@@ -386,11 +385,11 @@ def test_an_action_of_the_ant_is_held_for_0_04_s(options: dict[str, Any], num_st
     assert resolve(PPOSpec(), row, "cpu").action_repeat == num_steps
 
 
-def test_a_job_is_judged_by_the_walker_that_it_asks_for() -> None:
+def test_a_job_is_judged_by_the_walker_that_it_asks_for(jobs: JobStore) -> None:
     environment: dict[str, Any] = {"id": "corridor", "options": {"walker": "rodent", "episode_length": 300}}
     policy = {"kind": "constant", "action": [0.0] * 38}
     job = {"kind": "rollout", "environment": environment, "policy": policy, "video": {"camera": "walker/top"}}
-    check(JOB_SPEC.validate_python(job), MemoryJobStore(), MemoryObjectStore())
+    check(JOB_SPEC.validate_python(job), jobs)
     info = catalog.find("corridor")
     row = info.under(catalog.parse_options(info, environment["options"]))
     assert resolve(PPOSpec(), row, "cpu").episode_length == 300

@@ -1,3 +1,4 @@
+import json
 import re
 import shlex
 import stat
@@ -43,38 +44,62 @@ def files(folder: Path) -> dict[str, str]:
 
 
 def test_secrets_are_made_once_and_read_by_their_owner_alone(tmp_path: Path) -> None:
-    compose.setup(tmp_path, {})
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
     first = files(tmp_path)
-    compose.setup(tmp_path, {})
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
     assert files(tmp_path) == first
-    assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {0o600}
+    modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
+    # PostgreSQL's container runs as another user, and sees nothing else of the secrets.
+    assert modes.pop("database.password") == 0o644
+    assert set(modes.values()) == {0o600}
 
 
 def test_two_deployments_have_different_secrets(tmp_path: Path) -> None:
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        compose.setup(tmp_path / name, {})
+        compose.setup(tmp_path / name, {}, tmp_path / name / "database.password")
     assert (tmp_path / "one/keys.json").read_text() != (tmp_path / "two/keys.json").read_text()
 
 
 def test_the_files_are_settings(tmp_path: Path, settings_from: Any) -> None:
-    compose.setup(tmp_path, {})
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
     settings = settings_from(tmp_path)
     assert settings.s3_endpoint == "objects:8333"
     assert not settings.s3_secure
     password = (tmp_path / "valkey.password").read_text()
     assert settings.redis_url.get_secret_value() == f"redis://:{password}@valkey:6379/0"
     assert (tmp_path / "valkey.conf").read_text() == f"requirepass {password}\n"
+    password = (tmp_path / "database.password").read_text()
+    assert (
+        settings.database_url.get_secret_value() == f"postgresql://gaitway:{password}@postgres:5432/gaitway"
+    )
+
+
+def test_a_new_set_of_keys_leaves_the_password_that_the_database_has(tmp_path: Path) -> None:
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
+    before = (tmp_path / "gaitway_database_url").read_text()
+    (tmp_path / "keys.json").unlink()
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
+    assert (tmp_path / "gaitway_database_url").read_text() == before
+
+
+def test_the_secrets_of_version_01_are_taken_over(tmp_path: Path) -> None:
+    old = {"redis_password": "r", "s3_access_key": "a", "s3_secret_key": "s", "s3_inner_key": "i"}
+    (tmp_path / "keys.json").write_text(json.dumps(old))
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
+    assert json.loads((tmp_path / "keys.json").read_text()) == old
+    assert (tmp_path / "valkey.password").read_text() == "r"
+    assert (tmp_path / "gaitway_database_url").exists()
 
 
 def test_a_store_of_the_users_own_is_not_mixed_with_ours(tmp_path: Path, settings_from: Any) -> None:
-    compose.setup(tmp_path, {})
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
     own = {
         "GAITWAY_S3_ENDPOINT": "s3.example:443",
         "GAITWAY_S3_ACCESS_KEY": "theirs",
         "GAITWAY_S3_SECRET_KEY": "theirs too",
     }
-    compose.setup(tmp_path, own)
+    compose.setup(tmp_path, own, tmp_path / "database.password")
     settings = settings_from(tmp_path, **own)
     assert settings.s3_secure  # ours speaks no TLS, and says so in a file of the first start
     assert settings.s3_region is None
@@ -82,23 +107,28 @@ def test_a_store_of_the_users_own_is_not_mixed_with_ours(tmp_path: Path, setting
 
 
 def test_weed_is_started_with_the_keys_that_the_settings_have(tmp_path: Path) -> None:
-    compose.setup(tmp_path, {})
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
     shown = subprocess.check_output(["sh", str(tmp_path / "objects.sh"), "env"], text=True)
     assert f"AWS_ACCESS_KEY_ID={(tmp_path / 'gaitway_s3_access_key').read_text()}\n" in shown
     assert f"AWS_SECRET_ACCESS_KEY={(tmp_path / 'gaitway_s3_secret_key').read_text()}\n" in shown
 
 
 def test_a_worker_elsewhere_is_told_the_shared_address(tmp_path: Path) -> None:
-    compose.setup(tmp_path, {})
-    told = compose.join(tmp_path, {"GAITWAY_SHARE": "192.0.2.7"})
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
+    told = compose.join(tmp_path, {"GAITWAY_SHARE": "192.0.2.7"}, tmp_path / "database.password")
     password = (tmp_path / "valkey.password").read_text()
     assert told["GAITWAY_REDIS_URL"] == f"redis://:{password}@192.0.2.7:6379/0"
     assert told["GAITWAY_S3_ENDPOINT"] == "192.0.2.7:8333"
+    assert "@192.0.2.7:5432/gaitway" in told["GAITWAY_DATABASE_URL"]
     assert set(told) <= names()
 
 
 def test_a_worker_elsewhere_is_told_of_stores_of_the_users_own(tmp_path: Path) -> None:
-    own = {"GAITWAY_REDIS_URL": "rediss://:word@records:6380", "GAITWAY_S3_ENDPOINT": "s3.example:443"}
+    own = {
+        "GAITWAY_DATABASE_URL": "postgresql://u:w@db/gaitway",
+        "GAITWAY_REDIS_URL": "rediss://:word@records:6380",
+        "GAITWAY_S3_ENDPOINT": "s3.example:443",
+    }
     assert compose.join(tmp_path, own) == own
 
 
@@ -145,6 +175,31 @@ def test_every_container_is_confined_and_keeps_its_log_small(services: Mapping[s
         assert service["cap_drop"] == ["ALL"], name
         assert service["security_opt"] == ["no-new-privileges:true"], name
         assert service["logging"] == {"driver": "local"}, name
+
+
+def test_the_queue_lies_in_memory_and_refuses_what_it_has_no_room_for(services: Mapping[str, Any]) -> None:
+    words = shlex.split(services["valkey"]["command"])
+    options = dict(zip(words[2::2], words[3::2], strict=True))
+    assert options["--appendonly"] == "no"
+    assert options["--save"] == ""
+    assert options["--maxmemory"] == "256mb"
+    assert options["--maxmemory-policy"] == "noeviction"
+    assert {volume["source"] for volume in services["valkey"]["volumes"]} == {"secrets"}
+
+
+@pytest.mark.parametrize("store", ["postgres", "redis", "s3"])
+def test_a_store_of_the_users_own_takes_the_place_of_ours(store: str, services: Mapping[str, Any]) -> None:
+    left_out = yaml.safe_load((ROOT / f"deploy/own-{store}.yml").read_text())["services"]
+    (name,) = left_out
+    assert left_out[name]["profiles"] == ["not-ours"]
+    for process in ("api", "reconciler", "worker", "worker-gpu"):
+        assert services[process]["depends_on"][name]["required"] is False
+
+
+def test_every_store_is_shared_with_workers_elsewhere() -> None:
+    shared = yaml.safe_load((ROOT / "deploy/share.yml").read_text())["services"]
+    ports = {name: service["ports"][0].rpartition("}:")[2] for name, service in shared.items()}
+    assert ports == {"postgres": "5432:5432", "valkey": "6379:6379", "objects": "8333:8333"}
 
 
 def test_a_drain_has_more_time_than_the_grace(services: Mapping[str, Any]) -> None:

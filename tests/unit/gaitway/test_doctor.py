@@ -2,20 +2,27 @@ import json
 import os
 import threading
 from collections import namedtuple
+from dataclasses import replace
 from datetime import datetime, timedelta, tzinfo
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
 import redis
+from pydantic import SecretStr
+from sqlalchemy import Engine, text
 from typer.testing import CliRunner
 
+from core.adapters.postgres import schema
+from core.adapters.postgres.connection import connect_postgres
 from core.configuration import SECRETS_DIR, names, variable
 from core.settings import WorkerSettings
 from gaitway.cli.main import app
 from gaitway.doctor import machine, run, services
 from gaitway.doctor import settings as doctor_settings
 from gaitway.doctor.check import Check, ProbeFailed, probe
+from gaitway.embedded import postgres
+from gaitway.embedded.processes import ServerFailed
 
 
 @pytest.fixture
@@ -34,7 +41,8 @@ def test_real_servers_pass(settings: WorkerSettings) -> None:
 def test_what_is_not_configured_is_skipped_and_not_passed(nothing_set: pytest.MonkeyPatch) -> None:
     assert doctor_settings.of_the_stores() is None
     assert doctor_settings.of_a_worker() is None
-    found = [check(None) for check in (services.redis, services.object_store, services.clock, machine.device)]
+    looked = (services.postgresql, services.redis, services.object_store, services.clock, machine.device)
+    found = [check(None) for check in looked]
     assert {check.state for check in (*found, doctor_settings.settings(), services.api())} == {"skip"}
 
 
@@ -42,7 +50,7 @@ def test_half_a_configuration_fails_and_names_the_rest(nothing_set: pytest.Monke
     nothing_set.setenv("GAITWAY_S3_ENDPOINT", "127.0.0.1:1")
     check = doctor_settings.settings()
     assert check.state == "fail"
-    for name in ("REDIS_URL", "S3_ACCESS_KEY", "S3_SECRET_KEY"):
+    for name in ("DATABASE_URL", "REDIS_URL", "S3_ACCESS_KEY", "S3_SECRET_KEY"):
         assert check.detail.count(f"GAITWAY_{name} is not set") == 1
     assert doctor_settings.of_the_stores() is None
 
@@ -62,15 +70,83 @@ def test_settings_of_single_processes_are_looked_at_too(
     assert "GAITWAY_MAX_BODY_BYTES" in check.detail
 
 
-def test_a_redis_without_its_append_only_file_is_a_warning(
-    settings: WorkerSettings, redis_client: redis.Redis
+def test_a_database_that_a_power_cut_would_hurt_is_a_warning(settings: WorkerSettings) -> None:
+    check = services.postgresql(settings)  # The tests' server does not write through.
+    assert (check.state, "fsync" in check.remedy) == ("warn", True)
+    assert "a power cut may lose what was promised" in check.detail
+
+
+@pytest.fixture
+def durable(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """The tests' database passes for one that writes through."""
+    facts = schema.facts
+    monkeypatch.setattr(schema, "facts", lambda engine: replace(facts(engine), is_durable=True))
+    return monkeypatch
+
+
+def test_a_database_with_tables_of_this_version_passes(
+    settings: WorkerSettings, durable: pytest.MonkeyPatch
 ) -> None:
-    redis_client.config_set("appendonly", "no")
+    check = services.postgresql(settings)
+    found = schema.facts(engine_of(settings))
+    assert found.server.startswith("18.")
+    assert check == Check(
+        "postgresql", "pass", f"PostgreSQL {found.server}, tables of revision {found.newest}"
+    )
+
+
+def test_a_database_without_tables_passes_and_says_who_makes_them(
+    settings: WorkerSettings, durable: pytest.MonkeyPatch
+) -> None:
+    schema.downgrade(engine_of(settings), "base")
+    check = services.postgresql(settings)
+    assert (check.state, "the reconciler will make the tables" in check.detail) == ("pass", True)
+
+
+def test_tables_of_an_older_version_are_a_warning(
+    settings: WorkerSettings, durable: pytest.MonkeyPatch
+) -> None:
+    facts = schema.facts
+    durable.setattr(schema, "facts", lambda engine: replace(facts(engine), newest="0099"))
+    check = services.postgresql(settings)
+    assert (check.state, check.remedy) == ("warn", "Start the reconciler: it upgrades them.")
+    assert check.detail.endswith("this version's are of 0099")
+
+
+def test_tables_of_a_newer_version_fail(settings: WorkerSettings) -> None:
+    with engine_of(settings).begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '0099'"))
+    check = services.postgresql(settings)
+    assert (check.state, "Start that version" in check.remedy) == ("fail", True)
+    assert "revision 0099, which a newer version of Gaitway made" in check.detail
+
+
+def test_a_database_that_is_away_fails_and_names_the_setting(
+    settings: WorkerSettings, tmp_path: Path
+) -> None:
+    nowhere = SecretStr(f"postgresql://gaitway@/gaitway?host={tmp_path}")
+    check = services.postgresql(settings.model_copy(update={"database_url": nowhere}))
+    assert (check.state, "GAITWAY_DATABASE_URL" in check.detail) == ("fail", True)
+
+
+def engine_of(settings: WorkerSettings) -> Engine:
+    return connect_postgres(settings.database_url.get_secret_value(), pool_size=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [("maxmemory", "0", "Set `maxmemory`"), ("maxmemory-policy", "allkeys-lru", "noeviction")],
+)
+def test_a_redis_that_forgets_jobs_or_grows_without_bound_is_a_warning(
+    name: str, value: str, words: str, settings: WorkerSettings, redis_client: redis.Redis
+) -> None:
+    (before,) = redis_client.config_get(name).values()
+    redis_client.config_set(name, value)
     try:
         check = services.redis(settings)
     finally:
-        redis_client.config_set("appendonly", "yes")
-    assert (check.state, "appendonly yes" in check.remedy) == ("warn", True)
+        redis_client.config_set(name, before)
+    assert (check.state, words in check.remedy) == ("warn", True)
 
 
 def test_a_clock_that_is_off_is_judged(settings: WorkerSettings, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,13 +255,26 @@ def test_the_folder_of_a_worker_s_settings_is_the_one_that_is_looked_at(
     assert found["disk"] == str(settings.data_dir)
 
 
+def test_an_embedded_server_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert machine.embedded_servers().detail == "PostgreSQL 18, valkey-server, weed"
+
+    def missing(_: str) -> str:
+        raise ServerFailed("No PostgreSQL 18.")
+
+    monkeypatch.setattr(postgres, "binary", missing)
+    check = machine.embedded_servers()
+    assert (check.state, check.detail) == ("warn", "missing: PostgreSQL 18")
+    assert "gaitway[embedded]" in check.remedy
+
+
 def test_embedded_servers_started_for_a_moment_pass(nothing_set: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("jax_devices", "physics", "renderer", "encoder"):
         nothing_set.setattr(machine, name, lambda: Check("left out", "skip", ""))
     nothing_set.setenv("GAITWAY_S3_STYLE", "host")  # The user's own; it leads elsewhere.
     states = {check.name: check.state for check in run.examine(tmp_path, embedded=True)}
-    assert {states[name] for name in ("settings", "redis", "object store", "clock")} == {"pass"}
+    assert {states[name] for name in ("settings", "postgresql", "redis", "object store", "clock")} == {"pass"}
     assert os.environ["GAITWAY_S3_STYLE"] == "host"
+    assert "GAITWAY_DATABASE_URL" not in os.environ
     assert "GAITWAY_REDIS_URL" not in os.environ
 
 

@@ -1,90 +1,148 @@
-"""Submitting, claiming, cancelling, losing, restoring: the use cases over the in-memory twins."""
+"""Submitting, claiming, cancelling, losing: the use cases over the record."""
 
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
 import pytest
+from sqlalchemy import text
 
-from core.adapters.memory_jobs import MemoryJobStore
 from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import (
     IdempotencyKeyReused,
     JobFinished,
+    JobInUse,
     JobNotFinished,
     JobNotFound,
+    JobUnreadable,
     LeaseLost,
-    ObjectNotFound,
+    RecordsUnavailable,
     Rejected,
+    StorageUnavailable,
 )
-from core.jobs.attempts import Holding, claim
+from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
-from core.jobs.reconciliation import reconcile
+from core.jobs.reconciliation import Reconciler
+from core.jobs.record_copy import read_copy
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
-from core.jobs.store import Idempotency
+from core.jobs.store import Idempotency, JobQuery
 from core.jobs.submission import submit
+from core.models.record import ModelRecord
 from core.storage import keys
 from tests.unit.jobs.making import NOON, make_job
 
 LEASE = timedelta(seconds=10)
+MODEL = "sha256:" + "0" * 64
+
+
+class Away(MemoryJobQueue):
+    """A queue that nobody reaches."""
+
+    def enqueue(self, *_: object, **__: object) -> None:
+        raise RecordsUnavailable("away")
 
 
 class Service:
-    """The three stores, and a clock that tests move."""
+    """The record, a queue, and a clock that tests move."""
 
-    def __init__(self) -> None:
-        self.seconds = 0.0
-        self.store = MemoryJobStore(clock=lambda: self.seconds)
+    def __init__(self, database_url: str) -> None:
+        self.engine = connect_postgres(database_url)
+        self.store = PostgresJobStore(self.engine)
         self.queue = MemoryJobQueue()
         self.objects = MemoryObjectStore()
-
-    @property
-    def now(self) -> Any:
-        return NOON + timedelta(seconds=self.seconds)
-
-    @property
-    def parts(self) -> dict[str, Any]:
-        return {"store": self.store, "queue": self.queue, "objects": self.objects}
+        self.reconciler = Reconciler(self.store, self.queue, LEASE)
 
     def submit(self, idempotency: Idempotency | None = None, **fields: Any) -> Job:
         spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
-        return submit(spec, **self.parts, now=self.now, idempotency=idempotency)
+        return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency)
 
     def claim(self, job: Job) -> Holding:
-        number = self.store.get(job.id).next_attempt
         self.queue.take()
-        holding = claim(
-            job.id, number, "w", store=self.store, objects=self.objects, lease=LEASE, now=self.now
-        )
+        holding = self.try_to_claim(job, self.store.get(job.id).next_attempt)
         assert holding is not None
         return holding
 
+    def try_to_claim(self, job: Job, number: int) -> Holding | None:
+        return claim(
+            job.id, number, "w", store=self.store, objects=self.objects, lease=LEASE, secret=new_secret()
+        )
+
+    def cancel(self, job: Job) -> Job:
+        return cancel(job.id, store=self.store, queue=self.queue)
+
+    def delete(self, job: Job) -> None:
+        delete(job.id, store=self.store, objects=self.objects)
+
     def reconcile(self) -> int:
-        return reconcile(**self.parts, lease=LEASE, now=self.now)
+        """A look of a reconciler that has been looking all the time."""
+        self.have_watched()
+        return self.reconciler.look()
+
+    def have_watched(self) -> None:
+        """As if a reconciler had been looking all the time."""
+        self._execute("UPDATE pulse SET beat_at = clock_timestamp(), quiet_until = '2026-01-01'")
+
+    def fall_silent(self, span: timedelta) -> None:
+        """Since the last look of a reconciler, so much time has passed."""
+        self._execute(
+            "UPDATE pulse SET beat_at = clock_timestamp() - :s * interval '1 second'", s=span.total_seconds()
+        )
+
+    def damage(self, job: Job) -> None:
+        """Nobody can read its specification any more."""
+        self._execute("UPDATE jobs SET spec = '{' WHERE id = :id", id=job.id)
+
+    def wait(self, seconds: float) -> None:
+        """To the leases, so much time has passed."""
+        self._execute("UPDATE jobs SET lease_until = lease_until - :s * interval '1 second'", s=seconds)
+
+    def jobs(self) -> list[str]:
+        return [job.id for job in self.store.list(JobQuery()).jobs]
 
     def status(self, job: Job) -> JobStatus:
         return self.store.get(job.id).status
 
     def checkpoint(self, holding: Holding, step: int) -> Artifact:
         name = f"checkpoint-{step:012d}.msgpack"
-        key = keys.artifact(holding.job_id, holding.number, name)
+        key = keys.artifact(holding.job_id, holding.number, "0" * 64, name)
         self.objects.put(key, b"state")
         return Artifact(name=name, role="checkpoint", media_type="", size=5, sha256="", key=key, step=step)
 
+    def _execute(self, statement: str, **values: float | str) -> None:
+        with self.engine.begin() as connection:
+            connection.execute(text(statement), values)
+
 
 @pytest.fixture
-def service() -> Service:
-    return Service()
+def service(database_url: str) -> Iterator[Service]:
+    service = Service(database_url)
+    yield service
+    service.store.close()
 
 
-def test_a_submission_is_durable_recorded_and_dispatched(service: Service) -> None:
+def test_a_submission_is_recorded_and_dispatched(service: Service) -> None:
     job = service.submit()
-    assert Job.model_validate_json(service.objects.get(keys.spec(job.id))) == job
     assert service.store.get(job.id) == job
     assert service.queue.contains(job.id, 1)
+    assert service.store.undispatched() == []
+
+
+def test_a_submission_while_the_queue_is_away_is_dispatched_later(service: Service) -> None:
+    queue, service.queue = service.queue, Away()
+    job = service.submit()
+    assert not queue.contains(job.id, 1)
+    assert service.reconcile() == 1
+    assert queue.contains(job.id, 1)
+    assert service.reconcile() == 0
 
 
 @pytest.mark.parametrize(
@@ -103,8 +161,7 @@ def test_what_cannot_run_is_refused_and_leaves_nothing(
     with pytest.raises(Rejected) as caught:
         service.submit(**fields)
     assert pointer in [problem.pointer for problem in caught.value.problems]
-    assert list(service.objects.list("")) == []
-    assert list(service.store.unfinished()) == []
+    assert service.jobs() == []
     assert service.queue.take() is None
 
 
@@ -113,47 +170,59 @@ def test_the_same_key_makes_one_job_and_another_body_under_it_is_refused(service
     assert service.submit(Idempotency("key", "body")).id == first.id
     with pytest.raises(IdempotencyKeyReused):
         service.submit(Idempotency("key", "other body"))
-    assert len(list(service.store.unfinished())) == 1
+    assert service.jobs() == [first.id]
 
 
 def test_a_dispatch_is_claimed_once(service: Service) -> None:
     job = service.submit()
     service.claim(job)
-    again = claim(
-        job.id, 1, "other", store=service.store, objects=service.objects, lease=LEASE, now=service.now
-    )
-    assert again is None
+    assert service.try_to_claim(job, 1) is None
+    assert service.try_to_claim(job, 2) is None
+
+
+def test_a_claim_whose_answer_was_lost_finds_what_it_took(service: Service) -> None:
+    job, secret = service.submit(), new_secret()
+
+    def take() -> Holding | None:
+        return claim(job.id, 1, "w", store=service.store, objects=service.objects, lease=LEASE, secret=secret)
+
+    first = take()
+    assert first is not None
+    assert take() == first
+    assert len(service.store.get(job.id).attempts) == 1
 
 
 def test_a_queued_job_is_cancelled_at_once_and_a_running_one_is_asked(service: Service) -> None:
     queued, running = service.submit(), service.submit()
-    assert cancel(queued.id, **service.parts, now=service.now).status == JobStatus.CANCELLED
+    assert service.cancel(queued).status == JobStatus.CANCELLED
     assert not service.queue.contains(queued.id, 1)
     holding = service.claim(running)
     holding.start(device="cpu")
-    assert cancel(running.id, **service.parts, now=service.now).status == JobStatus.CANCELLING
-    assert cancel(running.id, **service.parts, now=service.now).status == JobStatus.CANCELLING
-    holding.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "", service.now)
-    assert cancel(running.id, **service.parts, now=service.now).reason == Reason.USER_CANCELLED
+    assert service.cancel(running).status == JobStatus.CANCELLING
+    assert service.cancel(running).status == JobStatus.CANCELLING
+    holding.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "")
+    assert service.cancel(running).reason == Reason.USER_CANCELLED
 
 
 def test_what_has_succeeded_cannot_be_cancelled(service: Service) -> None:
     job = service.submit()
-    service.claim(job).end(JobStatus.SUCCEEDED, Reason.COMPLETED, "", service.now)
+    service.claim(job).end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
     with pytest.raises(JobFinished):
-        cancel(job.id, **service.parts, now=service.now)
+        service.cancel(job)
 
 
 def test_a_cancel_that_comes_before_the_start_is_not_lost(service: Service) -> None:
     job = service.submit()
     holding = service.claim(job)
-    cancel(job.id, **service.parts, now=service.now)
+    service.cancel(job)
     assert holding.start(device="cpu").status == JobStatus.CANCELLING
 
 
 def test_a_job_that_the_queue_forgot_is_dispatched_again(service: Service) -> None:
     job = service.submit()
     service.queue.remove(job.id, 1)
+    # A worker may be just taking it: only what two looks miss has been forgotten.
+    assert service.reconcile() == 0
     assert service.reconcile() == 1
     assert service.queue.contains(job.id, 1)
     assert service.reconcile() == 0
@@ -162,14 +231,14 @@ def test_a_job_that_the_queue_forgot_is_dispatched_again(service: Service) -> No
 def test_a_silent_worker_loses_its_job_and_its_late_writes_change_nothing(service: Service) -> None:
     job = service.submit()
     holding = service.claim(job)
-    service.seconds = 9
+    service.wait(9)
     assert service.reconcile() == 0
-    service.seconds = 21
+    service.wait(2)
     assert service.reconcile() == 1
     taken = service.store.get(job.id)
     assert (taken.status, taken.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_LOST)
     with pytest.raises(LeaseLost):
-        holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "", service.now)
+        holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
     assert service.store.get(job.id) == taken
 
 
@@ -177,7 +246,7 @@ def test_when_all_attempts_are_lost_the_job_has_failed(service: Service) -> None
     job = service.submit(max_attempts=2)
     for attempt in (1, 2):
         service.claim(job)
-        service.seconds += 100
+        service.wait(100)
         assert service.reconcile() == 1, attempt
     lost = service.store.get(job.id)
     assert (lost.status, lost.reason) == (JobStatus.FAILED, Reason.WORKER_LOST)
@@ -186,51 +255,62 @@ def test_when_all_attempts_are_lost_the_job_has_failed(service: Service) -> None
 
 def test_a_drained_attempt_does_not_count(service: Service) -> None:
     job = service.submit(max_attempts=1)
-    service.claim(job).give_back(Reason.WORKER_DRAINED, "", service.now)
+    service.claim(job).give_back(Reason.WORKER_DRAINED, "")
     assert service.status(job) == JobStatus.QUEUED
 
 
 def test_a_worker_lost_while_cancelling_leaves_a_cancelled_job(service: Service) -> None:
     job = service.submit()
     service.claim(job)
-    cancel(job.id, **service.parts, now=service.now)
-    service.seconds = 100
+    service.cancel(job)
+    service.wait(100)
     service.reconcile()
     assert service.status(job) == JobStatus.CANCELLED
 
 
-def test_only_the_newest_checkpoints_are_kept_and_the_manifest_names_them(service: Service) -> None:
+def test_only_the_newest_checkpoints_are_kept_and_the_others_may_be_removed(service: Service) -> None:
     holding = service.claim(service.submit())
     for step in (10, 20, 30):
-        job = holding.publish((service.checkpoint(holding, step),), keep_checkpoints=2)
+        job, dropped = holding.publish((service.checkpoint(holding, step),), keep_checkpoints=2)
     assert [a.step for a in job.artifacts] == [20, 30]
-    with pytest.raises(ObjectNotFound):
-        service.objects.get(keys.artifact(job.id, 1, "checkpoint-000000000010.msgpack"))
-    assert b"checkpoint-000000000030" in service.objects.get(keys.manifest(job.id, 1))
+    assert [key.rpartition("/")[2] for key in dropped] == ["checkpoint-000000000010.msgpack"]
 
 
-def test_an_emptied_store_is_rebuilt_from_the_bucket(service: Service) -> None:
-    queued, running, done = service.submit(), service.submit(), service.submit()
-    holding = service.claim(running)
-    holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
-    service.claim(done).end(JobStatus.SUCCEEDED, Reason.COMPLETED, "", service.now)
-    service.store, service.queue = MemoryJobStore(), MemoryJobQueue()
-    service.seconds = 60
-    service.reconcile()
-    assert service.status(queued) == JobStatus.QUEUED
-    assert service.store.get(done.id).reason == Reason.COMPLETED
-    again = service.store.get(running.id)
-    assert (again.status, again.next_attempt) == (JobStatus.QUEUED, 2)
-    assert [a.step for a in again.artifacts] == [10]
-    assert service.queue.contains(running.id, 2)
+def test_a_checkpoint_that_a_queued_job_was_promised_is_kept(service: Service) -> None:
+    source = service.submit()
+    holding = service.claim(source)
+    holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=1)
+    borrower = service.submit(resume_from={"job": source.id, "step": 10})
+    job, dropped = holding.publish((service.checkpoint(holding, 20),), keep_checkpoints=1)
+    assert ([a.step for a in job.artifacts], dropped) == ([10, 20], [])
+    holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    with pytest.raises(JobInUse, match=borrower.id):
+        service.delete(source)
+    service.cancel(borrower)
+    service.delete(source)
+
+
+def test_what_ended_stays_as_it_is_when_the_queue_is_emptied(service: Service) -> None:
+    queued, running, done, cancelled = (service.submit() for _ in range(4))
+    for job in (queued, running, done, cancelled):
+        service.queue.remove(job.id, 1)
+    service.try_to_claim(running, 1)
+    held = service.try_to_claim(done, 1)
+    assert held is not None
+    held.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    service.cancel(cancelled)
+    before = [service.store.get(job.id) for job in (queued, running, done, cancelled)]
+    assert [service.reconcile(), service.reconcile(), service.reconcile()] == [0, 1, 0]
+    assert [service.store.get(job.id) for job in before] == before
+    assert [dispatch.job_id for dispatch in service.queue.waiting()] == [queued.id]
 
 
 def test_only_a_job_that_has_ended_is_deleted_and_then_nothing_is_left(service: Service) -> None:
     job = service.submit()
     with pytest.raises(JobNotFinished):
-        delete(job.id, **service.parts)
-    cancel(job.id, **service.parts, now=service.now)
-    delete(job.id, **service.parts)
+        service.delete(job)
+    service.cancel(job)
+    service.delete(job)
     assert list(service.objects.list("")) == []
     with pytest.raises(JobNotFound):
         service.store.get(job.id)
@@ -242,7 +322,7 @@ def test_a_rollout_needs_a_job_with_a_checkpoint_in_the_same_environment(service
 
     def roll_out(environment: str) -> Job:
         spec = JOB_SPEC.validate_python({"kind": "rollout", "environment": environment, "policy": policy})
-        return submit(spec, **service.parts, now=service.now)
+        return submit(spec, store=service.store, queue=service.queue)
 
     with pytest.raises(Rejected, match="no checkpoint"):
         roll_out("ant")
@@ -264,7 +344,7 @@ def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -
         }
     )
     with pytest.raises(Rejected, match="100,000,000") as caught:
-        submit(spec, **service.parts, now=service.now)
+        submit(spec, store=service.store, queue=service.queue)
     assert [problem.pointer for problem in caught.value.problems] == ["/num_steps", "/num_episodes"]
 
 
@@ -299,7 +379,7 @@ def test_gpus_that_cannot_share_a_job_are_refused_with_the_places(
 ) -> None:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
     with pytest.raises(Rejected, match=sentence) as caught:
-        submit(spec, **service.parts, now=service.now)
+        submit(spec, store=service.store, queue=service.queue)
     assert [problem.pointer for problem in caught.value.problems] == pointers
 
 
@@ -307,7 +387,8 @@ def test_a_job_for_two_gpus_waits_for_them_however_often_it_is_dispatched(servic
     job = service.submit(resources={"gpus": 2})
     assert (job.accelerator, service.queue.take("cpu"), service.queue.take("gpu:0")) == ("gpu", None, None)
     service.queue.remove(job.id, 1)  # as an emptied Redis does
-    reconcile(**service.parts, lease=LEASE, now=service.now)
+    service.reconcile()
+    service.reconcile()
     dispatch = service.queue.take("gpu:0,1")
     assert dispatch is not None
     assert dispatch.job_id == job.id
@@ -369,3 +450,113 @@ def test_a_job_goes_on_where_its_checkpoint_fits(
         )
         job = job.next(artifacts=(checkpoint,))
     assert job.accelerator == needs
+
+
+def test_after_a_silence_of_the_reconciler_an_attempt_has_a_lease_to_speak(service: Service) -> None:
+    job = service.submit()
+    holding = service.claim(job)
+    service.wait(100)
+    # Nobody looked meanwhile, or the record was away: the attempt could not have renewed its lease.
+    service.fall_silent(LEASE)
+    assert service.reconciler.look() == 0
+    holding.store.renew(job.id, holding.token, LEASE)
+    assert service.reconcile() == 0
+    assert holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "").status == JobStatus.SUCCEEDED
+
+
+def test_two_reconcilers_at_once_take_a_job_back_once(service: Service) -> None:
+    held = [service.submit() for _ in range(10)]
+    for job in held:
+        service.claim(job)
+    service.wait(100)
+    service.have_watched()
+    another = Reconciler(service.store, service.queue, LEASE)
+    together = threading.Barrier(2)
+
+    def look(reconciler: Reconciler) -> None:
+        together.wait()
+        reconciler.look()
+
+    with ThreadPoolExecutor(2) as pool:
+        for done in [pool.submit(look, one) for one in (service.reconciler, another)]:
+            done.result(60)
+    for job in held:
+        taken = service.store.get(job.id)
+        assert (taken.status, len(taken.attempts), taken.version) == (JobStatus.QUEUED, 1, 3)
+        assert service.queue.contains(job.id, 2)
+
+
+def test_a_model_that_the_queue_was_not_told_of_or_forgot_is_handed_over(service: Service) -> None:
+    record = ModelRecord(id=MODEL, status="validating", media_type="", size=1, created_at=NOON)
+    service.store.add_model(record)
+    assert service.reconcile() == 1
+    assert service.queue.take_model() == MODEL
+    assert (service.reconcile(), service.reconcile()) == (0, 1)
+    assert service.queue.take_model() == MODEL
+    service.store.settle_model(record.model_copy(update={"status": "ready"}))
+    assert (service.reconcile(), service.reconcile()) == (0, 0)
+
+
+def test_an_unreadable_job_keeps_no_other_from_being_dispatched(service: Service) -> None:
+    queue, service.queue = service.queue, Away()
+    first, damaged, last = (service.submit() for _ in range(3))
+    service.damage(damaged)
+    assert service.reconcile() == 2
+    assert [dispatch.job_id for dispatch in queue.waiting()] == [first.id, last.id]
+    assert service.store.undispatched() == []
+
+
+def test_a_queue_that_goes_away_in_the_midst_gets_the_rest_later(service: Service) -> None:
+    queue, service.queue = service.queue, Away()
+    submitted = [service.submit() for _ in range(3)]
+    service.reconciler = Reconciler(service.store, Away(), LEASE)
+    assert service.reconcile() == 0
+    assert len(service.store.undispatched()) == 3
+    service.reconciler = Reconciler(service.store, queue, LEASE)
+    assert service.reconcile() == 3
+    assert [dispatch.job_id for dispatch in queue.waiting()] == [job.id for job in submitted]
+
+
+def test_an_unreadable_job_is_not_cancelled_and_deleted_once_it_has_ended(service: Service) -> None:
+    waiting, ended = service.submit(), service.submit()
+    service.cancel(ended)
+    for job in (waiting, ended):
+        service.damage(job)
+        with pytest.raises(JobUnreadable):
+            service.cancel(job)
+    with pytest.raises(JobNotFinished):
+        service.delete(waiting)
+    service.delete(ended)
+    assert service.jobs() == [waiting.id]
+
+
+def test_a_deletion_that_was_cut_short_can_be_asked_for_again(service: Service) -> None:
+    class Frail(MemoryObjectStore):
+        def delete_prefix(self, prefix: str) -> None:
+            raise StorageUnavailable("away")
+
+    job = service.submit()
+    service.claim(job).end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    whole, service.objects = service.objects, Frail()
+    with pytest.raises(StorageUnavailable):
+        service.delete(job)
+    assert service.status(job) == JobStatus.SUCCEEDED
+    service.objects = whole
+    service.delete(job)
+    assert (service.jobs(), list(whole.list(""))) == ([], [])
+
+
+def test_a_copy_of_the_record_lies_beside_its_objects_and_an_outage_costs_only_the_copy(
+    service: Service,
+) -> None:
+    class Frail(MemoryObjectStore):
+        def put(self, *_: object, **__: object) -> None:
+            raise StorageUnavailable("away")
+
+    job = service.submit()
+    holding = service.claim(job)
+    published, _ = holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+    assert read_copy(job.id, service.objects) == published
+    ended = replace(holding, objects=Frail()).end(JobStatus.FAILED, Reason.DIVERGED, "NaN")
+    assert service.store.get(job.id) == ended
+    assert read_copy(job.id, service.objects) == published

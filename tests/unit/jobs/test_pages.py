@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from core.adapters.memory_jobs import MemoryJobStore
-from core.adapters.memory_objects import MemoryObjectStore
 from core.jobs.checks import check
 from core.jobs.spec import JOB_SPEC
+from core.jobs.store import JobStore
 
 PAGES = Path(__file__).parents[3] / "docs"
 # Of a model of the reader's own: tests/unit/environments/mjcf/test_check.py holds it to its model.
@@ -21,8 +20,8 @@ JOBS = [
 
 
 @pytest.mark.parametrize("job", JOBS)
-def test_a_job_of_the_pages_is_one(job: str) -> None:
-    check(JOB_SPEC.validate_json(job), MemoryJobStore(), MemoryObjectStore())
+def test_a_job_of_the_pages_is_one(job: str, jobs: JobStore) -> None:
+    check(JOB_SPEC.validate_json(job), jobs)
 
 
 def test_the_pages_have_a_job_for_each_family_of_environments() -> None:

@@ -69,7 +69,11 @@ def test_what_is_no_job_id_is_refused(job: str) -> None:
     learning_rate=st.floats(1e-6, 1e-2),
     num_envs=st.sampled_from([64, 256, 1024]),
     seed=st.integers(0, 2**31 - 1),
-    labels=st.dictionaries(st.from_regex(r"[a-z]{1,8}", fullmatch=True), st.text(max_size=20), max_size=3),
+    labels=st.dictionaries(
+        st.from_regex(r"[a-z]{1,8}", fullmatch=True),
+        st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20),
+        max_size=3,
+    ),
 )
 def test_a_stored_job_comes_back_as_it_was_and_says_no_more_than_the_client(
     learning_rate: float, num_envs: int, seed: int, labels: dict[str, str]

@@ -2,13 +2,15 @@
 
 import os
 
+from pydantic import SecretStr
+
 from core.settings import WorkerSettings
 
 
 def environment(settings: WorkerSettings, **others: str) -> dict[str, str]:
     """This process's, without any setting of its own; others: further variables."""
     given = {
-        name: value.get_secret_value() if name in ("redis_url", "s3_secret_key") else str(value)
+        name: value.get_secret_value() if isinstance(value, SecretStr) else str(value)
         for name, value in settings
         if name in settings.model_fields_set
     }

@@ -1,4 +1,4 @@
-"""A fleet is a worker for each device: real processes, a real Valkey and object store."""
+"""A fleet is a worker for each device: real processes, real stores."""
 
 import json
 import os
@@ -11,9 +11,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-import redis
 
-from core.adapters.redis_jobs import RedisJobStore
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.configuration import EXIT_STATUS
 from core.errors import Misconfigured
 from core.jobs.store import WorkerInfo
@@ -25,8 +24,8 @@ from worker.fleet import Member
 class Fleet:
     """A fleet of two CPU workers, and what the service knows of it."""
 
-    def __init__(self, settings: WorkerSettings, client: redis.Redis, log: Path) -> None:
-        self._store = RedisJobStore(client)
+    def __init__(self, settings: WorkerSettings, store: PostgresJobStore, log: Path) -> None:
+        self._store = store
         with log.open("wb") as file:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "worker.fleet", "cpu", "cpu"],
@@ -68,8 +67,8 @@ def log(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def fleet(settings: WorkerSettings, redis_client: redis.Redis, log: Path) -> Iterator[Fleet]:
-    fleet = Fleet(settings, redis_client, log)
+def fleet(settings: WorkerSettings, job_store: PostgresJobStore, log: Path) -> Iterator[Fleet]:
+    fleet = Fleet(settings, job_store, log)
     yield fleet
     children = psutil.Process(fleet.process.pid).children() if fleet.process.poll() is None else []
     for process in (fleet.process, *children):
@@ -133,7 +132,7 @@ def test_a_worker_that_is_misconfigured_ends_the_fleet_with_its_status_and_is_no
     said = misconfigurations(done.stdout)
     assert done.returncode == EXIT_STATUS
     assert 2 <= len(said) <= 3  # Of the fleet, and of the workers that came so far.
-    assert "GAITWAY_REDIS_URL is not set" in said[0]
+    assert "GAITWAY_DATABASE_URL is not set" in said[0]
     assert "The worker on cpu cannot work as it is set up" in said[-1]
 
 

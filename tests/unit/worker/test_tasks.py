@@ -11,10 +11,9 @@ from contextlib import contextmanager
 import pytest
 import redis
 
-from core.adapters.redis_jobs import RedisJobStore
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.rq_queue import RQQueue
-from core.adapters.s3_objects import S3ObjectStore
-from core.jobs.job import Job, utc_now
+from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.submission import submit
 from core.settings import WorkerSettings
@@ -30,14 +29,9 @@ run_attempt(sys.argv[1], int(sys.argv[2]))
 
 
 @pytest.fixture
-def store(redis_client: redis.Redis) -> RedisJobStore:
-    return RedisJobStore(redis_client)
-
-
-@pytest.fixture
-def job(store: RedisJobStore, redis_client: redis.Redis, object_store: S3ObjectStore) -> Job:
+def job(job_store: PostgresJobStore, redis_client: redis.Redis) -> Job:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "inverted_pendulum"})
-    return submit(spec, store=store, queue=RQQueue(redis_client), objects=object_store, now=utc_now())
+    return submit(spec, store=job_store, queue=RQQueue(redis_client))
 
 
 @contextmanager
@@ -58,7 +52,7 @@ def dispatched(
 
 
 def test_a_gpu_that_has_gone_costs_the_job_nothing_and_a_drain_ends_the_pause(
-    job: Job, settings: WorkerSettings, store: RedisJobStore
+    job: Job, settings: WorkerSettings, job_store: PostgresJobStore
 ) -> None:
     with dispatched(job, 1, settings, GAITWAY_DEVICE="gpu:99") as process:
         assert process.stdout is not None
@@ -69,7 +63,7 @@ def test_a_gpu_that_has_gone_costs_the_job_nothing_and_a_drain_ends_the_pause(
         assert time.monotonic() - told < 3  # Of a pause of 5 s.
     assert line["event"] == "no_job_begun"
     assert "GAITWAY_DEVICE=gpu:99" in line["detail"]
-    assert store.get(job.id) == job
+    assert job_store.get(job.id) == job
 
 
 def test_the_spools_of_killed_attempts_go_before_the_disk_is_looked_at(

@@ -6,12 +6,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 
 from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import compiled, read
 from core.errors import BadModel, ModelNotFound
@@ -168,40 +170,46 @@ def test_a_confined_process_dies_with_its_worker(tmp_path: Path) -> None:
         time.sleep(0.02)
 
 
-def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(tmp_path: Path) -> None:
+def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(
+    tmp_path: Path, job_store: PostgresJobStore
+) -> None:
     objects, queue = MemoryObjectStore(), MemoryJobQueue()
-    record = library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
+    stores: Any = {"store": job_store, "objects": objects, "queue": queue}
+    record = library.add(NO_MOTOR, "application/xml", **stores, now=utc_now())
     assert queue.take_model() == record.id
-    validate(record.id, objects, tmp_path, tmp_path)
-    found = library.find(record.id, objects)
+    validate(record.id, job_store, objects, tmp_path, tmp_path)
+    found = library.find(record.id, job_store)
     assert (found.status, found.message) == (
         "refused",
         "The model has no actuators, so no policy could move it.",
     )
     assert found.refused_at is not None
     assert found.refused_at >= record.created_at
-    assert [info.key for info in objects.list("")] == [keys.model_record(record.id)]
+    assert list(objects.list("")) == []
     # Sent again, it is looked at again.
-    again = library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
+    again = library.add(NO_MOTOR, "application/xml", **stores, now=utc_now())
     assert (again.status, queue.contains_model(record.id)) == ("validating", True)
 
 
 def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sent_again(
-    tmp_path: Path,
+    tmp_path: Path, job_store: PostgresJobStore
 ) -> None:
     objects, queue = MemoryObjectStore(), MemoryJobQueue()
-    record = library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
+    stores: Any = {"store": job_store, "objects": objects, "queue": queue}
+    record = library.add(NO_MOTOR, "application/xml", **stores, now=utc_now())
     objects.delete_prefix(keys.model_source(record.id))  # as a worker that was killed before it kept why
-    validate(record.id, objects, tmp_path, tmp_path)
-    found = library.find(record.id, objects)
+    validate(record.id, job_store, objects, tmp_path, tmp_path)
+    found = library.find(record.id, job_store)
     assert (found.status, found.message) == (
         "refused",
         "A worker was stopped while it refused the model; send it again to be told why.",
     )
-    library.add(NO_MOTOR, "application/xml", objects=objects, queue=queue, now=utc_now())
+    library.add(NO_MOTOR, "application/xml", **stores, now=utc_now())
     assert objects.get(keys.model_source(record.id)) == NO_MOTOR
 
 
-def test_a_model_that_was_deleted_meanwhile_does_not_come_back(tmp_path: Path) -> None:
+def test_a_model_that_was_deleted_meanwhile_does_not_come_back(
+    tmp_path: Path, job_store: PostgresJobStore
+) -> None:
     with pytest.raises(ModelNotFound):
-        validate(f"sha256:{'0' * 64}", MemoryObjectStore(), tmp_path, tmp_path)
+        validate(f"sha256:{'0' * 64}", job_store, MemoryObjectStore(), tmp_path, tmp_path)

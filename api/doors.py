@@ -1,0 +1,66 @@
+"""Who may ask, as far as a browser tells: no page of another site may read, submit or cancel anything.
+
+There are no accounts. A foreign page is kept out because its browser names the page (`Origin`,
+`Sec-Fetch-Site`) and the host that it believes to talk to (`Host`).
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from ipaddress import ip_address
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.types import Scope
+
+from api.errors import CrossSiteRequest, EdgeError, UnknownHost
+
+_FOREIGN = ("cross-site", "same-site")
+
+
+@dataclass(frozen=True)
+class Doors:
+    """allowed_hosts: names at which the service is reached, besides localhost and addresses in numbers.
+
+    A foreign name that leads here (DNS rebinding) makes its page and this service one site to the browser; an
+    address in numbers is nobody's name.
+    """
+
+    allowed_hosts: Collection[str] = ()
+
+    def refusal(self, scope: Scope) -> EdgeError | None:
+        """Why the request is not answered, or None."""
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        if not self._is_ours(_name(host)):
+            return UnknownHost(_name(host))
+        if self._is_foreign(headers.get("origin"), host) or _is_embedded(headers):
+            return CrossSiteRequest("A page of another site may not use this service.")
+        return None
+
+    def _is_ours(self, name: str) -> bool:
+        if name == "localhost" or name.endswith(".localhost") or name in self.allowed_hosts:
+            return True
+        try:
+            ip_address(name)
+        except ValueError:
+            return False
+        return True
+
+    def _is_foreign(self, origin: str | None, host: str) -> bool:
+        if origin is None:
+            return False
+        place = urlsplit(origin).netloc
+        return place != host and _name(place) not in self.allowed_hosts
+
+
+def _is_embedded(headers: Headers) -> bool:
+    """Whether another site's page asks in the background; a link that a person followed is welcome."""
+    return headers.get("sec-fetch-site") in _FOREIGN and headers.get("sec-fetch-mode") != "navigate"
+
+
+def _name(host: str) -> str:
+    """The host without its port, in small letters."""
+    try:
+        return (urlsplit(f"//{host}").hostname or "").rstrip(".")
+    except ValueError:
+        return ""

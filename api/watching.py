@@ -1,0 +1,102 @@
+"""One look at all followed jobs together, however many follow them."""
+
+import asyncio
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from contextvars import Context
+
+import anyio
+import structlog
+from anyio import CapacityLimiter, to_thread
+
+from core.errors import Unavailable
+from core.jobs.store import JobStore, Mark
+
+log = structlog.get_logger()
+
+_PAUSE_S = 0.1
+_PAUSE_IN_OUTAGE_S = 1.0
+
+
+class Watch:
+    """What one follower waits with."""
+
+    def __init__(self, watcher: "JobWatcher") -> None:
+        self._watcher = watcher
+        self._news = anyio.Event()
+
+    def wake(self) -> None:
+        self._news.set()
+
+    async def news(self, patience_s: float) -> bool:
+        """Whether anything has happened to the job since the last call; waits up to `patience_s` for it.
+
+        Where the watcher broke, the answer is yes: the follower has to look for itself then.
+        """
+        with anyio.move_on_after(patience_s):
+            await self._news.wait()
+        if self._news.is_set():
+            self._news = anyio.Event()
+            return True
+        return not self._watcher.is_looking
+
+
+class JobWatcher:
+    """Asks the record ten times a second which followed jobs have news, while anybody follows one.
+
+    An idle follower costs no query. The watcher belongs to one event loop.
+    """
+
+    def __init__(self, store: JobStore) -> None:
+        self._store = store
+        self._watches: dict[str, set[Watch]] = {}
+        self._marks: dict[str, Mark | None] = {}
+        self._task: asyncio.Task[None] | None = None
+        # A thread of its own: followers that read all at once do not keep it waiting.
+        self._thread = CapacityLimiter(1)
+
+    @property
+    def is_looking(self) -> bool:
+        return self._task is not None and not self._task.done()
+
+    @contextmanager
+    def watch(self, job_id: str) -> Generator[Watch]:
+        """What happens to the job from now on. Read its feed after this has begun, and after each news."""
+        watch = Watch(self)
+        self._watches.setdefault(job_id, set()).add(watch)
+        if not self.is_looking:
+            # Without the context of the request that happens to come first.
+            self._task = asyncio.create_task(self._look_on(), name="job watcher", context=Context())
+        try:
+            yield watch
+        finally:
+            self._watches[job_id].discard(watch)
+            if not self._watches[job_id]:
+                del self._watches[job_id]
+                self._marks.pop(job_id, None)
+
+    async def _look_on(self) -> None:
+        is_away = False
+        while self._watches:
+            followed = list(self._watches)
+            try:
+                found = await to_thread.run_sync(self._store.marks, followed, limiter=self._thread)
+            except Unavailable as error:
+                if not is_away:
+                    log.warning("watching_waits", error=error.detail)
+                is_away = True
+            else:
+                is_away = False
+                self._wake(followed, found)
+            await anyio.sleep(_PAUSE_IN_OUTAGE_S if is_away else _PAUSE_S)
+
+    def _wake(self, followed: list[str], found: Mapping[str, Mark]) -> None:
+        """Wake those whose job's mark has changed, or was not known: they may have read before it."""
+        for job_id in followed:
+            mark = found.get(job_id)
+            is_news = job_id not in self._marks or self._marks[job_id] != mark
+            # Those who followed it may have left during the look.
+            if is_news and job_id in self._watches:
+                self._marks[job_id] = mark
+                for watch in self._watches[job_id]:
+                    watch.wake()

@@ -1,0 +1,95 @@
+"""Connections to PostgreSQL whose every call ends within seconds, also when the server is silent."""
+
+from typing import Any
+
+import psycopg
+from psycopg import errors
+from psycopg.conninfo import conninfo_to_dict
+from sqlalchemy import Engine, ExceptionContext, create_engine, event
+from sqlalchemy.pool import NullPool, QueuePool
+
+from core.errors import Misconfigured
+
+# A call that takes longer has met a server that is stopped, cut off or overloaded.
+DEADLINE_S = 2.0
+# The server gives up first: its words are better than silence.
+_OPTIONS = " ".join(
+    (
+        "-c statement_timeout=1800",
+        "-c lock_timeout=1500",
+        # A client that was stopped in the middle of a transaction lets go of its locks.
+        "-c idle_in_transaction_session_timeout=5000",
+        "-c timezone=UTC",
+        "-c application_name=gaitway",
+    )
+)
+
+
+class NoAnswer(psycopg.OperationalError):
+    """The server is there, and says nothing."""
+
+
+class PromptConnection(psycopg.Connection[Any]):
+    """A connection that gives up on a server that says nothing for `deadline_s`; None: never."""
+
+    deadline_s: float | None = DEADLINE_S
+
+    def wait(self, gen: Any, interval: float = 0.1, timeout: float | None = None) -> Any:
+        try:
+            return super().wait(gen, interval, self.deadline_s if timeout is None else timeout)
+        except errors._WaitTimeout as error:  # pyright: ignore[reportPrivateUsage]
+            self.pgconn.finish()  # Nobody knows how far it got: it is of no further use.
+            raise NoAnswer(f"no answer within {self.deadline_s:g} s") from error
+
+
+def connect_postgres(url: str, *, pool_size: int = 10) -> Engine:
+    """An engine for a postgresql:// address; it connects at its first call.
+
+    pool_size: connections kept and reused; 0 opens one for each call, for a process that forks.
+    Raises Misconfigured for an address that cannot be read.
+    """
+    if not _is_readable(url):
+        raise Misconfigured(
+            "GAITWAY_DATABASE_URL cannot be read: write postgresql://USER:PASSWORD@HOST:PORT/DATABASE, with "
+            "characters such as / # @ in the password percent-encoded."
+        )
+
+    def connect() -> psycopg.Connection[Any]:
+        # In a database without an encoding (SQL_ASCII), text would come back as bytes otherwise.
+        return PromptConnection.connect(url, connect_timeout=2, options=_OPTIONS, client_encoding="UTF8")
+
+    if pool_size == 0:
+        return create_engine("postgresql+psycopg://", creator=connect, poolclass=NullPool)
+    engine = create_engine(
+        "postgresql+psycopg://",
+        creator=connect,
+        poolclass=QueuePool,
+        pool_size=pool_size,
+        max_overflow=2 * pool_size,
+        pool_timeout=DEADLINE_S,
+        # A server that was restarted has closed what the pool holds.
+        pool_pre_ping=True,
+    )
+    event.listen(engine, "handle_error", _do_not_wait_twice)
+    return engine
+
+
+def _is_readable(url: str) -> bool:
+    """Whether the parts of the address can be what they stand for.
+
+    A character of the password that is not encoded makes the rest of it a host, a port or a database, and
+    those are shown in error messages.
+    """
+    try:
+        parts = conninfo_to_dict(url)
+    except psycopg.ProgrammingError:
+        return False
+    ports = [port for port in str(parts.get("port") or "").split(",") if port]
+    has_ports = all(port.isascii() and port.isdigit() and 0 < int(port) < 2**16 for port in ports)
+    return has_ports and not any("@" in str(parts.get(name)) for name in ("host", "dbname"))
+
+
+def _do_not_wait_twice(context: ExceptionContext) -> None:
+    """A ping that met silence is not followed by another connection, which would meet it too."""
+    if context.is_pre_ping and isinstance(context.original_exception, NoAnswer):
+        context.is_disconnect = False

@@ -1,0 +1,86 @@
+"""The records of users' own models."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import structlog
+from pydantic import ValidationError
+from sqlalchemy import Connection, Row, delete, func, select, update
+from sqlalchemy.dialects.postgresql import insert
+
+from core.adapters.postgres.rows import words
+from core.adapters.postgres.tables import dispatches, models
+from core.errors import ModelNotFound
+from core.jobs.store import Dispatch
+from core.models.record import Description, ModelRecord
+
+log = structlog.get_logger()
+
+
+def find(connection: Connection, model_id: str) -> ModelRecord:
+    row = connection.execute(select(models).where(models.c.id == model_id)).first()
+    if row is None:
+        raise ModelNotFound(model_id)
+    return _record(row)
+
+
+def add(connection: Connection, record: ModelRecord) -> None:
+    values = _values(record)
+    connection.execute(
+        insert(models)
+        .values(id=record.id, **values)
+        .on_conflict_do_update(index_elements=["id"], set_=values)
+    )
+    if record.status == "validating":
+        connection.execute(
+            insert(dispatches)
+            .values(task="model", subject=record.id, attempt=0, created_at=func.clock_timestamp())
+            .on_conflict_do_nothing()
+        )
+
+
+def settle(connection: Connection, record: ModelRecord) -> None:
+    changed = connection.execute(
+        update(models).where(models.c.id == record.id).values(_values(record)).returning(models.c.id)
+    )
+    if changed.first() is None:
+        raise ModelNotFound(record.id)
+
+
+def forget(connection: Connection, model_id: str) -> None:
+    connection.execute(delete(models).where(models.c.id == model_id))
+    connection.execute(
+        delete(dispatches).where(dispatches.c.task == "model", dispatches.c.subject == model_id)
+    )
+
+
+def every(connection: Connection) -> Sequence[ModelRecord]:
+    """All that this version understands: one that it does not hides no other."""
+    found: list[ModelRecord] = []
+    for row in connection.execute(select(models).order_by(models.c.id)):
+        try:
+            found.append(_record(row))
+        except ValidationError as error:
+            log.warning("model_unreadable", model=row.id, problem=str(error))
+    return found
+
+
+def waiting(connection: Connection) -> Sequence[Dispatch]:
+    found = connection.execute(select(models.c.id).where(models.c.status == "validating"))
+    return [Dispatch("model", row.id) for row in found]
+
+
+def _values(record: ModelRecord) -> dict[str, Any]:
+    description = record.description
+    return {
+        **record.model_dump(exclude={"id", "description"}),
+        "message": words(record.message),
+        "description": None if description is None else description.model_dump_json(),
+    }
+
+
+def _record(row: Row[Any]) -> ModelRecord:
+    said = dict(row._mapping)  # pyright: ignore[reportPrivateUsage] # Public, by SQLAlchemy's documentation.
+    found = said.pop("description")
+    description = None if found is None else Description.model_validate_json(found)
+    return ModelRecord.model_validate({**said, "description": description})

@@ -1,0 +1,191 @@
+"""The tables of the record. Migrations make them; `tests/contract/test_migrations.py` holds the two together.
+
+jobs        one row a job; `token` and `lease_until` belong to the attempt that holds it
+attempts    one row a try at a job
+artifacts   the files of a job that readers may see, each named by its key and hash
+chunks      finished parts of a job's feeds, which lie in the object store
+entries     the newest part of each feed, until it is moved into a chunk
+dispatches  what RQ has still to be told; written in the transaction that makes it necessary
+models      users' own models, by the hash of their bytes
+workers     what each worker said of itself last
+idempotency_keys   the submissions of the last day that came with a key
+pulse       one row: when the reconciler last reached this database
+
+Documents are JSON as text: PostgreSQL's own JSON types refuse the character U+0000, which a log may hold.
+"""
+
+from typing import Any
+
+from sqlalchemy import (
+    BigInteger,
+    Column,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+    text,
+)
+from sqlalchemy.dialects.postgresql import INTERVAL, JSONB, TIMESTAMP
+
+metadata = MetaData()
+
+
+def _moment(name: str, *, nullable: bool = True) -> Column[Any]:
+    return Column(name, TIMESTAMP(timezone=True), nullable=nullable)
+
+
+jobs = Table(
+    "jobs",
+    metadata,
+    # "C" compares bytes: ids sort by time whatever the database's language is.
+    Column("id", String(collation="C"), primary_key=True),
+    Column("version", Integer, nullable=False),
+    Column("kind", Text, nullable=False),
+    Column("environment", Text, nullable=False),
+    Column("name", Text),
+    Column("labels", JSONB, nullable=False),
+    Column("model", Text),
+    Column("source", Text),
+    Column("source_step", BigInteger),
+    Column("spec", Text, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("reason", Text),
+    Column("message", Text),
+    _moment("created_at", nullable=False),
+    _moment("started_at"),
+    _moment("finished_at"),
+    Column("progress", Text),
+    Column("token", Text, nullable=False, server_default=""),
+    _moment("lease_until"),
+    Column("num_attempts", Integer, nullable=False, server_default="0"),
+    Column("num_events", BigInteger, nullable=False, server_default="0"),
+    Column("num_logs", BigInteger, nullable=False, server_default="0"),
+    Column("last_write", Text),
+    # Room beside each row: a renewed lease then touches no index.
+    postgresql_with={"fillfactor": "80"},
+)
+Index("jobs_by_status", jobs.c.status, jobs.c.id)
+Index("jobs_by_kind", jobs.c.kind, jobs.c.id)
+Index("jobs_by_environment", jobs.c.environment, jobs.c.id)
+# For several conditions at once; PostgreSQL 18 skips over a column that has none.
+Index("jobs_by_state", jobs.c.status, jobs.c.kind, jobs.c.environment, jobs.c.id)
+Index("jobs_by_name", jobs.c.name, jobs.c.id, postgresql_where=jobs.c.name.isnot(None))
+Index("jobs_by_label", jobs.c.labels, postgresql_using="gin", postgresql_ops={"labels": "jsonb_path_ops"})
+UNFINISHED = ("queued", "starting", "running", "cancelling")
+_IS_UNFINISHED = text("status IN ('queued', 'starting', 'running', 'cancelling')")
+Index("jobs_unfinished", jobs.c.id, postgresql_where=_IS_UNFINISHED)
+Index("jobs_by_source", jobs.c.source, postgresql_where=_IS_UNFINISHED)
+
+
+def _of_job() -> Column[Any]:
+    return Column("job_id", ForeignKey(jobs.c.id, ondelete="CASCADE"), primary_key=True)
+
+
+attempts = Table(
+    "attempts",
+    metadata,
+    _of_job(),
+    Column("number", Integer, primary_key=True),
+    Column("token", Text, nullable=False),
+    Column("worker", Text, nullable=False),
+    Column("device", Text),
+    Column("engine", Text),
+    Column("details", Text, nullable=False, server_default="{}"),
+    _moment("started_at", nullable=False),
+    _moment("ended_at"),
+    Column("reason", Text),
+    Column("message", Text),
+)
+
+artifacts = Table(
+    "artifacts",
+    metadata,
+    _of_job(),
+    Column("name", Text, primary_key=True),
+    Column("position", Integer, nullable=False),
+    Column("role", Text, nullable=False),
+    Column("media_type", Text, nullable=False),
+    Column("size", BigInteger, nullable=False),
+    Column("sha256", Text, nullable=False),
+    Column("key", Text, nullable=False),
+    Column("step", BigInteger),
+    Column("metadata", Text, nullable=False, server_default="{}"),
+)
+
+chunks = Table(
+    "chunks",
+    metadata,
+    _of_job(),
+    Column("channel", Text, primary_key=True),
+    Column("first", BigInteger, primary_key=True),
+    Column("last", BigInteger, nullable=False),
+    Column("key", Text, nullable=False),
+    Column("size", BigInteger, nullable=False),
+    Column("sha256", Text, nullable=False),
+)
+
+entries = Table(
+    "entries",
+    metadata,
+    _of_job(),
+    Column("channel", Text, primary_key=True),
+    Column("number", BigInteger, primary_key=True),
+    Column("kind", Text, nullable=False),
+    _moment("time", nullable=False),
+    Column("data", Text, nullable=False),
+)
+
+dispatches = Table(
+    "dispatches",
+    metadata,
+    Column("task", Text, primary_key=True),
+    Column("subject", Text, primary_key=True),
+    Column("attempt", Integer, primary_key=True),
+    _moment("created_at", nullable=False),
+)
+
+models = Table(
+    "models",
+    metadata,
+    Column("id", Text, primary_key=True),
+    Column("status", Text, nullable=False),
+    Column("media_type", Text, nullable=False),
+    Column("size", BigInteger, nullable=False),
+    _moment("created_at", nullable=False),
+    Column("description", Text),
+    Column("message", Text),
+    _moment("refused_at"),
+)
+Index("models_by_status", models.c.status)
+
+workers = Table(
+    "workers",
+    metadata,
+    Column("name", Text, primary_key=True),
+    Column("said", Text, nullable=False),
+    _moment("gone_at", nullable=False),
+)
+
+idempotency_keys = Table(
+    "idempotency_keys",
+    metadata,
+    Column("key_hash", Text, primary_key=True),
+    Column("fingerprint", Text, nullable=False),
+    Column("job_id", String(collation="C"), ForeignKey(jobs.c.id, ondelete="CASCADE"), nullable=False),
+    _moment("forgotten_at", nullable=False),
+)
+Index("idempotency_keys_by_job", idempotency_keys.c.job_id)
+Index("idempotency_keys_by_end", idempotency_keys.c.forgotten_at)
+
+pulse = Table(
+    "pulse",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    _moment("beat_at", nullable=False),
+    # After which attempts get time to renew their leases.
+    Column("longest_silence", INTERVAL, nullable=False, server_default="0"),
+    _moment("quiet_until", nullable=False),
+)

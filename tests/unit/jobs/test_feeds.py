@@ -1,0 +1,265 @@
+"""Feeds read across the record and the object store, and moved from the one to the other."""
+
+import json
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from sqlalchemy import event
+
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.errors import JobNotFound, ObjectNotFound, StorageUnavailable
+from core.jobs import feeds
+from core.jobs.attempts import Holding
+from core.jobs.deletion import delete
+from core.jobs.job import new_job_id
+from core.jobs.status import JobStatus, Reason
+from core.jobs.store import Channel, Entry
+from core.storage import keys
+from core.storage.objects import ObjectStore
+from tests.unit.jobs.making import NOON
+from tests.unit.jobs.playing import PlayedWorker
+
+
+class Feed:
+    """The feeds of one running job, over both stores."""
+
+    def __init__(self, store: PostgresJobStore, objects: ObjectStore) -> None:
+        self.store, self.objects = store, objects
+        self.worker = PlayedWorker(store, objects)
+        self.holding: Holding = self.worker.begin(self.worker.submit())
+        self.id = self.holding.job_id
+
+    def say(self, *texts: str) -> None:
+        self.worker.say(self.holding, "logs", *texts)
+
+    def tell(self, *entries: Entry, write_id: str = "w") -> None:
+        self.store.record(self.id, self.holding.token, "events", entries, write_id=write_id)
+
+    def read(self, channel: Channel = "logs", **asked: Any) -> Sequence[Entry]:
+        return feeds.read(self.id, channel, store=self.store, objects=self.objects, **asked)
+
+    def texts(self, **asked: Any) -> list[str]:
+        return [entry.data["text"] for entry in self.read(**asked)]
+
+    def compact(self) -> int:
+        return feeds.compact(store=self.store, objects=self.objects)
+
+    def chunks(self, channel: Channel = "logs") -> list[str]:
+        """The keys of their objects."""
+        return [found.key for found in self.objects.list(f"{keys.job(self.id)}{channel}/")]
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every entry is due, three to a chunk."""
+    monkeypatch.setattr(feeds, "MAX_BYTES", 1)
+    monkeypatch.setattr(feeds, "_MOST_ENTRIES", 3)
+
+
+@pytest.fixture
+def feed(job_store: PostgresJobStore, objects: ObjectStore) -> Feed:
+    return Feed(job_store, objects)
+
+
+@pytest.mark.usefixtures("at_once")
+class TestReading:
+    def test_what_lies_in_chunks_reads_as_what_does_not(self, feed: Feed) -> None:
+        said = [f"{i} é\n\u2028\0🐜\r" for i in range(8)]
+        feed.say(*said)
+        before = feed.read()
+        assert feed.compact() == 2  # The logs, and the word of two statuses in the events.
+        assert len(feed.chunks()) == 1
+        assert feed.read() == before
+        while feed.compact():
+            pass
+        assert len(feed.chunks()) == 3
+        assert feed.store.feed(feed.id, "logs").entries == []
+        assert feed.read() == before
+        assert feed.texts() == said
+
+    def test_every_place_to_resume_at_gives_the_rest(self, feed: Feed) -> None:
+        # Two chunks of three, and two entries behind them.
+        feed.say(*map(str, range(8)))
+        feed.compact()
+        feed.compact()
+        for after in range(10):
+            for limit in (1, 2, 3, 5, 100):
+                assert feed.texts(after=after, limit=limit) == [
+                    str(i) for i in range(after, min(8, after + limit))
+                ]
+
+    def test_more_chunks_than_one_look_gives_are_all_read(self, feed: Feed) -> None:
+        feed.say(*map(str, range(40)))
+        while feed.compact():
+            pass
+        assert len(feed.chunks()) == 14
+        assert feed.texts() == [str(i) for i in range(40)]
+        assert feed.texts(after=37) == ["37", "38", "39"]
+
+    def test_one_kind_is_found_among_many_others_also_in_chunks(self, feed: Feed) -> None:
+        entries = [
+            Entry(kind="metrics" if i % 10 == 9 else "note", time=NOON, data={"i": i}) for i in range(50)
+        ]
+        feed.tell(*entries)
+        for _ in range(3):  # Behind 9 entries, of which two tell of the job's status.
+            first = feed.read("events", kind="metrics", limit=3)
+            assert [entry.data["i"] for entry in first] == [9, 19, 29]
+            rest = feed.read("events", kind="metrics", after=int(first[-1].id), limit=3)
+            assert [entry.data["i"] for entry in rest] == [39, 49]
+            feed.compact()
+
+    def test_an_empty_feed_is_empty_and_an_unknown_jobs_is_not_found(self, feed: Feed) -> None:
+        assert feed.read() == []
+        with pytest.raises(JobNotFound):
+            feeds.read(new_job_id(NOON), "logs", store=feed.store, objects=feed.objects)
+
+    def test_a_chunk_whose_object_is_lost_is_not_passed_over(self, feed: Feed) -> None:
+        feed.say(*"abcd")
+        feed.compact()
+        feed.objects.delete_prefix(feed.chunks()[0])
+        with pytest.raises(ObjectNotFound):
+            feed.read()
+        assert feed.texts(after=3) == ["d"]
+
+
+def test_a_kind_is_sought_with_a_look_at_a_thousand_entries_each(job_store: PostgresJobStore) -> None:
+    # The only two of the kind lie before entries 1500 and 3000: that is four looks, and not one for each.
+    feed = Feed(job_store, MemoryObjectStore())
+    for part in range(2):
+        others = [Entry(kind="note", time=NOON) for _ in range(1499)]
+        feed.tell(*others, Entry(kind="metrics", time=NOON), write_id=str(part))
+    looks: list[str] = []
+    event.listen(job_store._engine, "begin", lambda connection: looks.append("look"))
+    assert len(feed.read("events", kind="metrics", limit=2)) == 2
+    assert len(looks) <= 4
+
+
+@pytest.mark.usefixtures("at_once")
+class TestCompacting:
+    def test_chunks_hold_entries_by_the_line_under_a_key_with_their_hash(self, feed: Feed) -> None:
+        feed.say("a", "b")
+        feed.compact()
+        (key,) = feed.chunks()
+        documents = [json.loads(line) for line in feed.objects.get(key).splitlines()]
+        assert [(each["id"], each["data"]) for each in documents] == [
+            ("1", {"text": "a"}),
+            ("2", {"text": "b"}),
+        ]
+        (chunk,) = feed.store.feed(feed.id, "logs").chunks
+        assert (chunk.key, chunk.first, chunk.last) == (key, 1, 2)
+        assert key == keys.chunk(feed.id, "logs", 1, chunk.sha256)
+        assert chunk.size == len(feed.objects.get(key))
+
+    def test_nothing_due_makes_nothing(self, feed: Feed) -> None:
+        feed.compact()
+        assert feed.compact() == 0
+
+    def test_what_is_said_while_a_chunk_is_made_stays(self, feed: Feed) -> None:
+        feed.say("a")
+        interrupt(feed, lambda: feed.say("b"))
+        feed.compact()
+        assert feed.texts() == ["a", "b"]
+
+    def test_a_store_that_is_away_loses_nothing_and_the_next_look_goes_on(self, feed: Feed) -> None:
+        def fail() -> None:
+            raise StorageUnavailable("away")
+
+        feed.say("a")
+        interrupt(feed, fail)
+        with pytest.raises(StorageUnavailable):
+            feed.compact()
+        assert feed.texts() == ["a"]
+        feed.compact()
+        assert (feed.texts(), len(feed.chunks())) == (["a"], 1)
+
+    def test_a_job_deleted_while_its_chunk_is_made_keeps_no_other_from_theirs(self, feed: Feed) -> None:
+        feed.say("a")
+        job = feed.holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+        other = Feed(feed.store, feed.objects)
+        other.say("b")
+        interrupt(feed, lambda: delete(job.id, store=feed.store, objects=feed.objects))
+        feed.compact()
+        assert (other.texts(), len(other.chunks())) == (["b"], 1)
+        with pytest.raises(JobNotFound):
+            feed.read()
+
+    def test_two_that_compact_at_once_make_each_chunk_once(self, feed: Feed) -> None:
+        feed.say(*map(str, range(30)))
+        together = threading.Barrier(2)
+
+        def compact_all() -> None:
+            together.wait()
+            while feed.compact():
+                pass
+
+        with ThreadPoolExecutor(2) as pool:
+            for done in [pool.submit(compact_all) for _ in range(2)]:
+                done.result(60)
+        assert feed.texts() == [str(i) for i in range(30)]
+        chunks = [
+            chunk
+            for after in range(0, 30, 3)
+            for chunk in feed.store.feed(feed.id, "logs", after=after).chunks
+        ]
+        assert {(chunk.first, chunk.last) for chunk in chunks} == {(i, i + 2) for i in range(1, 30, 3)}
+
+    def test_a_reader_sees_no_gap_and_no_double_meanwhile(self, feed: Feed) -> None:
+        most, done = 150, threading.Event()
+
+        def write() -> None:
+            for i in range(0, most, 2):
+                feed.say(str(i), str(i + 1))
+            done.set()
+
+        def compact() -> None:
+            while not done.is_set():
+                feed.compact()
+
+        def read() -> int:
+            looks = 0
+            while not done.is_set():
+                texts = feed.texts()
+                assert texts == [str(i) for i in range(len(texts))]
+                looks += 1
+            return looks
+
+        with ThreadPoolExecutor(3) as pool:
+            tasks = [pool.submit(write), pool.submit(compact)]
+            assert pool.submit(read).result(60) > 0
+            for task in tasks:
+                task.result(60)
+        assert feed.texts() == [str(i) for i in range(most)]
+        assert len(feed.chunks()) > 1
+
+
+def test_a_feed_waits_for_its_size_its_age_or_its_jobs_end(job_store: PostgresJobStore) -> None:
+    objects = MemoryObjectStore()
+    short, long, old, ended = (Feed(job_store, objects) for _ in range(4))
+    for feed in (short, ended):
+        feed.say("a")
+    long.say("x" * feeds.MAX_BYTES)
+    old.tell(Entry(kind="note", time=datetime.now(UTC) - feeds.MAX_AGE))
+    ended.holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    feeds.compact(store=job_store, objects=objects)
+    made = [
+        [channel for channel in ("events", "logs") if each.chunks(channel)]
+        for each in (short, long, old, ended)
+    ]
+    assert made == [[], ["logs"], ["events"], ["events", "logs"]]
+
+
+def interrupt(feed: Feed, meanwhile: Any) -> None:
+    """Let something happen at the next put: after a chunk's entries were read, before the chunk is named."""
+    put = feed.objects.put
+
+    def once(*args: Any, **said: Any) -> None:
+        feed.objects.put = put  # type: ignore[method-assign]
+        meanwhile()
+        put(*args, **said)
+
+    feed.objects.put = once  # type: ignore[method-assign]

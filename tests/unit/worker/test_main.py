@@ -1,0 +1,49 @@
+"""The worker that RQ knows, in this process."""
+
+import os
+import signal
+from collections.abc import Iterator
+from datetime import timedelta
+from typing import Any
+
+import pytest
+from rq.exceptions import StopRequested
+
+from core.errors import RecordsUnavailable
+from core.jobs.store import WorkerInfo
+from core.settings import WorkerSettings
+from worker.main import GaitwayWorker
+
+
+@pytest.fixture(autouse=True)
+def signals_as_before() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+class InterruptedStore:
+    """The worker is told to go while it announces itself. Where that raises, so does the driver: its own."""
+
+    def announce(self, worker: WorkerInfo, ttl: timedelta) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except Exception as error:
+            raise RecordsUnavailable("another command is already in progress") from error
+
+
+def test_a_worker_that_is_told_to_go_while_it_announces_itself_goes(settings: WorkerSettings) -> None:
+    store: Any = InterruptedStore()
+    worker = GaitwayWorker(settings, "cpu", store)
+    signal.signal(signal.SIGTERM, worker.request_stop)
+    with pytest.raises(StopRequested):
+        worker.announce()
+
+
+def test_a_worker_that_waits_for_a_job_goes_at_once(settings: WorkerSettings) -> None:
+    store: Any = InterruptedStore()
+    worker = GaitwayWorker(settings, "cpu", store)
+    signal.signal(signal.SIGTERM, worker.request_stop)
+    with pytest.raises(StopRequested):
+        os.kill(os.getpid(), signal.SIGTERM)
