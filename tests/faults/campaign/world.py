@@ -174,7 +174,7 @@ class World:
             with suppress(httpx.HTTPError):
                 workers = httpx.get(f"{self.url}/workers", timeout=2, trust_env=False)
                 ready = httpx.get(f"{self.url}/readyz", timeout=5, trust_env=False)
-                if ready.is_success and len(workers.json()["items"]) >= 2:
+                if ready.is_success and workers.is_success and len(workers.json()["items"]) >= 2:
                     return
             time.sleep(_GLANCE_S)
         logs = "\n".join(f"--- {party}\n{self.logs(party)[-1500:]}" for party in PARTIES)
