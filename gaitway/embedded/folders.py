@@ -3,18 +3,34 @@
 import json
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
+
+from gaitway.embedded.processes import ServerFailed
 
 _T = TypeVar("_T")
 
 
 def private_folder(folder: Path) -> Path:
-    """The absolute folder, made if need be, for its owner alone."""
+    """The absolute folder, made if need be, for its owner alone. Raises ServerFailed where we may not."""
     folder = folder.expanduser().resolve()
-    folder.mkdir(parents=True, exist_ok=True)
-    folder.chmod(0o700)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.chmod(0o700)
+    except PermissionError as error:
+        raise ServerFailed(_not_ours(folder, error)) from None
     return folder
+
+
+def _not_ours(folder: Path, error: PermissionError) -> str:
+    owner = "another user"
+    with suppress(OSError, KeyError):
+        owner = folder.owner()
+    return (
+        f"{folder} cannot be used ({error.strerror}): it belongs to {owner}. Name another folder by --data, "
+        "or start as that user."
+    )
 
 
 def remembered(path: Path, make: Callable[[], _T]) -> _T:

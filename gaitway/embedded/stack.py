@@ -20,6 +20,7 @@ from gaitway.embedded.folders import private_folder
 from gaitway.embedded.interruption import Interruption
 from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free
 from gaitway.embedded.servers import EmbeddedServers
+from gaitway.embedded.stopped import StoppedProcesses
 from gaitway.embedded.version_01 import tell_if_left
 
 FIRST_PORT = 8000
@@ -28,6 +29,7 @@ _GRACE_S = 30
 _WORKER = "worker-"
 _MOST_RESTARTS = 5  # in so many seconds:
 _RESTART_WINDOW_S = 60.0
+_LOOK_FOR_STOPPED_EVERY_S = 1.0
 
 
 @dataclass
@@ -60,6 +62,8 @@ class Stack:
         self._num_workers = num_workers
         self._tell = tell
         self._members: list[_Member] = []
+        self._stopped = StoppedProcesses()
+        self._looked_for_stopped_at = time.monotonic()
         self._interruption = Interruption()
         self._folder = data_dir
         self._lock: IO[str] | None = None
@@ -103,8 +107,15 @@ class Stack:
             self.mend()
 
     def mend(self) -> None:
-        """Start again what has ended by itself. Raises ServerFailed after five times in a minute."""
+        """Start again what has ended by itself. Raises ServerFailed after five times in a minute.
+
+        A process that a signal has stopped for half a minute is ended, and then is one of these.
+        """
         now = time.monotonic()
+        if now - self._looked_for_stopped_at >= _LOOK_FOR_STOPPED_EVERY_S:
+            self._looked_for_stopped_at = now
+            for sentence in self._stopped.end():
+                self._tell(sentence)
         for member in self._members:
             if member.due_at is None and member.process.pid is None:
                 member.due_at = now + self._delay_s(member, now)
