@@ -6,13 +6,13 @@ from typing import Annotated
 
 from anyio import CapacityLimiter
 from fastapi import Depends, Path, Request
-from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from api.watching import JobWatcher
 from core.jobs import feeds
-from core.jobs.job import check_job_id
+from core.jobs.job import JOB_ID, check_job_id
 from core.jobs.queue import JobQueue
-from core.jobs.store import Channel, Entry, JobStore
+from core.jobs.store import ENTRY_ID, Channel, Entry, JobStore
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
 
@@ -26,6 +26,7 @@ class Service:
     stopping: true once the process was asked to end, so that streams close.
     watching: the threads that streams read with, apart from those that other requests share.
     watcher: tells streams of news.
+    num_uploads: models that are being received.
     """
 
     settings: ApiSettings
@@ -33,6 +34,7 @@ class Service:
     queue: JobQueue
     objects: ObjectStore
     stopping: bool = False
+    num_uploads: int = 0
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))
     watcher: JobWatcher = field(init=False)
 
@@ -61,8 +63,17 @@ async def _service(request: Request) -> Service:
 # Asynchronous, so that no thread is taken for handing over a reference.
 ServiceDep = Annotated[Service, Depends(_service)]
 JobId = Annotated[
-    str, Path(description="A job's id.", examples=["019aa3c2f0b1-5be0c1d2e3"]), AfterValidator(check_job_id)
+    str,
+    Path(
+        description="A job's id.",
+        examples=["019aa3c2f0b1-5be0c1d2e3"],
+        # For readers of the document; what is no id is a job that is not there.
+        json_schema_extra={"pattern": f"^{JOB_ID}$"},
+    ),
+    AfterValidator(check_job_id),
 ]
+# `core.jobs.store.entry_number` checks it.
+EntryId = Annotated[str, Field(json_schema_extra={"pattern": f"^{ENTRY_ID}$"})]
 
 
 class Parameters(BaseModel):

@@ -49,7 +49,10 @@ class Doors:
     def _is_foreign(self, origin: str | None, host: str) -> bool:
         if origin is None:
             return False
-        place = urlsplit(origin).netloc
+        try:
+            place = urlsplit(origin).netloc
+        except ValueError:  # No address at all.
+            return True
         return place != host and _name(place) not in self.allowed_hosts
 
 

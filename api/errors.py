@@ -89,6 +89,26 @@ class UnsupportedMediaType(EdgeError):
         return {"Accept-Post": ", ".join(self._accepted)}
 
 
+class TooManyModels(EdgeError):
+    """As many models as GAITWAY_MAX_WAITING_MODELS allows are on their way in, or wait for a worker to look
+    at them. Workers do that when no job waits."""
+
+    status = 429
+    code = "too-many-models"
+    title = "Too many models wait already"
+
+    def __init__(self, most: int) -> None:
+        super().__init__(
+            f"{most} models wait until a worker has no job and looks at them, which is the most; send this "
+            "one later.",
+            most=most,
+        )
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Retry-After": "30"}
+
+
 class RangeNotSatisfiable(EdgeError):
     """The file ends before the range begins; the header Content-Range says how long it is."""
 

@@ -25,23 +25,24 @@ from core.errors import (
 from core.jobs.job import Artifact
 from core.storage.objects import ObjectStore
 
-RESPONSES: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The whole file",
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
-    },
-    206: {"description": "The bytes that `Range` asked for"},
-    304: {"description": "`If-None-Match` names this version"},
-    **refusals(
-        JobNotFound,
-        ArtifactNotFound,
-        ArtifactNotReady,
-        JobUnreadable,
-        RangeNotSatisfiable,
-        RecordsUnavailable,
-        StorageUnavailable,
-    ),
-}
+
+def responses(media_type: str) -> dict[int | str, dict[str, Any]]:
+    """What a route answers whose files are of this media type; `*/*` for any."""
+    content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
+    return {
+        200: {"description": "The whole file", "content": content},
+        206: {"description": "The bytes that `Range` asked for", "content": content},
+        304: {"description": "`If-None-Match` names this version"},
+        **refusals(
+            JobNotFound,
+            ArtifactNotFound,
+            ArtifactNotReady,
+            JobUnreadable,
+            RangeNotSatisfiable,
+            RecordsUnavailable,
+            StorageUnavailable,
+        ),
+    }
 
 
 class PiecesResponse(StreamingResponse):

@@ -1,6 +1,6 @@
 """The OpenAPI document: what FastAPI derives, with the job's own schema, and problems for its errors."""
 
-from typing import Any
+from typing import Any, cast
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
@@ -27,6 +27,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
             {**job.pop("$defs"), "JobSpec": job, "Problem": ProblemView.model_json_schema(ref_template=_REF)}
         )
         schemas.update(schemas["Problem"].pop("$defs", {}))
+        _require_tags(schemas)
         for path in document["paths"].values():
             for method in _METHODS & path.keys():
                 _answer_with_problems(path[method]["responses"])
@@ -38,3 +39,23 @@ def _answer_with_problems(responses: dict[str, Any]) -> None:
     if "application/json" in responses.get("422", {}).get("content", {}):
         responses["422"] = {"description": "A parameter is not valid", **_PROBLEM}
     responses["default"] = {"description": "Any other refusal", **_PROBLEM}
+
+
+def _require_tags(schemas: dict[str, Any]) -> None:
+    """What tells the members of a union apart must be said, though in each member it has a default.
+
+    Only an algorithm that does not say what it is, is PPO.
+    """
+    waiting: list[Any] = list(schemas.values())
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, dict):
+            found = cast("dict[str, Any]", node)
+            union = found.get("discriminator", {})
+            for reference in union.get("mapping", {}).values():
+                member = schemas[reference.rpartition("/")[2]]
+                if member is not schemas["PPOSpec"]:
+                    member["required"] = sorted({*member.get("required", ()), union["propertyName"]})
+            waiting += found.values()
+        elif isinstance(node, list):
+            waiting += cast("list[Any]", node)

@@ -8,12 +8,14 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, Field
 from pydantic_core import to_json
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
 from api.errors import EdgeError, MethodNotAllowed, RouteNotFound
 from api.sentences import parameter_problems
 from core.errors import ArtifactNotReady, Conflict, GaitwayError, JobFailed, NotFound, Rejected, Unavailable
 
 MEDIA_TYPE = "application/problem+json"
+_METHODS = ("GET", "HEAD", "POST", "DELETE")
 
 _FAMILIES: dict[type[GaitwayError], int] = {
     NotFound: 404,
@@ -132,9 +134,19 @@ async def _invalid(request: Request, error: Exception) -> Response:
 async def _from_the_framework(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101
     if error.status_code == 405:
-        return answer(
-            MethodNotAllowed(request.method, (error.headers or {}).get("Allow", "")), request.url.path
-        )
+        return answer(MethodNotAllowed(request.method, ", ".join(_allowed(request))), request.url.path)
     if error.status_code == 404:
         return answer(RouteNotFound(f"There is nothing at {request.url.path[:200]!r}."), request.url.path)
     raise error
+
+
+def _allowed(request: Request) -> list[str]:
+    """The methods of all routes at this address; the framework's own word is that of the first one."""
+    return [
+        method
+        for method in _METHODS
+        if any(
+            route.matches({**request.scope, "method": method})[0] is Match.FULL
+            for route in request.app.routes
+        )
+    ]

@@ -60,7 +60,7 @@ def _pointer(error: Mapping[str, Any], document: Any) -> str:
     for position, part in enumerate(error["loc"]):
         if isinstance(here, dict) and part in here:
             here = cast("dict[Any, Any]", here)[part]
-        elif isinstance(here, list) and isinstance(part, int):
+        elif isinstance(here, list) and isinstance(part, int) and part < len(cast("list[Any]", here)):
             here = cast("list[Any]", here)[part]
         elif position < last or error["type"] != "missing":
             continue
@@ -75,6 +75,8 @@ def _sentence(error: Mapping[str, Any], known: Sequence[str]) -> str:
     match error["type"]:
         case "extra_forbidden":
             return f"`{name}` is not a field here{_hint(name, known)}"
+        case "missing" if isinstance(error["loc"][-1], int):
+            return f"`{name}` has too few items: there is none at place {error['loc'][-1]}, counted from 0."
         case "missing":
             return f"`{name}` is missing."
         case "union_tag_not_found":

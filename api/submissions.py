@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import AsyncIterator
 from typing import Annotated
 
 from fastapi import Depends, Header, Request
@@ -39,20 +40,24 @@ def fingerprint(spec: JobSpec) -> str:
 
 
 async def read_body(request: Request, limit: int) -> bytes:
-    """The whole body. Raises BodyTooLarge as soon as it is known to be longer than the limit."""
+    """The whole body. Raises BodyTooLarge."""
+    return b"".join([piece async for piece in pieces_of(request, limit)])
+
+
+async def pieces_of(request: Request, limit: int) -> AsyncIterator[bytes]:
+    """The body as it comes. Raises BodyTooLarge as soon as it is known to be longer than the limit."""
     announced = request.headers.get("content-length", "0")
-    if announced.isdigit() and int(announced) > limit + _DRAINED_BYTES:
+    if announced.isdecimal() and int(announced) > limit + _DRAINED_BYTES:
         raise BodyTooLarge(limit)
-    pieces, size = list[bytes](), 0
+    size = 0
     async for piece in request.stream():
         size += len(piece)
         if size <= limit:
-            pieces.append(piece)
+            yield piece
         elif size > limit + _DRAINED_BYTES:
             break
     if size > limit:
         raise BodyTooLarge(limit)
-    return b"".join(pieces)
 
 
 async def _submitted(request: Request, service: ServiceDep) -> JobSpec:
@@ -70,6 +75,7 @@ async def _idempotency_key(
             description="1 to 255 printable ASCII characters. The same key with the same body makes one job, "
             "however often it is sent within 24 hours.",
             examples=["7d1f0c7a-first-try"],
+            json_schema_extra={"pattern": f"^[ -~]{{1,{_LONGEST_KEY}}}$"},
         ),
     ] = None,
 ) -> str | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BeforeValidator, Field, SecretStr, model_validator
+from pydantic import AfterValidator, BeforeValidator, ByteSize, Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from core.devices import GPUS
@@ -121,6 +121,9 @@ class ApiSettings(StoreSettings):
     max_model_bytes: int = Field(
         2**26, gt=0, description="Largest model that `POST /models` takes, in bytes, as it is sent."
     )
+    max_waiting_models: int = Field(
+        32, gt=0, description="How many models may wait until a worker has looked at them; no more are taken."
+    )
     published: str | None = Field(
         None,
         description="The host address at which others reach the API, where it cannot know: behind a proxy, "
@@ -171,6 +174,17 @@ class WorkerSettings(StoreSettings):
         ge=0,
         description="How much of it the object store keeps for other machines, the oldest going first; 0 "
         "shares nothing and takes nothing. The same for all workers of a bucket.",
+    )
+    memory_limit: ByteSize | None = Field(
+        None,
+        ge=2**28,
+        description="How much of this machine's memory a training may take before it is ended, as 8GiB; by "
+        "default what the machine or the container has, less 5 % and at least 0.5 GiB.",
+    )
+    models: Literal["confined", "unconfined"] = Field(
+        "confined",
+        description="confined: a user's model is refused where the system cannot confine the process that "
+        "reads it; unconfined: what the system lacks is done without.",
     )
     wandb_api_key: SecretStr | None = Field(
         None, min_length=1, description="Key for Weights & Biases, for jobs that ask for tracking there."

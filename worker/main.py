@@ -16,6 +16,7 @@ import rq
 import structlog
 from redis.exceptions import RedisError
 from rq.serializers import JSONSerializer
+from rq.worker import WorkerStatus
 
 from core.adapters.connect import connect_redis, job_store
 from core.adapters.rq_queue import job_of
@@ -27,11 +28,14 @@ from core.jobs.queue import queue_names
 from core.jobs.store import JobStore, WorkerInfo
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
+from worker import device_health
 from worker.alive import show_life
 from worker.device import device_of, visible_gpus
+from worker.device_health import DeviceHealth
 from worker.disk import check_folder
 from worker.lifeline import die_with_parent
 from worker.named_job import NamedJob
+from worker.slot import slot_names
 from worker.stall import is_stopped
 
 log = structlog.get_logger()
@@ -40,13 +44,18 @@ log = structlog.get_logger()
 _ANNOUNCE_EVERY_S = 10
 # Between two tries to reach a queue that is away.
 _PAUSE_S = 1.0
+# Between two looks at a device that is being tested.
+_GLANCE_S = 0.1
 
 
 class GaitwayWorker(rq.Worker):
     """RQ's forking worker, which tells the service about itself and passes a shutdown on to its job."""
 
-    def __init__(self, settings: WorkerSettings, device: str, store: JobStore) -> None:
+    def __init__(
+        self, settings: WorkerSettings, device: str, store: JobStore, health: DeviceHealth | None = None
+    ) -> None:
         self._store = store
+        self._health = health or health_of(device, settings)
         self._alive_file = settings.alive_file
         self._horse_is_stopped = False
         self._is_announcing = False
@@ -78,6 +87,31 @@ class GaitwayWorker(rq.Worker):
         super().heartbeat(*args, **kwargs)
         self.announce()
 
+    def dequeue_job_and_maintain_ttl(self, *args: Any, **kwargs: Any) -> Any:
+        """The next job, once the device is known to work."""
+        self._wait_for_device()
+        return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
+
+    def _wait_for_device(self) -> None:
+        shown, shown_at = "", 0.0
+        try:
+            while not self._health.is_fit():
+                if shown != self._health.state or time.monotonic() - shown_at > _ANNOUNCE_EVERY_S:
+                    shown, shown_at = self._health.state, time.monotonic()
+                    self._show_idle()
+                time.sleep(_GLANCE_S)
+        finally:
+            self._health.close()
+
+    def _show_idle(self) -> None:
+        try:
+            # Whoever tells it to go now need not wait.
+            self.set_state(WorkerStatus.IDLE)
+            self.heartbeat()
+        except RedisError as error:
+            log.warning("queue_bookkeeping_waits", error=str(error))
+            self.announce()
+
     def _end_stopped_horse(self) -> None:
         """End a work-horse that is found stopped by a signal at two heartbeats: it would keep its device."""
         was_stopped, self._horse_is_stopped = self._horse_is_stopped, is_stopped(self.horse_pid or 0)
@@ -100,7 +134,12 @@ class GaitwayWorker(rq.Worker):
         """Show in `GET /workers`. A missed one is made up for by the next."""
         show_life(self._alive_file)
         job = self.get_current_job_id()
-        info = self._info.model_copy(update={"seen_at": utc_now(), "job": job_of(job) if job else None})
+        news = {
+            "job": job_of(job) if job else None,
+            "state": self._health.state,
+            "problem": self._health.problem,
+        }
+        info = self._info.model_copy(update={"seen_at": utc_now(), **news})
         self._is_announcing = True
         try:
             self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
@@ -121,6 +160,12 @@ class GaitwayWorker(rq.Worker):
             self._stopped_by = (signum, frame)
         else:
             super().request_stop(signum, frame)  # pyright: ignore[reportUnknownMemberType]
+
+
+def health_of(device: str, settings: WorkerSettings) -> DeviceHealth:
+    """Of a device that nobody has tested yet."""
+    names = slot_names(device, os.getpid())
+    return DeviceHealth(device, settings.data_dir.absolute(), names, device_health.test_for(device))
 
 
 @stopping_if_misconfigured()

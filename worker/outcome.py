@@ -4,8 +4,23 @@ import signal
 from dataclasses import dataclass
 from enum import StrEnum
 
-from core.jobs.status import LOSSES, JobStatus, Reason
+from core.jobs.status import RETRIED, JobStatus, Reason
+from worker.memory import LESS_MEMORY
 from worker.messages import KEEP_AND_GO, Failed, Finished
+
+
+# How a process ends whose native code made a mistake, or found one.
+_CRASHES = frozenset(
+    {
+        signal.SIGSEGV,
+        signal.SIGBUS,
+        signal.SIGILL,
+        signal.SIGFPE,
+        signal.SIGABRT,
+        signal.SIGTRAP,
+        signal.SIGSYS,
+    }
+)
 
 
 class Stop(StrEnum):
@@ -26,14 +41,19 @@ class Outcome:
 
 
 def judge(
-    last_word: Failed | Finished | None, exit_status: int, stop: Stop | None, timeout_s: float
+    last_word: Failed | Finished | None,
+    exit_status: int,
+    stop: Stop | None,
+    timeout_s: float,
+    *,
+    memory_ran_out: bool = False,
 ) -> Outcome:
     """From the process' last word, how it ended, and what it had been asked.
 
-    exit_status: negative is the signal that ended it.
+    exit_status: negative is the signal that ended it. memory_ran_out: the kernel was killing for memory then.
     """
     if isinstance(last_word, Failed):
-        if last_word.reason in LOSSES and stop is not Stop.TIMEOUT:
+        if last_word.reason in RETRIED and stop is not Stop.TIMEOUT:
             return Outcome(None, last_word.reason, last_word.message)
         return Outcome(JobStatus.FAILED, last_word.reason, last_word.message)
     if isinstance(last_word, Finished) and not last_word.stopped:
@@ -53,14 +73,23 @@ def judge(
         case Stop.DRAIN:
             return Outcome(None, Reason.WORKER_DRAINED, f"The worker was shut down. {kept}")
         case None:
-            return _crashed(exit_status)
+            return _crashed(exit_status, memory_ran_out=memory_ran_out)
 
 
-def _crashed(exit_status: int) -> Outcome:
-    if exit_status < 0:
-        name = signal.Signals(-exit_status).name
-        hint = " The kernel does that when memory runs out." if name == "SIGKILL" else ""
-        message = f"The training process was ended by {name}.{hint} It goes on from its last checkpoint."
-        return Outcome(None, Reason.TRAINING_KILLED, message)
-    message = f"The training process ended with status {exit_status} and said nothing; its log may tell why."
-    return Outcome(JobStatus.FAILED, Reason.TRAINING_CRASHED, message)
+def _crashed(exit_status: int, *, memory_ran_out: bool) -> Outcome:
+    if exit_status >= 0:
+        message = (
+            f"The training process ended with status {exit_status} and said nothing; its log may tell why."
+        )
+        return Outcome(JobStatus.FAILED, Reason.TRAINING_CRASHED, message)
+    name = signal.Signals(-exit_status).name
+    again = "It goes on from its last checkpoint."
+    if -exit_status == signal.SIGKILL and memory_ran_out:
+        message = (
+            f"The machine's memory ran out, and the kernel killed the training process. {LESS_MEMORY} {again}"
+        )
+        return Outcome(None, Reason.OUT_OF_HOST_MEMORY, message)
+    if -exit_status in _CRASHES:
+        message = f"Native code of the training process crashed ({name}); its log may tell where. {again}"
+        return Outcome(None, Reason.NATIVE_CRASH, message)
+    return Outcome(None, Reason.TRAINING_KILLED, f"The training process was ended by {name}. {again}")

@@ -1,6 +1,7 @@
 """The training process as its supervisor sees it: a group of its own, a pipe of messages, a pipe of text."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import structlog
 from pydantic import ValidationError
 
 from core.configuration import variable
+from worker.memory import sacrifice
 from worker.messages import KEEP_AND_GO, MESSAGE, SHOW_AND_GO, Message
 from worker.outcome import Stop
 
@@ -23,6 +25,15 @@ _CODE = Path(__file__).resolve().parents[1]
 _LONGEST_LINE = 4000
 # Whose process this is, for whoever looks for left-overs.
 _PASSED_ON = ("GAITWAY_STACK_ID",)
+# Other programs' settings of stores and accounts, and whatever calls itself a secret.
+_OTHERS_ACCOUNTS = re.compile(
+    r"(AWS|AZURE|GCP|GOOGLE|DOCKER|GH|GIT|GITHUB|GITLAB|HF|KUBE|MC|MINIO|PG|POSTGRES|RCLONE|REDIS|S3|SSH|VALKEY|"
+    r"VAULT|WANDB|WEED)[A-Z0-9]*_|PG[A-Z]+$|REDIS|DATABASE"
+)
+_SECRET = re.compile(
+    r"SECRET|PASS(WOR|PHR|WD|$)|TOKEN|CREDENTIAL|COOKIE|AUTH(?!OR)|API_?KEY|(^|_)(KEY|PAT|DSN)(_|$)"
+)
+_WITH_PASSWORD = re.compile(r"\w://[^/\s]*:[^/\s]*@")
 
 
 class TrainingProcess:
@@ -48,6 +59,7 @@ class TrainingProcess:
             pass_fds=(write_end, *slot_fds),
             env=environment(device, data_dir, os.environ),
         )
+        sacrifice(self._child.pid)
         os.close(write_end)
 
     @property
@@ -101,8 +113,8 @@ class TrainingProcess:
 
 
 def environment(device: str, data_dir: Path, base: Mapping[str, str]) -> dict[str, str]:
-    """The variables of a process on this device: it sees that alone, and no secret of the service."""
-    kept = {name: value for name, value in base.items() if not name.startswith("GAITWAY_")}
+    """The variables of a process on this device: it sees that alone, and nobody's secrets."""
+    kept = {name: value for name, value in base.items() if not _may_be_secret(name, value)}
     kept |= {"PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1", variable("data_dir"): str(data_dir)}
     kept |= _modules(base)
     kept |= {name: base[name] for name in _PASSED_ON if name in base}
@@ -110,6 +122,16 @@ def environment(device: str, data_dir: Path, base: Mapping[str, str]) -> dict[st
         return {**kept, "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
     # In the order of their device files, which the slot's name stands on; CUDA's own is the fastest first.
     return {**kept, "CUDA_VISIBLE_DEVICES": device.partition(":")[2], "CUDA_DEVICE_ORDER": "PCI_BUS_ID"}
+
+
+def _may_be_secret(name: str, value: str) -> bool:
+    said = name.upper()
+    return (
+        said.startswith("GAITWAY_")
+        or _OTHERS_ACCOUNTS.match(said) is not None
+        or _SECRET.search(said) is not None
+        or _WITH_PASSWORD.search(value) is not None
+    )
 
 
 def _modules(base: Mapping[str, str]) -> dict[str, str]:

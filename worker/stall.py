@@ -68,17 +68,17 @@ class StallWatch:
         return max(first_s, self._patience_s, _TIMES_THE_LONGEST * self._longest_s)
 
 
-def stopped_processes(group: int, proc: Path = _PROC) -> list[int]:
+def stoppedprocesses(group: int, proc: Path = _PROC) -> list[int]:
     """The ids of stopped processes (SIGSTOP, a debugger) in a process group; none where there is no /proc."""
-    return sorted(pid for pid, state, its_group in _processes(proc) if its_group == group and state in "Tt")
+    return sorted(pid for pid, state, its_group in processes(proc) if its_group == group and state in "Tt")
 
 
 def is_stopped(pid: int, proc: Path = _PROC) -> bool:
     """Whether the process was stopped by a signal."""
-    return any(found == pid and state in "Tt" for found, state, _ in _processes(proc, str(pid)))
+    return any(found == pid and state in "Tt" for found, state, _ in processes(proc, str(pid)))
 
 
-def _processes(proc: Path, name: str = "[0-9]*") -> Iterator[tuple[int, str, int]]:
+def processes(proc: Path, name: str = "[0-9]*") -> Iterator[tuple[int, str, int]]:
     """Id, state and process group of each process that there is (proc(5))."""
     for path in proc.glob(f"{name}/stat"):
         try:

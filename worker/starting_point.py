@@ -17,6 +17,8 @@ from core.storage.objects import ObjectStore
 from worker.messages import Task
 
 _FILE = "start.msgpack"
+# A byte may be flipped on the way, too: only what is damaged at each reading is damaged at the store.
+_READINGS = 3
 
 
 def write_task(job: Job, holding: Holding, device: str, spool: Path) -> list[str]:
@@ -74,17 +76,22 @@ def _lent_checkpoint(job: Job, holding: Holding, spool: Path, notes: list[str]) 
 
 def _fetch(checkpoint: Artifact, objects: ObjectStore, path: Path) -> str | None:
     """Load the file; what is wrong with it, or None. Raises StorageUnavailable."""
-    digest = hashlib.sha256()
     try:
-        with objects.open(checkpoint.key) as pieces, path.open("wb") as file:
-            for piece in pieces:
-                digest.update(piece)
-                file.write(piece)
+        if any(_load(checkpoint.key, objects, path) == checkpoint.sha256 for _ in range(_READINGS)):
+            return None
     except ObjectNotFound:
         return f"{checkpoint.name} has gone from the object store."
-    if digest.hexdigest() != checkpoint.sha256:
-        return f"{checkpoint.name} is damaged: its bytes do not have the SHA-256 that the record names."
-    return None
+    return f"{checkpoint.name} is damaged: its bytes do not have the SHA-256 that the record names."
+
+
+def _load(key: str, objects: ObjectStore, path: Path) -> str:
+    """Write the object to the file; the SHA-256 of what came."""
+    digest = hashlib.sha256()
+    with objects.open(key) as pieces, path.open("wb") as file:
+        for piece in pieces:
+            digest.update(piece)
+            file.write(piece)
+    return digest.hexdigest()
 
 
 def _as_begun(task: Task, begun: Attempt | None) -> Task:
@@ -107,7 +114,9 @@ def _with_model(task: Task, holding: Holding, spool: Path) -> Task:
         return task
     try:
         record = library.find(model_id, holding.store)
-        (spool / "model").write_bytes(holding.objects.get(keys.model_source(model_id)))
+        model = (keys.model_source(model_id), holding.objects, spool / "model")
+        if all(f"sha256:{_load(*model)}" != model_id for _ in range(_READINGS)):
+            raise JobFailed("bad_model", f"The model {model_id} is damaged: its bytes are not those sent.")
     except NotFound:
         raise JobFailed("bad_model", f"The model {model_id} was deleted before the job began.") from None
     cannot = dict(engines_that_cannot(record.description))

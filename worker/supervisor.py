@@ -18,10 +18,12 @@ from core.jobs.status import JobStatus, Reason
 from core.patience import CalledOff, through_outages
 from core.settings import WorkerSettings
 from worker.caches import Caches
+from worker.device_health import SUSPICIOUS, DeviceTest, mark_of, set_aside, tested
 from worker.disk import is_full, what_to_do
 from worker.draining import Draining
 from worker.heartbeat import Heartbeat
 from worker.log_limit import LogLimit
+from worker.memory import MemoryWatch, allowed_bytes
 from worker.messages import Advanced, Failed, Finished, Noted, PhaseEnded
 from worker.outbox import Outbox
 from worker.outcome import Outcome, Stop, judge
@@ -49,7 +51,8 @@ class Supervisor:
     """Runs one claimed attempt.
 
     draining: set, also by a signal handler, once the worker has to go; the job then keeps a checkpoint
-    and is given back. Leaves behind: the job ended or back in the queue, no process, no spool.
+    and is given back. device_test: the program that tests the device after an end that this may have caused.
+    Leaves behind: the job ended or back in the queue, no process, no spool.
     """
 
     holding: Holding
@@ -58,6 +61,7 @@ class Supervisor:
     slot_names: tuple[str, ...]
     command: Sequence[str] = TRAINING
     draining: Draining = field(default_factory=Draining)
+    device_test: Sequence[str] | None = None
 
     def run(self) -> None:
         folder = self.settings.data_dir.absolute()  # The training process stands elsewhere.
@@ -117,6 +121,7 @@ class Supervisor:
                 raise
             finally:
                 process.kill()
+            outcome = self._after_test(outcome, folder, slot_fds)
         if leaving():
             tracking.abandon()
         else:
@@ -134,6 +139,7 @@ class Supervisor:
         timeout_s: float,
     ) -> Outcome:
         deadline = time.monotonic() + timeout_s
+        memory = MemoryWatch(allowed_bytes(self.settings.memory_limit))
         stop: Stop | None = None
         kill_at = float("inf")
         while (status := process.poll(_GLANCE_S)) is None:
@@ -148,16 +154,29 @@ class Supervisor:
                 process.stop(stop)  # It may have been deaf for a moment: see worker/training/stopping.py.
             if time.monotonic() > kill_at:
                 process.kill()
-            if (hung := ear.stall.what_is_wrong(process.pid)) is not None:
-                log.warning("training_stalled", job_id=self.holding.job_id, detail=hung)
-                process.kill()
-                ear.join()
-                return Outcome(None, Reason.TRAINING_STALLED, hung)
+            for watch, reason in ((ear.stall, Reason.TRAINING_STALLED), (memory, Reason.OUT_OF_HOST_MEMORY)):
+                if (problem := watch.what_is_wrong(process.pid)) is not None:
+                    log.warning(reason.value, job_id=self.holding.job_id, detail=problem)
+                    process.kill()
+                    ear.join()
+                    return Outcome(None, reason, problem)
+        memory_ran_out = memory.ran_out()
         process.kill()
         ear.join()
         if status == 0:  # A process that crashed may have left kernels that would crash the next.
             ear.caches.keep()
-        return judge(ear.last_word, status, stop, timeout_s)
+        return judge(ear.last_word, status, stop, timeout_s, memory_ran_out=memory_ran_out)
+
+    def _after_test(self, outcome: Outcome, folder: Path, slot_fds: Sequence[int]) -> Outcome:
+        """Where the attempt's end may be the device's fault, and a test says so: then the device is set aside."""
+        if self.device_test is None or outcome.status is not None or outcome.reason not in SUSPICIOUS:
+            return outcome
+        test = DeviceTest(self.device_test, self.device, folder, slot_fds)
+        problem = tested(test, self.draining.is_set)
+        if problem is None:
+            return outcome
+        set_aside(mark_of(folder, self.slot_names[0]), problem)
+        return Outcome(None, Reason.DEVICE_FAILED, f"{outcome.message} {problem}")
 
     def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
         if heartbeat.cancelled.is_set():

@@ -15,6 +15,7 @@ from core.jobs.attempts import claim, new_secret
 from core.patience import CalledOff, pause, through_outages
 from core.previews.record import PreviewRequest
 from core.settings import WorkerSettings
+from worker import device_health
 from worker.device import device_of
 from worker.disk import has_room, what_to_do
 from worker.draining import Draining
@@ -67,7 +68,8 @@ def run_attempt(job_id: str, attempt: int) -> None:
     if holding is None:
         log.info("dispatch_ignored")
         return
-    Supervisor(holding, settings, device, places, draining=draining).run()
+    test = device_health.test_for(device)
+    Supervisor(holding, settings, device, places, draining=draining, device_test=test).run()
 
 
 def validate_model(model_id: str) -> None:
@@ -76,7 +78,14 @@ def validate_model(model_id: str) -> None:
     settings = read(WorkerSettings)
     spools = settings.data_dir.absolute() / SPOOLS
     with spool(spools / f"{model_id.replace(':', '-')}.{os.getpid()}") as folder, suppress(NotFound):
-        validate(model_id, job_store(settings), object_store(settings), folder, settings.data_dir.absolute())
+        validate(
+            model_id,
+            job_store(settings),
+            object_store(settings),
+            folder,
+            settings.data_dir.absolute(),
+            strictly=settings.models == "confined",
+        )
 
 
 def draw_preview(document: str) -> None:

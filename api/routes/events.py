@@ -7,7 +7,7 @@ from fastapi import APIRouter, Header, Query, Response
 from starlette.responses import StreamingResponse
 
 from api import sse
-from api.dependencies import JobId, Parameters, ServiceDep
+from api.dependencies import EntryId, JobId, Parameters, ServiceDep
 from api.following import Follower, look
 from api.problems import refusals
 from core.errors import JobNotFound, RecordsUnavailable, Rejected, StorageUnavailable
@@ -21,7 +21,7 @@ _EXAMPLE = 'id: 7\nevent: status\ndata: {"time":"2026-11-20T09:00:00Z","data":{"
 class After(Parameters):
     """after: the id of the last event seen; the header Last-Event-ID says the same, and goes first."""
 
-    after: str = ""
+    after: EntryId = ""
 
 
 @router.get(
@@ -41,7 +41,7 @@ async def follow_events(
     job_id: JobId,
     asked: Annotated[After, Query()],
     service: ServiceDep,
-    last_event_id: Annotated[str | None, Header(alias="Last-Event-ID")] = None,
+    last_event_id: Annotated[EntryId, Header(alias="Last-Event-ID")] = "",
 ) -> Response:
     """Server-sent events until the job ends; resumes after Last-Event-ID."""
     after = entry_number(last_event_id or asked.after)

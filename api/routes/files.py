@@ -7,7 +7,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import Field
 
 from api.dependencies import JobId, Parameters, ServiceDep
-from api.files import RESPONSES, file_response
+from api.files import file_response, responses
 from api.problems import refusals
 from api.views import ArtifactView, Listing
 from core.errors import (
@@ -40,12 +40,12 @@ class Picture(Parameters):
 Asked = Annotated[Picture, Query()]
 
 
-def _file_route(path: str, **options: Any) -> Callable[[Callable[..., Response]], Callable[..., Response]]:
+def _file_route(path: str, media_type: str) -> Callable[[Callable[..., Response]], Callable[..., Response]]:
     """A GET that is documented, and a HEAD that is not."""
 
     def register(endpoint: Callable[..., Response]) -> Callable[..., Response]:
         router.head(path, include_in_schema=False, response_class=Response)(endpoint)
-        return router.get(path, response_class=Response, responses=RESPONSES, **options)(endpoint)
+        return router.get(path, response_class=Response, responses=responses(media_type))(endpoint)
 
     return register
 
@@ -65,7 +65,7 @@ def list_checkpoints(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView
     return Listing[ArtifactView](items=[ArtifactView.of(job_id, artifact) for artifact in found])
 
 
-@_file_route("/jobs/{job_id}/video")
+@_file_route("/jobs/{job_id}/video", "video/mp4")
 def read_video(
     job_id: JobId, asked: Annotated[Picture, Query()], service: ServiceDep, request: Request
 ) -> Response:
@@ -73,7 +73,7 @@ def read_video(
     return file_response(request, _picture(service.store.get(job_id), "video", asked), service.objects)
 
 
-@_file_route("/jobs/{job_id}/poster")
+@_file_route("/jobs/{job_id}/poster", "image/png")
 def read_poster(
     job_id: JobId, asked: Annotated[Picture, Query()], service: ServiceDep, request: Request
 ) -> Response:
@@ -81,9 +81,9 @@ def read_poster(
     return file_response(request, _picture(service.store.get(job_id), "poster", asked), service.objects)
 
 
-@_file_route("/jobs/{job_id}/checkpoints/{step}")
+@_file_route("/jobs/{job_id}/checkpoints/{step}", "application/octet-stream")
 def read_checkpoint(
-    job_id: JobId, step: Annotated[int, Path(ge=0, le=10**18)], service: ServiceDep, request: Request
+    job_id: JobId, step: Annotated[int, Path(ge=0, le=10**18, examples=[500_000])], service: ServiceDep, request: Request
 ) -> Response:
     """The whole state of the run at this step, as one file."""
     job = service.store.get(job_id)
@@ -93,8 +93,10 @@ def read_checkpoint(
     return file_response(request, found, service.objects)
 
 
-@_file_route("/jobs/{job_id}/artifacts/{name}")
-def read_artifact(job_id: JobId, name: str, service: ServiceDep, request: Request) -> Response:
+@_file_route("/jobs/{job_id}/artifacts/{name}", "*/*")
+def read_artifact(
+    job_id: JobId, name: Annotated[str, Path(examples=["video.mp4"])], service: ServiceDep, request: Request
+) -> Response:
     """A file by its name."""
     job = service.store.get(job_id)
     found = next((artifact for artifact in job.artifacts if artifact.name == name), None)

@@ -25,6 +25,7 @@ from core.errors import (
 )
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
+from core.jobs.job import JOB_ID
 from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
@@ -39,7 +40,12 @@ _BODY: dict[str, Any] = {
         "content": {"application/json": {"schema": _SCHEMA, "examples": EXAMPLES}},
     }
 }
-_LABEL = re.compile(r"([A-Za-z0-9_.-]{1,63})[:=]([^\0]{0,200})")
+_LABEL = r"([A-Za-z0-9_.-]{1,63})[:=]([^\x00]{0,200})"
+
+
+# Patterns for readers of the document; where they are checked, there are better sentences.
+Label = Annotated[str, Field(json_schema_extra={"pattern": f"^{_LABEL}$"})]
+Cursor = Annotated[str, Field(max_length=100, json_schema_extra={"pattern": f"^{JOB_ID}$"})]
 
 
 class Listed(Parameters):
@@ -49,8 +55,8 @@ class Listed(Parameters):
     kind: JobKind | None = None
     environment: Text | None = Field(None, examples=["ant"])
     name: Text | None = None
-    label: list[str] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
-    cursor: str | None = Field(None, max_length=100, description="The `next` of an earlier page.")
+    label: list[Label] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
+    cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
     limit: int = Field(50, ge=1, le=200)
 
     def query(self) -> JobQuery:
@@ -124,7 +130,7 @@ def delete_job(job_id: JobId, service: ServiceDep) -> None:
 
 
 def _label(text: str) -> tuple[str, str]:
-    found = _LABEL.fullmatch(text)
+    found = re.fullmatch(_LABEL, text)
     if found is None:
         detail = (
             f"`label` must be key:value, with a key of letters, digits, `_`, `.` and `-`, not {text[:80]!r}."

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
-from api.dependencies import JobId, Parameters, ServiceDep
+from api.dependencies import EntryId, JobId, Parameters, ServiceDep
 from api.problems import refusals
 from api.views import Metrics, MetricsRow
 from core.errors import JobNotFound, RecordsUnavailable, Rejected, StorageUnavailable
@@ -22,7 +22,7 @@ _EXAMPLE = "step,time,eval/episode_reward\r\n0,2026-11-20T09:00:00+00:00,1.0\r\n
 class Measured(Parameters):
     """Which rows, and how."""
 
-    after: str = Field("", description="Only rows behind this `next` of an earlier answer.")
+    after: EntryId = Field("", description="Only rows behind this `next` of an earlier answer.")
     limit: int = Field(10_000, ge=1, le=100_000)
     format: Literal["json", "csv"] | None = Field(None, description="Goes before the header Accept.")
 

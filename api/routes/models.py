@@ -1,7 +1,8 @@
 """Bodies that users bring: send one, look at what is in it, forget it."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import AsyncGenerator, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Annotated, Any, Self
 
@@ -11,11 +12,10 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 from pydantic import Field
 
 from api.dependencies import Service, ServiceDep
-from api.errors import BodyTooLarge, UnsupportedMediaType
+from api.errors import BodyTooLarge, TooManyModels, UnsupportedMediaType
 from api.problems import refusals
-from api.submissions import read_body
+from api.uploads import Upload, receiving
 from api.views import Listing, View
-from core.environments.mjcf.archive import is_zip
 from core.errors import BadModel, ModelInUse, ModelNotFound, RecordsUnavailable, StorageUnavailable
 from core.jobs.model_removal import remove_model
 from core.models import library
@@ -24,6 +24,7 @@ from core.models.record import Description, ModelRecord, ModelStatus
 router = APIRouter(tags=["models"])
 
 XML, ZIP = "application/xml", "application/zip"
+ZIP_BEGINNING = b"PK\x03\x04"
 _KNOWN = {XML: XML, "text/xml": XML, ZIP: ZIP, "application/x-zip-compressed": ZIP}
 # How long a client waits for the answer itself, before it is told where to ask for it.
 _PATIENCE_S = 5.0
@@ -63,15 +64,31 @@ class ModelView(View):
         return cls(**dict(record), links={"self": f"/models/{record.id}"})
 
 
-async def _sent(request: Request, service: ServiceDep) -> tuple[bytes, str]:
+@dataclass(frozen=True)
+class Sent:
+    """A model as it was sent."""
+
+    upload: Upload
+    media_type: str
+
+
+async def _sent(request: Request, service: ServiceDep) -> AsyncGenerator[Sent]:
     said = request.headers.get("content-type", "")
     media_type = _KNOWN.get(said.partition(";")[0].strip().lower())
     if media_type is None:
         raise UnsupportedMediaType(said, what="a model", accepted=(XML, ZIP))
-    body = await read_body(request, service.settings.max_model_bytes)
-    if (media_type == ZIP) != is_zip(body):
-        raise BadModel(f"The file is {'a' if is_zip(body) else 'no'} zip, and was sent as {media_type}.")
-    return body, media_type
+    most = service.settings.max_waiting_models
+    if await run_sync(service.store.num_waiting_models) + service.num_uploads >= most:
+        raise TooManyModels(most)
+    service.num_uploads += 1
+    try:
+        async with receiving(request, service.settings.max_model_bytes) as upload:
+            looks_zipped = upload.beginning.startswith(ZIP_BEGINNING)
+            if (media_type == ZIP) != looks_zipped:
+                raise BadModel(f"The file is {'a' if looks_zipped else 'no'} zip, and was sent as {media_type}.")
+            yield Sent(upload, media_type)
+    finally:
+        service.num_uploads -= 1
 
 
 @router.post(
@@ -83,14 +100,16 @@ async def _sent(request: Request, service: ServiceDep) -> tuple[bytes, str]:
     responses={
         200: {"model": ModelView, "description": "It is known already"},
         202: {"model": ModelView, "description": "A worker has yet to look at it; ask at the Location"},
-        **refusals(BodyTooLarge, UnsupportedMediaType, BadModel, StorageUnavailable, RecordsUnavailable),
+        **refusals(
+            BodyTooLarge, UnsupportedMediaType, TooManyModels, BadModel, StorageUnavailable, RecordsUnavailable
+        ),
     },
 )
 async def add_model(
-    sent: Annotated[tuple[bytes, str], Depends(_sent)], service: ServiceDep, response: Response
+    sent: Annotated[Sent, Depends(_sent, scope="function")], service: ServiceDep, response: Response
 ) -> ModelView:
     """Bring a body of your own: MJCF, or URDF. The same bytes are the same model."""
-    record = await run_sync(_add, *sent, service)
+    record = await run_sync(_add, sent, service)
     response.status_code = 200 if record.status == "ready" else 201
     record = await _settled(record, service)
     if record.status == "refused":
@@ -126,10 +145,16 @@ def delete_model(model_id: ModelId, service: ServiceDep) -> None:
     remove_model(model_id, store=service.store, objects=service.objects)
 
 
-def _add(body: bytes, media_type: str, service: Service) -> ModelRecord:
+def _add(sent: Sent, service: Service) -> ModelRecord:
     store = service.store
     return library.add(
-        body, media_type, store=store, objects=service.objects, queue=service.queue, now=store.now()
+        sent.upload.path,
+        sent.upload.sha256,
+        sent.media_type,
+        store=store,
+        objects=service.objects,
+        queue=service.queue,
+        now=store.now(),
     )
 
 

@@ -2,8 +2,9 @@
 
 import html
 import inspect
+from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Path
 from fastapi.responses import HTMLResponse
 
 from api.errors import RouteNotFound
@@ -19,7 +20,7 @@ _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</
 
 
 @router.get("/problems/{code}", response_class=HTMLResponse, responses=refusals(RouteNotFound))
-async def explain(code: str) -> HTMLResponse:
+async def explain(code: Annotated[str, Path(examples=["job-not-found"])]) -> HTMLResponse:
     """What a type of problem means."""
     for error in classes_of_errors():
         if error.code == code:

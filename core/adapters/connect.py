@@ -1,5 +1,9 @@
 """From settings to adapters; for composition roots."""
 
+import base64
+import hashlib
+from typing import Any
+
 from minio import Minio
 from minio.helpers import check_bucket_name
 from redis import Redis
@@ -7,7 +11,7 @@ from redis.backoff import ExponentialBackoff
 from redis.exceptions import ConnectionError as RedisConnectionError
 from redis.exceptions import TimeoutError as RedisTimeoutError
 from redis.retry import Retry
-from urllib3 import PoolManager
+from urllib3 import BaseHTTPResponse, PoolManager
 from urllib3 import Retry as HTTPRetry
 from urllib3 import Timeout as HTTPTimeout
 
@@ -57,7 +61,7 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
     timeout_s: how long a silent store is waited for. It trusts the system's authorities, or those in the file
     that SSL_CERT_FILE names. Raises Misconfigured for an address that cannot be read.
     """
-    pool = PoolManager(
+    pool = _ChecksummedUploads(
         maxsize=32,
         timeout=HTTPTimeout(connect=2, read=timeout_s),
         retries=HTTPRetry(
@@ -82,6 +86,22 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
             f"GAITWAY_S3_ENDPOINT or GAITWAY_S3_REGION cannot be read ({error}): write HOST:PORT, and the "
             "region's short name."
         ) from error
+
+
+class _ChecksummedUploads(PoolManager):
+    """Each upload says its MD5, so that a byte flipped on the way is refused and not stored.
+
+    The SDK does so over TLS alone. Without it, it signs the body's SHA-256, at which SeaweedFS does not look.
+    """
+
+    def urlopen(  # type: ignore[override]
+        self, method: str, url: str, redirect: bool = True, **said: Any
+    ) -> BaseHTTPResponse:
+        body = said.get("body")
+        if method == "PUT" and isinstance(body, bytes) and "Content-MD5" not in said["headers"]:
+            md5 = hashlib.md5(body, usedforsecurity=False).digest()
+            said["headers"]["Content-MD5"] = base64.b64encode(md5).decode()
+        return super().urlopen(method, url, redirect, **said)
 
 
 def job_store(settings: StoreSettings, *, pool_size: int = 10) -> PostgresJobStore:

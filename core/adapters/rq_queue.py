@@ -13,7 +13,7 @@ from rq.job import JobStatus as RQStatus
 from rq.serializers import JSONSerializer
 
 from core.adapters.redis_errors import reaching_redis
-from core.jobs.queue import FIRST, queue_name
+from core.jobs.queue import FIRST, LAST, queue_name
 from core.jobs.spec import Accelerator, Priority
 from core.previews.record import PreviewRequest
 
@@ -64,7 +64,7 @@ class RQQueue:
 
     @reaching_redis()
     def enqueue_model(self, model_id: str) -> None:
-        self._enqueue(FIRST, _model_rq_id(model_id), MODEL_TASK, (model_id,))
+        self._enqueue(LAST, _model_rq_id(model_id), MODEL_TASK, (model_id,))
 
     @reaching_redis()
     def contains_model(self, model_id: str) -> bool:

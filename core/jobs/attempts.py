@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from core.errors import IllegalTransition, JobNotFound, LeaseLost, StaleJob
+from core.errors import IllegalTransition, LeaseLost, StaleJob
 from core.jobs.job import Artifact, Job
-from core.jobs.record_copy import copy_record
-from core.jobs.status import LOSSES, JobStatus, Reason
+from core.jobs.status import LOSSES, MOST, RETRIED, JobStatus, Reason
 from core.jobs.store import JobStore
-from core.storage import keys
 from core.storage.objects import ObjectStore
+
+# Before the next attempt, after the first one that failed, the second, and so on; the last for all others.
+PAUSES = tuple(timedelta(seconds=seconds) for seconds in (1, 4, 15, 60))
+_FAILURES = RETRIED - {Reason.WORKER_LOST}
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,7 @@ class Holding:
             dropped[:] = [a.key for a in (*job.artifacts, *artifacts) if a.key not in named]
             return changed
 
-        job = self._change(change)
-        copy_record(job, self.objects)
-        return job, dropped
+        return self._change(change), dropped
 
     def strike(self, artifact: Artifact) -> Job:
         """Take a file that turned out to be damaged or gone from the record."""
@@ -71,11 +71,6 @@ class Holding:
             job = self.store.get(self.job_id)
             if not self._left(job, message):
                 raise
-        copy_record(job, self.objects)
-        try:
-            self.store.find(job.id)
-        except JobNotFound:  # Somebody has deleted it in this moment.
-            self.objects.delete_prefix(keys.job(job.id))
         return job
 
     def _left(self, job: Job, message: str) -> bool:
@@ -145,4 +140,14 @@ def given_back(job: Job, reason: Reason, message: str, now: datetime) -> Job:
     if lost >= job.spec.max_attempts:
         ending = f"{message} All {job.spec.max_attempts} attempts are used up."
         return job.ended(JobStatus.FAILED, reason, ending, now)
-    return job.requeued(reason, message, now)
+    if reason in MOST and job.num_ended({reason}) + 1 >= MOST[reason]:
+        ending = f"{message} {MOST[reason]} attempts ended so; there is no other."
+        return job.ended(JobStatus.FAILED, reason, ending, now)
+    return job.requeued(reason, message, now, not_before=_not_before(job, reason, now))
+
+
+def _not_before(job: Job, reason: Reason, now: datetime) -> datetime | None:
+    """The pause after an attempt that failed grows; a worker that is lost or drained waits for nobody."""
+    if reason not in _FAILURES:
+        return None
+    return now + PAUSES[min(job.num_ended(_FAILURES), len(PAUSES) - 1)]

@@ -1,6 +1,8 @@
 """Forgetting a job for good."""
 
-from core.errors import JobInUse, JobNotFinished
+from contextlib import suppress
+
+from core.errors import JobInUse, JobNotFinished, StorageUnavailable
 from core.jobs.store import JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
@@ -19,3 +21,5 @@ def delete(job_id: str, *, store: JobStore, objects: ObjectStore) -> None:
         raise JobInUse(job_id, borrowers)
     objects.delete_prefix(keys.job(job_id))
     store.delete(job_id, job.version)
+    with suppress(StorageUnavailable):  # Perhaps it was copied once more between the two.
+        objects.delete_prefix(keys.record(job_id))

@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from datetime import timedelta
 
+from core.errors import StorageUnavailable
 from core.jobs.store import Channel, Chunk, Entry, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
@@ -60,7 +61,10 @@ def _page(  # As above.
 
 
 def _entries_of(chunk: Chunk, objects: ObjectStore) -> Iterator[Entry]:
-    return map(Entry.model_validate_json, objects.get(chunk.key).splitlines())
+    body = objects.get(chunk.key)
+    if hashlib.sha256(body).hexdigest() != chunk.sha256:  # On the way, most likely: it comes whole next time.
+        raise StorageUnavailable(f"The bytes of {chunk.key} do not have the SHA-256 that the record names.")
+    return map(Entry.model_validate_json, body.splitlines())
 
 
 def compact(*, store: JobStore, objects: ObjectStore) -> int:

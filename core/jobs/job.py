@@ -11,7 +11,8 @@ from core.jobs.spec import Accelerator, SentSpec
 from core.jobs.status import LOSSES, NEXT, JobStatus, Reason
 from core.model import Stored
 
-_JOB_ID = re.compile(r"[0-9a-f]{12}-[0-9a-f]{10}")
+JOB_ID = r"[0-9a-f]{12}-[0-9a-f]{10}"
+_JOB_ID = re.compile(JOB_ID)
 
 ArtifactRole = Literal[
     "checkpoint",
@@ -100,7 +101,10 @@ class UnreadableJob(Stored):
 
 
 class Job(Stored):
-    """The record. `version` rises by one with every step; the store refuses any other."""
+    """The record. `version` rises by one with every step; the store refuses any other.
+
+    not_before: when a queued job may be tried again, after an attempt that failed.
+    """
 
     id: str
     version: int = 1
@@ -111,6 +115,7 @@ class Job(Stored):
     created_at: datetime
     started_at: datetime | None = None
     finished_at: datetime | None = None
+    not_before: datetime | None = None
     attempts: tuple[Attempt, ...] = ()
     artifacts: tuple[Artifact, ...] = ()
     progress: Progress = Progress()
@@ -123,7 +128,11 @@ class Job(Stored):
     @property
     def lost_attempts(self) -> int:
         """Attempts that count against `max_attempts`."""
-        return sum(attempt.reason in LOSSES for attempt in self.attempts)
+        return self.num_ended(LOSSES)
+
+    def num_ended(self, reasons: Collection[Reason]) -> int:
+        """How many attempts ended for one of these reasons."""
+        return sum(attempt.reason in reasons for attempt in self.attempts)
 
     @property
     def next_attempt(self) -> int:
@@ -168,7 +177,10 @@ class Job(Stored):
         token = self.token_of(self.next_attempt, secret or secrets.token_hex(8))
         attempt = Attempt(number=self.next_attempt, token=token, worker=worker, started_at=now)
         return self.become(
-            JobStatus.STARTING, attempts=(*self.attempts, attempt), started_at=self.started_at or now
+            JobStatus.STARTING,
+            attempts=(*self.attempts, attempt),
+            started_at=self.started_at or now,
+            not_before=None,
         )
 
     def running(self, **details: Any) -> Self:
@@ -188,12 +200,16 @@ class Job(Stored):
             reason=reason,
             message=message,
             finished_at=now,
+            not_before=None,
             attempts=self._closed(reason, message, now),
         )
 
-    def requeued(self, reason: Reason, message: str, now: datetime) -> Self:
+    def requeued(
+        self, reason: Reason, message: str, now: datetime, *, not_before: datetime | None = None
+    ) -> Self:
         """Back in the queue, the attempt closed."""
-        return self.become(JobStatus.QUEUED, attempts=self._closed(reason, message, now))
+        closed = self._closed(reason, message, now)
+        return self.become(JobStatus.QUEUED, attempts=closed, not_before=not_before)
 
     def with_artifacts(self, artifacts: tuple[Artifact, ...]) -> Self:
         """With these files for readers; one of the same name replaces the older."""

@@ -8,8 +8,8 @@ from core.jobs.spec import Accelerator, Priority
 from core.models.queue import ModelQueue
 from core.previews.queue import PreviewQueue
 
-# Where models and previews wait, which go before all jobs.
-FIRST = "gaitway-any-high"
+# Where previews wait, which go before all jobs; and models, which a worker without jobs looks at.
+FIRST, LAST = "gaitway-any-high", "gaitway-models"
 PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
 
 
@@ -50,7 +50,7 @@ def queue_names(device: str) -> tuple[str, ...]:
     if (gpus := len(gpu_indices(device))) > 1:
         return tuple(queue_name("gpu", priority, gpus) for priority in PRIORITIES)
     kinds: tuple[Accelerator, ...] = ("gpu", "any") if gpus else ("cpu", "any")
-    return tuple(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds)
+    return (*(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds), LAST)
 
 
 def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1) -> str:

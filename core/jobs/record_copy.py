@@ -1,29 +1,49 @@
 """A copy of each record beside its objects, for the day on which the database is lost.
 
-`gaitway recover` reads it, to adopt what a restored database does not know; and the sweep of orphans, to
-leave that alone. Nothing else does.
+The reconciler makes it, a moment after each change. `gaitway recover` reads it, to adopt what a restored
+database does not know; and the sweep of orphans, to leave that alone. Nothing else does.
 """
 
 import json
 from typing import Any
 
-import structlog
-
-from core.errors import JobUnreadable, ObjectNotFound, StorageUnavailable
+from core.errors import JobUnreadable, ObjectNotFound
 from core.jobs.job import Job
+from core.jobs.store import JobStore
 from core.jobs.stored_spec import read_spec
 from core.storage import keys
 from core.storage.objects import ObjectStore
 
-log = structlog.get_logger()
+_AT_ONCE = 50
+
+
+def copy_records(*, store: JobStore, objects: ObjectStore) -> int:
+    """Copy those that have changed; how many were looked at.
+
+    A record that cannot be read keeps the copy that it has; so does one that is older than its copy: the
+    database was restored, and `gaitway recover` has not been here yet. Raises RecordsUnavailable,
+    StorageUnavailable; what is left is copied the next time.
+    """
+    changed = store.uncopied(limit=_AT_ONCE)
+    for job in changed:
+        if isinstance(job, Job) and not _is_behind(job, objects):
+            copy_record(job, objects)
+        if not store.copied(job.id, job.version):  # Deleted meanwhile, and perhaps before the copy was there.
+            objects.delete_prefix(keys.record(job.id))
+    return len(changed)
 
 
 def copy_record(job: Job, objects: ObjectStore) -> None:
-    """Write the copy. A store that is away is no failure: the next copy makes up for a missed one."""
+    """Write the copy. Raises StorageUnavailable."""
+    objects.put(keys.record(job.id), job.model_dump_json().encode(), media_type="application/json")
+
+
+def _is_behind(job: Job, objects: ObjectStore) -> bool:
     try:
-        objects.put(keys.record(job.id), job.model_dump_json().encode(), media_type="application/json")
-    except StorageUnavailable as error:
-        log.warning("record_not_copied", job_id=job.id, error=error.detail)
+        copy = read_copy(job.id, objects)
+    except JobUnreadable:
+        return False
+    return copy is not None and copy.version > job.version
 
 
 def read_copy(job_id: str, objects: ObjectStore) -> Job | None:

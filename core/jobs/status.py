@@ -49,17 +49,32 @@ class Reason(StrEnum):
     WORKER_DRAINED = "worker_drained"
     TRAINING_KILLED = "training_killed"
     TRAINING_STALLED = "training_stalled"
+    NATIVE_CRASH = "native_crash"
     OUT_OF_MEMORY = "out_of_memory"
+    OUT_OF_HOST_MEMORY = "out_of_host_memory"
     DIVERGED = "diverged"
     BAD_MODEL = "bad_model"
     BAD_CHECKPOINT = "bad_checkpoint"
     NO_DEVICE = "no_device"
+    DEVICE_FAILED = "device_failed"
     STORAGE_UNAVAILABLE = "storage_unavailable"
     TRAINING_CRASHED = "training_crashed"
 
 
 # The ends of an attempt that another may follow, and that count against a job's `max_attempts`. A drained
-# worker is nobody's fault; a full disk, or a store that stays away, may be this machine's alone.
+# worker is nobody's fault, nor is a bad card; a full disk, or a store that stays away, may be this machine's
+# alone.
 LOSSES = frozenset(
-    {Reason.WORKER_LOST, Reason.TRAINING_KILLED, Reason.TRAINING_STALLED, Reason.STORAGE_UNAVAILABLE}
+    {
+        Reason.WORKER_LOST,
+        Reason.TRAINING_KILLED,
+        Reason.TRAINING_STALLED,
+        Reason.NATIVE_CRASH,
+        Reason.OUT_OF_HOST_MEMORY,
+        Reason.STORAGE_UNAVAILABLE,
+    }
 )
+# What may be the fault of a machine or a card, but is the job's own when it comes so often.
+MOST: dict[Reason, int] = {Reason.OUT_OF_HOST_MEMORY: 2, Reason.DEVICE_FAILED: 3}
+# A training that says so of itself may do better elsewhere.
+RETRIED = LOSSES | MOST.keys()

@@ -15,7 +15,9 @@ from core.model import Stored
 from core.models.store import ModelStore
 
 Channel = Literal["events", "logs"]
+WorkerState = Literal["ready", "testing", "device_failed"]
 _LONGEST_ID = 18
+ENTRY_ID = f"[0-9]{{0,{_LONGEST_ID}}}"
 
 
 class Entry(Stored):
@@ -42,7 +44,11 @@ def entry_number(entry_id: str) -> int:
 
 
 class WorkerInfo(Stored):
-    """What a worker says of itself at every heartbeat."""
+    """What a worker says of itself at every heartbeat.
+
+    state: `ready` for jobs, or with one; while its device is `testing` or has failed a test, it takes none.
+    problem: what was seen of the device.
+    """
 
     name: str
     host: str
@@ -50,6 +56,8 @@ class WorkerInfo(Stored):
     device: str
     queues: tuple[str, ...] = ()
     job: str | None = None
+    state: WorkerState = "ready"
+    problem: str | None = None
     started_at: datetime
     seen_at: datetime
 
@@ -186,11 +194,12 @@ class JobStore(ModelStore, Protocol):
         ...
 
     def waiting(self) -> Sequence[Dispatch]:
-        """The next attempt of every queued job, and every model that waits for its validation."""
+        """The next attempt of every queued job that may begin, and every model that waits for its
+        validation."""
         ...
 
     def undispatched(self) -> Sequence[Dispatch]:
-        """What was committed, and RQ was not told yet; oldest first."""
+        """What was committed, may begin, and RQ was not told yet; oldest first."""
         ...
 
     def dispatched(self, dispatch: Dispatch) -> None:
@@ -238,6 +247,15 @@ class JobStore(ModelStore, Protocol):
 
     def marks(self, job_ids: Collection[str]) -> Mapping[str, Mark]:
         """How far these jobs have come; those that are not there are left out."""
+        ...
+
+    def uncopied(self, *, limit: int) -> Sequence[Job | UnreadableJob]:
+        """Jobs that have begun, and whose copy in the object store is not of their present version; oldest
+        first."""
+        ...
+
+    def copied(self, job_id: str, version: int) -> bool:
+        """The copy is of this version now; whether the job is still there."""
         ...
 
     def users_of(self, model_id: str) -> Sequence[str]:

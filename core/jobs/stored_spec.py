@@ -4,6 +4,7 @@ import json
 from typing import Any, cast
 
 from pydantic import ValidationError
+from pydantic_core import from_json
 
 from core.jobs.spec import JOB_SPEC, JobSpec
 
@@ -18,7 +19,7 @@ def read_spec(text: str) -> JobSpec:
             return JOB_SPEC.validate_json(text)
         except ValidationError as error:
             unknown = [found["loc"] for found in error.errors() if found["type"] == "extra_forbidden"]
-            document = json.loads(text)
+            document = from_json(text)
             if not any([_drop(document, location) for location in unknown]):
                 raise
             text = json.dumps(document)

@@ -1,11 +1,10 @@
 """Users' own models: their records, and their files in the object store by the hash of their bytes."""
 
-import hashlib
 import re
 from contextlib import suppress
 from datetime import datetime, timedelta
+from pathlib import Path
 
-from core.environments.mjcf.archive import examine
 from core.errors import BadModel, ModelNotFound, RecordsUnavailable
 from core.models.queue import ModelQueue
 from core.models.record import ModelRecord
@@ -18,11 +17,6 @@ _ID = re.compile(r"sha256:[0-9a-f]{64}")
 _TOLD_FOR = timedelta(days=1)
 
 
-def identity(body: bytes) -> str:
-    """The id of a model whose file has these bytes."""
-    return f"sha256:{hashlib.sha256(body).hexdigest()}"
-
-
 def find(model_id: str, store: ModelStore) -> ModelRecord:
     """Raises ModelNotFound; also for what cannot be an id, so that it never becomes part of a key."""
     if _ID.fullmatch(model_id) is None:
@@ -31,7 +25,8 @@ def find(model_id: str, store: ModelStore) -> ModelRecord:
 
 
 def add(  # What was sent, and where it goes.
-    body: bytes,
+    file: Path,
+    sha256: str,
     media_type: str,
     *,
     store: ModelStore,
@@ -39,22 +34,18 @@ def add(  # What was sent, and where it goes.
     queue: ModelQueue,
     now: datetime,
 ) -> ModelRecord:
-    """The record of this file; unless it is known and good, a worker is about to look at it.
-
-    Raises BadModel where it need not even do that.
-    """
-    model_id = identity(body)
+    """The record of this file; unless it is known and good, a worker is to look at it. Nobody has yet."""
+    model_id = f"sha256:{sha256}"
     try:
         known = find(model_id, store)
     except ModelNotFound:
         known = None
     if known is not None and known.status != "refused":
         return known
-    examine(body)
     record = ModelRecord(
-        id=model_id, status="validating", media_type=media_type, size=len(body), created_at=now
+        id=model_id, status="validating", media_type=media_type, size=file.stat().st_size, created_at=now
     )
-    objects.put(keys.model_source(model_id), body, media_type=media_type)
+    objects.put_file(keys.model_source(model_id), file, media_type=media_type)
     store.add_model(record)
     with suppress(RecordsUnavailable):  # The reconciler tells the queue later.
         queue.enqueue_model(model_id)

@@ -7,7 +7,7 @@ class ModelQueue(Protocol):
     """At-least-once; both methods raise RecordsUnavailable when the queue cannot be reached."""
 
     def enqueue_model(self, model_id: str) -> None:
-        """Let any worker validate the model, before all jobs. Twice is the same as once."""
+        """Let any worker validate the model, behind all jobs. Twice is the same as once."""
         ...
 
     def contains_model(self, model_id: str) -> bool:

@@ -30,6 +30,10 @@ class ModelStore(Protocol):
         """Forget the record; not there is no error."""
         ...
 
+    def num_waiting_models(self) -> int:
+        """How many are to be looked at."""
+        ...
+
     def models(self) -> Sequence[ModelRecord]:
         """All there are, by their ids."""
         ...

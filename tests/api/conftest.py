@@ -22,7 +22,7 @@ from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.errors import RecordsUnavailable, StorageUnavailable, Unavailable
+from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Unavailable
 from core.jobs.attempts import claim, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import JOB_SPEC
@@ -162,9 +162,10 @@ def job(job_id: str = "019aa3c2f0b1-5be0c1d2e3", **spec: Any) -> Job:
 class Attempt:
     """A worker's part, played by a test."""
 
-    def __init__(self, stack: Stack, job: Job) -> None:
+    def __init__(self, stack: Stack, job: Job, *, is_new: bool = True) -> None:
         self._stack = stack
-        stack.store.add(job)
+        if is_new:
+            stack.store.add(job)
         claimed = claim(
             job.id,
             1,
@@ -174,7 +175,8 @@ class Attempt:
             lease=timedelta(minutes=1),
             secret=new_secret(),
         )
-        assert claimed is not None
+        if claimed is None:
+            raise JobFinished(f"Job {job.id} has been cancelled.")
         self.holding = claimed
         self.id = job.id
         self.holding.start(device="cpu", engine="native", details={"cores": 2})

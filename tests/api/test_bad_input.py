@@ -103,6 +103,11 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "no such option",
         ),
         (
+            MINIMAL | {"randomization": [{"field": "body_mass", "range": [1]}]},
+            "/randomization/0/range/1",
+            "`range` has too few items",
+        ),
+        (
             MINIMAL | {"randomization": [{"field": "mass", "range": [1, 2]}]},
             "/randomization/0/field",
             "'body_mass'",

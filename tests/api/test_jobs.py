@@ -310,6 +310,7 @@ def test_another_method_is_refused_with_those_there_are(stack: Stack) -> None:
     answer = stack.http.put("/healthz")
     problem(answer, 405, "method-not-allowed")
     assert answer.headers["Allow"] == "GET"
+    assert stack.http.put("/jobs").headers["Allow"] == "GET, POST"
 
 
 def test_a_lone_submission_takes_little_time(stack: Stack) -> None:

@@ -11,17 +11,18 @@ from pathlib import Path
 from core.errors import GaitwayError, JobFailed
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.jobs.status import Reason
-from worker.disk import is_full, what_to_do
 from worker.messages import Failed, Finished, PhaseEnded, Task
 from worker.training.channel import Channel
+from worker.training.failure import failure
 from worker.training.stopping import Stopping
 
 
 def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
     """Do the task in the spool; the process' exit status. The last message is Finished or Failed."""
-    channel = Channel(spool, events_fd)
+    channel, device = Channel(spool, events_fd), "cpu"
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
+        device = task.device
         stopped = _dispatch(task, channel, stopping)
     except JobFailed as error:
         channel.send(Failed(reason=Reason(error.reason), message=error.detail))
@@ -29,7 +30,7 @@ def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
         channel.send(Failed(reason=Reason.TRAINING_CRASHED, message=error.detail))
     except Exception as error:  # Every way to end must reach the job's record.
         traceback.print_exc()
-        channel.send(_failure(error))
+        channel.send(failure(error, device))
     else:
         channel.send(Finished(stopped=stopped))
         return 0
@@ -61,12 +62,3 @@ def _without_warnings_of_warp() -> Generator[None]:
     sys.stdout.writelines(
         f"{line}\n" for line in said.getvalue().splitlines() if not line.startswith("Failed to import ")
     )
-
-
-def _failure(error: Exception) -> Failed:
-    if is_full(error):
-        return Failed(reason=Reason.STORAGE_UNAVAILABLE, message=what_to_do())
-    text = f"{type(error).__name__}: {error}".splitlines()[0][:500]
-    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
-        return Failed(reason=Reason.OUT_OF_MEMORY, message=f"The device's memory ran out. {text}")
-    return Failed(reason=Reason.TRAINING_CRASHED, message=f"{text} (the log has the traceback)")

@@ -1,6 +1,7 @@
-"""`python -m worker.validation FOLDER PARENT_PID LIMITS…`: look at the file `model` in the folder.
+"""`python -m worker.validation FOLDER PARENT_PID HOW LIMITS…`: look at the file `model` in the folder.
 
-Writes `answer.json` there, and again with each thing that it finds out.
+Writes `answer.json` there, and again with each thing that it finds out. HOW: `confined`, or `unconfined`:
+then what the kernel refuses is done without.
 """
 
 import os
@@ -8,13 +9,33 @@ import sys
 from pathlib import Path
 
 from worker.lifeline import die_with_parent
-from worker.validation.limits import Limits, confine
+from worker.validation.confinement import Layer, Unconfined, confine
+from worker.validation.limits import Limits
 
 
 def main() -> None:
-    folder, parent = Path(sys.argv[1]), int(sys.argv[2])
-    confine(Limits.of(sys.argv[3:]))
+    folder, parent, how = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+    try:
+        layers = confine(Limits.of(sys.argv[4:]), folder, strictly=how != "unconfined")
+    except Unconfined as error:
+        refusal = (
+            "This worker's system cannot confine the process that reads models, so it reads none "
+            f"({error}). docs/settings.md, GAITWAY_MODELS."
+        )
+        _say_plainly(folder, refusal)
+        return
     die_with_parent(parent)  # After it: what changes a process' rights ends such a promise.
+    _look(folder, layers)
+
+
+def _say_plainly(folder: Path, refusal: str) -> None:
+    """Without any of the service's modules: this process is not bound."""
+    import json
+
+    (folder / "answer.json").write_text(json.dumps({"refusal": refusal}))
+
+
+def _look(folder: Path, layers: tuple[Layer, ...]) -> None:
     # Only now: what they load is bound already.
     from core.errors import GaitwayError
     from worker.validation.answer import Answer
@@ -22,7 +43,7 @@ def main() -> None:
 
     def say(answer: Answer) -> None:
         part = folder / "answer.part"
-        part.write_text(answer.model_dump_json())
+        part.write_text(answer.model_copy(update={"layers": layers}).model_dump_json())
         os.replace(part, folder / "answer.json")
 
     try:

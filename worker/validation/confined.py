@@ -18,10 +18,12 @@ from core.models.store import ModelStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from worker.process import environment
-from worker.validation.answer import Answer
+from worker.validation.answer import Answer, read_answer, read_plain
 from worker.validation.limits import Limits
 
 ANSWER = "answer.json"
+_TOLD = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "LD_LIBRARY_PATH", "PYTHONPATH", "GAITWAY_STACK_ID")
+_PROGRAM = ("-m", "worker.validation")
 _GLANCE_S = 0.05
 log = structlog.get_logger()
 
@@ -35,11 +37,13 @@ def validate(  # Which model, and the places that are needed.
     objects: ObjectStore,
     folder: Path,
     data_dir: Path,
-    limits: Limits | None = None,
+    *,
+    strictly: bool = True,
 ) -> None:
     """Look at a model that waits for it, and store what is found; of one that is refused, only that.
 
-    folder: an empty one, for files that are needed meanwhile. Raises ModelNotFound.
+    folder: an empty one, for files that are needed meanwhile. strictly: refuse it where the kernel cannot
+    confine the process. Raises ModelNotFound.
     """
     record = library.find(model_id, store)
     if record.status != "validating":
@@ -49,7 +53,7 @@ def validate(  # Which model, and the places that are needed.
     except ObjectNotFound:  # What comes last, below, was not reached; or somebody is deleting the model.
         answers = iter([Answer(refusal=_INTERRUPTED)])
     else:
-        answers = look(body, folder, data_dir, limits or Limits())
+        answers = look(body, folder, data_dir, Limits(), strictly=strictly)
     # Once it is described it can be used; loading all the engines takes longer than everything before.
     for answer in answers:
         if answer.description is not None:
@@ -60,39 +64,58 @@ def validate(  # Which model, and the places that are needed.
         store.settle_model(found)  # Raises, where somebody has deleted it meanwhile.
         if found.status == "refused":
             objects.delete_prefix(keys.model_source(model_id))
-        log.info("model_validated", model=model_id, status=found.status, detail=found.message)
+        log.info(
+            "model_validated",
+            model=model_id,
+            status=found.status,
+            detail=found.message,
+            confined_by=" ".join(answer.layers),
+        )
 
 
-def look(body: bytes, folder: Path, data_dir: Path, limits: Limits) -> Iterator[Answer]:
+def look(
+    body: bytes, folder: Path, data_dir: Path, limits: Limits, *, strictly: bool = True
+) -> Iterator[Answer]:
     """What a confined process says of the file, first and last; where it says nothing, why."""
     (folder / "model").write_bytes(body)
     said = folder / ANSWER
+    how = "confined" if strictly else "unconfined"
     with (folder / "log").open("wb") as text:
         child = subprocess.Popen(
-            [sys.executable, "-m", "worker.validation", str(folder), str(os.getpid()), *limits.arguments()],
+            [sys.executable, *_PROGRAM, str(folder), str(os.getpid()), how, *limits.arguments()],
             cwd=folder,
             stdin=subprocess.DEVNULL,
             stdout=text,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            # One thread each: libraries of linear algebra take room for as many as there are cores.
-            env={
-                **environment("cpu", data_dir, os.environ),
-                "OMP_NUM_THREADS": "1",
-                "OPENBLAS_NUM_THREADS": "1",
-                "MALLOC_ARENA_MAX": "2",
-            },
+            env=_environment(folder, data_dir),
         )
         try:
             until, heard = time.monotonic() + limits.wall_s, False
             while (status := _ended(child)) is None and time.monotonic() < until:
                 if not heard and said.exists():
+                    first = read_answer(said)
                     heard = True
-                    if (first := _read(said)).description is not None:
+                    if first.description is not None:
                         yield first
         finally:
             _kill(child)
     yield _answer(folder, status, limits)
+
+
+def _environment(folder: Path, data_dir: Path) -> dict[str, str]:
+    """Nothing but what these libraries need."""
+    surroundings = environment(
+        "cpu", data_dir, {name: os.environ[name] for name in _TOLD if name in os.environ}
+    )
+    return {
+        **surroundings,
+        **dict.fromkeys(("HOME", "TMPDIR", "XDG_CACHE_HOME"), str(folder)),
+        # One thread each: libraries of linear algebra take room for as many as there are cores.
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MALLOC_ARENA_MAX": "2",
+    }
 
 
 def _ended(child: "subprocess.Popen[bytes]") -> int | None:
@@ -103,17 +126,14 @@ def _ended(child: "subprocess.Popen[bytes]") -> int | None:
         return None
 
 
-def _read(said: Path) -> Answer:
-    return Answer.model_validate_json(said.read_bytes()) if said.exists() else Answer()
-
-
 def _answer(folder: Path, status: int | None, limits: Limits) -> Answer:
-    answer = _read(folder / ANSWER)
+    answer = read_answer(folder / ANSWER)
     if answer.refusal is not None or (answer.description is not None and status == 0):
         return answer
     if answer.description is not None:  # It compiles and moves: only the engines were too much.
         changes = {"notes": [*answer.description.notes, _UNFINISHED], "complete": True}
-        return Answer(description=answer.description.model_copy(update=changes))
+        described = answer.description.model_copy(update=changes)
+        return answer.model_copy(update={"description": described})
     log.warning("model_not_understood", status=status, text=_last_words(folder / "log"))
     return Answer(refusal=_why(status, limits))
 
@@ -127,7 +147,7 @@ def _why(status: int | None, limits: Limits) -> str:
 
 
 def _last_words(path: Path) -> str:
-    return path.read_bytes()[-1000:].decode(errors="replace")
+    return read_plain(path, 1000).decode(errors="replace")
 
 
 def _kill(child: "subprocess.Popen[bytes]") -> None:

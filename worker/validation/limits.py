@@ -1,13 +1,8 @@
-"""What a process that reads a stranger's model may use. Imported before anything numerical."""
+"""What a process that reads a stranger's model may use."""
 
-import contextlib
-import ctypes
 import os
 import resource
-import sys
 from dataclasses import asdict, dataclass
-
-_CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
 
 
 @dataclass(frozen=True)
@@ -30,12 +25,8 @@ class Limits:
         return cls(float(wall), *map(int, rest))
 
 
-def confine(limits: Limits) -> None:
-    """Bind this process and all it starts to the limits, for good; and cut it off from the network.
-
-    The latter where the system lets a process without privileges do that. Nothing in here speaks to a
-    network anyway: it is for what a broken parser might be made to do.
-    """
+def limit(limits: Limits) -> None:
+    """Bind this process and all it starts, for good. Raises OSError."""
     for what, most in (
         (resource.RLIMIT_CPU, limits.cpu_s),
         (resource.RLIMIT_FSIZE, limits.file_bytes),
@@ -45,9 +36,6 @@ def confine(limits: Limits) -> None:
     ):
         _, hard = resource.getrlimit(what)
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        with contextlib.suppress(ValueError, OSError):  # macOS does not know all of them.
-            resource.setrlimit(what, (most, most))
-    if sys.platform == "linux":
-        # Libraries start a thread for each core that they see, and each takes room.
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: limits.num_cores])
-        ctypes.CDLL(None).unshare(_CLONE_NEWUSER | _CLONE_NEWNET)
+        resource.setrlimit(what, (most, most))
+    # Libraries start a thread for each core that they see, and each takes room.
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: limits.num_cores])

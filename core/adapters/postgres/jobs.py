@@ -18,6 +18,7 @@ from sqlalchemy import (
     case,
     delete,
     func,
+    not_,
     or_,
     select,
     text,
@@ -43,6 +44,7 @@ from core.adapters.postgres.tables import (
     workers,
 )
 from core.errors import IdempotencyKeyReused, JobExists, JobNotFound, JobUnreadable, LeaseLost, StaleJob
+from core.jobs.attempts import PAUSES
 from core.jobs.job import Attempt, Job, Progress, UnreadableJob, check_job_id, utc_now
 from core.jobs.status import JobStatus
 from core.jobs.store import (
@@ -182,6 +184,16 @@ class PostgresJobStore:
         with self._transaction() as connection:
             return set(connection.execute(union_all(*named)).scalars())
 
+    def uncopied(self, *, limit: int) -> Sequence[Job | UnreadableJob]:
+        wanted = select(jobs).where(jobs.c.copied_version != jobs.c.version, jobs.c.num_attempts > 0)
+        with self._transaction() as connection:
+            return _load_all(connection, connection.execute(wanted.order_by(jobs.c.id).limit(limit)).all())
+
+    def copied(self, job_id: str, version: int) -> bool:
+        marked = update(jobs).where(jobs.c.id == job_id).values(copied_version=version).returning(jobs.c.id)
+        with self._transaction() as connection:
+            return connection.execute(marked).first() is not None
+
     # ---- after a disaster ------------------------------------------------------------------------
 
     def chunks(self, job_ids: Collection[str]) -> Mapping[str, Sequence[Chunk]]:
@@ -256,15 +268,15 @@ class PostgresJobStore:
     # ---- dispatches ------------------------------------------------------------------------------
 
     def waiting(self) -> Sequence[Dispatch]:
-        queued = (
-            select(jobs.c.id, jobs.c.num_attempts + 1).where(jobs.c.status == "queued").order_by(jobs.c.id)
-        )
+        queued = select(jobs.c.id, jobs.c.num_attempts + 1).where(jobs.c.status == "queued", _is_due())
         with self._transaction() as connection:
-            found = [Dispatch("attempt", *row) for row in connection.execute(queued)]
+            found = [Dispatch("attempt", *row) for row in connection.execute(queued.order_by(jobs.c.id))]
             return [*found, *models.waiting(connection)]
 
     def undispatched(self) -> Sequence[Dispatch]:
-        wanted = select(dispatches).order_by(dispatches.c.created_at).limit(1000)
+        of_jobs = dispatches.outerjoin(jobs, dispatches.c.subject == jobs.c.id)
+        wanted = select(dispatches).select_from(of_jobs).where(_is_due())
+        wanted = wanted.order_by(dispatches.c.created_at).limit(1000)
         with self._transaction() as connection:
             return [Dispatch(row.task, row.subject, row.attempt) for row in connection.execute(wanted)]
 
@@ -340,6 +352,10 @@ class PostgresJobStore:
     def delete_model(self, model_id: str) -> None:
         with self._transaction() as connection:
             models.forget(connection, model_id)
+
+    def num_waiting_models(self) -> int:
+        with self._transaction() as connection:
+            return len(models.waiting(connection))
 
     def models(self) -> Sequence[ModelRecord]:
         with self._transaction() as connection:
@@ -493,6 +509,12 @@ def _refuse(connection: Connection, job_id: str) -> NoReturn:
     if connection.execute(select(jobs.c.id).where(jobs.c.id == job_id)).first() is None:
         raise JobNotFound(job_id[:64])
     raise StaleJob(job_id)
+
+
+def _is_due() -> Any:
+    """Whether a job may be tried now. A pause that is longer than any begins before the clock was set back."""
+    not_yet = and_(jobs.c.not_before > _NOW, jobs.c.not_before <= _NOW + max(PAUSES))
+    return or_(jobs.c.not_before.is_(None), not_(not_yet))
 
 
 def _lease_is_over() -> Any:

@@ -31,6 +31,7 @@ def job_values(job: Job) -> Values:
         "message": words(job.message),
         "started_at": job.started_at,
         "finished_at": job.finished_at,
+        "not_before": job.not_before,
         "token": job.token,
         "num_attempts": len(job.attempts),
     }
@@ -103,6 +104,7 @@ def read_job(
             created_at=row.created_at,
             started_at=row.started_at,
             finished_at=row.finished_at,
+            not_before=row.not_before,
             attempts=tuple(_attempt_of(attempt) for attempt in attempts),
             artifacts=tuple(artifact_of(artifact) for artifact in artifacts),
             progress=_progress(row.progress),

@@ -57,6 +57,7 @@ jobs = Table(
     _moment("created_at", nullable=False),
     _moment("started_at"),
     _moment("finished_at"),
+    _moment("not_before"),
     Column("progress", Text),
     Column("token", Text, nullable=False, server_default=""),
     _moment("lease_until"),
@@ -64,6 +65,8 @@ jobs = Table(
     Column("num_events", BigInteger, nullable=False, server_default="0"),
     Column("num_logs", BigInteger, nullable=False, server_default="0"),
     Column("last_write", Text),
+    # The version that was copied into the object store.
+    Column("copied_version", Integer, nullable=False, server_default="0"),
     # Room beside each row: a renewed lease then touches no index.
     postgresql_with={"fillfactor": "80"},
 )
@@ -77,6 +80,8 @@ Index("jobs_by_label", jobs.c.labels, postgresql_using="gin", postgresql_ops={"l
 UNFINISHED = ("queued", "starting", "running", "cancelling")
 _IS_UNFINISHED = text("status IN ('queued', 'starting', 'running', 'cancelling')")
 Index("jobs_unfinished", jobs.c.id, postgresql_where=_IS_UNFINISHED)
+_IS_TO_COPY = text("copied_version <> version AND num_attempts > 0")
+Index("jobs_to_copy", jobs.c.id, postgresql_where=_IS_TO_COPY)
 Index("jobs_by_source", jobs.c.source, postgresql_where=_IS_UNFINISHED)
 
 

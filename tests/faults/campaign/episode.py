@@ -1,36 +1,29 @@
 """One episode: users at work, faults at their times, everything healed, and what the checker finds.
 
-`python -m tests.faults.campaign.episode --seeds 100 [--first 0]` runs many in one world, and prints each.
+`python -m tests.faults.campaign.episode --seeds 100 [--first 0]` runs many in one world, and prints a line of
+JSON for each. `--serve FOLDER` takes the seeds from its standard input.
 """
 
 import argparse
-import json
+import os
 import random
 import sys
 import threading
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from tests.faults.campaign.checker import check
 from tests.faults.campaign.clients import Users
+from tests.faults.campaign.disks import take_own_mounts
 from tests.faults.campaign.faults import Fault, draw
-from tests.faults.campaign.world import World
+from tests.faults.campaign.runner import Outcome
+from tests.faults.campaign.world import PARTIES, World
+from worker.lifeline import die_with_parent
 
 NUM_JOBS = 4
 _FAULTS_WITHIN_S = 3.5
 _END_WITHIN_S = 60.0
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """seed: it draws jobs and faults. broken: sentences of the checker."""
-
-    seed: int
-    faults: Sequence[str]
-    broken: Sequence[str]
-    seconds: float
-    statuses: Sequence[str]
 
 
 def run(world: World, seed: int) -> Outcome:
@@ -48,8 +41,8 @@ def run(world: World, seed: int) -> Outcome:
     except TimeoutError as error:
         broken.append(str(error))
     broken += check(world, users)
-    statuses = [told.statuses[-1] if told.statuses else "-" for told in users.told]
-    return Outcome(seed, [fault.name for fault in faults], broken, time.monotonic() - started, statuses)
+    seconds = round(time.monotonic() - started, 1)
+    return Outcome(seed, tuple(fault.name for fault in faults), tuple(broken), seconds)
 
 
 def _happen(world: World, faults: Sequence[Fault], started: float) -> None:
@@ -65,20 +58,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--serve", type=Path, metavar="FOLDER", help="a world there, for seeds that are sent")
     parser.add_argument("--keep", action="store_true", help="stop at the first broken promise, with its logs")
     given = parser.parse_args(arguments)
-    num_broken = 0
-    with World() as world:
-        for seed in range(given.first, given.first + given.seeds):
+    if parent := os.environ.get("GAITWAY_PARENT"):
+        die_with_parent(int(parent))
+    if not (has_own_mounts := take_own_mounts()):
+        print("No disk gets full: this user may not mount any.", file=sys.stderr)
+    seeds: Iterable[int] = range(given.first, given.first + given.seeds)
+    places = {}
+    if given.serve is not None:
+        seeds, places = map(int, sys.stdin), {"folder": given.serve}
+    is_broken = False
+    with World(**places, has_own_mounts=has_own_mounts) as world:
+        if not world.clocks:
+            print("No C compiler: instead of clocks, the times that are stored move.", file=sys.stderr)
+        for seed in seeds:
             outcome = run(world, seed)
-            num_broken += bool(outcome.broken)
-            print(json.dumps(outcome.__dict__), flush=True)
+            is_broken |= bool(outcome.broken)
+            print(outcome.line(), flush=True)
             if outcome.broken and given.keep:
-                for party in ("api", "reconciler", "worker-1", "worker-2"):
+                for party in PARTIES:
                     print(f"--- {party}\n{world.logs(party)[-6000:]}", file=sys.stderr)
                 break
-    print(json.dumps({"episodes": given.seeds, "broken": num_broken}))
-    return 1 if num_broken else 0
+    return 1 if is_broken else 0
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tests.faults.campaign.proxy import Mode
-from tests.faults.campaign.world import PARTIES, SERVERS, STORES, World
+from tests.faults.campaign.world import DISKS, PARTIES, SERVERS, STORES, World
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,16 @@ def _flushed(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
 def _cut_off(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
     """One party from one store, all from one store, or one party from all."""
     party, store = rng.choice((*PARTIES, "*")), rng.choice((*STORES, "*"))
-    mode = rng.choice([mode for mode in Mode if mode is not Mode.OPEN])
+    modes = [mode for mode in Mode if mode not in (Mode.OPEN, Mode.FLIP)]
+    return _misbehaving(party, store, rng.choice(modes), at_s, lasts_s)
 
+
+def _flipped(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    """Of the object store alone: what it keeps has a hash. The other two protocols have none; TLS is theirs."""
+    return _misbehaving(rng.choice((*PARTIES, "*")), "weed", Mode.FLIP, at_s, lasts_s)
+
+
+def _misbehaving(party: str, store: str, mode: Mode, at_s: float, lasts_s: float) -> Fault:
     def set_mode(world: World, wanted: Mode) -> None:
         for name, proxy in world.proxies.all.items():
             its_party, _, its_store = name.partition("/")
@@ -92,21 +100,50 @@ def _cut_off(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
     )
 
 
+def _disk_full(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
+    name = rng.choice(list(DISKS))
+
+    def fill(world: World) -> None:
+        if name in world.disks:
+            world.disks[name].fill()
+
+    def free(world: World) -> None:
+        if name in world.disks:
+            world.disks[name].free()
+
+    return Fault(f"disk of {name} full for {lasts_s:g} s", at_s, lasts_s, fill, free)
+
+
 def _clock_step(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
-    """All moments that the database has stored move: to it, its clock was set forward or back."""
+    """Forward or back, and after a while to the right time again."""
+    whose = rng.choice(("postgres", "postgres", *PARTIES))
     seconds = rng.choice((-7200.0, -10.0, 10.0, 7200.0))
 
-    def step(world: World) -> None:
-        shift: tuple[Any, ...] = (seconds,)
-        with suppress(Exception), world.database() as database, database.transaction():
-            database.execute("UPDATE jobs SET lease_until = lease_until - make_interval(secs => %s)", shift)
-            database.execute(
-                "UPDATE pulse SET beat_at = beat_at - make_interval(secs => %s),"
-                " quiet_until = quiet_until - make_interval(secs => %s)",
-                shift * 2,
-            )
+    def step(world: World, by_s: float, to_s: float) -> None:
+        if world.clocks:
+            world.clocks.set(whose, to_s)
+        elif whose == "postgres":
+            _move_stored_times(world, by_s)
 
-    return Fault(f"the database's clock steps by {seconds:g} s", at_s, 0.0, step)
+    return Fault(
+        f"clock of {whose} steps by {seconds:g} s for {lasts_s:g} s",
+        at_s,
+        lasts_s,
+        lambda world: step(world, seconds, seconds),
+        lambda world: step(world, -seconds, 0.0),
+    )
+
+
+def _move_stored_times(world: World, by_s: float) -> None:
+    """All that the database has stored: to it, its clock was set."""
+    shift: tuple[Any, ...] = (by_s,)
+    with suppress(Exception), world.database() as database, database.transaction():
+        database.execute("UPDATE jobs SET lease_until = lease_until - make_interval(secs => %s)", shift)
+        database.execute(
+            "UPDATE pulse SET beat_at = beat_at - make_interval(secs => %s),"
+            " quiet_until = quiet_until - make_interval(secs => %s)",
+            shift * 2,
+        )
 
 
 _KINDS: dict[str, tuple[Callable[[random.Random, float, float], Fault], int]] = {
@@ -116,5 +153,7 @@ _KINDS: dict[str, tuple[Callable[[random.Random, float, float], Fault], int]] = 
     "server_killed": (_server_killed, 2),
     "flushed": (_flushed, 2),
     "cut_off": (_cut_off, 6),
-    "clock_step": (_clock_step, 1),
+    "flipped": (_flipped, 2),
+    "disk_full": (_disk_full, 2),
+    "clock_step": (_clock_step, 2),
 }

@@ -1,6 +1,7 @@
-"""What stands between two parts, and refuses, falls silent, dawdles, or loses answers when it is asked to."""
+"""What stands between two parts, and misbehaves when it is asked to."""
 
 import asyncio
+import random
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -13,7 +14,8 @@ class Mode(StrEnum):
 
     open: nothing. refuse: connections are reset. silent: nothing comes through, and nothing ends. slow: each
     piece takes a while. lose_answers: what is asked arrives, and the connection is reset before the answer.
-    truncate: half of an answer arrives, and the connection is reset.
+    truncate: half of an answer arrives, and the connection is reset. flip: a bit of each piece is another one,
+    on the way there and on the way back.
     """
 
     OPEN = "open"
@@ -22,6 +24,7 @@ class Mode(StrEnum):
     SLOW = "slow"
     LOSE_ANSWERS = "lose_answers"
     TRUNCATE = "truncate"
+    FLIP = "flip"
 
 
 Place = Path | int  # A unix socket, or a port of the loopback interface.
@@ -37,13 +40,27 @@ class Proxy:
     here: Place
     there: Place
     mode: Mode = Mode.OPEN
-    _writers: set[asyncio.StreamWriter] = field(default_factory=set[asyncio.StreamWriter])
+    _rng: random.Random = field(default_factory=lambda: random.Random(0))
+    _server: asyncio.Server | None = None
+    _open: set[asyncio.Task[None]] = field(default_factory=set[asyncio.Task[None]])
 
     async def serve(self) -> None:
         if isinstance(self.here, Path):
-            await asyncio.start_unix_server(self._connected, self.here)
+            self._server = await asyncio.start_unix_server(self._accept, self.here)
         else:
-            await asyncio.start_server(self._connected, "127.0.0.1", self.here)
+            self._server = await asyncio.start_server(self._accept, "127.0.0.1", self.here)
+
+    async def close(self) -> None:
+        if self._server is not None:
+            self._server.close()
+        for task in self._open:
+            task.cancel()
+        await asyncio.gather(*self._open, return_exceptions=True)
+
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.ensure_future(self._connected(reader, writer))
+        self._open.add(task)
+        task.add_done_callback(self._open.discard)
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if self.mode is Mode.REFUSE:
@@ -61,11 +78,13 @@ class Proxy:
             asyncio.create_task(self._pass_on(reader, to_writer, is_answer=False)),
             asyncio.create_task(self._pass_on(to_reader, writer, is_answer=True)),
         ]
-        await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
-        for way in ways:
-            way.cancel()
-        for end in (writer, to_writer):
-            _reset(end)
+        try:
+            await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for way in ways:
+                way.cancel()
+            for end in (writer, to_writer):
+                _reset(end)
 
     async def _pass_on(
         self, source: asyncio.StreamReader, sink: asyncio.StreamWriter, *, is_answer: bool
@@ -78,12 +97,19 @@ class Proxy:
                     sink.write(piece[: len(piece) // 2])
                     await sink.drain()
                     return
+                if self.mode is Mode.FLIP:
+                    piece = self._flipped(piece)
                 if self.mode is Mode.SLOW:
                     await asyncio.sleep(_DAWDLE_S)
                 while self.mode is Mode.SILENT:
                     await asyncio.sleep(_GLANCE_S)
                 sink.write(piece)
                 await sink.drain()
+
+    def _flipped(self, piece: bytes) -> bytes:
+        flipped = bytearray(piece)
+        flipped[self._rng.randrange(len(piece))] ^= 1 << self._rng.randrange(8)
+        return bytes(flipped)
 
     async def _next(self, source: asyncio.StreamReader) -> bytes:
         """The next piece; nothing at the end, and as soon as connections are refused."""
@@ -123,5 +149,8 @@ class Proxies:
             proxy.mode = Mode.OPEN
 
     def close(self) -> None:
+        for proxy in self.all.values():
+            asyncio.run_coroutine_threadsafe(proxy.close(), self._loop).result(5)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(5)
+        self._loop.close()

@@ -27,12 +27,17 @@ from gaitway.embedded.processes import free_ports
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
+from tests.faults.campaign.clocks import ClockedProcess, Clocks
+from tests.faults.campaign.disks import Disk
 from tests.faults.campaign.proxy import Proxies
 
 PARTIES = ("api", "reconciler", "worker-1", "worker-2")
 SERVERS = ("postgres", "valkey", "weed")
 STORES = ("postgres", "valkey", "weed")
 LEASE_S, HEARTBEAT_S, RECONCILE_S, GRACE_S = 3.0, 0.25, 0.25, 5.0
+# Where what is kept, and how much of it, in MiB.
+DISKS = {"postgres": ("pg", 512), "weed": ("s3", 512), "worker-1": ("worker-1", 64), "worker-2": ("worker-2", 64)}
+_MEMBER = ("-m", "tests.faults.campaign.member")
 _SOCKET = ".s.PGSQL.5432"
 _GLANCE_S = 0.05
 
@@ -49,14 +54,28 @@ class Member:
 
 @dataclass
 class World:
-    """Enter it to start everything; it may be used for many episodes."""
+    """Enter it to start everything; it may be used for many episodes. It ends with its process.
+
+    has_own_mounts: of this process, so that each store can be given a disk that gets full.
+    """
 
     folder: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="gw-")))
+    has_own_mounts: bool = False
     proxies: Proxies = field(default_factory=Proxies)
 
     def __post_init__(self) -> None:
+        self.folder.chmod(0o711)  # PostgreSQL may be another user, and reads its clock here.
+        self.clocks = Clocks(self.folder / "clocks")
+        self.disks: dict[str, Disk] = {}
+        if self.has_own_mounts:
+            for name, (folder, size_mib) in DISKS.items():
+                (self.folder / folder).mkdir()
+                self.disks[name] = Disk(self.folder / folder, size_mib)
         # Durable: without synchronous commits a killed server loses the last of them, as the checker sees.
         self.postgres = Postgres(self.folder / "pg")
+        process = ClockedProcess("postgres", self.folder / "pg", stop_signal=signal.SIGINT)
+        process.clock = self.clocks.environment("postgres")
+        self.postgres.process = process
         self.valkey = Valkey(self.folder / "kv")
         self.weed = Weed(self.folder / "s3")
         [self.port] = free_ports(1)
@@ -115,8 +134,11 @@ class World:
                 process.send_signal(number)
 
     def heal(self) -> None:
-        """Proxies open, nobody stopped; what has ended is started by the keeper."""
+        """Proxies open, nobody stopped, room, the right time; what has ended is started by the keeper."""
         self.proxies.heal()
+        self.clocks.heal()
+        for disk in self.disks.values():
+            disk.free()
         for name in self.members:
             self.signal(name, signal.SIGCONT)
 
@@ -210,7 +232,7 @@ class World:
                 before.wait()
             with (self.folder / f"{party}.log").open("ab") as log:
                 self._children[party] = subprocess.Popen(
-                    [sys.executable, "-m", *module],
+                    [sys.executable, *_MEMBER, str(os.getpid()), sys.executable, "-m", *module],
                     env=self._environment(party),
                     stdin=subprocess.DEVNULL,
                     stdout=log,
@@ -234,6 +256,7 @@ class World:
         return {
             **kept,
             **self.weed.environment(),
+            **self.clocks.environment(party),
             "GAITWAY_DATABASE_URL": f"postgresql://gaitway@/gaitway?host={quote(str(folder), safe='')}",
             "GAITWAY_REDIS_URL": f"unix://{quote(str(folder / 'kv'))}",
             "GAITWAY_S3_ENDPOINT": f"127.0.0.1:{proxy[f'{party}/weed'].here}",

@@ -1,4 +1,4 @@
-"""A worker's part, played by a test."""
+"""The parts of a worker, and of the reconciler that copies what it does, played by a test."""
 
 import hashlib
 import secrets
@@ -8,6 +8,7 @@ from typing import Any
 from core.adapters.memory_queue import MemoryJobQueue
 from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.job import Artifact, Job
+from core.jobs.record_copy import copy_records
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Channel, Entry, JobStore
@@ -56,6 +57,7 @@ class PlayedWorker:
         name = f"checkpoint-{step:012d}.msgpack"
         artifact = self.upload(holding, name, f"{holding.job_id} {step}".encode(), step)
         holding.publish((artifact,), keep)
+        copy_records(store=self.store, objects=self.objects)
         return artifact
 
     def upload(self, holding: Holding, name: str, body: bytes, step: int | None = None) -> Artifact:
@@ -75,4 +77,6 @@ class PlayedWorker:
         self.store.record(holding.job_id, holding.token, channel, entries, write_id=secrets.token_hex(8))
 
     def succeed(self, holding: Holding) -> Job:
-        return holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")
+        job = holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")
+        copy_records(store=self.store, objects=self.objects)
+        return job

@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
@@ -31,7 +30,7 @@ from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
-from core.jobs.record_copy import read_copy
+from core.jobs.record_copy import copy_record, copy_records, read_copy
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Idempotency, JobQuery
@@ -546,17 +545,45 @@ def test_a_deletion_that_was_cut_short_can_be_asked_for_again(service: Service) 
     assert (service.jobs(), list(whole.list(""))) == ([], [])
 
 
-def test_a_copy_of_the_record_lies_beside_its_objects_and_an_outage_costs_only_the_copy(
+def test_a_copy_of_a_begun_job_follows_its_record_through_an_outage_of_the_object_store(
     service: Service,
 ) -> None:
     class Frail(MemoryObjectStore):
         def put(self, *_: object, **__: object) -> None:
             raise StorageUnavailable("away")
 
-    job = service.submit()
+    waits, job = service.submit(), service.submit()
     holding = service.claim(job)
     published, _ = holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+    assert copy_records(store=service.store, objects=service.objects) == 1
     assert read_copy(job.id, service.objects) == published
-    ended = replace(holding, objects=Frail()).end(JobStatus.FAILED, Reason.DIVERGED, "NaN")
-    assert service.store.get(job.id) == ended
-    assert read_copy(job.id, service.objects) == published
+    assert read_copy(waits.id, service.objects) is None
+    assert copy_records(store=service.store, objects=service.objects) == 0
+    ended = holding.end(JobStatus.FAILED, Reason.DIVERGED, "NaN")
+    with pytest.raises(StorageUnavailable):
+        copy_records(store=service.store, objects=Frail())
+    assert copy_records(store=service.store, objects=service.objects) == 1
+    assert read_copy(job.id, service.objects) == ended
+
+
+def test_a_record_that_is_older_than_its_copy_leaves_it(service: Service) -> None:
+    # As after the restore of an older database.
+    job = service.submit()
+    service.claim(job)
+    newer = service.store.get(job.id).model_copy(update={"version": 12})
+    copy_record(newer, service.objects)
+    assert [copy_records(store=service.store, objects=service.objects) for _ in range(2)] == [1, 0]
+    assert read_copy(job.id, service.objects) == newer
+
+
+def test_a_job_that_is_deleted_while_it_is_copied_leaves_no_copy(service: Service) -> None:
+    class Slow(MemoryObjectStore):
+        def put(self, *arguments: Any, **options: Any) -> None:
+            service.delete(job)
+            super().put(*arguments, **options)
+
+    job = service.submit()
+    service.claim(job).end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    objects = Slow()
+    assert copy_records(store=service.store, objects=objects) == 1
+    assert list(objects.list("")) == []

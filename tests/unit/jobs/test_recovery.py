@@ -112,7 +112,7 @@ class TestForgottenJobs:
         job = worker.run()
         worker.objects.delete_prefix(keys.job(job.id))
         jobs.delete(job.id, job.version)
-        copy_record(job, worker.objects)  # The worker's copy comes last.
+        copy_record(job, worker.objects)  # The reconciler's copy comes last.
         [finding] = found(jobs, worker.objects)
         assert finding.remedy is None
         assert "none of its files" in finding.sentence

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import worker
 from worker.process import environment
 
@@ -44,6 +46,72 @@ def test_it_gets_no_setting_of_the_service_but_where_its_data_are(tmp_path: Path
     given = environment("cpu", tmp_path, base)
     assert {name for name in given if name.startswith("GAITWAY_")} == {"GAITWAY_DATA_DIR"}
     assert (given["GAITWAY_DATA_DIR"], given["HOME"]) == (str(tmp_path), "/theirs")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(
+            "AWS_ACCESS_KEY_ID",
+            "AWS_SESSION_TOKEN",
+            "PGPASSWORD",
+            "PGPASSFILE",
+            "PGHOST",
+            "REDIS_URL",
+            "REDISCLI_AUTH",
+        ),
+        *(
+            "DATABASE_URL",
+            "MINIO_ROOT_USER",
+            "WANDB_API_KEY",
+            "WEED_JWT_SIGNING_KEY",
+            "S3_BUCKET",
+            "HF_TOKEN",
+        ),
+        *(
+            "GITHUB_TOKEN",
+            "SSH_AUTH_SOCK",
+            "OPENAI_API_KEY",
+            "MY_SECRET",
+            "DB_PASSWORD",
+            "smtp_passwd",
+            "SENTRY_DSN",
+        ),
+    ],
+)
+def test_it_gets_nobody_elses_secret(name: str, tmp_path: Path) -> None:
+    assert name not in environment("cpu", tmp_path, {name: "it"})
+
+
+def test_it_gets_no_address_with_a_password(tmp_path: Path) -> None:
+    base = {"HTTPS_PROXY": "http://me:word@proxy:3128", "BROKER": "amqp://:word@host/1"}
+    assert base.keys().isdisjoint(environment("cpu", tmp_path, base))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "XDG_CACHE_HOME", "LD_LIBRARY_PATH", "XAUTHORITY"),
+        *(
+            "XLA_FLAGS",
+            "JAX_COMPILATION_CACHE_DIR",
+            "NCCL_DEBUG",
+            "CUDA_CACHE_PATH",
+            "WARP_CACHE_PATH",
+            "MUJOCO_GL",
+        ),
+        *(
+            "LP_NUM_THREADS",
+            "MALLOC_ARENA_MAX",
+            "OMP_NUM_THREADS",
+            "SSL_CERT_FILE",
+            "HTTPS_PROXY",
+            "KEYBOARD",
+        ),
+    ],
+)
+def test_it_keeps_what_libraries_are_told(name: str, tmp_path: Path) -> None:
+    assert environment("cpu", tmp_path, {name: "http://it"})[name] == "http://it"
 
 
 def test_a_users_own_folder_of_modules_stays_after_ours(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """A model in its confined process: what is found in it, and what it cannot do to the worker."""
 
 import dataclasses
-import socket
+import os
 import subprocess
 import sys
 import time
@@ -22,7 +22,8 @@ from core.models import library
 from core.storage import keys
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
-from worker.validation.answer import Answer
+from worker.validation import confined
+from worker.validation.answer import Answer, read_answer
 from worker.validation.confined import look, validate
 from worker.validation.findings import findings
 from worker.validation.limits import Limits
@@ -48,7 +49,7 @@ URDF = b"""<robot name="arm">
 def looked(body: bytes, folder: Path, limits: Limits | None = None) -> Answer:
     """The last word; and nothing runs on."""
     *_, answer = look(body, folder, folder, limits or Limits())
-    assert not [child for child in psutil.Process().children() if "worker.validation" in child.cmdline()]
+    assert not [child for child in psutil.Process().children() if str(folder) in child.cmdline()]
     return answer
 
 
@@ -138,27 +139,55 @@ def test_a_urdf_gets_a_motor_for_each_joint_whatever_it_is_called(body: bytes, t
     assert [(one.name, one.control_range) for one in has.actuators] == [("elbow", (-1.0, 1.0))]
 
 
-def test_a_confined_process_has_no_network_and_no_room() -> None:
-    program = (
-        "import resource, socket; from worker.validation.limits import *; confine(Limits(cpu_s=7));"
-        "print(resource.getrlimit(resource.RLIMIT_CPU)[1]);"
-        "print(socket.socket().connect_ex(('127.0.0.1', int(__import__('sys').argv[1]))))"
+# Runs the same program, after something was taken away from the kernel.
+_WITHOUT = "from worker.validation import __main__ as it, landlock, seccomp\n{change}\nit.main()"
+_NO_LANDLOCK = "landlock.version = lambda: 0"
+_NO_SECCOMP = "seccomp._PROCESSORS.clear()"
+
+
+@pytest.mark.parametrize(("change", "layer"), [(_NO_LANDLOCK, "files"), (_NO_SECCOMP, "calls")])
+def test_a_model_is_refused_unread_where_its_process_cannot_be_confined(
+    change: str, layer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(confined, "_PROGRAM", ("-c", _WITHOUT.format(change=change)))
+    answer = looked(XML, tmp_path)
+    assert answer.description is None
+    assert answer.refusal is not None
+    assert answer.refusal.startswith(
+        f"This worker's system cannot confine the process that reads models, so it reads none ({layer}: "
     )
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = str(server.getsockname()[1])
-        said = subprocess.run(
-            [sys.executable, "-c", program, port], capture_output=True, text=True, check=True
-        ).stdout.split()
-    assert said[0] == "7"
-    if said[1] == "0":
-        pytest.skip("this system lets no process without privileges leave the network")
+    assert "GAITWAY_MODELS" in answer.refusal
+
+
+def test_whoever_accepts_that_has_models_read_in_the_layers_that_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    change = f"{_NO_LANDLOCK}; {_NO_SECCOMP}"
+    monkeypatch.setattr(confined, "_PROGRAM", ("-c", _WITHOUT.format(change=change)))
+    answer = next(look(XML, tmp_path, tmp_path, Limits(), strictly=False))
+    assert answer.description is not None
+    assert answer.layers == ("limits", "privileges")
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe", "nonsense", "nothing"])
+def test_a_reader_that_was_taken_over_cannot_make_its_worker_read_or_wait(kind: str, tmp_path: Path) -> None:
+    secret, said = tmp_path / "secret", tmp_path / "answer.json"
+    secret.write_text(Answer(refusal="secret").model_dump_json())
+    if kind == "link":
+        said.symlink_to(secret)
+    elif kind == "pipe":
+        os.mkfifo(said)
+    elif kind == "nonsense":
+        said.write_bytes(b'{"refusal": 7')
+    assert read_answer(said) == Answer()
 
 
 def test_a_confined_process_dies_with_its_worker(tmp_path: Path) -> None:
     (tmp_path / "slow.xml").write_bytes(SLOW)
     program = (
         "import sys; from pathlib import Path; from worker.validation.confined import look, Limits;"
-        "here = Path(sys.argv[1]); list(look((here / 'slow.xml').read_bytes(), here, here, Limits()))"
+        "here = Path(sys.argv[1]);"
+        "list(look((here / 'slow.xml').read_bytes(), here, here, Limits(), strictly=False))"
     )
     with subprocess.Popen([sys.executable, "-c", program, str(tmp_path)]) as worker:
         while not (confined := psutil.Process(worker.pid).children()):

@@ -35,6 +35,7 @@ def upgrade() -> None:
         sa.Column("created_at", postgresql.TIMESTAMP(timezone=True), nullable=False),
         sa.Column("started_at", postgresql.TIMESTAMP(timezone=True), nullable=True),
         sa.Column("finished_at", postgresql.TIMESTAMP(timezone=True), nullable=True),
+        sa.Column("not_before", postgresql.TIMESTAMP(timezone=True), nullable=True),
         sa.Column("progress", sa.Text(), nullable=True),
         sa.Column("token", sa.Text(), server_default="", nullable=False),
         sa.Column("lease_until", postgresql.TIMESTAMP(timezone=True), nullable=True),
@@ -42,6 +43,7 @@ def upgrade() -> None:
         sa.Column("num_events", sa.BigInteger(), server_default="0", nullable=False),
         sa.Column("num_logs", sa.BigInteger(), server_default="0", nullable=False),
         sa.Column("last_write", sa.Text(), nullable=True),
+        sa.Column("copied_version", sa.Integer(), server_default="0", nullable=False),
         sa.PrimaryKeyConstraint("id"),
         postgresql_with={"fillfactor": "80"},
     )
@@ -66,6 +68,13 @@ def upgrade() -> None:
         ["source"],
         unique=False,
         postgresql_where=sa.text("status IN ('queued', 'starting', 'running', 'cancelling')"),
+    )
+    op.create_index(
+        "jobs_to_copy",
+        "jobs",
+        ["id"],
+        unique=False,
+        postgresql_where=sa.text("copied_version <> version AND num_attempts > 0"),
     )
     op.create_index(
         "jobs_unfinished",

@@ -1,0 +1,10 @@
+"""Becomes a part of the service that the kernel ends with its world: `member PARENT_PID COMMAND ...`."""
+
+import os
+import sys
+
+from worker.lifeline import die_with_parent
+
+if __name__ == "__main__":
+    die_with_parent(int(sys.argv[1]))
+    os.execv(sys.argv[2], sys.argv[2:])

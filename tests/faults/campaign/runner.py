@@ -1,0 +1,108 @@
+"""Episodes in processes of their own, several worlds side by side; the seeds are shared out among them."""
+
+import json
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Self
+
+_ROOT = __file__.rpartition("/tests/")[0]
+# No world runs on what hundreds of episodes have left.
+_EPISODES_OF_A_WORLD = 50
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """seed: it draws jobs and faults. faults: in the order in which they began. broken: the checker's words."""
+
+    seed: int
+    faults: tuple[str, ...]
+    broken: tuple[str, ...]
+    seconds: float
+
+    def line(self) -> str:
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def of_line(cls, line: str) -> "Outcome":
+        said = json.loads(line)
+        return cls(said["seed"], tuple(said["faults"]), tuple(said["broken"]), said["seconds"])
+
+
+class Runner:
+    """A world in a process that ends with the thread that entered this, and all in it with that process."""
+
+    def __enter__(self) -> Self:
+        self._folder = tempfile.mkdtemp(prefix="gw-")
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "tests.faults.campaign.episode", "--serve", self._folder],
+            cwd=_ROOT,
+            env={**os.environ, "GAITWAY_PARENT": str(os.getpid())},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._child.communicate()  # It ends when there are no more seeds.
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def run(self, seed: int) -> Outcome:
+        """What became of it. Raises RuntimeError where its process has ended."""
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._child.stdin.write(f"{seed}\n")
+        self._child.stdin.flush()
+        line = self._child.stdout.readline()
+        if not line:
+            raise RuntimeError(f"The process of the world of seed {seed} ended.")
+        return Outcome.of_line(line)
+
+
+def run_all(seeds: Iterable[int], worlds: int) -> Iterator[Outcome]:
+    """The outcomes as they come."""
+    todo: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+    for seed in seeds:
+        todo.put(seed)
+    for _ in range(worlds):
+        todo.put(None)
+    done: queue.SimpleQueue[Outcome | BaseException | None] = queue.SimpleQueue()
+    threads = [threading.Thread(target=_work, args=(todo, done), daemon=True) for _ in range(worlds)]
+    for thread in threads:
+        thread.start()
+    at_work = worlds
+    while at_work:
+        outcome = done.get()
+        if isinstance(outcome, BaseException):
+            raise outcome
+        if outcome is None:
+            at_work -= 1
+        else:
+            yield outcome
+
+
+def _work(
+    todo: "queue.SimpleQueue[int | None]", done: "queue.SimpleQueue[Outcome | BaseException | None]"
+) -> None:
+    try:
+        seed = todo.get()
+        while seed is not None:
+            with Runner() as runner:
+                for _ in range(_EPISODES_OF_A_WORLD):
+                    done.put(runner.run(seed))
+                    if (seed := todo.get()) is None:
+                        break
+        done.put(None)
+    except BaseException as error:
+        done.put(error)

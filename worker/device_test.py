@@ -1,0 +1,42 @@
+"""`python -m worker.device_test NUM_GPUS`: a copy and a multiplication on each card that this process sees.
+
+Exit status 0 where all is well; otherwise the last line says what was seen.
+"""
+
+import os
+import sys
+from typing import Any
+
+from worker.lifeline import die_with_parent
+
+_SIZE = 1024
+
+
+def main(num_gpus: int) -> None:
+    die_with_parent()
+    # A card is to be touched, not filled.
+    os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
+    import jax
+
+    found = jax.devices()
+    if found[0].platform != "gpu" or len(found) < num_gpus:
+        sys.exit(f"JAX finds only {', '.join(map(str, found))}.")
+    for card in found:
+        _test(card)
+
+
+def _test(card: Any) -> None:
+    import jax
+    import numpy as np
+
+    # Small whole numbers, so that every sum is exact in whatever precision the card multiplies.
+    numbers = np.random.default_rng(0).integers(-3, 4, (_SIZE, _SIZE)).astype(np.float32)
+    there = jax.device_put(numbers, card)
+    if not np.array_equal(np.asarray(there), numbers):
+        sys.exit(f"{card} returns other bytes than it was given.")
+    if not np.array_equal(np.asarray(there @ there), numbers @ numbers):
+        sys.exit(f"{card} multiplies wrongly.")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

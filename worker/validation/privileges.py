@@ -1,0 +1,61 @@
+"""A process gives up what it may do more than others, for good."""
+
+import ctypes
+import os
+import stat
+import sys
+from pathlib import Path
+
+_PR_SET_NO_NEW_PRIVS, _PR_SET_DUMPABLE = 38, 4
+_CAPABILITIES_VERSION_3 = 0x20080522
+# Users that nobody has: far above those of people and services. A process' id is never as large as this.
+_FIRST_USER, _NUM_USERS = 2_000_000_000, 2**22
+
+
+def give_up() -> None:
+    """No capability, none to be had by starting another program, and nothing to be read out of its memory.
+
+    Raises OSError.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    header = (ctypes.c_uint32 * 2)(_CAPABILITIES_VERSION_3, 0)
+    nothing = (ctypes.c_uint32 * 6)()
+    if libc.capset(ctypes.byref(header), ctypes.byref(nothing)) != 0:
+        _fail("capset")
+    if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
+        _fail("no_new_privs")
+
+
+def become_nobody(folder: Path) -> bool:
+    """Where this is root: become a user of its own, whom the folder then belongs to.
+
+    False, and nothing is changed, where this is not root, or such a user could not reach Python, these
+    modules or the folder. Raises OSError.
+    """
+    needed = (folder, Path(__file__).parents[2], *map(Path, (sys.prefix, sys.base_prefix)))
+    if os.geteuid() != 0 or not all(_is_open_to_all(path) for path in needed) or not _has_many_users():
+        return False
+    user = _FIRST_USER + os.getpid() % _NUM_USERS
+    for path in (folder, *folder.iterdir()):
+        os.chown(path, user, user, follow_symlinks=False)
+    os.setgroups([])
+    os.setresgid(user, user, user)
+    os.setresuid(user, user, user)
+    return True
+
+
+def _is_open_to_all(path: Path) -> bool:
+    """Whether every user may pass through the folders above it."""
+    above = path.resolve().parents
+    return all(stat.S_IMODE(folder.stat().st_mode) & stat.S_IXOTH for folder in above)
+
+
+def _has_many_users() -> bool:
+    """Whether this user namespace is the machine's own: a smaller one has no user so high."""
+    fields = Path("/proc/self/uid_map").read_text().split()
+    return fields[:1] == ["0"] and int(fields[2]) > _FIRST_USER + _NUM_USERS
+
+
+def _fail(what: str) -> None:
+    code = ctypes.get_errno()
+    raise OSError(code, f"{what}: {os.strerror(code)}")
