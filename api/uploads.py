@@ -27,7 +27,7 @@ class Upload:
 
 @asynccontextmanager
 async def receiving(request: Request, limit: int) -> AsyncGenerator[Upload]:
-    """The whole body in a file. Raises BodyTooLarge, and StorageUnavailable where this machine has no room."""
+    """The whole body in a file. Raises BodyTooLarge; StorageUnavailable where this machine has no room."""
     digest, size, beginning = hashlib.sha256(), 0, b""
     with NamedTemporaryFile(prefix="gaitway-upload-") as file:
         try:
@@ -38,5 +38,5 @@ async def receiving(request: Request, limit: int) -> AsyncGenerator[Upload]:
                 beginning = (beginning + piece)[:_BEGINNING]
             file.flush()
         except OSError as error:
-            raise StorageUnavailable(f"The API's machine cannot keep the upload: {error.strerror}.") from error
+            raise StorageUnavailable(f"The API has no room for the upload: {error.strerror}.") from error
         yield Upload(Path(file.name), digest.hexdigest(), size, beginning)

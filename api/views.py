@@ -12,6 +12,8 @@ from core.environments.info import Device, EnvironmentInfo
 from core.jobs.job import Artifact, ArtifactRole, Job, Progress, UnreadableJob
 from core.jobs.spec import SentSpec
 from core.jobs.status import JobStatus, Reason
+from core.jobs.store import WorkerInfo
+from core.jobs.waiting import what_it_waits_for
 from core.physics.availability import EngineName
 from core.rendering.camera import TRACK
 
@@ -80,6 +82,14 @@ class JobView(View):
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
+    not_before: datetime | None = Field(
+        None, description="When a queued job is tried again: the pause after an attempt that failed grows."
+    )
+    waiting_for: str | None = Field(
+        None,
+        description="What a queued job lacks, where no present worker could take it; told by `GET` alone.",
+        examples=["No worker with exactly 4 GPUs is there: the workers here have cpu, gpu:0."],
+    )
     progress: Progress
     attempts: Sequence[AttemptView]
     artifacts: Sequence[ArtifactView]
@@ -87,7 +97,8 @@ class JobView(View):
     links: dict[str, str]
 
     @classmethod
-    def of(cls, job: Job | UnreadableJob) -> Self:
+    def of(cls, job: Job | UnreadableJob, workers: Sequence[WorkerInfo] | None = None) -> Self:
+        """workers: those that are there, where it shall say what the job waits for."""
         if isinstance(job, UnreadableJob):
             return cls._of_unreadable(job)
         return cls(
@@ -101,6 +112,8 @@ class JobView(View):
             created_at=job.created_at,
             started_at=job.started_at,
             finished_at=job.finished_at,
+            not_before=job.not_before,
+            waiting_for=None if workers is None else what_it_waits_for(job, workers),
             progress=job.progress,
             attempts=[AttemptView.model_validate(attempt) for attempt in job.attempts],
             artifacts=[ArtifactView.of(job.id, artifact) for artifact in job.artifacts],

@@ -32,6 +32,8 @@ ON_A_GPU = (
 )
 PAGE, PICTURES = Path("docs/performance.md"), Path("docs/pictures")
 UNFINISHED = 75
+# Not among those that run when none is named.
+LONG = ("load", "soak", "memory")
 
 
 def main() -> int:
@@ -65,10 +67,13 @@ def _arguments() -> argparse.Namespace:
         "names",
         nargs="*",
         metavar="NAME",
-        help=f"of {', '.join(NAMES)}; on a GPU {', '.join(ON_A_GPU)}; or `report` alone",
+        help=f"of {', '.join(NAMES)}; only by name {', '.join(LONG)}; on a GPU {', '.join(ON_A_GPU)}; or "
+        "`report` alone",
     )
     parser.add_argument("--quick", action="store_true", help="only show that the bench works")
     parser.add_argument("--fresh-clone", action="store_true", help="demo: also from a clone, venv empty")
+    parser.add_argument("--minutes", type=float, metavar="M", help="load, soak: how long it lasts")
+    parser.add_argument("--gpu", action="store_true", help="memory: of the first GPU, not of the host")
     parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR")
     training = parser.add_argument_group("the training benches, one at a time")
     training.add_argument(
@@ -81,11 +86,17 @@ def _arguments() -> argparse.Namespace:
         "--only", default="*", metavar="PATTERN", help="make only runs of such names, `brax-*` say"
     )
     training.add_argument("--seeds", type=int, metavar="N", help="how many of each")
+    campaign = parser.add_argument_group("the campaign of faults")
+    campaign.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of its seeds")
+    campaign.add_argument("--worlds", type=int, metavar="N", help="so many side by side")
     given = parser.parse_args()
     given.names = [name.replace("-", "_") for name in given.names]
-    unknown = [name for name in given.names if name not in (*NAMES, *ON_A_GPU)]
+    every = (*NAMES, *LONG, *ON_A_GPU)
+    unknown = [name for name in given.names if name not in every]
     if unknown and given.names != ["report"]:
-        parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join((*NAMES, *ON_A_GPU))}.")
+        parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join(every)}.")
+    if given.names != ["faults"] and (given.first or given.worlds):
+        parser.error("--first and --worlds are about the bench `faults`: name it.")
     if len(given.names) != 1 and (given.seconds or given.seeds or given.only != "*"):
         parser.error("--seconds, --only and --seeds are about one bench: name it.")
     if given.seeds is not None and given.seeds < 1:

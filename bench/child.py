@@ -24,7 +24,13 @@ class TookTooLong(ChildFailed):
     """It was stopped at its time limit."""
 
 
-def run_child(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
+def run_child(
+    module: str,
+    request: Mapping[str, Any],
+    *,
+    timeout_s: float,
+    environment: Mapping[str, str] = os.environ,
+) -> dict[str, Any]:
     """What `python -m module` answers to the request; began_at: the hour of its start; process_s: seconds
     from there to its end.
 
@@ -39,9 +45,9 @@ def run_child(module: str, request: Mapping[str, Any], *, timeout_s: float) -> d
         try:
             done = subprocess.run(
                 command,
-                env=dict(os.environ)
+                env=dict(environment)
                 if request.get("device") == "gpu"
-                else {**os.environ, "JAX_PLATFORMS": "cpu"},
+                else {**environment, "JAX_PLATFORMS": "cpu"},
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,

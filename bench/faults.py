@@ -1,27 +1,35 @@
 """The campaign that tries to break the promises of docs/reliability.md, as many seeds as asked for."""
 
+import os
 from collections import Counter
+from collections.abc import Sequence
 
-from bench.machine import this_machine
+from bench.machine import Machine, this_machine
 from bench.result import Figure, Options, Result, below
 from bench.statistics import percentile
-from tests.faults.campaign.episode import NUM_JOBS, Outcome, run
-from tests.faults.campaign.world import World
+from tests.faults.campaign.episode import NUM_JOBS
+from tests.faults.campaign.runner import Outcome, run_all
 
 _SEEDS = 1000
+_SAVE_EVERY = 20
 
 
 def measure(options: Options) -> Result:
-    """One world for every fifty episodes, so that none runs on what hundreds before it have left."""
+    """Worlds side by side, one for every two cores. What was measured is saved as it comes."""
     machine = this_machine()
-    seeds = range(options.seeds or (5 if options.quick else _SEEDS))
+    seeds = range(options.first, options.first + (options.seeds or (4 if options.quick else _SEEDS)))
+    worlds = options.worlds or max(1, (os.cpu_count() or 2) // 2)
     outcomes: list[Outcome] = []
-    for first in range(0, len(seeds), 50):
-        with World() as world:
-            for seed in seeds[first : first + 50]:
-                outcomes.append(outcome := run(world, seed))
-                print(f"seed {seed}: {', '.join(outcome.broken) or 'kept'} ({'; '.join(outcome.faults)})")
-    kinds = Counter(fault.split()[0] for outcome in outcomes for fault in outcome.faults)
+    for outcome in run_all(seeds, worlds):
+        outcomes.append(outcome)
+        print(outcome.line(), flush=True)
+        if len(outcomes) % _SAVE_EVERY == 0:
+            _result(outcomes, options, machine, worlds).save(options.out)
+    return _result(outcomes, options, machine, worlds)
+
+
+def _result(outcomes: Sequence[Outcome], options: Options, machine: Machine, worlds: int) -> Result:
+    kinds = Counter(_kind(fault) for outcome in outcomes for fault in outcome.faults)
     seconds = [outcome.seconds for outcome in outcomes]
     return Result(
         name="faults",
@@ -41,11 +49,25 @@ def measure(options: Options) -> Result:
             Figure(name="faults", value=float(sum(kinds.values())), unit=""),
             Figure(name="an episode, median", value=percentile(seconds, 50), unit="s"),
         ],
-        rows=[outcome.__dict__ for outcome in outcomes],
+        rows=[_row(outcome) for outcome in sorted(outcomes, key=lambda outcome: outcome.seed)],
         notes=[
             f"Each seed draws {NUM_JOBS} jobs, some of them cancelled, and one to five faults within 3.5 s: "
             + ", ".join(f"{kind} {count}" for kind, count in kinds.most_common())
             + ". Then all is healed, and the checker compares what users were told, and what is stored, with "
-            "an undisturbed run."
+            f"an undisturbed run. Worlds side by side: {worlds}."
         ],
     )
+
+
+def _kind(fault: str) -> str:
+    """Without whom it met, and for how long."""
+    return " ".join(fault.split()[:2]) if fault.startswith("SIG") else fault.split()[0]
+
+
+def _row(outcome: Outcome) -> dict[str, str | int | float | bool | None]:
+    row: dict[str, str | int | float | bool | None] = {
+        "seed": outcome.seed,
+        "faults": "; ".join(outcome.faults),
+        "seconds": outcome.seconds,
+    }
+    return row | ({"broken": "; ".join(outcome.broken)} if outcome.broken else {})

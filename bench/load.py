@@ -1,45 +1,155 @@
-"""Requests at a fixed rate, whether or not the answers keep up (an open loop)."""
+"""The service under load: a long queue, many workers and readers, and submissions at a fixed rate."""
 
-import asyncio
-import time
-from collections.abc import Sequence
+import tempfile
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
 from typing import Any
 
-import httpx
+import psutil
+
+from bench.child import run_child
+from bench.load_part import DEVICE, JOB
+from bench.machine import this_machine
+from bench.parts import Parts, running
+from bench.result import Figure, Options, Result, Target, at_most, below
+from bench.statistics import percentile
+from core.adapters.connect import job_queue, job_store
+from core.jobs.spec import JOB_SPEC
+from core.jobs.submission import submit
+from core.settings import WorkerSettings
+
+_PREFIX = "GAITWAY_"
+# Workers are threads of a few processes: more would wait for each other in Python.
+_WORKERS_OF_A_PROCESS = 10
+_TRAINING_S = 2.0
+# Begun before the submissions, and ended after them.
+_MARGIN_S = 5.0
 
 
-async def post_at_rate(
-    url: str, body: dict[str, Any], *, per_second: float, count: int
-) -> tuple[list[float], list[str]]:
-    """Seconds that each of `count` submissions took, and the ids of the jobs.
+def measure(options: Options) -> Result:
+    """On the embedded stack's servers, with one API process and the reconciler."""
+    machine = this_machine()
+    seconds = 60 * (options.minutes or (0.25 if options.quick else 5.0))
+    queued, workers, readers, rate = (300, 10, 50, 50.0) if options.quick else (10_000, 50, 500, 200.0)
+    with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder, running(Path(folder)) as parts:
+        print(f"{queued:,} jobs are queued first.", flush=True)
+        jobs = _fill(parts, queued)
+        print(
+            f"{workers} workers, {readers} readers and {rate:g} submissions a second for {seconds:g} s.",
+            flush=True,
+        )
+        found, resident_mb = _load(parts, jobs, workers, readers, rate, seconds)
+    claims = [claim for part in found["work"] for claim in part["claims"]]
+    picked_up = {job: waited for part in found["work"] for job, waited in part["picked_up"].items()}
+    urgent = [picked_up[job] for job in found["look"]["urgent"] if job in picked_up]
+    readers_found = found["follow"]
+    figures = [
+        _ms("`POST /jobs`, 50th percentile", found["post"]["seconds"], 50),
+        _ms("`POST /jobs`, 99th percentile", found["post"]["seconds"], 99, at_most(25)),
+        _ms("`GET /jobs`, 99th percentile", found["look"]["seconds"], 99, at_most(30)),
+        _ms("claim, 50th percentile", claims, 50),
+        _ms("claim, 99th percentile", claims, 99, at_most(10)),
+        _ms("urgent job to its claim, 99th percentile", urgent, 99, at_most(1000)),
+        _ms("event to a reader, 50th percentile", readers_found["delays"], 50),
+        _ms("event to a reader, 99th percentile", readers_found["delays"], 99),
+        _count("events missed or doubled", readers_found["gaps"], below(1)),
+        _count("streams that broke", readers_found["broken"], below(1)),
+        Figure(name="API process, resident at most", value=resident_mb, unit="MB", target=at_most(140)),
+        _count("jobs submitted", len(found["post"]["seconds"])),
+        _count("jobs ended", len(claims)),
+        _count("jobs followed", readers_found["followed"]),
+        _count("urgent jobs not taken in time", len(found["look"]["urgent"]) - len(urgent)),
+    ]
+    return Result(
+        name="load",
+        title="Load",
+        command="./run bench load",
+        quick=options.quick,
+        machine=machine,
+        figures=figures,
+        rows=[],
+        notes=[
+            f"{queued:,} jobs are queued before it begins. For {seconds:g} s, submissions come at {rate:g} "
+            f"a second, due at fixed times and timed from then; {workers} workers take jobs from RQ, claim "
+            f"them, report four times within {_TRAINING_S:g} s, and end them; {readers} readers follow one job "
+            "after the other; the queue is listed five times a second with changing filters, and an urgent job is "
+            "sent each second. What is left waits at the end.",
+            "The workers are threads of a few processes, which do what RQ's workers and supervisors do to "
+            "the stores, without a process for each job. Everything shares the machine.",
+        ],
+    )
 
-    The time runs from the moment a request was due, not from when it was sent: a stall is counted
-    for every request it delays. Raises httpx.HTTPStatusError for a refusal.
-    """
-    limits = httpx.Limits(max_connections=100, max_keepalive_connections=100)
-    async with httpx.AsyncClient(base_url=url, timeout=30, limits=limits, trust_env=False) as client:
-        began = time.perf_counter() + 0.1
-        due = [began + number / per_second for number in range(count)]
-        answers = await asyncio.gather(*(_post(client, body, moment) for moment in due))
-    return [seconds for seconds, _ in answers], [job for _, job in answers]
+
+def _fill(parts: Parts, count: int) -> list[str]:
+    """Queue so many jobs, as the API does it; their ids."""
+    settings = _settings(parts)
+    store, queue = job_store(settings), job_queue(settings)
+    spec = JOB_SPEC.validate_python(JOB)
+    with ThreadPoolExecutor(8) as pool:
+        return list(pool.map(lambda _: submit(spec, store=store, queue=queue).id, range(count)))
 
 
-async def _post(client: httpx.AsyncClient, body: dict[str, Any], due: float) -> tuple[float, str]:
-    await asyncio.sleep(due - time.perf_counter())
-    response = await client.post("/jobs", json=body)
-    seconds = time.perf_counter() - due
-    response.raise_for_status()
-    return seconds, response.json()["id"]
+def _settings(parts: Parts) -> WorkerSettings:
+    said = {
+        name.removeprefix(_PREFIX).lower(): value
+        for name, value in parts.environment.items()
+        if name.startswith(_PREFIX)
+    }
+    return WorkerSettings.model_validate({**said, "device": DEVICE})
 
 
-async def remove(url: str, jobs: Sequence[str]) -> None:
-    """Cancel and delete jobs that no worker has taken."""
-    gate = asyncio.Semaphore(8)
-    async with httpx.AsyncClient(base_url=url, timeout=60, trust_env=False) as client:
+def _load(
+    parts: Parts, jobs: list[str], workers: int, readers: int, rate: float, seconds: float
+) -> tuple[dict[str, Any], float]:
+    """What each party found, and the most megabytes that the API process had."""
+    whole_s = seconds + 2 * _MARGIN_S
+    common = {"url": parts.url, "seconds": whole_s}
+    worker = {**common, "part": "work", "workers": _WORKERS_OF_A_PROCESS, "training_s": _TRAINING_S}
+    requests = {
+        **{f"work-{n}": worker for n in range(workers // _WORKERS_OF_A_PROCESS)},
+        "follow": {**common, "part": "follow", "readers": readers, "jobs": sorted(jobs)},
+        "look": {**common, "part": "look", "seconds": seconds},
+        "post": {**common, "part": "post", "seconds": seconds, "per_second": rate},
+    }
+    begin = partial(run_child, "bench.load_part", timeout_s=whole_s + 120, environment=parts.environment)
+    with _Watched(parts) as watched, ThreadPoolExecutor(len(requests)) as pool:
+        running_parts: dict[str, Future[dict[str, Any]]] = {
+            name: pool.submit(begin, request) for name, request in requests.items()
+        }
+        found: dict[str, Any] = {name: part.result() for name, part in running_parts.items()}
+    found["work"] = [part for name, part in found.items() if name.startswith("work-")]
+    return found, watched.most_mb
 
-        async def one(job: str) -> None:
-            async with gate:
-                (await client.post(f"/jobs/{job}/cancel")).raise_for_status()
-                (await client.delete(f"/jobs/{job}")).raise_for_status()
 
-        await asyncio.gather(*(one(job) for job in jobs))
+class _Watched:
+    """Looks at the API process every second."""
+
+    def __init__(self, parts: Parts) -> None:
+        self.most_mb = 0.0
+        self._api: psutil.Process = next(iter(parts.family("api")))
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._look)
+
+    def __enter__(self) -> "_Watched":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._over.wait(1):
+            self.most_mb = max(self.most_mb, self._api.memory_info().rss / 1e6)
+
+
+def _ms(name: str, seconds: list[float], percent: float, target: Target | None = None) -> Figure:
+    if not seconds:
+        return Figure(name=name, value=None, unit="ms", target=target, missing="there was none")
+    return Figure(name=name, value=1000 * percentile(seconds, percent), unit="ms", target=target)
+
+
+def _count(name: str, number: int, target: Target | None = None) -> Figure:
+    return Figure(name=name, value=float(number), unit="", target=target)

@@ -12,8 +12,8 @@ from typing import Any
 import psutil
 
 from bench.child import run_child
-from bench.load import post_at_rate, remove
 from bench.machine import this_machine
+from bench.open_loop import post_at_rate, remove
 from bench.result import Figure, Options, Result, below
 from bench.stack import Stack, running_stack
 from bench.statistics import Spread, alternate, percentile, spread

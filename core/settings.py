@@ -54,7 +54,10 @@ def _database_address(value: SecretStr) -> SecretStr:
     return value
 
 
-Seconds = Annotated[timedelta, BeforeValidator(_number_of_seconds), Field(gt=timedelta(0))]
+# At most a year: sums of several must still be times.
+Seconds = Annotated[
+    timedelta, BeforeValidator(_number_of_seconds), Field(gt=timedelta(0), le=timedelta(days=365))
+]
 Address = Annotated[str, Field(min_length=1), AfterValidator(_address)]
 RedisAddress = Annotated[SecretStr, AfterValidator(_redis_address)]
 DatabaseAddress = Annotated[SecretStr, AfterValidator(_database_address)]

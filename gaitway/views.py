@@ -70,6 +70,8 @@ class JobView(View):
     created_at: datetime
     started_at: datetime | None = None
     finished_at: datetime | None = None
+    not_before: datetime | None = None
+    waiting_for: str | None = None
     progress: ProgressView = ProgressView()
     attempts: tuple[AttemptView, ...] = ()
     artifacts: tuple[ArtifactView, ...] = ()
@@ -189,7 +191,10 @@ class PreviewView(View):
 
 
 class WorkerView(View):
-    """A worker that was heard of lately; job: what it works on."""
+    """A worker that was heard of lately; job: what it works on.
+
+    state: ready, testing or device_failed; problem: what was seen of its device.
+    """
 
     name: str
     host: str = ""
@@ -197,5 +202,7 @@ class WorkerView(View):
     device: str = ""
     queues: tuple[str, ...] = ()
     job: str | None = None
+    state: str = "ready"
+    problem: str | None = None
     started_at: datetime | None = None
     seen_at: datetime | None = None

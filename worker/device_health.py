@@ -1,4 +1,4 @@
-"""Whether a worker's device works: tested before the first job, and after an end that the device may have caused.
+"""Whether a worker's device works: tested before the first job, and after an end that it may have caused.
 
 A device that fails is set aside: its worker takes no job until a later test is passed.
 """
@@ -33,10 +33,10 @@ _GLANCE_S = 0.1
 _PAUSES_S = (60.0, 300.0, 900.0)
 
 
-def test_for(device: str) -> tuple[str, ...] | None:
+def command_for(device: str) -> tuple[str, ...] | None:
     """The program that tests a device; None for a CPU, which runs this code already."""
     gpus = gpu_indices(device)
-    return (sys.executable, "-m", "worker.device_test", str(len(gpus))) if gpus else None
+    return (sys.executable, "-m", "worker.training.device_test", str(len(gpus))) if gpus else None
 
 
 class DeviceTest:
@@ -52,7 +52,7 @@ class DeviceTest:
     ) -> None:
         self._device, self._limit_s = device, limit_s
         self._deadline = time.monotonic() + limit_s
-        self._said = tempfile.TemporaryFile()
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 # `close` does.
         self._child = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -68,15 +68,15 @@ class DeviceTest:
         return self._child.poll() is not None or time.monotonic() > self._deadline
 
     def problem(self) -> str | None:
-        """What is wrong with the device, as a sentence; None where nothing is. Call it when the test is over."""
-        status = self._child.poll()
+        """What is wrong with the device, as a sentence; None where nothing is. For a test that is over."""
+        status, last_line = self._child.poll(), self._last_line()
         self.close()
         if status == 0:
             return None
         if status is None:
             return f"A test of the device {self._device} did not end within {self._limit_s:g} s."
         ending = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"failed (status {status})"
-        return f"A test of the device {self._device} {ending}: {self._last_line()}"
+        return f"A test of the device {self._device} {ending}: {last_line}"
 
     def close(self) -> None:
         """No process is left. One that hangs in a driver goes when the driver lets it."""
@@ -84,6 +84,7 @@ class DeviceTest:
             os.killpg(self._child.pid, signal.SIGKILL)
         with suppress(subprocess.TimeoutExpired):
             self._child.wait(5)
+        self._said.close()
 
     def _last_line(self) -> str:
         self._said.seek(0)
@@ -91,7 +92,7 @@ class DeviceTest:
         return next((line.strip()[:500] for line in reversed(lines) if line.strip()), "it said nothing.")
 
 
-def tested(test: DeviceTest, called_off: Callable[[], bool]) -> str | None:
+def result_of(test: DeviceTest, called_off: Callable[[], bool]) -> str | None:
     """What is wrong with the device; None also where the test was called off."""
     try:
         while not test.is_over():
@@ -161,7 +162,6 @@ class DeviceHealth:
         try:
             fds = self._held.enter_context(slots(self._locks, 0.0))
         except SlotTaken:  # A training whose worker was killed is on its way out.
-            self._test_at = time.monotonic() + 1.0
             return
         self._test = DeviceTest(command, self._device, self._data_dir, fds)
 

@@ -16,7 +16,6 @@ import rq
 import structlog
 from redis.exceptions import RedisError
 from rq.serializers import JSONSerializer
-from rq.worker import WorkerStatus
 
 from core.adapters.connect import connect_redis, job_store
 from core.adapters.rq_queue import job_of
@@ -105,8 +104,6 @@ class GaitwayWorker(rq.Worker):
 
     def _show_idle(self) -> None:
         try:
-            # Whoever tells it to go now need not wait.
-            self.set_state(WorkerStatus.IDLE)
             self.heartbeat()
         except RedisError as error:
             log.warning("queue_bookkeeping_waits", error=str(error))
@@ -165,7 +162,7 @@ class GaitwayWorker(rq.Worker):
 def health_of(device: str, settings: WorkerSettings) -> DeviceHealth:
     """Of a device that nobody has tested yet."""
     names = slot_names(device, os.getpid())
-    return DeviceHealth(device, settings.data_dir.absolute(), names, device_health.test_for(device))
+    return DeviceHealth(device, settings.data_dir.absolute(), names, device_health.command_for(device))
 
 
 @stopping_if_misconfigured()

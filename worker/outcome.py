@@ -8,7 +8,6 @@ from core.jobs.status import RETRIED, JobStatus, Reason
 from worker.memory import LESS_MEMORY
 from worker.messages import KEEP_AND_GO, Failed, Finished
 
-
 # How a process ends whose native code made a mistake, or found one.
 _CRASHES = frozenset(
     {

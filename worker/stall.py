@@ -68,7 +68,7 @@ class StallWatch:
         return max(first_s, self._patience_s, _TIMES_THE_LONGEST * self._longest_s)
 
 
-def stoppedprocesses(group: int, proc: Path = _PROC) -> list[int]:
+def stopped_processes(group: int, proc: Path = _PROC) -> list[int]:
     """The ids of stopped processes (SIGSTOP, a debugger) in a process group; none where there is no /proc."""
     return sorted(pid for pid, state, its_group in processes(proc) if its_group == group and state in "Tt")
 

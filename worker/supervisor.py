@@ -18,7 +18,7 @@ from core.jobs.status import JobStatus, Reason
 from core.patience import CalledOff, through_outages
 from core.settings import WorkerSettings
 from worker.caches import Caches
-from worker.device_health import SUSPICIOUS, DeviceTest, mark_of, set_aside, tested
+from worker.device_health import SUSPICIOUS, DeviceTest, mark_of, set_aside, result_of
 from worker.disk import is_full, what_to_do
 from worker.draining import Draining
 from worker.heartbeat import Heartbeat
@@ -168,11 +168,11 @@ class Supervisor:
         return judge(ear.last_word, status, stop, timeout_s, memory_ran_out=memory_ran_out)
 
     def _after_test(self, outcome: Outcome, folder: Path, slot_fds: Sequence[int]) -> Outcome:
-        """Where the attempt's end may be the device's fault, and a test says so: then the device is set aside."""
+        """A device that may have caused the end, and fails a test, is set aside and gets the blame."""
         if self.device_test is None or outcome.status is not None or outcome.reason not in SUSPICIOUS:
             return outcome
         test = DeviceTest(self.device_test, self.device, folder, slot_fds)
-        problem = tested(test, self.draining.is_set)
+        problem = result_of(test, self.draining.is_set)
         if problem is None:
             return outcome
         set_aside(mark_of(folder, self.slot_names[0]), problem)

@@ -68,7 +68,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
     if holding is None:
         log.info("dispatch_ignored")
         return
-    test = device_health.test_for(device)
+    test = device_health.command_for(device)
     Supervisor(holding, settings, device, places, draining=draining, device_test=test).run()
 
 

@@ -83,7 +83,10 @@ def read_poster(
 
 @_file_route("/jobs/{job_id}/checkpoints/{step}", "application/octet-stream")
 def read_checkpoint(
-    job_id: JobId, step: Annotated[int, Path(ge=0, le=10**18, examples=[500_000])], service: ServiceDep, request: Request
+    job_id: JobId,
+    step: Annotated[int, Path(ge=0, le=10**18, examples=[500_000])],
+    service: ServiceDep,
+    request: Request,
 ) -> Response:
     """The whole state of the run at this step, as one file."""
     job = service.store.get(job_id)

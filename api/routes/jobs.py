@@ -1,12 +1,13 @@
 """Jobs: submit, list, read, cancel, delete."""
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
-from api.dependencies import JobId, Parameters, ServiceDep
+from api.dependencies import JobId, Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.problems import refusals
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
@@ -25,10 +26,10 @@ from core.errors import (
 )
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
-from core.jobs.job import JOB_ID
+from core.jobs.job import JOB_ID, Job, UnreadableJob
 from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus
-from core.jobs.store import JobQuery
+from core.jobs.store import JobQuery, WorkerInfo
 from core.jobs.submission import submit
 
 router = APIRouter(tags=["jobs"])
@@ -94,13 +95,15 @@ def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep, respon
 def list_jobs(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listing[JobView]:
     """Jobs, newest first."""
     page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit)
-    return Listing[JobView](items=[JobView.of(job) for job in page.jobs], next=page.next_cursor)
+    workers = _workers(page.jobs, service)
+    return Listing[JobView](items=[JobView.of(job, workers) for job in page.jobs], next=page.next_cursor)
 
 
 @router.get("/jobs/{job_id}", responses=refusals(JobNotFound, RecordsUnavailable))
 def read_job(job_id: JobId, service: ServiceDep) -> JobView:
     """A job as it is now."""
-    return JobView.of(service.store.find(job_id))
+    job = service.store.find(job_id)
+    return JobView.of(job, _workers([job], service))
 
 
 @router.post(
@@ -127,6 +130,12 @@ def cancel_job(job_id: JobId, service: ServiceDep, response: Response) -> JobVie
 def delete_job(job_id: JobId, service: ServiceDep) -> None:
     """Remove an ended job and its files for good."""
     delete(job_id, store=service.store, objects=service.objects)
+
+
+def _workers(jobs: Sequence[Job | UnreadableJob], service: Service) -> Sequence[WorkerInfo] | None:
+    """Those that are there, where a job waits for one."""
+    is_waiting = any(job.status == JobStatus.QUEUED for job in jobs)
+    return service.store.workers() if is_waiting else None
 
 
 def _label(text: str) -> tuple[str, str]:

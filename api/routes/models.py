@@ -1,8 +1,7 @@
 """Bodies that users bring: send one, look at what is in it, forget it."""
 
 import time
-from collections.abc import AsyncGenerator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from datetime import datetime
 from typing import Annotated, Any, Self
 
@@ -24,7 +23,7 @@ from core.models.record import Description, ModelRecord, ModelStatus
 router = APIRouter(tags=["models"])
 
 XML, ZIP = "application/xml", "application/zip"
-ZIP_BEGINNING = b"PK\x03\x04"
+_ZIP_BEGINNING = b"PK\x03\x04"
 _KNOWN = {XML: XML, "text/xml": XML, ZIP: ZIP, "application/x-zip-compressed": ZIP}
 # How long a client waits for the answer itself, before it is told where to ask for it.
 _PATIENCE_S = 5.0
@@ -64,15 +63,7 @@ class ModelView(View):
         return cls(**dict(record), links={"self": f"/models/{record.id}"})
 
 
-@dataclass(frozen=True)
-class Sent:
-    """A model as it was sent."""
-
-    upload: Upload
-    media_type: str
-
-
-async def _sent(request: Request, service: ServiceDep) -> AsyncGenerator[Sent]:
+async def _added(request: Request, service: ServiceDep) -> ModelRecord:
     said = request.headers.get("content-type", "")
     media_type = _KNOWN.get(said.partition(";")[0].strip().lower())
     if media_type is None:
@@ -83,10 +74,10 @@ async def _sent(request: Request, service: ServiceDep) -> AsyncGenerator[Sent]:
     service.num_uploads += 1
     try:
         async with receiving(request, service.settings.max_model_bytes) as upload:
-            looks_zipped = upload.beginning.startswith(ZIP_BEGINNING)
-            if (media_type == ZIP) != looks_zipped:
-                raise BadModel(f"The file is {'a' if looks_zipped else 'no'} zip, and was sent as {media_type}.")
-            yield Sent(upload, media_type)
+            is_zip = upload.beginning.startswith(_ZIP_BEGINNING)
+            if (media_type == ZIP) != is_zip:
+                raise BadModel(f"The file is {'a' if is_zip else 'no'} zip, and was sent as {media_type}.")
+            return await run_sync(_add, upload, media_type, service)
     finally:
         service.num_uploads -= 1
 
@@ -101,15 +92,19 @@ async def _sent(request: Request, service: ServiceDep) -> AsyncGenerator[Sent]:
         200: {"model": ModelView, "description": "It is known already"},
         202: {"model": ModelView, "description": "A worker has yet to look at it; ask at the Location"},
         **refusals(
-            BodyTooLarge, UnsupportedMediaType, TooManyModels, BadModel, StorageUnavailable, RecordsUnavailable
+            BodyTooLarge,
+            UnsupportedMediaType,
+            TooManyModels,
+            BadModel,
+            StorageUnavailable,
+            RecordsUnavailable,
         ),
     },
 )
 async def add_model(
-    sent: Annotated[Sent, Depends(_sent, scope="function")], service: ServiceDep, response: Response
+    record: Annotated[ModelRecord, Depends(_added)], service: ServiceDep, response: Response
 ) -> ModelView:
     """Bring a body of your own: MJCF, or URDF. The same bytes are the same model."""
-    record = await run_sync(_add, sent, service)
     response.status_code = 200 if record.status == "ready" else 201
     record = await _settled(record, service)
     if record.status == "refused":
@@ -145,12 +140,12 @@ def delete_model(model_id: ModelId, service: ServiceDep) -> None:
     remove_model(model_id, store=service.store, objects=service.objects)
 
 
-def _add(sent: Sent, service: Service) -> ModelRecord:
+def _add(upload: Upload, media_type: str, service: Service) -> ModelRecord:
     store = service.store
     return library.add(
-        sent.upload.path,
-        sent.upload.sha256,
-        sent.media_type,
+        upload.path,
+        upload.sha256,
+        media_type,
         store=store,
         objects=service.objects,
         queue=service.queue,

@@ -24,7 +24,7 @@ def find(model_id: str, store: ModelStore) -> ModelRecord:
     return store.find_model(model_id)
 
 
-def add(  # What was sent, and where it goes.
+def add(  # noqa: PLR0913 # What was sent, and where it goes.
     file: Path,
     sha256: str,
     media_type: str,

@@ -105,6 +105,8 @@ def _lines(job: JobView) -> list[str]:
         "created": job.created_at,
         "started": job.started_at,
         "finished": job.finished_at,
+        "again at": job.not_before,
+        "waiting": job.waiting_for,
         "progress": f"{job.progress.step:,} of {job.progress.total:,} steps" if job.progress.total else "",
     }
     lines += [f"  {name + ':':<10}{value}" for name, value in facts.items() if value]

@@ -18,6 +18,7 @@ def watch_job(client: Client, job: JobView, console: Console) -> JobView:
     try:
         with JobProgress(console) as progress:
             progress.update(job)
+            tell_what_it_waits_for(client, job, console)
             for event in client.events(job.id):
                 progress.update(event)
             job = client.get(job.id)
@@ -30,6 +31,12 @@ def watch_job(client: Client, job: JobView, console: Console) -> JobView:
         raise typer.Exit(130) from None
     console.print(Text(ending(job)), soft_wrap=True)
     return job
+
+
+def tell_what_it_waits_for(client: Client, job: JobView, console: Console) -> None:
+    """One line where no worker that is there could take the job."""
+    if job.status == "queued" and (lacks := client.get(job.id).waiting_for):
+        console.print(Text(lacks, style="yellow"), soft_wrap=True)
 
 
 def ending(job: JobView) -> str:

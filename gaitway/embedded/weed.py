@@ -45,8 +45,11 @@ class Weed:
         return f"127.0.0.1:{self._ports[0]}"
 
     def launch(self) -> Self:
-        """Start it without waiting, at the ports of the last time if they are free. Raises ServerFailed."""
-        self._ports = self._choose_ports()
+        """Start it without waiting, at the ports of the last time if they are free. Raises ServerFailed.
+
+        Started again, it keeps its ports: others know them.
+        """
+        self._ports = self._ports or self._choose_ports()
         names = [f"{listener}.{port}" for listener in _LISTENERS for port in ("port", "port.grpc")]
         ports = [f"-{name}={port}" for name, port in zip(names, self._ports, strict=True)]
         arguments = [f"-dir={self._folder / 'data'}", *_OPTIONS, *ports]
@@ -62,6 +65,7 @@ class Weed:
                 return self
             # Somebody took a port between the look and the start: the next look sees that.
             self.stop()
+            self._ports = []
             self.launch()
         raise ServerFailed(f"weed found other ports taken at each of {_TRIES} starts.")
 

@@ -1,10 +1,14 @@
 """Models over HTTP, with the worker's part played by the test; and jobs that name them."""
 
+import socket
+import tempfile
 import threading
 import time
-from collections.abc import Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -19,6 +23,7 @@ from core.models.record import Description
 from core.storage import keys
 from tests.api.conftest import Stack
 from tests.api.problems import problem
+from tests.models import identity
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
 
@@ -71,7 +76,7 @@ def test_a_model_is_answered_with_what_is_in_it(stack: Stack) -> None:
     assert answer.status_code == 201
     document = answer.json()
     assert answer.headers["location"] == f"/models/{document['id']}" == document["links"]["self"]
-    assert document["id"] == library.identity(XML)
+    assert document["id"] == identity(XML)
     assert document["description"]["inventory"]["sizes"]["nu"] == 1
     assert document["description"]["engines"]["mjx"] == "Ellipsoids and boxes are not implemented."
     assert stack.http.get(f"/models/{document['id']}").json() == document
@@ -120,20 +125,96 @@ def test_a_refused_model_leaves_nothing_behind(stack: Stack) -> None:
 @pytest.mark.parametrize(
     ("body", "media_type", "sentence"),
     [
-        (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "application/xml", "document type"),
-        (b'<mujoco><include file="/etc/passwd"/></mujoco>', "application/xml", "send both in a zip"),
-        (zipped({"../model.xml": XML}), "application/zip", "no path below the archive"),
-        (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "application/zip", "times its size"),
         (XML, "application/zip", "The file is no zip"),
         (zipped({"model.xml": XML}), "text/xml", "The file is a zip"),
     ],
 )
-def test_what_needs_no_worker_to_be_wrong_is_refused_at_once(
+def test_what_is_not_what_it_is_called_is_refused_at_once(
     body: bytes, media_type: str, sentence: str, stack: Stack
 ) -> None:
     document = problem(send(stack.http, body, media_type), 422, "bad-model")
     assert sentence in document["detail"]
     assert stack.is_empty()
+
+
+@pytest.mark.parametrize(
+    ("body", "media_type"),
+    [
+        (b"", "application/xml"),
+        (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "application/xml"),
+        (b"PK\x03\x04 and no zip", "application/zip"),
+        (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "application/zip"),
+    ],
+)
+def test_nothing_but_a_worker_looks_into_a_model(
+    body: bytes, media_type: str, stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(route, "_PATIENCE_S", 0.01)
+    document = send(stack.http, body, media_type).json()
+    assert (document["status"], document["size"]) == ("validating", len(body))
+    assert document["id"] == identity(body)
+    assert stack.objects.get(keys.model_source(document["id"])) == body
+
+
+def test_an_upload_is_held_on_disk_and_not_in_memory(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(route, "_PATIENCE_S", 0.01)
+    piece, seen = b"\n" * 2**20, list[int]()
+
+    def pieces() -> Iterator[bytes]:
+        tracemalloc.start()
+        for _ in range(32):
+            yield piece
+            seen.append(sum(file.stat().st_size for file in tmp_path.iterdir()))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+
+    peaks = list[int]()
+    answer = stack.http.post("/models", content=pieces(), headers={"Content-Type": "application/xml"})
+    assert answer.status_code == 202
+    assert answer.json()["size"] == 32 * 2**20
+    assert max(seen) > 16 * 2**20
+    assert peaks[0] < 8 * 2**20
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_more_models_wait_than_the_setting_allows(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(route, "_PATIENCE_S", 0.01)
+    stack.service.settings = stack.service.settings.model_copy(update={"max_waiting_models": 2})
+    bodies = [XML + b"\n" * number for number in range(3)]
+    assert [send(stack.http, body).status_code for body in bodies[:2]] == [202, 202]
+    answer = send(stack.http, bodies[2])
+    document = problem(answer, 429, "too-many-models")
+    assert document["most"] == 2
+    assert answer.headers["retry-after"] == "30"
+    assert len(stack.store.models()) == 2
+    record = library.find(identity(bodies[0]), stack.store)
+    stack.store.settle_model(record.model_copy(update={"status": "ready", "description": DESCRIPTION}))
+    assert send(stack.http, bodies[2]).status_code == 202
+
+
+def test_an_upload_that_is_cut_short_leaves_nothing(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with socket.create_connection(("127.0.0.1", stack.port)) as client:
+        client.sendall(
+            b"POST /models HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/xml\r\n"
+            b"Content-Length: 1000\r\n\r\n<mujoco>"
+        )
+        wait_until(lambda: stack.service.num_uploads == 1)
+    wait_until(lambda: stack.service.num_uploads == 0)
+    assert list(tmp_path.iterdir()) == []
+    assert stack.is_empty()
+
+
+def wait_until(reached: Callable[[], bool]) -> None:
+    until = time.monotonic() + 10
+    while not reached():
+        assert time.monotonic() < until
+        time.sleep(0.005)
 
 
 def test_a_body_of_another_type_is_refused(stack: Stack) -> None:

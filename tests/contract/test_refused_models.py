@@ -15,6 +15,7 @@ from core.models import library
 from core.models.record import ModelRecord, ModelStatus
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from tests.models import add, identity
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.jobs.making import NOON
 
@@ -23,9 +24,7 @@ DAY = timedelta(days=1)
 
 def kept(jobs: JobStore, objects: ObjectStore, status: ModelStatus, body: bytes) -> ModelRecord:
     """A model that was uploaded at noon, and refused an hour later if it was."""
-    record = ModelRecord(
-        id=library.identity(body), status=status, media_type="", size=len(body), created_at=NOON
-    )
+    record = ModelRecord(id=identity(body), status=status, media_type="", size=len(body), created_at=NOON)
     if status == "refused":
         told = {"message": "It has no actuators.", "refused_at": NOON + timedelta(hours=1)}
         record = record.model_copy(update=told)
@@ -63,7 +62,7 @@ def test_nothing_of_a_model_that_was_not_refused_is_ever_removed(
 
 def test_a_refused_model_that_was_sent_again_is_none(jobs: JobStore, objects: ObjectStore) -> None:
     refused, queue = kept(jobs, objects, "refused", XML), MemoryJobQueue()
-    library.add(XML, "application/xml", store=jobs, objects=objects, queue=queue, now=NOON + DAY)
+    add(XML, store=jobs, objects=objects, queue=queue, now=NOON + DAY)
     assert queue.take_model() == refused.id
     assert tidied(jobs, objects, 1000 * DAY) == 0
     assert library.find(refused.id, jobs).status == "validating"

@@ -100,6 +100,17 @@ match behaviour:
     case "crashes":
         print("Traceback: something", flush=True)
         sys.exit(3)
+    case "takes_memory":
+        taken: list[bytearray] = []
+        while len(taken) < 256:  # 4 GiB: nobody would stop it.
+            taken.append(bytearray(b"x") * 2**24)
+            time.sleep(0.005)
+    case "crashes_natively" | "breaks_its_device":
+        if behaviour == "breaks_its_device":
+            Path(os.environ["PROBE_DEVICE_WORKS"]).unlink()
+        # Without a word of Python's own, and no core file.
+        signal.signal(signal.SIGSEGV, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGSEGV)
     case "is_killed":
         keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
         os.kill(os.getpid(), signal.SIGKILL)

@@ -512,7 +512,7 @@ def _refuse(connection: Connection, job_id: str) -> NoReturn:
 
 
 def _is_due() -> Any:
-    """Whether a job may be tried now. A pause that is longer than any begins before the clock was set back."""
+    """Whether a job may be tried now. One that is too far off is older than a step of the clock."""
     not_yet = and_(jobs.c.not_before > _NOW, jobs.c.not_before <= _NOW + max(PAUSES))
     return or_(jobs.c.not_before.is_(None), not_(not_yet))
 

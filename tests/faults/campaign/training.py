@@ -39,7 +39,11 @@ def main() -> None:
         os.write(events, json.dumps(message).encode() + b"\n")
 
     def keep(name: str, role: str, body: bytes, step: int) -> None:
-        (spool / name).write_bytes(body)
+        try:
+            (spool / name).write_bytes(body)
+        except OSError as error:
+            say(type="failed", reason="storage_unavailable", message=str(error))
+            sys.exit(1)
         say(type="file", name=name, path=name, role=role, media_type="application/octet-stream", step=step)
 
     say(type="hello", pid=os.getpid())

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from core.adapters.memory_objects import MemoryObjectStore
 from core.environments.catalog import find, parse_options
 from core.errors import ObjectNotFound
-from core.models.library import identity
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest
 from core.rendering.gl import probe
 from core.storage import keys
+from tests.models import identity
 from tests.unit.environments.mjcf.probe import XML
 from worker.preview.drawing import draw
 

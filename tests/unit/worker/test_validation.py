@@ -20,6 +20,7 @@ from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
 from core.models import library
 from core.storage import keys
+from tests import models
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
 from worker.validation import confined
@@ -101,6 +102,9 @@ def test_a_body_without_a_floor_is_described_with_a_word_about_that(tmp_path: Pa
         (XML.replace(b'joint="elbow"', b'joint="knee"'), "MuJoCo cannot compile the model: Error: unknown"),
         (XML.replace(b"<mujoco>", b'<mujoco><size memory="900G"/>'), "memory"),
         (XML.replace(b'mass="0.1"', b'mass="1e309"'), "number is too large"),
+        (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "document type"),
+        (b'<mujoco><include file="/etc/hostname"/></mujoco>', "send both in a zip"),
+        (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "times its size"),
     ],
 )
 def test_a_model_that_no_job_could_use_is_refused(body: bytes, sentence: str, tmp_path: Path) -> None:
@@ -204,7 +208,7 @@ def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(
 ) -> None:
     objects, queue = MemoryObjectStore(), MemoryJobQueue()
     stores: Any = {"store": job_store, "objects": objects, "queue": queue}
-    record = library.add(NO_MOTOR, "application/xml", **stores, now=utc_now())
+    record = models.add(NO_MOTOR, **stores, now=utc_now())
     assert queue.take_model() == record.id
     validate(record.id, job_store, objects, tmp_path, tmp_path)
     found = library.find(record.id, job_store)
@@ -216,7 +220,7 @@ def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(
     assert found.refused_at >= record.created_at
     assert list(objects.list("")) == []
     # Sent again, it is looked at again.
-    again = library.add(NO_MOTOR, "application/xml", **stores, now=utc_now())
+    again = models.add(NO_MOTOR, **stores, now=utc_now())
     assert (again.status, queue.contains_model(record.id)) == ("validating", True)
 
 
@@ -225,7 +229,7 @@ def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sen
 ) -> None:
     objects, queue = MemoryObjectStore(), MemoryJobQueue()
     stores: Any = {"store": job_store, "objects": objects, "queue": queue}
-    record = library.add(NO_MOTOR, "application/xml", **stores, now=utc_now())
+    record = models.add(NO_MOTOR, **stores, now=utc_now())
     objects.delete_prefix(keys.model_source(record.id))  # as a worker that was killed before it kept why
     validate(record.id, job_store, objects, tmp_path, tmp_path)
     found = library.find(record.id, job_store)
@@ -233,7 +237,7 @@ def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sen
         "refused",
         "A worker was stopped while it refused the model; send it again to be told why.",
     )
-    library.add(NO_MOTOR, "application/xml", **stores, now=utc_now())
+    models.add(NO_MOTOR, **stores, now=utc_now())
     assert objects.get(keys.model_source(record.id)) == NO_MOTOR
 
 

@@ -14,7 +14,7 @@ from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory
 from core.errors import Rejected
 from core.jobs.spec import JOB_SPEC, TrainSpec
-from core.models.library import identity
+from tests.models import identity
 from tests.unit.environments.mjcf.probe import MODEL, XML
 
 ROOT = Path(__file__).parents[4]

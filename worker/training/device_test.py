@@ -1,4 +1,4 @@
-"""`python -m worker.device_test NUM_GPUS`: a copy and a multiplication on each card that this process sees.
+"""`python -m worker.training.device_test NUM_GPUS`: a copy and a multiplication on each card that it sees.
 
 Exit status 0 where all is well; otherwise the last line says what was seen.
 """

@@ -1,0 +1,326 @@
+"""Every write of a job's life fails once, in each way, and the job comes to the same end.
+
+Each process of the service has its turn. How many writes it makes is counted first; then each of them is
+refused, or loses its answer, or is the last thing that its process does. Those who are left go on: users send
+again what was not answered, the reconciler looks, the next worker takes over.
+"""
+
+import hashlib
+import itertools
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import timedelta
+from functools import partial
+from typing import Any, Literal
+
+import psycopg
+import pytest
+
+from core.adapters.memory_queue import Dispatch, MemoryJobQueue
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.s3_objects import S3ObjectStore
+from core.errors import JobNotFound, LeaseLost, Unavailable
+from core.jobs import feeds, orphans
+from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.cancellation import cancel
+from core.jobs.deletion import delete
+from core.jobs.job import Artifact, Job
+from core.jobs.reconciliation import Reconciler
+from core.jobs.record_copy import read_copy
+from core.jobs.spec import JOB_SPEC
+from core.jobs.status import JobStatus, Reason
+from core.jobs.store import Entry, Idempotency, JobQuery
+from core.jobs.submission import submit
+from core.storage import keys
+from tests.contract.recording import Database
+from tests.faults.crashing import Crash, Died, Failure, Process
+
+LEASE = timedelta(minutes=5)
+STEPS = (1, 2)
+Role = Literal["api", "reconciler", "worker"]
+ROLES: tuple[Role, ...] = ("api", "reconciler", "worker")
+
+
+@dataclass
+class Service:
+    """The processes of a service, of which one meets the crash; the stores they share; and one job."""
+
+    real: Process
+    database: Database
+    role: Role
+    crash: Crash
+    name: str = field(default_factory=lambda: secrets.token_hex(4))
+
+    def __post_init__(self) -> None:
+        self.processes = {role: self.real for role in ROLES}
+        self.processes[self.role] = self.real.crashing(self.crash)
+        self.reconciler = self._new_reconciler()
+
+    def insist(self, role: Role, step: Callable[[Process], Any]) -> Any:
+        """As often as it takes: after an outage the same process does it again, after a death another one."""
+        while True:
+            try:
+                return step(self.processes[role])
+            except Unavailable:
+                continue
+            except Died:
+                self.processes[role] = self.real
+
+    # ---- the API, for a user ------------------------------------------------------------------------
+
+    def submit(self) -> str:
+        spec = JOB_SPEC.validate_python(
+            {"kind": "train", "environment": "ant", "name": self.name, "max_attempts": 5}
+        )
+        key = Idempotency(self.name, "the same body")
+        job: Job = self.insist(
+            "api", lambda it: submit(spec, store=it.store, queue=it.queue, idempotency=key)
+        )
+        return job.id
+
+    def cancel(self, job_id: str) -> None:
+        self.insist("api", lambda it: cancel(job_id, store=it.store, queue=it.queue))
+
+    def delete(self, job_id: str) -> None:
+        with suppress(JobNotFound):  # The deletion that was not answered was done.
+            self.insist("api", lambda it: delete(job_id, store=it.store, objects=it.objects))
+
+    # ---- the reconciler -----------------------------------------------------------------------------
+
+    def look(self, times: int = 3) -> None:
+        """So often; and all else that it does."""
+        for _ in range(times):
+            try:
+                self.reconciler.look()
+            except Unavailable:
+                self.reconciler.look()
+            except Died:
+                self.processes["reconciler"] = self.real
+                self.reconciler = self._new_reconciler()
+                self.reconciler.look()
+        self.insist("reconciler", lambda it: feeds.compact(store=it.store, objects=it.objects))
+        self.insist("reconciler", lambda it: it.store.tidy())
+
+    def _new_reconciler(self) -> Reconciler:
+        it = self.processes["reconciler"]
+        return Reconciler(it.store, it.queue, LEASE)
+
+    # ---- workers ------------------------------------------------------------------------------------
+
+    def work(self, job_id: str, end: "End") -> None:
+        """Workers take what is dispatched until the job has ended."""
+        for _ in range(6):
+            if self.real.store.get(job_id).status.is_final:
+                return
+            if (dispatch := self.real.queue.take()) is None:
+                self._lease_passes(job_id)
+                self.look()
+                continue
+            with suppress(LeaseLost):
+                self._attempt(dispatch, end)
+        raise AssertionError("The job does not come to its end.")
+
+    def _attempt(self, dispatch: Dispatch, end: "End") -> None:
+        it, crash = self.processes["worker"], self.crash
+        through = partial(_through_outages, crash=crash)
+        secret = new_secret()
+        try:
+            holding = through(
+                lambda: claim(
+                    dispatch.job_id,
+                    dispatch.attempt,
+                    "worker",
+                    store=it.store,
+                    objects=it.objects,
+                    lease=LEASE,
+                    secret=secret,
+                )
+            )
+            if holding is None:
+                return
+            through(lambda: holding.start(device="cpu"))
+            for step in STEPS:
+                through(partial(_say, holding, step, secrets.token_hex(8)))
+                through(partial(_publish, holding, step))
+                through(lambda: holding.store.renew(holding.job_id, holding.token, LEASE))
+            end(self, holding, through)
+        except Died:  # Its lease runs out; somebody starts another one.
+            self.processes["worker"] = self.real
+        finally:
+            self.real.queue.remove(dispatch.job_id, dispatch.attempt)
+
+    def _lease_passes(self, job_id: str) -> None:
+        self.database.change(
+            "UPDATE jobs SET lease_until = now() - interval '1 s' WHERE id = %s AND token != ''", job_id
+        )
+        self.database.change("UPDATE pulse SET beat_at = now(), quiet_until = now() - interval '1 s'")
+
+
+def _through_outages(step: Callable[[], Any], crash: Crash) -> Any:
+    try:
+        return step()
+    except Unavailable:
+        assert crash.has_happened
+        return step()
+
+
+def _say(holding: Holding, step: int, write_id: str) -> None:
+    said = {"text": f"attempt {holding.number} step {step}"}
+    entry = Entry(kind="line", time=holding.store.now(), data=said)
+    holding.store.record(holding.job_id, holding.token, "logs", [entry], write_id=write_id)
+
+
+def _publish(holding: Holding, step: int) -> None:
+    body = f"checkpoint {step}".encode()
+    digest = hashlib.sha256(body).hexdigest()
+    name = f"checkpoint-{step}"
+    key = keys.artifact(holding.job_id, holding.number, digest, name)
+    holding.objects.put(key, body)
+    artifact = Artifact(
+        name=name,
+        role="checkpoint",
+        media_type="application/octet-stream",
+        size=len(body),
+        sha256=digest,
+        key=key,
+        step=step,
+    )
+    _, dropped = holding.publish((artifact,), 1)
+    for old in dropped:
+        holding.objects.delete_prefix(old)
+
+
+# ---- how an attempt ends ----------------------------------------------------------------------------
+
+End = Callable[[Service, Holding, Callable[[Callable[[], Any]], Any]], None]
+
+
+def completes(service: Service, holding: Holding, through: Callable[[Callable[[], Any]], Any]) -> None:
+    through(lambda: holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done."))
+
+
+def is_cancelled(service: Service, holding: Holding, through: Callable[[Callable[[], Any]], Any]) -> None:
+    service.cancel(holding.job_id)
+    through(lambda: holding.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "Cancelled while it ran."))
+
+
+def drains_at_first(service: Service, holding: Holding, through: Callable[[Callable[[], Any]], Any]) -> None:
+    if holding.number == 1:
+        through(lambda: holding.give_back(Reason.WORKER_DRAINED, "The worker was shut down."))
+    else:
+        completes(service, holding, through)
+
+
+def is_silent_at_first(
+    service: Service, holding: Holding, through: Callable[[Callable[[], Any]], Any]
+) -> None:
+    if holding.number > 1:
+        completes(service, holding, through)
+
+
+# ---- lives ------------------------------------------------------------------------------------------
+
+
+def _whole_life(service: Service, end: End) -> str:
+    job_id = service.submit()
+    service.work(job_id, end)
+    service.look()
+    return job_id
+
+
+def is_cancelled_in_the_queue(service: Service) -> str:
+    job_id = service.submit()
+    service.cancel(job_id)
+    service.look()
+    return job_id
+
+
+def is_deleted(service: Service) -> str:
+    job_id = _whole_life(service, completes)
+    service.delete(job_id)
+    service.look()
+    return job_id
+
+
+LIVES: dict[str, tuple[Callable[[Service], str], JobStatus | None]] = {
+    "it completes": (partial(_whole_life, end=completes), JobStatus.SUCCEEDED),
+    "it is cancelled": (partial(_whole_life, end=is_cancelled), JobStatus.CANCELLED),
+    "it is given back": (partial(_whole_life, end=drains_at_first), JobStatus.SUCCEEDED),
+    "it is taken back": (partial(_whole_life, end=is_silent_at_first), JobStatus.SUCCEEDED),
+    "it is cancelled in the queue": (is_cancelled_in_the_queue, JobStatus.CANCELLED),
+    "it is deleted": (is_deleted, None),
+}
+
+
+@pytest.fixture
+def database(database_url: str) -> Iterator[Database]:
+    with psycopg.connect(database_url, autocommit=True) as connection:
+        yield Database(connection)
+
+
+@pytest.mark.parametrize("role", ROLES)
+@pytest.mark.parametrize("life", LIVES)
+def test_a_job_comes_to_its_end_whichever_write_fails(
+    life: str, role: Role, job_store: PostgresJobStore, object_store: S3ObjectStore, database: Database
+) -> None:
+    live, expected = LIVES[life]
+    real = Process(job_store, object_store, MemoryJobQueue())
+    counted = Crash()
+    live(Service(real, database, role, counted))
+    job_ids: list[str] = []
+    for failure, at in itertools.product(Failure, range(1, counted.num_writes + 1)):
+        crash = Crash(at, failure)
+        service = Service(real, database, role, crash)
+        job_id = live(service)
+        job_ids.append(job_id)
+        problems = list(_problems(real, service, job_id, expected))
+        assert not problems, f"write {at} of {counted.num_writes} of the {role}: {failure}: {problems}"
+        assert crash.has_happened
+    assert database.count("dispatches") == 0
+    assert not real.queue.known()
+    for _ in orphans.sweep(store=job_store, objects=object_store, grace=-timedelta(days=1)):
+        pass
+    for job_id in job_ids:
+        left = {info.key for info in object_store.list(keys.job(job_id))}
+        assert left <= _may_stay(real, job_id), f"orphans of {job_id}"
+
+
+def _problems(real: Process, service: Service, job_id: str, expected: JobStatus | None) -> Iterator[str]:
+    listed = real.store.list(JobQuery(name=service.name)).jobs
+    if expected is None:
+        if listed:
+            yield "it is still there"
+        if left := list(real.objects.list(keys.job(job_id))):
+            yield f"it has left {left}"
+        return
+    if [job.id for job in listed] != [job_id]:
+        yield f"one submission made {len(listed)} jobs"
+    job = real.store.get(job_id)
+    if job.status is not expected or job.token:
+        yield f"it is {job.status}: {job.message}"
+    events = feeds.read(job_id, "events", store=real.store, objects=real.objects)
+    logs = feeds.read(job_id, "logs", store=real.store, objects=real.objects)
+    for feed in (events, logs):
+        if [int(entry.id) for entry in feed] != list(range(1, len(feed) + 1)):
+            yield f"a feed has a gap or a double: {[entry.id for entry in feed]}"
+    ends = [e.data["status"] for e in events if e.kind == "status" and JobStatus(e.data["status"]).is_final]
+    if ends != [expected]:
+        yield f"it ended as {ends}"
+    lines = [entry.data["text"] for entry in logs]
+    last = [f"attempt {len(job.attempts)} step {step}" for step in STEPS] if job.attempts else []
+    if len(set(lines)) != len(lines) or lines[len(lines) - len(last) :] != last:
+        yield f"its log is {lines}"
+    if [artifact.step for artifact in job.artifacts] != ([STEPS[-1]] if job.attempts else []):
+        yield f"it has {[artifact.name for artifact in job.artifacts]}"
+    for artifact in job.artifacts:
+        if hashlib.sha256(real.objects.get(artifact.key)).hexdigest() != artifact.sha256:
+            yield f"{artifact.name} has other bytes than its hash says"
+
+
+def _may_stay(real: Process, job_id: str) -> set[str]:
+    """What the record names, its copy, and what that one names: `gaitway recover` may need these."""
+    copy = read_copy(job_id, real.objects)
+    copied = set() if copy is None else {artifact.key for artifact in copy.artifacts}
+    return {*real.store.objects_named([job_id]), keys.record(job_id), *copied}
