@@ -33,7 +33,7 @@ ON_A_GPU = (
 PAGE, PICTURES = Path("docs/performance.md"), Path("docs/pictures")
 UNFINISHED = 75
 # Not among those that run when none is named.
-LONG = ("load", "soak", "memory")
+LONG = ("load", "outages", "soak", "memory")
 
 
 def main() -> int:
@@ -72,7 +72,7 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("--quick", action="store_true", help="only show that the bench works")
     parser.add_argument("--fresh-clone", action="store_true", help="demo: also from a clone, venv empty")
-    parser.add_argument("--minutes", type=float, metavar="M", help="load, soak: how long it lasts")
+    parser.add_argument("--minutes", type=float, metavar="M", help="load, outages, soak: how long it lasts")
     parser.add_argument("--gpu", action="store_true", help="memory: of the first GPU, not of the host")
     parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR")
     training = parser.add_argument_group("the training benches, one at a time")

@@ -73,9 +73,9 @@ def measure(options: Options) -> Result:
         notes=[
             f"{queued:,} jobs are queued before it begins. For {seconds:g} s, submissions come at {rate:g} "
             f"a second, due at fixed times and timed from then; {workers} workers take jobs from RQ, claim "
-            f"them, report four times within {_TRAINING_S:g} s, and end them; {readers} readers follow one job "
-            "after the other; the queue is listed five times a second with changing filters, and an urgent job is "
-            "sent each second. What is left waits at the end.",
+            f"them, report four times within {_TRAINING_S:g} s, and end them; {readers} readers follow one "
+            "job after the other; the queue is listed five times a second with changing filters, and an "
+            "urgent job is sent each second. What is left waits at the end.",
             "The workers are threads of a few processes, which do what RQ's workers and supervisors do to "
             "the stores, without a process for each job. Everything shares the machine.",
         ],

@@ -139,9 +139,9 @@ class Options(_Document):
     quick: the smallest run that shows that the bench itself works. out: where results go; the runs a bench
     is made of are kept in `runs/` there. resume: take those that are there already. seconds: begin nothing
     that this call has no time for. only: a pattern; of the missing runs, make those whose name fits it.
-    seeds: how many, None for as many as the bench asks for. first: of the campaign's seeds. worlds: how many of
-    the campaign's run side by side, None for one on every two cores. minutes: how long it lasts, None for the
-    bench's own time. gpu: measure the first GPU.
+    seeds: how many, None for as many as the bench asks for. first: of the campaign's seeds. worlds: how many
+    of the campaign's run side by side, None for one on every two cores. minutes: how long it lasts, None for
+    the bench's own time. gpu: measure the first GPU.
     """
 
     quick: bool = False

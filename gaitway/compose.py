@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from gaitway.embedded.certificates import Certificate, authority
 from gaitway.embedded.folders import remembered, write_private
 from gaitway.embedded.weed_environment import REGION, weed_environment
 
@@ -18,6 +19,7 @@ SECRETS = Path("/run/gaitway")
 # Apart from the others: PostgreSQL's container sees it, runs as another user, and keeps it as it was first.
 DATABASE_PASSWORD = Path("/volumes/database-password/password")
 
+_INNER_CERTIFICATE, _INNER_KEY = "objects-inner.crt", "objects-inner.key"
 _DATABASE, _REDIS, _S3 = "GAITWAY_DATABASE_URL", "GAITWAY_REDIS_URL", "GAITWAY_S3_ENDPOINT"
 _PASSED_ON = (
     _DATABASE,
@@ -33,6 +35,10 @@ def setup(folder: Path, environ: Mapping[str, str], database_password: Path = DA
     keys = _keys(folder, database_password)
     write_private(folder / "valkey.password", keys["redis_password"])
     write_private(folder / "valkey.conf", f"requirepass {keys['redis_password']}\n")
+    # SeaweedFS shows it itself alone.
+    inner = Certificate(*remembered(folder / "objects-inner.json", lambda: authority("gaitway-objects")))
+    write_private(folder / _INNER_CERTIFICATE, inner.certificate)
+    write_private(folder / _INNER_KEY, inner.key)
     write_private(folder / "objects.sh", _starting_weed(keys))
     wanted = own_stores(keys, environ, Hosts("postgres", "valkey", "objects"))
     for name in _PASSED_ON:
@@ -112,7 +118,13 @@ def _remembered_word(path: Path) -> str:
 
 def _starting_weed(keys: Mapping[str, str]) -> str:
     """A script that starts what it is given, with keys that no list of processes shows."""
-    variables = weed_environment(keys["s3_access_key"], keys["s3_secret_key"], lambda: keys["s3_inner_key"])
+    variables = weed_environment(
+        keys["s3_access_key"],
+        keys["s3_secret_key"],
+        lambda: keys["s3_inner_key"],
+        SECRETS / _INNER_CERTIFICATE,
+        SECRETS / _INNER_KEY,
+    )
     lines = [f"export {name}='{value}'\n" for name, value in variables.items()]
     return "".join([*lines, 'exec "$@"\n'])
 

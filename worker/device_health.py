@@ -143,8 +143,9 @@ class DeviceHealth:
         """Whether the worker may take a job. Ask until it is so: each call does a little, and none waits."""
         if self._command is None:
             return True
-        if self.state == "ready" and self._mark.exists():
-            self._fail(self._mark.read_text())
+        if self.state == "ready":
+            with suppress(FileNotFoundError):
+                self._fail(self._mark.read_text())
         if self._test is not None:
             self._look(self._test)
         elif self.state != "ready" and time.monotonic() >= self._test_at:

@@ -31,6 +31,7 @@ from worker import device_health
 from worker.alive import show_life
 from worker.device import device_of, visible_gpus
 from worker.device_health import DeviceHealth
+from worker.device_memory import device_memory
 from worker.disk import check_folder
 from worker.lifeline import die_with_parent
 from worker.named_job import NamedJob
@@ -67,6 +68,7 @@ class GaitwayWorker(rq.Worker):
             pid=os.getpid(),
             device=device,
             queues=queue_names(device),
+            memory_bytes=device_memory(device, settings.memory_limit),
             started_at=now,
             seen_at=now,
         )

@@ -1,5 +1,6 @@
 """How much of the machine's memory a training may take, and noticing who ended it for that."""
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -58,7 +59,7 @@ def allowed_bytes(setting: int | None, root: Path = _ROOT) -> int:
     if setting is not None:
         return setting
     has = _has_bytes(root)
-    return has - max(_LEAST_RESERVE_BYTES, int(_RESERVE * has))
+    return max(has // 2, has - max(_LEAST_RESERVE_BYTES, int(_RESERVE * has)))
 
 
 def kernel_kills(root: Path = _ROOT) -> int:
@@ -94,8 +95,10 @@ def _members(group: int, root: Path) -> Iterator[int]:
 
 def _has_bytes(root: Path) -> int:
     """Of the machine, or of the container where that has less."""
-    total = (root / "proc/meminfo").read_text().split()[1]
-    limits = [1024 * int(total)]
+    try:
+        limits = [1024 * int((root / "proc/meminfo").read_text().split()[1])]
+    except OSError:  # Not a Linux.
+        limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     names = [folder / "memory.max" for folder in _cgroups(root)]
     for file in (*names, root / "sys/fs/cgroup/memory/memory.limit_in_bytes"):
         with suppress(OSError, ValueError):  # `max` is no number.

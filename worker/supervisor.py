@@ -18,7 +18,7 @@ from core.jobs.status import JobStatus, Reason
 from core.patience import CalledOff, through_outages
 from core.settings import WorkerSettings
 from worker.caches import Caches
-from worker.device_health import SUSPICIOUS, DeviceTest, mark_of, set_aside, result_of
+from worker.device_health import SUSPICIOUS, DeviceTest, mark_of, result_of, set_aside
 from worker.disk import is_full, what_to_do
 from worker.draining import Draining
 from worker.heartbeat import Heartbeat

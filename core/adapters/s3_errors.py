@@ -3,6 +3,7 @@
 import re
 from collections.abc import Generator
 from contextlib import contextmanager
+from xml.etree.ElementTree import ParseError
 
 from minio.error import InvalidResponseError, MinioException, S3Error
 from urllib3.exceptions import HTTPError, MaxRetryError
@@ -47,6 +48,9 @@ def reaching_s3(bucket: str, key: str = "") -> Generator[None]:
         raise meaning(error.code, error.message, bucket) from error
     except InvalidResponseError as error:
         raise _meaning_of_no_s3(str(error)) from error
+    except (ValueError, ParseError) as error:
+        # Of the answer: a web server's page is no listing, and a byte that was flipped may be no text.
+        raise no_s3("its answer cannot be read") from error
     except (MinioException, HTTPError) as error:
         raise _meaning_of_no_answer(error) from error
 

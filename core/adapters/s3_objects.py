@@ -5,7 +5,6 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
-from xml.etree.ElementTree import ParseError
 
 from minio import Minio
 from minio.deleteobjects import DeleteObject
@@ -13,7 +12,7 @@ from minio.error import S3Error
 from urllib3.response import BaseHTTPResponse
 
 from core.adapters.object_keys import PIECE_BYTES, check_readable, check_writable
-from core.adapters.s3_errors import meaning, no_s3, reaching_s3
+from core.adapters.s3_errors import meaning, reaching_s3
 from core.errors import ObjectNotFound, StorageRefuses
 from core.storage.objects import ObjectInfo
 
@@ -96,12 +95,9 @@ class S3ObjectStore:
     def _listed(self, prefix: str) -> Generator[ObjectInfo]:
         """In the server's order, a page of 1000 at a time."""
         with self._reaching(prefix):
-            try:
-                for item in self._client.list_objects(self._bucket, prefix=prefix, recursive=True):
-                    if item.object_name:
-                        yield ObjectInfo(item.object_name, item.size or 0, modified_at=item.last_modified)
-            except (ValueError, ParseError) as error:  # Of the answer: a web server's page is no listing.
-                raise no_s3("its listing cannot be read") from error
+            for item in self._client.list_objects(self._bucket, prefix=prefix, recursive=True):
+                if item.object_name:
+                    yield ObjectInfo(item.object_name, item.size or 0, modified_at=item.last_modified)
 
     def _reaching(self, key: str = "") -> AbstractContextManager[None]:
         return reaching_s3(self._bucket, key)

@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from typing import ClassVar, TypeVar
 
+from core.algorithms.memory import Memory
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 from core.model import Strict
@@ -36,6 +37,10 @@ class BaseSpec(Strict):
     @abstractmethod
     def refusal(self, environment: EnvironmentInfo, device: Device) -> Rejected | None:
         """Why these values do not go together, or not with this environment; None where they do."""
+
+    @abstractmethod
+    def least_memory(self, environment: EnvironmentInfo, num_devices: int) -> Memory:
+        """What a run under these resolved values needs on each of its devices in any case."""
 
     @abstractmethod
     def check_sharing(self, num_devices: int) -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.spec import check_resumption, resolve
+from core.devices import gpu_indices
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
@@ -28,6 +29,9 @@ from core.physics.availability import check_physics
 from core.rendering.camera import check_cameras, check_width, model_camera
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
+
+# As much as every worker has.
+_HARMLESS_BYTES = 2**29
 
 # A trajectory of so many steps of a humanoid takes 2 GB.
 _MOST_ROLLOUT_STEPS = 1_000_000
@@ -102,11 +106,35 @@ def _row_of(info: EnvironmentInfo, description: Description) -> EnvironmentInfo:
 def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
     for device in DEVICES[spec.resources.kind]:
         resolve(spec.algorithm, info, device).check_sharing(spec.resources.gpus)
+    _check_memory(spec, info, store)
     if spec.resume_from is not None:
         source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
         _check_fields(spec, store.get(spec.resume_from.job))
         _check_engine(spec, store.get(spec.resume_from.job))
         _check_fit(spec, info, store.get(spec.resume_from.job))
+
+
+def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
+    """Refuses what cannot fit on the device of any worker there is; one that does not tell may be larger."""
+    needs = {
+        device: resolve(spec.algorithm, info, device).least_memory(info, spec.resources.gpus)
+        for device in DEVICES[spec.resources.kind]
+    }
+    if max(need.bytes for need in needs.values()) < _HARMLESS_BYTES:
+        return
+    sizes: list[tuple[Device, int]] = []
+    for worker in store.workers():
+        device: Device = "gpu" if gpu_indices(worker.device) else "cpu"
+        if device in needs and worker.memory_bytes is None:
+            return
+        if device in needs and worker.memory_bytes is not None:
+            sizes.append((device, worker.memory_bytes))
+    if not sizes or any(needs[device].bytes <= size for device, size in sizes):
+        return
+    device, size = max(sizes, key=lambda found: found[1])
+    detail = needs[device].does_not_fit(size, f"the largest {device.upper()} of a worker")
+    places = [name.replace(".", "/") for name in needs[device].lower if " " not in name]
+    raise Rejected(detail, [Problem(f"/algorithm/{place}", detail) for place in places])
 
 
 def _check_engine(spec: TrainSpec, source: Job) -> None:

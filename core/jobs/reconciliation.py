@@ -1,11 +1,12 @@
 """Setting right what crashes left behind. Idempotent, and safe to run in many places at once."""
 
 from collections.abc import Collection, Iterable, Set
+from contextlib import suppress
 from datetime import timedelta
 
 import structlog
 
-from core.errors import JobNotFound, JobUnreadable, StaleJob
+from core.errors import JobNotFound, JobUnreadable, RecordsUnavailable, StaleJob
 from core.jobs.attempts import given_back
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
@@ -50,6 +51,8 @@ class Reconciler:
         except (StaleJob, JobNotFound):  # It has spoken, or somebody else was faster.
             return False
         log.warning("job_taken_back", job_id=job.id, worker=worker, status=taken.status)
+        with suppress(RecordsUnavailable):  # Its message has nobody else who would remove it.
+            self._queue.remove(job.id, len(job.attempts))
         if taken.status == JobStatus.QUEUED:
             self._hand_over([Dispatch("attempt", taken.id, taken.next_attempt)])
         return True

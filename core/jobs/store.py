@@ -47,7 +47,7 @@ class WorkerInfo(Stored):
     """What a worker says of itself at every heartbeat.
 
     state: `ready` for jobs, or with one; while its device is `testing` or has failed a test, it takes none.
-    problem: what was seen of the device.
+    problem: what was seen of the device. memory_bytes: of each of its devices, where that is known.
     """
 
     name: str
@@ -58,6 +58,7 @@ class WorkerInfo(Stored):
     job: str | None = None
     state: WorkerState = "ready"
     problem: str | None = None
+    memory_bytes: int | None = None
     started_at: datetime
     seen_at: datetime
 

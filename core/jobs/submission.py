@@ -29,17 +29,20 @@ def submit(
     check(spec, store)
     now = store.now()
     job = store.add(Job(id=new_job_id(now), spec=spec, created_at=now), idempotency)
-    hand_over(Dispatch("attempt", job.id, job.next_attempt), store=store, queue=queue)
+    hand_over(Dispatch("attempt", job.id, job.next_attempt), store=store, queue=queue, job=job)
     return job
 
 
-def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue) -> bool:
-    """Tell the workers' queue; whether it heard. If it is away, the reconciler tells it later."""
+def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job | None = None) -> bool:
+    """Tell the workers' queue; whether it heard. If it is away, the reconciler tells it later.
+
+    job: what the dispatch is of, for whoever has just stored it.
+    """
     try:
         if dispatch.task == "model":
             queue.enqueue_model(dispatch.subject)
         else:
-            _enqueue(store.get(dispatch.subject), queue)
+            _enqueue(job or store.get(dispatch.subject), queue)
         store.dispatched(dispatch)
     except RecordsUnavailable as error:
         log.warning("dispatch_postponed", subject=dispatch.subject, error=error.detail)

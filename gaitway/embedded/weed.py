@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from gaitway.embedded.folders import private_folder, remembered
+from gaitway.embedded.folders import private_folder, remembered, write_private
 from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
 from gaitway.embedded.weed_environment import REGION, weed_environment
 
@@ -138,8 +138,22 @@ class Weed:
             "PATH": os.environ.get("PATH", ""),
             "HOME": str(self._folder),
             "GOGC": "50",
-            **weed_environment(self.access_key, self.secret_key, lambda: secrets.token_hex(16)),
+            **weed_environment(
+                self.access_key, self.secret_key, lambda: secrets.token_hex(16), *self._certificate_files()
+            ),
         }
+
+    def _certificate_files(self) -> tuple[Path, Path]:
+        """What it shows itself at each connection; nobody else ever needs it."""
+        certificate, key = self._folder / "inner.crt", self._folder / "inner.key"
+        if not (certificate.exists() and key.exists()):
+            # Imported at the first start alone: that takes longer than making them.
+            from gaitway.embedded.certificates import authority
+
+            made = authority("gaitway-objects")
+            write_private(key, made.key)
+            write_private(certificate, made.certificate)
+        return certificate, key
 
 
 def _binary() -> str:

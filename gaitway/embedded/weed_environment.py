@@ -1,17 +1,35 @@
 """What a SeaweedFS of ours is told through its environment, on this machine and in a container."""
 
 from collections.abc import Callable
+from pathlib import PurePath
 
 REGION = "us-east-1"
 
-# Its inner ports are open to whoever reaches them; these keys shut the HTTP ones to all but itself.
-_DOORS = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
+# Its inner ports are open to whoever reaches them. These keys shut the HTTP ones of volumes and filer to all
+# but itself; a certificate that it shows itself shuts gRPC, and the master's HTTP, which could delete a bucket.
+_SIGNED = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
+_MUTUAL = (
+    *(f"GRPC_{part}" for part in ("MASTER", "VOLUME", "FILER", "S3", "ADMIN", "WORKER", "CLIENT")),
+    "HTTPS_MASTER",
+)
 
 
-def weed_environment(access_key: str, secret_key: str, inner_key: Callable[[], str]) -> dict[str, str]:
-    """Keys that no list of processes shows. inner_key: asked once for each of its doors."""
+def weed_environment(
+    access_key: str,
+    secret_key: str,
+    inner_key: Callable[[], str],
+    certificate: PurePath,
+    certificate_key: PurePath,
+) -> dict[str, str]:
+    """Keys that no list of processes shows. inner_key: asked once for each of its doors.
+
+    certificate, certificate_key: files of one that signs itself, and nothing else.
+    """
     return {
         "AWS_ACCESS_KEY_ID": access_key,
         "AWS_SECRET_ACCESS_KEY": secret_key,
-        **{f"WEED_{door}_KEY": inner_key() for door in _DOORS},
+        **{f"WEED_{door}_KEY": inner_key() for door in _SIGNED},
+        **{f"WEED_{authority}_CA": str(certificate) for authority in ("GRPC", "HTTPS_MASTER")},
+        **{f"WEED_{door}_CERT": str(certificate) for door in _MUTUAL},
+        **{f"WEED_{door}_KEY": str(certificate_key) for door in _MUTUAL},
     }

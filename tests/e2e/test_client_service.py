@@ -125,7 +125,11 @@ def test_the_cli_reads_a_job_from_a_file_and_from_stdin(stack: Stack, client: Cl
     text = '{"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}}'
     file = tmp_path / "job.json"
     file.write_text(text)
-    assert gaitway(stack, "submit", "--file", str(file)).exit_code == 0
+    submitted = gaitway(stack, "submit", "--file", str(file))
+    assert submitted.exit_code == 0
+    # Nobody works for this service.
+    assert "is there: no worker is there at all." in submitted.stderr
+    assert "no worker" not in submitted.stdout
     assert gaitway(stack, "submit", "--file", "-", "--seed", "5", stdin=text).exit_code == 0
     assert [(found.kind, found.spec.get("seed")) for found in client.list()] == [
         ("rollout", 5),

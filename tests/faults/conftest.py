@@ -2,7 +2,10 @@
 
 from collections.abc import Iterator
 
+import psycopg
 import pytest
+
+from tests.contract.recording import Database
 
 from gaitway.embedded.postgres import Postgres
 from tests.faults.outages import Outages
@@ -12,3 +15,10 @@ from tests.faults.outages import Outages
 def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Outages]:
     with Postgres(tmp_path_factory.mktemp("own_postgres"), durable=False) as server:
         yield Outages(server)
+
+
+@pytest.fixture
+def database(database_url: str) -> Iterator[Database]:
+    """The tables of the record that this test has."""
+    with psycopg.connect(database_url, autocommit=True) as connection:
+        yield Database(connection)

@@ -9,7 +9,7 @@ from core.errors import RecordsUnavailable, StorageUnavailable
 _WRITES = frozenset(
     {
         *("add", "save", "take_back", "delete", "beat", "dispatched", "renew", "record", "replace_by_chunk"),
-        *("restore", "replace_chunk", "announce", "withdraw", "tidy"),
+        *("copied", "restore", "replace_chunk", "announce", "withdraw", "tidy"),
         *("enqueue", "remove"),
         *("put", "put_file", "delete_prefix"),
     }

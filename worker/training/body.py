@@ -55,7 +55,7 @@ class Body:
 
 
 def load_body(task: Task) -> Body:
-    """Raises JobFailed("no_device") where GPUs were promised and JAX does not find so many.
+    """Raises JobFailed("device_failed") where GPUs were promised and JAX does not find so many.
 
     And "bad_model" where the model has not got what the job randomises.
     """
@@ -63,7 +63,9 @@ def load_body(task: Task) -> Body:
     device: Device = "cpu" if task.device == "cpu" else "gpu"
     found, num_devices = jax.devices(), len(gpu_indices(task.device)) or 1
     if device == "gpu" and (found[0].platform != "gpu" or len(found) < num_devices):
-        raise JobFailed("no_device", f"The worker serves {task.device}, but JAX finds only {_named(found)}.")
+        raise JobFailed(
+            "device_failed", f"The worker serves {task.device}, but JAX finds only {_named(found)}."
+        )
     info = catalog.find(task.spec.environment.id)
     options = catalog.parse_options(info, task.spec.environment.options)
     info = info.under(options)

@@ -14,6 +14,7 @@ from core.jobs.spec import TrainSpec
 from worker.messages import Advanced, Measured, Noted, PhaseEnded, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
+from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
 from worker.training.stopping import Stopping
 from worker.training.video import Film
@@ -29,6 +30,7 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
     """
     settings = resolve(spec.algorithm, body.info, body.device)
     channel.send(body.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
+    check_memory(settings.least_memory(body.info, body.num_devices), body.device)
     trainer = make_trainer(task, spec, settings, body, channel)
     report = Report(channel, trainer, spec.checkpoints.every_seconds)
     shots = Shots(spec, body, channel, trainer)

@@ -274,7 +274,7 @@ class PostgresJobStore:
             return [*found, *models.waiting(connection)]
 
     def undispatched(self) -> Sequence[Dispatch]:
-        of_jobs = dispatches.outerjoin(jobs, dispatches.c.subject == jobs.c.id)
+        of_jobs = dispatches.outerjoin(jobs, dispatches.c.subject.collate("C") == jobs.c.id)
         wanted = select(dispatches).select_from(of_jobs).where(_is_due())
         wanted = wanted.order_by(dispatches.c.created_at).limit(1000)
         with self._transaction() as connection:
@@ -446,7 +446,8 @@ def _write_details(connection: Connection, status_before: str | None, job: Job) 
     """What a version says besides its own row: attempts, artifacts, and word of a change of status."""
     # A step changes the last attempt, or the one before it.
     _write_attempts(connection, job.id, job.attempts if status_before is None else job.attempts[-2:])
-    _write_artifacts(connection, job)
+    if job.artifacts or status_before is not None:
+        _write_artifacts(connection, job)
     if status_before not in (None, job.status.value):
         feeds.append(connection, job.id, "events", [status_entry(job)])
 

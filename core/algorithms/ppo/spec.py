@@ -4,6 +4,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from core.algorithms.memory import Memory
+from core.algorithms.ppo import memory
 from core.algorithms.spec import BaseSpec, check_resumption, resolve
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
@@ -181,6 +183,9 @@ class PPOSpec(BaseSpec):
             or _crossed_learning_rates(self)
             or _unknown_observation(self, environment)
         )
+
+    def least_memory(self, environment: EnvironmentInfo, num_devices: int) -> Memory:
+        return memory.least_memory(self, environment, num_devices)
 
     def check_sharing(self, num_devices: int) -> None:
         """Worlds and minibatches are dealt out in equal parts."""

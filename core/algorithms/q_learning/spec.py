@@ -4,6 +4,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from core.algorithms.memory import Memory
+from core.algorithms.q_learning import memory
 from core.algorithms.q_learning.options import (
     MOST_CELLS,
     MOST_REPLAYED,
@@ -181,6 +183,9 @@ class QLearningSpec(BaseSpec):
         if not problems:
             return None
         return Rejected(" ".join(dict.fromkeys(problem.detail for problem in problems)), problems)
+
+    def least_memory(self, environment: EnvironmentInfo, num_devices: int) -> Memory:
+        return memory.least_memory(self, environment)
 
     def check_sharing(self, num_devices: int) -> None:
         if num_devices > 1:

@@ -1,6 +1,7 @@
 """A training process without physics, whose every byte follows from the job's seed.
 
-A step hashes the state, prints a line and measures a row. It speaks and stops as the real one does.
+A step hashes the state, prints a line and measures a row. It speaks and stops as the real one does. The job's
+labels `steps` and `step_s` say how many there are, and how long each takes.
 """
 
 import hashlib
@@ -54,14 +55,16 @@ def main() -> None:
         saved = json.loads((spool / task["checkpoint"]).read_bytes().partition(b"\n")[0])
         step, state = saved["step"], saved["state"]
     say(type="started", device="cpu", engine="none", details={"resumed_at_step": step})
+    labels = task["spec"].get("labels") or {}
+    total, step_s = int(labels.get("steps", TOTAL)), float(labels.get("step_s", STEP_S))
     kept = step
-    while step < TOTAL and not asked:
-        time.sleep(STEP_S)
+    while step < total and not asked:
+        time.sleep(step_s)
         step += 1
         state = hashlib.sha256(f"{state} {step}".encode()).hexdigest()
         print(f"attempt {task['attempt']} step {step}", flush=True)
         say(type="metrics", step=step, values={"training/state": float(int(state[:8], 16))})
-        say(type="progress", step=step, total=TOTAL, steps_per_second=25.0, eta_s=0.0, metrics={})
+        say(type="progress", step=step, total=total, steps_per_second=1 / step_s, eta_s=0.0, metrics={})
         if step % CHECKPOINT_EVERY == 0:
             keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", checkpoint_of(step, state), step)
             kept = step
@@ -69,7 +72,7 @@ def main() -> None:
         keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", checkpoint_of(step, state), step)
     if signal.SIGUSR1 not in asked:
         keep("policy", "policy", state.encode(), step)
-    say(type="finished", stopped=bool(asked) and step < TOTAL)
+    say(type="finished", stopped=bool(asked) and step < total)
 
 
 def checkpoint_of(step: int, state: str) -> bytes:

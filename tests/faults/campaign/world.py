@@ -8,7 +8,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -56,12 +56,14 @@ class Member:
 class World:
     """Enter it to start everything; it may be used for many episodes. It ends with its process.
 
-    has_own_mounts: of this process, so that each store can be given a disk that gets full.
+    has_own_mounts: of this process, so that each store can be given a disk that gets full. settings: of every
+    process, in the place of the short times of this world.
     """
 
     folder: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="gw-")))
     has_own_mounts: bool = False
     proxies: Proxies = field(default_factory=Proxies)
+    settings: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def __post_init__(self) -> None:
         self.folder.chmod(0o711)  # PostgreSQL may be another user, and reads its clock here.
@@ -267,6 +269,7 @@ class World:
             "GAITWAY_RECONCILE_EVERY": str(RECONCILE_S),
             "GAITWAY_GRACE": str(GRACE_S),
             "GAITWAY_SHARED_CACHE_MAX_BYTES": "0",
+            **self.settings,
             "PYTHONPATH": str(Path(__file__).parents[3]),
             "PYTHONUNBUFFERED": "1",
         }

@@ -103,8 +103,8 @@ def test_fields_left_out_have_their_defaults() -> None:
 @pytest.mark.parametrize(
     ("text", "place"),
     [
-        ("", "column 1"),
-        ("{", "column 2"),
+        ("", "column 0"),
+        ("{", "column 1"),
         ("null", "should be an object"),
         ("[]", "should be an object"),
         ('{"environment": "ant"}', "'kind'"),

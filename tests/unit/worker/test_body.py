@@ -44,7 +44,7 @@ def test_fewer_gpus_than_the_worker_serves_end_the_job_with_what_there_is(
     pretend(monkeypatch, "NVIDIA H200", "NVIDIA A2")
     with pytest.raises(JobFailed) as failure:
         load_body(task("gpu:0,1,2"))
-    assert failure.value.reason == "no_device"
+    assert failure.value.reason == "device_failed"
     assert failure.value.detail == ("The worker serves gpu:0,1,2, but JAX finds only NVIDIA H200, NVIDIA A2.")
 
 

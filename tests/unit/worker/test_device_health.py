@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from worker.device_health import DeviceHealth, DeviceTest, mark_of, set_aside, command_for, result_of
+from worker.device_health import DeviceHealth, DeviceTest, command_for, mark_of, result_of, set_aside
+from worker.slot import SlotTaken, slot
 
 # Passed as soon as the file is there.
 _PASSES_WITH = "test -e {} || {{ echo 'Traceback'; echo 'cuda:0 multiplies wrongly.'; echo; exit 3; }}"
@@ -72,6 +73,22 @@ def test_a_test_that_is_called_off_says_nothing_and_leaves_nobody(tmp_path: Path
     test = run("sleep 1000", tmp_path)
     assert result_of(test, lambda: True) is None
     assert test.is_over()
+
+
+def test_a_gpu_that_jax_does_not_find_fails_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    command = command_for("gpu:0")
+    assert command is not None
+    told = result_of(DeviceTest(command, "gpu:0", tmp_path), lambda: False)
+    assert told is not None
+    assert "failed (status 1): JAX finds only cpu:0." in told
+
+
+@pytest.mark.gpu
+def test_a_gpu_that_works_passes(tmp_path: Path) -> None:
+    command = command_for("gpu:0")
+    assert command is not None
+    assert result_of(DeviceTest(command, "gpu:0", tmp_path), lambda: False) is None
 
 
 def test_a_worker_is_ready_when_its_device_has_passed(health: DeviceHealth) -> None:

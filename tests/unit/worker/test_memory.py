@@ -35,6 +35,8 @@ def test_a_training_may_take_what_the_machine_has_less_a_reserve(root: Path) -> 
     put(root, "proc/meminfo", f"MemTotal: {4 * 2**20} kB\n")
     assert allowed_bytes(None, root) == 3.5 * _GIB
     assert allowed_bytes(_GIB, root) == _GIB
+    put(root, "proc/meminfo", f"MemTotal: {2**19} kB\n")  # Half, where the reserve would be all of it.
+    assert allowed_bytes(None, root) == _GIB / 4
 
 
 @pytest.mark.parametrize("place", ["sys/fs/cgroup/memory.max", "sys/fs/cgroup/memory/memory.limit_in_bytes"])

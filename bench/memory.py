@@ -1,0 +1,124 @@
+"""How far the estimate of a run's least memory is from what the run takes."""
+
+from typing import Any
+
+from bench.child import ChildFailed, run_child
+from bench.machine import this_machine
+from bench.result import Figure, Options, Result, at_most
+from core.algorithms.memory import shown
+
+_TIMEOUT_S = 1200.0
+_Q: dict[str, Any] = {
+    "kind": "q_learning",
+    "indexer": {"kind": "arm_role"},
+    "mapper": {"kind": "arm_roles"},
+    "num_evals": 0,
+}
+_CPG = {"control": "cpg"}
+
+
+def _ppo(num_envs: int, batch_size: int, minibatches: int, unroll: int) -> dict[str, Any]:
+    return {
+        "kind": "ppo",
+        "num_envs": num_envs,
+        "batch_size": batch_size,
+        "num_minibatches": minibatches,
+        "num_updates_per_batch": 1,
+        "unroll_length": unroll,
+        "num_timesteps": 3 * batch_size * minibatches * unroll,
+        "num_evals": 0,
+    }
+
+
+_FEW = _ppo(64, 64, 2, 5)
+_STAR = {**_Q, "num_envs": 8, "num_episodes": 24, "decisions_per_episode": 5}
+# name: environment, options, algorithm. The first of each environment is small: what it takes is taken off the
+# peak of the others on a CPU, for most of a small process is programs and their compilation.
+Case = tuple[str, dict[str, Any], dict[str, Any]]
+_ON_A_CPU: dict[str, Case] = {
+    "ant, few": ("ant", {}, _FEW),
+    "ant, long unrolls": ("ant", {}, _ppo(256, 256, 32, 100)),
+    "ant, many worlds": ("ant", {}, _ppo(8192, 1024, 32, 10)),
+    "ant, large networks": (
+        "ant",
+        {},
+        {**_FEW, "policy_hidden_layer_sizes": [4096, 4096], "value_hidden_layer_sizes": [4096, 4096]},
+    ),
+    "humanoid, few": ("humanoid", {}, _FEW),
+    "humanoid, many worlds": ("humanoid", {}, _ppo(2048, 1024, 8, 10)),
+    "rodent, few": ("rodent", {}, _FEW),
+    "rodent, many worlds": ("rodent", {}, _ppo(1024, 512, 4, 10)),
+    "star, Q-learning, few": ("brittle_star", _CPG, _STAR),
+    "star, Q-learning, replay": (
+        "brittle_star",
+        _CPG,
+        {**_STAR, "replay": {"buffer_size": 10_000_000}},
+    ),
+}
+_ON_A_GPU: dict[str, Case] = {
+    **_ON_A_CPU,
+    "ant, many worlds": ("ant", {}, _ppo(16384, 4096, 32, 20)),
+    "humanoid, many worlds": ("humanoid", {}, _ppo(8192, 2048, 32, 20)),
+    "rodent, many worlds": ("rodent", {}, _ppo(4096, 1024, 32, 20)),
+}
+_QUICK = ("ant, few", "ant, long unrolls")
+
+
+def measure(options: Options) -> Result:
+    """Each run in a process of its own, as far as two reports of progress."""
+    device = "gpu" if options.gpu else "cpu"
+    cases = _ON_A_GPU if options.gpu else _ON_A_CPU
+    if options.quick:
+        cases = {name: case for name, case in cases.items() if name in _QUICK}
+    machine = this_machine()
+    base: dict[str, int] = {}
+    rows: list[dict[str, Any]] = []
+    figures: list[Figure] = []
+    for name, (environment, environment_options, algorithm) in cases.items():
+        request = {
+            "environment": environment,
+            "options": environment_options,
+            "algorithm": algorithm,
+            "engine": "auto",
+            "device": device,
+        }
+        figure = f"{name}: estimate ÷ peak"
+        try:
+            found = run_child("bench.memory_run", request, timeout_s=_TIMEOUT_S)
+        except ChildFailed as failed:
+            print(f"{name}: {failed.reason}", flush=True)
+            figures.append(Figure(name=figure, value=None, unit="%", missing=failed.reason))
+            continue
+        # On a CPU, a small run of the same body says what the rest of the process takes.
+        first = base.setdefault(environment, found["peak_bytes"] - found["least_bytes"])
+        taken = found["peak_bytes"] - (first if device == "cpu" else 0)
+        share = found["least_bytes"] / taken
+        print(
+            f"{name} ({found['engine']}): at least {shown(found['least_bytes'])} by the estimate, "
+            f"{shown(found['peak_bytes'])} at the peak, of which {shown(taken)} count: {100 * share:.1f} %; "
+            f"a checkpoint has {shown(found['checkpoint_bytes'])}",
+            flush=True,
+        )
+        is_base = device == "cpu" and taken == found["least_bytes"]
+        if not is_base:
+            figures.append(Figure(name=figure, value=100 * share, unit="%", target=at_most(100)))
+        rows.append({"name": name, **{key: value for key, value in found.items() if key != "began_at"}})
+    return Result(
+        name="memory",
+        title="Memory",
+        command="./run bench memory" + (" --gpu" if options.gpu else ""),
+        quick=options.quick,
+        machine=machine,
+        figures=figures,
+        rows=rows,
+        notes=[
+            "The estimate by which jobs are refused that cannot fit, against the peak of the run until two "
+            "updates were made. Above 100 %, it would refuse what fits. "
+            + (
+                "The peak is JAX's count of the device's memory in use; Warp's own buffers are not in it."
+                if options.gpu
+                else "The peak is the process' greatest resident set, less that of a small run of the same "
+                "body but for its estimate: that much are programs, and compiling them."
+            ),
+        ],
+    )

@@ -1,0 +1,63 @@
+"""The least memory that a run can do with, known before it begins; imports no numerical code.
+
+Only what surely lies in memory at the same time is counted: an estimate that is too low lets a run begin that
+may fail later, and one that is too high would refuse a run that fits. bench/memory.py measures how far it is
+from the truth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+FLOAT_BYTES = 4
+_UNITS = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something that lies in each device's memory. bytes: of one of them; lower: what to make smaller."""
+
+    what: str
+    bytes: int
+    lower: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Memory:
+    """The parts of a run."""
+
+    parts: Sequence[Part]
+
+    @property
+    def bytes(self) -> int:
+        """Of all parts together."""
+        return sum(part.bytes for part in self.parts)
+
+    @property
+    def lower(self) -> tuple[str, ...]:
+        """What to make smaller first."""
+        return max(self.parts, key=lambda part: part.bytes).lower
+
+    def does_not_fit(self, limit_bytes: int, where: str) -> str:
+        """A sentence. where: whose the limit is."""
+        parts = sorted(self.parts, key=lambda part: -part.bytes)
+        named = ", ".join(f"{shown(part.bytes)} for {part.what}" for part in parts if part.bytes)
+        *others, last = self.lower
+        less = f"{', '.join(others)} or {last}" if others else last
+        return (
+            f"The run needs at least {shown(self.bytes)} of memory on its device ({named}), and {where} has "
+            f"{shown(limit_bytes)}: lower {less}."
+        )
+
+
+def perceptron(sizes: Sequence[int]) -> int:
+    """How many weights and biases a multilayer perceptron with layers of these sizes has."""
+    return sum(before * after + after for before, after in pairwise(sizes))
+
+
+def shown(num_bytes: int) -> str:
+    """Bytes for people: three digits and a unit."""
+    value, unit = float(num_bytes), 0
+    while value >= 1024 and unit < len(_UNITS) - 1:
+        value, unit = value / 1024, unit + 1
+    return f"{value:,.3g} {_UNITS[unit]}" if value < 1000 else f"{value:,.0f} {_UNITS[unit]}"

@@ -1,0 +1,43 @@
+"""The least memory of a tabular Q-learning run."""
+
+from typing import TYPE_CHECKING
+
+from core.algorithms.memory import FLOAT_BYTES, Memory, Part
+
+if TYPE_CHECKING:
+    from core.algorithms.q_learning.spec import QLearningSpec
+    from core.environments.info import EnvironmentInfo
+
+# The table; and while it learns, the visits and the errors of each cell.
+_TABLES = 3
+# What a transition is made of: `table.Transitions`.
+_NUMBERS = 6
+
+
+def least_memory(settings: "QLearningSpec", environment: "EnvironmentInfo") -> Memory:
+    """Bytes, all numbers of 4. A run without indexer or mapper, which is refused elsewhere, has no table."""
+    arms, agents = environment.num_arms, settings.num_agents
+    cells = 0
+    if settings.indexer is not None and settings.mapper is not None:
+        cells = agents * settings.indexer.num_states(arms) * settings.mapper.num_choices(arms)
+    replayed = agents * settings.replay_buffer_size
+    observation = environment.observation_size or 0
+    return Memory(
+        (
+            Part(
+                f"tables of {cells:,} cells",
+                FLOAT_BYTES * _TABLES * cells,
+                ("the cells of the indexer", "agents"),
+            ),
+            Part(
+                f"{replayed:,} transitions to replay",
+                FLOAT_BYTES * _NUMBERS * replayed,
+                ("replay.buffer_size", "agents"),
+            ),
+            Part(
+                f"{settings.num_worlds:,} worlds",
+                FLOAT_BYTES * settings.num_worlds * (observation + 1),
+                ("num_envs", "agents"),
+            ),
+        )
+    )

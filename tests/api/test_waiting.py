@@ -1,0 +1,39 @@
+"""What `GET /jobs` tells of a job that waits: for a worker that is not there, or for the end of a pause."""
+
+from datetime import timedelta
+
+from core.jobs.queue import queue_names
+from core.jobs.store import WorkerInfo
+from tests.api.conftest import NOON, Stack
+
+_SENTENCE = "No worker with exactly 4 GPUs is there: the workers here have cpu."
+
+
+def test_a_job_that_nobody_can_take_says_so_until_somebody_can(stack: Stack) -> None:
+    announce(stack, "cpu")
+    job = submit(stack, gpus=4)
+    assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] == _SENTENCE
+    other = submit(stack, gpus=1)
+    listed = stack.http.get("/jobs").json()["items"]
+    assert {item["id"]: item["waiting_for"] for item in listed} == {job: _SENTENCE, other: None}
+    announce(stack, "gpu:0-3")
+    assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] is None
+
+
+def test_a_job_that_was_cancelled_waits_for_nobody(stack: Stack) -> None:
+    job = submit(stack, gpus=1)
+    stack.http.post(f"/jobs/{job}/cancel")
+    assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] is None
+
+
+def announce(stack: Stack, device: str) -> None:
+    queues = queue_names(device)
+    info = WorkerInfo(
+        name=device, host="host", pid=1, device=device, queues=queues, started_at=NOON, seen_at=NOON
+    )
+    stack.store.announce(info, timedelta(seconds=40))
+
+
+def submit(stack: Stack, gpus: int) -> str:
+    spec = {"kind": "train", "environment": "ant", "resources": {"gpus": gpus}}
+    return stack.http.post("/jobs", json=spec).json()["id"]

@@ -1,0 +1,36 @@
+"""What Redis holds of an attempt whose worker has gone for good."""
+
+import redis
+
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.rq_queue import RQQueue
+from core.jobs.attempts import claim, new_secret
+from core.jobs.reconciliation import Reconciler
+from core.jobs.spec import JOB_SPEC
+from core.jobs.submission import submit
+from tests.contract.recording import LEASE, Database
+
+
+def test_the_message_goes_when_its_attempt_is_taken_back(
+    job_store: PostgresJobStore, redis_client: redis.Redis, database: Database
+) -> None:
+    queue = RQQueue(redis_client)
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant"})
+    job = submit(spec, store=job_store, queue=queue)
+    assert redis_client.lpop("rq:queue:gaitway-any-normal") == f"{job.id}_1".encode()
+    assert claim(
+        job.id,
+        1,
+        "worker",
+        store=job_store,
+        objects=MemoryObjectStore(),
+        lease=LEASE,
+        secret=new_secret(),
+    )
+    reconciler = Reconciler(job_store, queue, LEASE)
+    reconciler.look()
+    database.change("UPDATE jobs SET lease_until = now() - interval '1 s'")
+    database.change("UPDATE pulse SET beat_at = now(), quiet_until = now() - interval '1 s'")
+    assert reconciler.look() >= 1
+    assert redis_client.keys("rq:job:*") == [f"rq:job:{job.id}_2".encode()]
