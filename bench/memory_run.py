@@ -3,22 +3,28 @@
 Request: environment, options, engine (or `auto`), algorithm (as a job has it), device (`cpu` or `gpu`).
 """
 
-import resource
+import threading
 import time
 from typing import Any
+
+import psutil
 
 from bench.child import answer
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """least_bytes: the estimate; peak_bytes: the most of the device's memory, or of a CPU's process, that was
-    in use until two updates were made; checkpoint_bytes: of the file; engine: which it was; wall_s."""
+    """least_bytes: the estimate; taken_bytes: what the run took until its first updates were made;
+    checkpoint_bytes: of the file; engine: which it was; wall_s.
+
+    Of a GPU, taken_bytes are the most that were in use. Of a CPU, by how much the process has grown since its
+    programs were compiled, which takes more than many a run; and the state, which was there by then.
+    """
     from pydantic import TypeAdapter
 
     from bench.device_memory import peak_bytes
     from core.algorithms.catalog import ALGORITHMS, AlgorithmSpec, loaded
     from core.algorithms.spec import resolve
-    from core.algorithms.trainer import Progress
+    from core.algorithms.trainer import Phase, Progress
     from core.environments import catalog
     from core.physics.choose import choose, engine_builder
 
@@ -35,19 +41,44 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     trainer = loaded(ALGORITHMS[settings.algorithm()].trainer)(
         environment, settings, seed=0, checkpoint_every_steps=None
     )
-    updates = 0
+    grown = _Growth()
     for event in trainer.events():
-        updates += isinstance(event, Progress)
-        if updates == 2:
+        if isinstance(event, Phase) and event.name == "compile":
+            grown.begin()
+        if isinstance(event, Progress):
             break
-    resident = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    checkpoint_bytes = len(trainer.checkpoint())
+    grown_bytes = grown.end() + checkpoint_bytes
     return {
         "least_bytes": settings.least_memory(row, 1).bytes,
-        "peak_bytes": peak_bytes() if device == "gpu" else resident,
-        "checkpoint_bytes": len(trainer.checkpoint()),
+        "taken_bytes": peak_bytes() if device == "gpu" else grown_bytes,
+        "checkpoint_bytes": checkpoint_bytes,
         "engine": engine,
         "wall_s": time.perf_counter() - began,
     }
+
+
+class _Growth:
+    """How much more the process has at most than at the beginning, looked at every 10 ms."""
+
+    def __init__(self) -> None:
+        self._process = psutil.Process()
+        self._before = self._most = 0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def begin(self) -> None:
+        self._before = self._most = self._process.memory_info().rss
+        self._thread.start()
+
+    def end(self) -> int:
+        self._over.set()
+        self._thread.join()
+        return self._most - self._before
+
+    def _look(self) -> None:
+        while not self._over.wait(0.01):
+            self._most = max(self._most, self._process.memory_info().rss)
 
 
 if __name__ == "__main__":

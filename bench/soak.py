@@ -66,10 +66,10 @@ def measure(options: Options) -> Result:
         notes=[
             f"A job every {_JOB_EVERY_S:g} s for {minutes:g} minutes to {_WORKERS} workers, whose training "
             "process trains nothing; each job has a log, metrics, checkpoints and a policy.",
-            "Each part is looked at five times a minute, between two jobs of a worker if it can be: a minute's "
-            "value is the least of processes, descriptors and threads, and the median of memory. A figure "
-            "is the slope of a straight line through the last half of the minutes, times their length: how "
-            "much has grown meanwhile.",
+            "Each part is looked at five times a minute: a minute's value is the least of processes, "
+            "descriptors and threads, which is between two jobs, and the median of memory. A figure is the "
+            "slope of a straight line through the last half of the minutes, times their length: how much has "
+            "grown meanwhile.",
         ],
     )
 

@@ -107,7 +107,14 @@ class Weed:
         from core.adapters.s3_objects import S3ObjectStore
 
         client = connect_s3(
-            self.endpoint, self.access_key, self.secret_key, secure=False, region=REGION, retries=0
+            self.endpoint,
+            self.access_key,
+            self.secret_key,
+            secure=False,
+            region=REGION,
+            retries=0,
+            # A write that comes before the master knows the volumes may hang, and the next one does not.
+            timeout_s=1.0,
         )
         store = S3ObjectStore(client, self.bucket)
 

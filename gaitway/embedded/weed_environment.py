@@ -6,7 +6,7 @@ from pathlib import PurePath
 REGION = "us-east-1"
 
 # Its inner ports are open to whoever reaches them. These keys shut the HTTP ones of volumes and filer to all
-# but itself; a certificate that it shows itself shuts gRPC, and the master's HTTP, which could delete a bucket.
+# but itself; a certificate that it shows itself shuts gRPC and the master's HTTP, which can delete a bucket.
 _SIGNED = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
 _MUTUAL = (
     *(f"GRPC_{part}" for part in ("MASTER", "VOLUME", "FILER", "S3", "ADMIN", "WORKER", "CLIENT")),

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 import psycopg
 import pytest
 
-from tests.contract.recording import Database
-
 from gaitway.embedded.postgres import Postgres
+from tests.contract.recording import Database
 from tests.faults.outages import Outages
 
 

@@ -326,33 +326,35 @@ def test_a_job_comes_to_its_end_whichever_write_fails(
 def _problems(real: Process, service: Service, job_id: str, expected: JobStatus | None) -> Iterator[str]:
     listed = real.store.list(JobQuery(name=service.name)).jobs
     if expected is None:
-        if listed:
-            yield "it is still there"
-        if left := list(real.objects.list(keys.job(job_id))):
-            yield f"it has left {left}"
+        if listed or list(real.objects.list(keys.job(job_id))):
+            yield "something of it is still there"
         return
     if [job.id for job in listed] != [job_id]:
         yield f"one submission made {len(listed)} jobs"
     job = real.store.get(job_id)
     if job.status is not expected or job.token:
         yield f"it is {job.status}: {job.message}"
-    events = feeds.read(job_id, "events", store=real.store, objects=real.objects)
-    logs = feeds.read(job_id, "logs", store=real.store, objects=real.objects)
-    for feed in (events, logs):
-        if [int(entry.id) for entry in feed] != list(range(1, len(feed) + 1)):
-            yield f"a feed has a gap or a double: {[entry.id for entry in feed]}"
-    ends = [e.data["status"] for e in events if e.kind == "status" and JobStatus(e.data["status"]).is_final]
-    if ends != [expected]:
-        yield f"it ended as {ends}"
-    lines = [entry.data["text"] for entry in logs]
-    steps = {int(line.split()[-1]) for line in lines}
-    if len(set(lines)) != len(lines) or steps != (set(STEPS) if job.attempts else set()):
-        yield f"its log is {lines}"
+    yield from _problems_of_feeds(real, job)
     if [artifact.step for artifact in job.artifacts] != ([STEPS[-1]] if job.attempts else []):
         yield f"it has {[artifact.name for artifact in job.artifacts]}"
     for artifact in job.artifacts:
         if hashlib.sha256(real.objects.get(artifact.key)).hexdigest() != artifact.sha256:
             yield f"{artifact.name} has other bytes than its hash says"
+
+
+def _problems_of_feeds(real: Process, job: Job) -> Iterator[str]:
+    events = feeds.read(job.id, "events", store=real.store, objects=real.objects)
+    logs = feeds.read(job.id, "logs", store=real.store, objects=real.objects)
+    for feed in (events, logs):
+        if [int(entry.id) for entry in feed] != list(range(1, len(feed) + 1)):
+            yield f"a feed has a gap or a double: {[entry.id for entry in feed]}"
+    ends = [e.data["status"] for e in events if e.kind == "status" and JobStatus(e.data["status"]).is_final]
+    if ends != [job.status]:
+        yield f"it ended as {ends}"
+    lines = [entry.data["text"] for entry in logs]
+    steps = {int(line.split()[-1]) for line in lines}
+    if len(set(lines)) != len(lines) or steps != (set(STEPS) if job.attempts else set()):
+        yield f"its log is {lines}"
 
 
 def _may_stay(real: Process, job_id: str) -> set[str]:

@@ -7,8 +7,9 @@ that id trips over. This one needs a C compiler; without it there are no such cl
 import shutil
 import struct
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from gaitway.embedded.processes import ServerProcess
 
@@ -58,5 +59,5 @@ class ClockedProcess(ServerProcess):
 
     clock: Mapping[str, str] = {}
 
-    def start(self, command, environment, **more):  # type: ignore[no-untyped-def, override]
+    def start(self, command: Sequence[str], environment: Mapping[str, str], **more: Any) -> None:
         super().start(command, {**environment, **self.clock}, **more)

@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--serve", type=Path, metavar="FOLDER", help="a world there, for seeds that are sent")
-    parser.add_argument("--keep", action="store_true", help="stop at the first broken promise, with its logs")
+    parser.add_argument("--keep", action="store_true", help="stop at the first broken promise")
     given = parser.parse_args(arguments)
     if parent := os.environ.get("GAITWAY_PARENT"):
         die_with_parent(int(parent))
@@ -77,10 +77,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             outcome = run(world, seed)
             is_broken |= bool(outcome.broken)
             print(outcome.line(), flush=True)
-            if outcome.broken and given.keep:
+            if outcome.broken:
                 for party in PARTIES:
-                    print(f"--- {party}\n{world.logs(party)[-6000:]}", file=sys.stderr)
-                break
+                    print(f"--- seed {seed}, {party}\n{world.logs(party)[-6000:]}", file=sys.stderr)
+                if given.keep:
+                    break
     return 1 if is_broken else 0
 
 

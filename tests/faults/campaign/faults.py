@@ -80,7 +80,7 @@ def _cut_off(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
 
 
 def _flipped(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
-    """Of the object store alone: what it keeps has a hash. The other two protocols have none; TLS is theirs."""
+    """Of the object store alone: what it keeps has a hash. To the other two only TLS would show it."""
     return _misbehaving(rng.choice((*PARTIES, "*")), "weed", Mode.FLIP, at_s, lasts_s)
 
 

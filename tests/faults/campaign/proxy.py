@@ -14,8 +14,8 @@ class Mode(StrEnum):
 
     open: nothing. refuse: connections are reset. silent: nothing comes through, and nothing ends. slow: each
     piece takes a while. lose_answers: what is asked arrives, and the connection is reset before the answer.
-    truncate: half of an answer arrives, and the connection is reset. flip: a bit of each piece is another one,
-    on the way there and on the way back.
+    truncate: half of an answer arrives, and the connection is reset. flip: one bit of each piece is flipped,
+    on its way there and on its way back.
     """
 
     OPEN = "open"

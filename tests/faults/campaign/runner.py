@@ -19,7 +19,7 @@ _EPISODES_OF_A_WORLD = 50
 
 @dataclass(frozen=True)
 class Outcome:
-    """seed: it draws jobs and faults. faults: in the order in which they began. broken: the checker's words."""
+    """seed: it draws jobs and faults. faults: as they began. broken: sentences of the checker."""
 
     seed: int
     faults: tuple[str, ...]

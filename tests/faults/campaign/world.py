@@ -36,7 +36,12 @@ SERVERS = ("postgres", "valkey", "weed")
 STORES = ("postgres", "valkey", "weed")
 LEASE_S, HEARTBEAT_S, RECONCILE_S, GRACE_S = 3.0, 0.25, 0.25, 5.0
 # Where what is kept, and how much of it, in MiB.
-DISKS = {"postgres": ("pg", 512), "weed": ("s3", 512), "worker-1": ("worker-1", 64), "worker-2": ("worker-2", 64)}
+DISKS = {
+    "postgres": ("pg", 512),
+    "weed": ("s3", 512),
+    "worker-1": ("worker-1", 64),
+    "worker-2": ("worker-2", 64),
+}
 _MEMBER = ("-m", "tests.faults.campaign.member")
 _SOCKET = ".s.PGSQL.5432"
 _GLANCE_S = 0.05
