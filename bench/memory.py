@@ -91,7 +91,7 @@ def measure(options: Options) -> Result:
         share = found["least_bytes"] / found["taken_bytes"]
         print(
             f"{name} ({found['engine']}): at least {shown(found['least_bytes'])} by the estimate, "
-            f"{shown(found['taken_bytes'])} at the peak: {100 * share:.1f} %; a checkpoint has {shown(found['checkpoint_bytes'])}",
+            f"{shown(found['taken_bytes'])} at the peak: {100 * share:.1f} %",
             flush=True,
         )
         figures.append(Figure(name=figure, value=100 * share, unit="%", target=at_most(100)))

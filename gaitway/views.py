@@ -193,7 +193,8 @@ class PreviewView(View):
 class WorkerView(View):
     """A worker that was heard of lately; job: what it works on.
 
-    state: ready, testing or device_failed; problem: what was seen of its device.
+    state: ready, testing or device_failed; problem: what was seen of its device. memory_bytes: of each of its
+    devices, where that is known.
     """
 
     name: str
@@ -204,5 +205,6 @@ class WorkerView(View):
     job: str | None = None
     state: str = "ready"
     problem: str | None = None
+    memory_bytes: int | None = None
     started_at: datetime | None = None
     seen_at: datetime | None = None

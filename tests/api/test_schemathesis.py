@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import pytest
+
 from core.errors import Conflict, NotFound
 from core.models import library as models
 from core.previews import library as previews
@@ -18,6 +20,7 @@ from tests.api.test_previews import announced
 _CONFIG = Path(__file__).with_name("schemathesis.toml")
 
 
+@pytest.mark.timeout(240)  # Twenty seconds, where nobody else is at work.
 def test_whatever_is_sent_the_service_answers_as_its_document_says(stack: Stack, tmp_path: Path) -> None:
     _end(Attempt(stack, job()))  # Under the id of the document's examples.
     command = [sys.executable, "-m", "schemathesis.cli", "--config-file", str(_CONFIG)]
@@ -28,7 +31,7 @@ def test_whatever_is_sent_the_service_answers_as_its_document_says(stack: Stack,
             env={**os.environ, "COLUMNS": "100"},
             capture_output=True,
             text=True,
-            timeout=100,
+            timeout=200,
             check=False,
         )
     assert run.returncode == 0, run.stdout + run.stderr
@@ -54,9 +57,11 @@ def _worker(stack: Stack) -> Iterator[None]:
     announced(stack)
     thread = threading.Thread(target=work)
     thread.start()
-    yield
-    done.set()
-    thread.join()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
 
 
 def _end(attempt: Attempt) -> None:

@@ -37,8 +37,10 @@ def test_no_promise_is_broken(runner: Runner, seed: int) -> None:
 
 
 def test_a_world_ends_with_its_process(runner: Runner) -> None:
-    below = psutil.Process(runner.pid).children(recursive=True)
-    assert len(below) >= 7  # Three servers, and four that are the service.
+    world = psutil.Process(runner.pid)
+    # Three servers, and four that are the service.
+    wait_until(lambda: len(world.children()) >= 7, timeout_s=60)
+    below = world.children(recursive=True)
     os.kill(runner.pid, signal.SIGKILL)
     wait_until(lambda: not any(_lives(process) for process in below))
 

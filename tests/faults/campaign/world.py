@@ -85,8 +85,7 @@ class World:
         self.postgres.process = process
         self.valkey = Valkey(self.folder / "kv")
         self.weed = Weed(self.folder / "s3")
-        [self.port] = free_ports(1)
-        self.url = f"http://127.0.0.1:{self.port}"
+        self.port, self.url = 0, ""
         self.members: dict[str, Member] = {}
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._over = threading.Event()
@@ -191,7 +190,9 @@ class World:
             server.wait_ready()
         for party in PARTIES:
             self._add_proxies(party)
-        for party in ("reconciler", "api", "worker-1", "worker-2"):
+        [self.port] = free_ports(1)  # Late: other worlds look for ports, too.
+        self.url = f"http://127.0.0.1:{self.port}"
+        for party in ("api", "reconciler", "worker-1", "worker-2"):
             self.members[party] = Member(party, self._starter(party), self._pid_of(party))
             self.members[party].start()
         self.wait_ready()
