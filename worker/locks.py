@@ -24,3 +24,11 @@ def remove(path: Path, descriptor: int) -> None:
     """Let go of a lock that nobody else holds, and leave no file behind."""
     path.unlink(missing_ok=True)
     os.close(descriptor)
+
+
+def remove_free(folder: Path) -> None:
+    """Remove the locks in this folder that nobody holds."""
+    for path in folder.glob("*.lock"):
+        with suppress(OSError):  # A lock left behind does no harm.
+            if (descriptor := take(path)) is not None:
+                remove(path, descriptor)

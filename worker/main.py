@@ -27,7 +27,7 @@ from core.jobs.queue import queue_names
 from core.jobs.store import JobStore, WorkerInfo
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
-from worker import device_health
+from worker import device_health, locks
 from worker.alive import show_life
 from worker.device import device_of, visible_gpus
 from worker.device_health import DeviceHealth
@@ -36,6 +36,7 @@ from worker.disk import check_folder
 from worker.lifeline import die_with_parent
 from worker.named_job import NamedJob
 from worker.slot import slot_names
+from worker.spool import SPOOLS, remove_left_over
 from worker.stall import is_stopped
 
 log = structlog.get_logger()
@@ -57,6 +58,7 @@ class GaitwayWorker(rq.Worker):
         self._store = store
         self._health = health or health_of(device, settings)
         self._alive_file = settings.alive_file
+        self._data_dir = settings.data_dir
         self._horse_is_stopped = False
         self._is_announcing = False
         self._stopped_by: tuple[Any, Any] | None = None
@@ -85,6 +87,7 @@ class GaitwayWorker(rq.Worker):
 
     def heartbeat(self, *args: Any, **kwargs: Any) -> None:
         self._end_stopped_horse()
+        self._clear_up()
         super().heartbeat(*args, **kwargs)
         self.announce()
 
@@ -127,7 +130,13 @@ class GaitwayWorker(rq.Worker):
                 log.warning("queue_bookkeeping_waits", error=str(error))
                 time.sleep(_PAUSE_S)
             else:
-                return
+                break
+        self._clear_up()
+
+    def _clear_up(self) -> None:
+        """Remove what a work-horse that was killed has left on the disk."""
+        remove_left_over(self._data_dir / SPOOLS)
+        locks.remove_free(self._data_dir / "locks")
 
     def announce(self) -> None:
         """Show in `GET /workers`. A missed one is made up for by the next."""

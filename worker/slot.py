@@ -7,7 +7,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Generator, Iterable
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from core.patience import pause
@@ -68,8 +68,7 @@ def slot(path: Path, patience_s: float, called_off: Callable[[], bool] = lambda:
         yield descriptor
     finally:
         os.close(descriptor)
-        for file in path.parent.glob("*.lock"):
-            _remove_if_free(file)
+        locks.remove_free(path.parent)
 
 
 def _wait_for(path: Path, deadline: float, called_off: Callable[[], bool]) -> int:
@@ -78,12 +77,6 @@ def _wait_for(path: Path, deadline: float, called_off: Callable[[], bool]) -> in
             raise SlotTaken(f"Another process still uses the device; it holds {path}.")
         pause(0.1, called_off)  # flock has no wait with a time limit.
     return descriptor
-
-
-def _remove_if_free(path: Path) -> None:
-    with suppress(OSError):  # A lock left behind does no harm.
-        if (descriptor := locks.take(path)) is not None:
-            locks.remove(path, descriptor)
 
 
 def _machine() -> str:

@@ -1,6 +1,6 @@
 """A job queue in this process' memory."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Sequence, Set
 from dataclasses import dataclass
 from threading import Lock
 
@@ -43,6 +43,12 @@ class MemoryJobQueue:
     def known(self) -> Collection[tuple[str, int]]:
         with self._lock:
             return {(dispatch.job_id, dispatch.attempt) for dispatch in (*self._waiting, *self._taken)}
+
+    def strays(self) -> Set[str]:
+        return frozenset()
+
+    def drop(self, names: Collection[str]) -> None:
+        pass
 
     def remove(self, job_id: str, attempt: int) -> None:
         dispatch = Dispatch(job_id, attempt)

@@ -1,7 +1,7 @@
 """The job queue on RQ."""
 
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Set
 from datetime import timedelta
 from typing import Any
 
@@ -23,6 +23,8 @@ PREVIEW_TASK = "worker.tasks.draw_preview"
 # What RQ thinks of an end is nobody's concern: the record says why an attempt ended.
 _KEEP_FAILURES = timedelta(minutes=1)
 _NO_LIMIT = -1  # the supervisor keeps the deadline
+# How RQ names its keys, and what Redis says of one without a time to live.
+_MESSAGE, _EXECUTIONS, _FOR_EVER = "rq:job:", "rq:executions:", -1
 
 
 class RQQueue:
@@ -47,16 +49,23 @@ class RQQueue:
 
     @reaching_redis()
     def known(self) -> Collection[tuple[str, int]]:
-        queues = Queue.all(connection=self._redis, serializer=JSONSerializer)  # pyright: ignore[reportUnknownMemberType]
+        names = (name.rpartition("_") for name in self._held())
+        return {(job_id, int(attempt)) for job_id, _, attempt in names if job_id}
+
+    @reaching_redis()
+    def strays(self) -> Set[str]:
+        # Those that RQ keeps for a while have a time to live.
+        found = [key.decode() for key in self._redis.scan_iter(f"{_MESSAGE}*", count=1000)]
+        names = {key.removeprefix(_MESSAGE) for key in found} - self._held()
         with self._redis.pipeline(transaction=False) as pipeline:
-            for queue in queues:
-                pipeline.lrange(queue.key, 0, -1)
-                # Started: as long as the worker that took it prolongs its entry.
-                pipeline.zrangebyscore(queue.started_job_registry.key, time.time(), "+inf")
-            found: list[list[bytes]] = pipeline.execute()
-        # A started one stands there with the number of its execution, behind a colon.
-        names = (name.decode().partition(":")[0] for names in found for name in names)
-        return {(job_id, int(attempt)) for job_id, _, attempt in (n.rpartition("_") for n in names) if job_id}
+            for name in names:
+                pipeline.ttl(_MESSAGE + name)
+            lives: list[int] = pipeline.execute()
+        return {name for name, life in zip(names, lives, strict=True) if life == _FOR_EVER}
+
+    @reaching_redis()
+    def drop(self, names: Collection[str]) -> None:
+        self._redis.delete(*(prefix + name for name in names for prefix in (_MESSAGE, _EXECUTIONS)))
 
     @reaching_redis()
     def remove(self, job_id: str, attempt: int) -> None:
@@ -82,6 +91,17 @@ class RQQueue:
     def num_previews(self) -> int:
         waiting = Queue(FIRST, connection=self._redis, serializer=JSONSerializer).job_ids
         return sum(rq_id.startswith(_preview_rq_id("")) for rq_id in waiting)
+
+    def _held(self) -> Set[str]:
+        """RQ's names of all that waits, or that a worker has started and prolongs."""
+        queues = Queue.all(connection=self._redis, serializer=JSONSerializer)  # pyright: ignore[reportUnknownMemberType]
+        with self._redis.pipeline(transaction=False) as pipeline:
+            for queue in queues:
+                pipeline.lrange(queue.key, 0, -1)
+                pipeline.zrangebyscore(queue.started_job_registry.key, time.time(), "+inf")
+            found: list[list[bytes]] = pipeline.execute()
+        # A started one stands there with the number of its execution, behind a colon.
+        return {name.decode().partition(":")[0] for names in found for name in names}
 
     def _enqueue(self, name: str, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
         queue = Queue(name, connection=self._redis, serializer=JSONSerializer)

@@ -1,6 +1,6 @@
 """The seam to whatever brings jobs to workers. It is never asked what is true."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Set
 from typing import Protocol
 
 from core.devices import gpu_indices
@@ -33,6 +33,15 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
 
     def known(self) -> Collection[tuple[str, int]]:
         """Every job and attempt that waits, or that a worker has taken; in one look, however many."""
+        ...
+
+    def strays(self) -> Set[str]:
+        """The queue's names of messages that neither wait nor belong to a worker, and that it keeps for ever:
+        whoever had them was killed, or could not reach the queue at the end."""
+        ...
+
+    def drop(self, names: Collection[str]) -> None:
+        """Forget these messages."""
         ...
 
     def remove(self, job_id: str, attempt: int) -> None:

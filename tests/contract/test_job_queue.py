@@ -15,6 +15,7 @@ from core.adapters.memory_queue import Dispatch, MemoryJobQueue
 from core.adapters.rq_queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
 from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_names
+from core.jobs.strays import Strays
 from core.previews.record import PreviewRequest
 from gaitway.embedded.valkey import Valkey
 
@@ -147,6 +148,29 @@ class TestRQ:
         with ThreadPoolExecutor(4) as pool:
             list(pool.map(lambda _: enqueue(queue), range(8)))
         assert len(waiting_everywhere(redis_client)) == 1
+
+    def test_a_message_that_nobody_has_is_a_stray_and_can_be_dropped(self, redis_client: redis.Redis) -> None:
+        queue = RQQueue(redis_client)
+        enqueue(queue)
+        queue.enqueue_model(MODEL)
+        queue.enqueue_preview(PREVIEW)
+        assert queue.strays() == set()
+        redis_client.lpop("rq:queue:gaitway-any-normal")  # what a worker does, that then dies
+        [stray] = queue.strays()
+        assert job_of(stray) == JOB
+        strays = Strays(queue)
+        assert [strays.look(), strays.look()] == [0, 1]  # At the first look somebody may be taking it.
+        assert [key for key in redis_client.keys("*") if stray.encode() in key] == []
+        assert queue.contains_model(MODEL)
+        assert queue.contains_preview(PREVIEW.id)
+
+    def test_a_message_that_rq_forgets_by_itself_is_no_stray(self, redis_client: redis.Redis) -> None:
+        queue = RQQueue(redis_client)
+        enqueue(queue)
+        redis_client.lpop("rq:queue:gaitway-any-normal")
+        [stray] = queue.strays()
+        redis_client.expire(f"rq:job:{stray}", 60)
+        assert queue.strays() == set()
 
     def test_an_attempt_whose_worker_died_before_it_started_is_enqueued_again(
         self, redis_client: redis.Redis

@@ -12,7 +12,8 @@ from tests.faults.campaign.training import CHECKPOINT_EVERY, TOTAL, checkpoint, 
 from tests.faults.campaign.world import World
 
 _FINAL = ("succeeded", "failed", "cancelled")
-_SETTLING_S = 10.0
+# An idle worker clears up every half minute.
+_SETTLING_S = 35.0
 
 
 def check(world: World, users: Users) -> list[str]:

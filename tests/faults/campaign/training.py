@@ -70,9 +70,10 @@ def main() -> None:
             kept = step
     if kept != step:
         keep(f"checkpoint-{step:012d}.msgpack", "checkpoint", checkpoint_of(step, state), step)
-    if signal.SIGUSR1 not in asked:
+    leaves = signal.SIGUSR1 in asked
+    if not leaves:
         keep("policy", "policy", state.encode(), step)
-    say(type="finished", stopped=bool(asked) and step < total)
+    say(type="finished", stopped=leaves or (bool(asked) and step < total))
 
 
 def checkpoint_of(step: int, state: str) -> bytes:

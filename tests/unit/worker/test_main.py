@@ -9,10 +9,13 @@ from typing import Any
 import pytest
 from rq.exceptions import StopRequested
 
+from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs.store import WorkerInfo
 from core.settings import WorkerSettings
+from worker import locks
 from worker.main import GaitwayWorker
+from worker.spool import spool
 
 
 @pytest.fixture(autouse=True)
@@ -47,3 +50,24 @@ def test_a_worker_that_waits_for_a_job_goes_at_once(settings: WorkerSettings) ->
     signal.signal(signal.SIGTERM, worker.request_stop)
     with pytest.raises(StopRequested):
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_what_a_killed_work_horse_has_left_on_the_disk_is_removed(
+    settings: WorkerSettings, job_store: PostgresJobStore
+) -> None:
+    left, held = (settings.data_dir / "spool" / name for name in ("killed.1", "lives.1"))
+    left.mkdir(parents=True)
+    left.joinpath("checkpoint").write_bytes(b"x")
+    for name in ("killed", "lives"):
+        lock = settings.data_dir / "locks" / f"{name}.lock"
+        lock.parent.mkdir(exist_ok=True)
+        lock.touch()
+    worker = GaitwayWorker(settings, "cpu", job_store)
+    descriptor = locks.take(settings.data_dir / "locks" / "lives.lock")
+    assert descriptor is not None
+    with spool(held):
+        worker.heartbeat()
+        assert [path.name for path in (settings.data_dir / "locks").iterdir()] == ["lives.lock"]
+        assert held.is_dir()
+        assert not left.exists()
+    os.close(descriptor)
