@@ -23,6 +23,7 @@ log = structlog.get_logger()
 TRAINING = (sys.executable, "-m", "worker.training")
 _CODE = Path(__file__).resolve().parents[1]
 _LONGEST_LINE = 4000
+_LONGEST_MESSAGE = 2**20  # bytes
 # Whose process this is, for whoever looks for left-overs.
 _PASSED_ON = ("GAITWAY_STACK_ID",)
 # Other programs' settings of stores and accounts, and whatever calls itself a secret.
@@ -69,7 +70,7 @@ class TrainingProcess:
     def messages(self) -> Iterator[Message]:
         """What it says, in order. A line cut short by its death is passed over."""
         with self._messages as pipe:
-            for line in pipe:
+            for line in _lines(pipe, _LONGEST_MESSAGE):
                 try:
                     yield MESSAGE.validate_json(line)
                 except ValidationError:
@@ -78,7 +79,7 @@ class TrainingProcess:
     def lines(self) -> Iterator[str]:
         """What it and its libraries print, line by line, each cut to 4,000 characters."""
         with cast("IO[bytes]", self._child.stdout) as pipe:
-            for line in pipe:
+            for line in _lines(pipe, 4 * _LONGEST_LINE):
                 yield line.decode(errors="replace").rstrip("\n")[:_LONGEST_LINE]
 
     def poll(self, timeout_s: float) -> int | None:
@@ -139,6 +140,15 @@ def _modules(base: Mapping[str, str]) -> dict[str, str]:
     if _CODE.name in ("site-packages", "dist-packages"):
         return {}
     return {"PYTHONPATH": os.pathsep.join(filter(None, (str(_CODE), base.get("PYTHONPATH"))))}
+
+
+def _lines(pipe: IO[bytes], longest: int) -> Iterator[bytes]:
+    """The lines, each cut to so many bytes: one without an end must not fill the memory."""
+    while line := pipe.readline(longest):
+        rest = line
+        while len(rest) == longest and not rest.endswith(b"\n"):
+            rest = pipe.readline(longest)
+        yield line
 
 
 def _group_lives(group: int) -> bool:

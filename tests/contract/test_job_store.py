@@ -432,7 +432,7 @@ class TestModels:
         assert (jobs.undispatched(), jobs.waiting()) == ([], [])
         jobs.delete_model(MODEL)
 
-    def test_all_are_listed_and_one_that_cannot_be_read_hides_no_other(
+    def test_all_are_listed_and_one_that_cannot_be_read_is_refused_alone(
         self, jobs: JobStore, database: Database
     ) -> None:
         first, second, third = (model(MODEL.replace("0", digit)) for digit in "123")
@@ -441,8 +441,11 @@ class TestModels:
         assert jobs.models() == [first, second, third]
         database.change("UPDATE models SET description = '{}' WHERE id = %s", second.id)
         with capture_logs() as said:
-            assert jobs.models() == [first, third]
-        assert [(entry["event"], entry["model"]) for entry in said] == [("model_unreadable", second.id)]
+            assert [record.status for record in jobs.models()] == ["ready", "refused", "ready"]
+            found = jobs.find_model(second.id)
+        assert (found.status, found.description) == ("refused", None)
+        assert "send it again" in (found.message or "")
+        assert [(entry["event"], entry["model"]) for entry in said] == [("model_unreadable", second.id)] * 2
 
 
 class TestUnreadable:

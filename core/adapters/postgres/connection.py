@@ -1,11 +1,13 @@
 """Connections to PostgreSQL whose every call ends within seconds, also when the server is silent."""
 
+import select
 from typing import Any
 
 import psycopg
 from psycopg import errors
 from psycopg.conninfo import conninfo_to_dict
-from sqlalchemy import Engine, ExceptionContext, create_engine, event
+from sqlalchemy import Engine, create_engine, event
+from sqlalchemy.exc import InvalidatePoolError
 from sqlalchemy.pool import NullPool, QueuePool
 
 from core.errors import Misconfigured
@@ -67,10 +69,8 @@ def connect_postgres(url: str, *, pool_size: int = 10) -> Engine:
         pool_size=pool_size,
         max_overflow=2 * pool_size,
         pool_timeout=DEADLINE_S,
-        # A server that was restarted has closed what the pool holds.
-        pool_pre_ping=True,
     )
-    event.listen(engine, "handle_error", _do_not_wait_twice)
+    event.listen(engine, "checkout", _refuse_closed)
     return engine
 
 
@@ -89,7 +89,13 @@ def _is_readable(url: str) -> bool:
     return has_ports and not any("@" in str(parts.get(name)) for name in ("host", "dbname"))
 
 
-def _do_not_wait_twice(context: ExceptionContext) -> None:
-    """A ping that met silence is not followed by another connection, which would meet it too."""
-    if context.is_pre_ping and isinstance(context.original_exception, NoAnswer):
-        context.is_disconnect = False
+def _refuse_closed(connection: PromptConnection, *_: object) -> None:
+    """A server that was restarted has closed what the pool holds.
+
+    The end of a connection can be read from its socket without a round trip; an open one has nothing to say
+    between two statements.
+    """
+    poll = select.poll()  # Unlike `select`, it takes descriptors beyond 1023.
+    poll.register(connection.fileno(), select.POLLIN)
+    if poll.poll(0):
+        raise InvalidatePoolError

@@ -85,6 +85,7 @@ class PostgresJobStore:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
+        self._autocommit = engine.execution_options(isolation_level="AUTOCOMMIT")
         self._breaker = Breaker()
 
     def close(self) -> None:
@@ -92,7 +93,7 @@ class PostgresJobStore:
         self._engine.dispose()
 
     def now(self) -> datetime:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return connection.execute(select(_NOW)).scalar_one()
 
     # ---- jobs ------------------------------------------------------------------------------------
@@ -135,12 +136,12 @@ class PostgresJobStore:
         return True
 
     def remembered(self, idempotency: Idempotency) -> Job | None:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             job_id = _remembered(connection, idempotency)
             return None if job_id is None else _readable(_load(connection, job_id))
 
     def find(self, job_id: str) -> Job | UnreadableJob:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return _load(connection, check_job_id(job_id))
 
     def get(self, job_id: str) -> Job:
@@ -163,12 +164,12 @@ class PostgresJobStore:
 
     def list(self, query: JobQuery, *, cursor: str | None = None, limit: int = 50) -> Page:
         before = None if cursor is None else check_cursor(cursor)
-        with self._transaction() as connection:
+        with self._statements() as connection:
             found = _load_all(connection, listing.newest(connection, query, before, limit + 1))
         return Page(found[:limit], found[limit - 1].id if len(found) > limit else None)
 
     def users_of(self, model_id: str) -> Sequence[str]:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             wanted = select(jobs.c.id).where(jobs.c.status.in_(UNFINISHED), jobs.c.model == model_id)
             return connection.execute(wanted.order_by(jobs.c.id)).scalars().all()
 
@@ -176,28 +177,28 @@ class PostgresJobStore:
         wanted = select(jobs.c.id, jobs.c.source_step).where(
             jobs.c.status.in_(UNFINISHED), jobs.c.source == job_id
         )
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return [(row.id, row.source_step) for row in connection.execute(wanted.order_by(jobs.c.id))]
 
     def objects_named(self, job_ids: Collection[str]) -> Collection[str]:
         named = [select(table.c.key).where(table.c.job_id.in_(job_ids)) for table in (artifacts, chunks)]
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return set(connection.execute(union_all(*named)).scalars())
 
     def uncopied(self, *, limit: int) -> Sequence[Job | UnreadableJob]:
         wanted = select(jobs).where(jobs.c.copied_version != jobs.c.version, jobs.c.num_attempts > 0)
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return _load_all(connection, connection.execute(wanted.order_by(jobs.c.id).limit(limit)).all())
 
     def copied(self, job_id: str, version: int) -> bool:
         marked = update(jobs).where(jobs.c.id == job_id).values(copied_version=version).returning(jobs.c.id)
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return connection.execute(marked).first() is not None
 
     # ---- after a disaster ------------------------------------------------------------------------
 
     def chunks(self, job_ids: Collection[str]) -> Mapping[str, Sequence[Chunk]]:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return feeds.chunks_of(connection, job_ids)
 
     def restore(self, job: Job, *, replaces: int | None, note: str, chunks: Sequence[Chunk] = ()) -> None:
@@ -223,7 +224,7 @@ class PostgresJobStore:
     # ---- leases ----------------------------------------------------------------------------------
 
     def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             status = connection.execute(
                 update(jobs)
                 .where(jobs.c.id == job_id, jobs.c.token == token, jobs.c.token != "")
@@ -236,7 +237,7 @@ class PostgresJobStore:
 
     def expired(self) -> Iterable[Job]:
         wanted = select(jobs).where(jobs.c.status.in_(_HELD), _lease_is_over()).order_by(jobs.c.id)
-        with self._transaction() as connection:
+        with self._statements() as connection:
             found = _load_all(connection, connection.execute(wanted).all())
         return _without_unreadable(found)
 
@@ -269,7 +270,7 @@ class PostgresJobStore:
 
     def waiting(self) -> Sequence[Dispatch]:
         queued = select(jobs.c.id, jobs.c.num_attempts + 1).where(jobs.c.status == "queued", _is_due())
-        with self._transaction() as connection:
+        with self._statements() as connection:
             found = [Dispatch("attempt", *row) for row in connection.execute(queued.order_by(jobs.c.id))]
             return [*found, *models.waiting(connection)]
 
@@ -277,11 +278,11 @@ class PostgresJobStore:
         of_jobs = dispatches.outerjoin(jobs, dispatches.c.subject.collate("C") == jobs.c.id)
         wanted = select(dispatches).select_from(of_jobs).where(_is_due())
         wanted = wanted.order_by(dispatches.c.created_at).limit(1000)
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return [Dispatch(row.task, row.subject, row.attempt) for row in connection.execute(wanted)]
 
     def dispatched(self, dispatch: Dispatch) -> None:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             connection.execute(
                 delete(dispatches).where(
                     dispatches.c.task == dispatch.task,
@@ -319,7 +320,7 @@ class PostgresJobStore:
             return feeds.due(connection, max_bytes, max_age)
 
     def oldest_entries(self, job_id: str, channel: Channel, *, limit: int) -> Sequence[Entry]:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return feeds.entries_after(connection, job_id, channel, 0, limit)
 
     def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
@@ -328,14 +329,14 @@ class PostgresJobStore:
 
     def marks(self, job_ids: Collection[str]) -> Mapping[str, Mark]:
         wanted = select(jobs.c.id, jobs.c.version, jobs.c.num_events, jobs.c.num_logs)
-        with self._transaction() as connection:
+        with self._statements() as connection:
             found = connection.execute(wanted.where(jobs.c.id.in_(job_ids)))
             return {row.id: Mark(row.version, row.num_events, row.num_logs) for row in found}
 
     # ---- models ----------------------------------------------------------------------------------
 
     def find_model(self, model_id: str) -> ModelRecord:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return models.find(connection, model_id)
 
     def add_model(self, record: ModelRecord) -> None:
@@ -354,18 +355,18 @@ class PostgresJobStore:
             models.forget(connection, model_id)
 
     def num_waiting_models(self) -> int:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return len(models.waiting(connection))
 
     def models(self) -> Sequence[ModelRecord]:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             return models.every(connection)
 
     # ---- workers ---------------------------------------------------------------------------------
 
     def announce(self, worker: WorkerInfo, ttl: timedelta) -> None:
         said = {"said": worker.model_dump_json(), "gone_at": _NOW + rows.interval(ttl)}
-        with self._transaction() as connection:
+        with self._statements() as connection:
             connection.execute(
                 insert(workers)
                 .values(name=worker.name, **said)
@@ -373,12 +374,12 @@ class PostgresJobStore:
             )
 
     def withdraw(self, name: str) -> None:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             connection.execute(delete(workers).where(workers.c.name == name))
 
     def workers(self) -> Sequence[WorkerInfo]:
         wanted = select(workers.c.said).where(workers.c.gone_at > _NOW).order_by(workers.c.name)
-        with self._transaction() as connection:
+        with self._statements() as connection:
             said = connection.execute(wanted).scalars().all()
         return rows.read_workers(said)
 
@@ -388,7 +389,7 @@ class PostgresJobStore:
             connection.execute(delete(workers).where(workers.c.gone_at <= _NOW))
 
     def ping(self) -> None:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             connection.execute(select(pulse.c.id))
 
     # ---- inside ----------------------------------------------------------------------------------
@@ -396,6 +397,12 @@ class PostgresJobStore:
     @contextmanager
     def _transaction(self) -> Generator[Connection]:
         with self._breaker.reaching(), self._engine.connect() as connection, connection.begin():
+            yield connection
+
+    @contextmanager
+    def _statements(self) -> Generator[Connection]:
+        """Each statement is a transaction by itself; that saves the round trips of BEGIN and COMMIT."""
+        with self._breaker.reaching(), self._autocommit.connect() as connection:
             yield connection
 
     def _save(self, job: Job, *conditions: Any, lease: timedelta | None = None) -> None:

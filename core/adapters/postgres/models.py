@@ -1,6 +1,7 @@
 """The records of users' own models."""
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import structlog
@@ -15,6 +16,8 @@ from core.jobs.store import Dispatch
 from core.models.record import Description, ModelRecord
 
 log = structlog.get_logger()
+
+_UNREADABLE = "This version cannot read what was found out about it; send it again."
 
 
 def find(connection: Connection, model_id: str) -> ModelRecord:
@@ -55,14 +58,7 @@ def forget(connection: Connection, model_id: str) -> None:
 
 
 def every(connection: Connection) -> Sequence[ModelRecord]:
-    """All that this version understands: one that it does not hides no other."""
-    found: list[ModelRecord] = []
-    for row in connection.execute(select(models).order_by(models.c.id)):
-        try:
-            found.append(_record(row))
-        except ValidationError as error:
-            log.warning("model_unreadable", model=row.id, problem=str(error))
-    return found
+    return [_record(row) for row in connection.execute(select(models).order_by(models.c.id))]
 
 
 def waiting(connection: Connection) -> Sequence[Dispatch]:
@@ -82,5 +78,11 @@ def _values(record: ModelRecord) -> dict[str, Any]:
 def _record(row: Row[Any]) -> ModelRecord:
     said = dict(row._mapping)  # pyright: ignore[reportPrivateUsage] # Public, by SQLAlchemy's documentation.
     found = said.pop("description")
-    description = None if found is None else Description.model_validate_json(found)
+    try:
+        description = None if found is None else Description.model_validate_json(found)
+    except ValidationError as error:
+        log.warning("model_unreadable", model=row.id, problem=str(error))
+        # Of today, so that it is not forgotten as an old refusal is: another version may understand it.
+        said |= {"status": "refused", "message": _UNREADABLE, "refused_at": datetime.now(UTC)}
+        description = None
     return ModelRecord.model_validate({**said, "description": description})

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import worker
-from worker.process import environment
+from worker.process import TrainingProcess, environment
 
 ROOT = Path(worker.__file__).parents[1]
 
@@ -126,3 +126,14 @@ def test_a_gpu_is_numbered_as_its_device_files_are(tmp_path: Path) -> None:
 
 def test_a_process_on_several_gpus_sees_those(tmp_path: Path) -> None:
     assert environment("gpu:1,3", tmp_path, {})["CUDA_VISIBLE_DEVICES"] == "1,3"
+
+
+def test_a_line_without_an_end_is_cut_and_what_follows_is_heard(tmp_path: Path) -> None:
+    print_them = "print('x' * 10**6); print('after it')"
+    with Path(os.devnull).open() as lock:
+        process = TrainingProcess(
+            (sys.executable, "-c", print_them), tmp_path, tmp_path, "cpu", [lock.fileno()]
+        )
+    assert list(process.lines()) == ["x" * 4000, "after it"]
+    assert list(process.messages()) == []
+    assert process.poll(10) == 0
