@@ -33,7 +33,7 @@ ON_A_GPU = (
 PAGE, PICTURES = Path("docs/performance.md"), Path("docs/pictures")
 UNFINISHED = 75
 # Not among those that run when none is named.
-LONG = ("load", "outages", "soak", "memory")
+LONG = ("load", "outages", "recovery", "soak", "memory")
 
 
 def main() -> int:

@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Collection, Set
+from contextlib import suppress
 from datetime import timedelta
 from typing import Any
 
 from redis import Redis
 from rq import Queue
-from rq.exceptions import DuplicateJobError, NoSuchJobError
+from rq.exceptions import DuplicateJobError, InvalidJobOperation, NoSuchJobError
 from rq.job import Job as RQJob
 from rq.job import JobStatus as RQStatus
 from rq.serializers import JSONSerializer
@@ -111,7 +112,8 @@ class RQQueue:
             # RQ may know one that it has lost: its worker died between taking it and starting it.
             if not self._contains(rq_id):
                 self._remove(rq_id)
-                _push(queue, rq_id, task, args)
+                with suppress(DuplicateJobError):  # Of the API and the reconciler, the other was faster.
+                    _push(queue, rq_id, task, args)
 
     def _contains(self, rq_id: str) -> bool:
         found = self._find(rq_id)
@@ -127,7 +129,8 @@ class RQQueue:
     def _remove(self, rq_id: str) -> None:
         found = self._find(rq_id)
         if found is not None:
-            found.delete()
+            with suppress(InvalidJobOperation):  # Somebody else has removed it meanwhile.
+                found.delete()
 
     def _find(self, rq_id: str) -> RQJob | None:
         try:

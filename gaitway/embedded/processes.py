@@ -103,6 +103,13 @@ class ServerProcess:
         """What it has said since its start."""
         return self._log.read_text(errors="replace") if self._log.exists() else ""
 
+    def log_from(self, offset: int) -> bytes:
+        """The whole lines that it has said since its start, from that byte on."""
+        with self._log.open("rb") as log:
+            log.seek(offset)
+            said = log.read()
+        return said[: said.rfind(b"\n") + 1]
+
     def last_lines(self, count: int = 15) -> str:
         return "\n".join(self.log().splitlines()[-count:])
 

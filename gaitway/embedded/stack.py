@@ -22,6 +22,7 @@ from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free
 from gaitway.embedded.servers import EmbeddedServers
 from gaitway.embedded.stopped import StoppedProcesses
 from gaitway.embedded.version_01 import tell_if_left
+from gaitway.embedded.weed import Weed
 
 FIRST_PORT = 8000
 _PORTS_TRIED = 100
@@ -29,7 +30,7 @@ _GRACE_S = 30
 _WORKER = "worker-"
 _MOST_RESTARTS = 5  # in so many seconds:
 _RESTART_WINDOW_S = 60.0
-_LOOK_FOR_STOPPED_EVERY_S = 1.0
+_LOOK_CLOSER_EVERY_S = 1.0
 
 
 @dataclass
@@ -63,7 +64,8 @@ class Stack:
         self._tell = tell
         self._members: list[_Member] = []
         self._stopped = StoppedProcesses()
-        self._looked_for_stopped_at = time.monotonic()
+        self._looked_closer_at = time.monotonic()
+        self._weed: Weed | None = None
         self._interruption = Interruption()
         self._folder = data_dir
         self._lock: IO[str] | None = None
@@ -109,13 +111,13 @@ class Stack:
     def mend(self) -> None:
         """Start again what has ended by itself. Raises ServerFailed after five times in a minute.
 
-        A process that a signal has stopped for half a minute is ended, and then is one of these.
+        A process that a signal has stopped for half a minute is ended, and then is one of these. The object
+        store is started again, too, when its disk was full and has room again.
         """
         now = time.monotonic()
-        if now - self._looked_for_stopped_at >= _LOOK_FOR_STOPPED_EVERY_S:
-            self._looked_for_stopped_at = now
-            for sentence in self._stopped.end():
-                self._tell(sentence)
+        if now - self._looked_closer_at >= _LOOK_CLOSER_EVERY_S:
+            self._looked_closer_at = now
+            self._end_what_hangs()
         for member in self._members:
             if member.due_at is None and member.process.pid is None:
                 member.due_at = now + self._delay_s(member, now)
@@ -123,6 +125,15 @@ class Stack:
                 member.due_at = None
                 member.process.stop(grace_s=0)  # whatever it left in its group
                 member.launch()
+
+    def _end_what_hangs(self) -> None:
+        for sentence in self._stopped.end():
+            self._tell(sentence)
+        weed = self._weed
+        if weed is not None and weed.process.pid is not None and weed.needs_restart():
+            self._tell("A write of weed's failed, and it would not write again by itself: it is started again.")
+            weed.stop()
+            weed.launch()
 
     def _delay_s(self, member: _Member, now: float) -> float:
         name, lines = member.process.name, member.process.last_lines(8)
@@ -140,6 +151,7 @@ class Stack:
         self._lock = lock_folder(self._folder)
         tell_if_left(self._folder, self._tell)
         servers = EmbeddedServers(self._folder)
+        self._weed = servers.weed
         # PostgreSQL last: at the first start it makes its files, and returns then.
         for server in reversed(servers.all):
             self._add(_Member(server.process, server.launch, server.stop))

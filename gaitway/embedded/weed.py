@@ -1,6 +1,7 @@
 """An embedded SeaweedFS: the object store."""
 
 import os
+import re
 import secrets
 import shutil
 import sys
@@ -21,6 +22,10 @@ _OPTIONS = (
 _PROBE = "gaitway-is-this-store-ready"
 _PORT_TAKEN = ("Port allocation failed", "address already in use")
 _TRIES = 3
+# Its index of names, a LevelDB, writes no more after one write that failed, until it is opened again
+# (github.com/syndtr/goleveldb/pull/362). Opened again, it may need room for eight logs of 16 MiB.
+_INDEX_IS_STUCK = re.compile(rb"write \S*/filerldb2/\S+: ")
+_ROOM_TO_OPEN_BYTES = 8 * 16 * 2**20
 
 
 class _PortTaken(Exception):
@@ -38,6 +43,7 @@ class Weed:
         )
         self._ports: list[int] = []
         self.process = ServerProcess("weed", self._folder)
+        self._is_stuck, self._heard_bytes = False, 0
 
     @property
     def endpoint(self) -> str:
@@ -55,7 +61,15 @@ class Weed:
         arguments = [f"-dir={self._folder / 'data'}", *_OPTIONS, *ports]
         (self._folder / "data").mkdir(exist_ok=True)
         self.process.start([_binary(), "mini", *arguments], self._process_environment())
+        self._is_stuck, self._heard_bytes = False, 0
         return self
+
+    def needs_restart(self) -> bool:
+        """Whether it will not write before it is started again, and could then: its disk was full, and has room."""
+        said = self.process.log_from(self._heard_bytes)
+        self._heard_bytes += len(said)
+        self._is_stuck = self._is_stuck or _INDEX_IS_STUCK.search(said) is not None
+        return self._is_stuck and shutil.disk_usage(self._folder).free >= _ROOM_TO_OPEN_BYTES
 
     def wait_ready(self) -> Self:
         """Return when its bucket keeps objects. Raises ServerFailed."""

@@ -18,6 +18,7 @@ from tests.api.test_models import DESCRIPTION
 from tests.api.test_previews import announced
 
 _CONFIG = Path(__file__).with_name("schemathesis.toml")
+_ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.timeout(240)  # Twenty seconds, where nobody else is at work.
@@ -28,7 +29,7 @@ def test_whatever_is_sent_the_service_answers_as_its_document_says(stack: Stack,
         run = subprocess.run(
             [*command, "run", f"{stack.http.base_url}/openapi.json"],
             cwd=tmp_path,  # It leaves a folder where it runs.
-            env={**os.environ, "COLUMNS": "100"},
+            env={**os.environ, "COLUMNS": "100", "PYTHONPATH": str(_ROOT)},
             capture_output=True,
             text=True,
             timeout=200,

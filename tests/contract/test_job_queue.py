@@ -149,6 +149,17 @@ class TestRQ:
             list(pool.map(lambda _: enqueue(queue), range(8)))
         assert len(waiting_everywhere(redis_client)) == 1
 
+    def test_those_who_enqueue_a_lost_message_again_at_the_same_time_do_not_fail(
+        self, redis_client: redis.Redis
+    ) -> None:
+        queue = RQQueue(redis_client)
+        with ThreadPoolExecutor(4) as pool:
+            for _ in range(10):
+                enqueue(queue)
+                redis_client.delete("rq:queue:gaitway-any-normal")  # A worker took it, and died.
+                list(pool.map(lambda _: enqueue(queue), range(4)))
+                assert queue.contains(JOB, 1)
+
     def test_a_message_that_nobody_has_is_a_stray_and_can_be_dropped(self, redis_client: redis.Redis) -> None:
         queue = RQQueue(redis_client)
         enqueue(queue)

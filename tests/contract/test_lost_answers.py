@@ -1,5 +1,6 @@
 """A write whose answer was lost is sent again, and the second one changes nothing."""
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -43,44 +44,56 @@ class Unsure:
         self._url = url
         engine = connect_postgres(url)
         self.jobs = PostgresJobStore(engine)
-        self._commit = engine.dialect.do_commit
-        self._replace_commit = partial(monkeypatch.setattr, engine.dialect, "do_commit")
+        self._dialect = engine.dialect
+        self._commit, self._execute = engine.dialect.do_commit, engine.dialect.do_execute
+        self._replace = partial(monkeypatch.setattr, engine.dialect)
 
     @contextmanager
     def losing_answer(self) -> Iterator[None]:
         """The next write is committed, and then its connection breaks."""
-        with self._breaking(self._commit_and_break):
+        with self._breaking(self._end_and_break):
             yield
 
     @contextmanager
     def losing_request(self) -> Iterator[None]:
         """The server ends the connection of the next write before it is committed."""
-        with self._breaking(self._break_and_commit):
+        with self._breaking(self._break_and_end):
             yield
 
     @contextmanager
-    def _breaking(self, at_commit: Callable[[Any], None]) -> Iterator[None]:
-        self._replace_commit(at_commit)
+    def _breaking(self, at_end: Callable[[Any, Callable[[], None]], None]) -> Iterator[None]:
+        """at_end: what becomes of the step that commits: a COMMIT, or a statement that needs none."""
+
+        def commit(connection: Any) -> None:
+            end = partial(self._commit, connection)
+            at_end(connection.driver_connection, end) if _is_write(connection) else end()
+
+        def execute(cursor: Any, statement: str, *more: Any) -> None:
+            end = partial(self._execute, cursor, statement, *more)
+            is_write = cursor.connection.autocommit and re.search(r"\b(INSERT|UPDATE|DELETE)\b", statement)
+            at_end(cursor.connection, end) if is_write else end()
+
+        self._replace("do_commit", commit)
+        self._replace("do_execute", execute)
         with pytest.raises(RecordsUnavailable):
             yield
-        assert self.jobs._engine.dialect.do_commit == self._commit, "Nothing was written."
+        assert self._dialect.do_commit == self._commit, "Nothing was written."
 
-    def _commit_and_break(self, connection: Any) -> None:
-        is_write = _is_write(connection)
-        self._commit(connection)
-        if is_write:
-            self._replace_commit(self._commit)
-            connection.driver_connection.close()
-            raise psycopg.OperationalError("server closed the connection unexpectedly")
+    def _mend(self) -> None:
+        self._replace("do_commit", self._commit)
+        self._replace("do_execute", self._execute)
 
-    def _break_and_commit(self, connection: Any) -> None:
-        if _is_write(connection):
-            self._replace_commit(self._commit)
-            with psycopg.connect(self._url) as other:
-                other.execute(
-                    "SELECT pg_terminate_backend(%s, 5000)", [connection.driver_connection.info.backend_pid]
-                )
-        self._commit(connection)
+    def _end_and_break(self, connection: Any, end: Callable[[], None]) -> None:
+        end()
+        self._mend()
+        connection.close()
+        raise psycopg.OperationalError("server closed the connection unexpectedly")
+
+    def _break_and_end(self, connection: Any, end: Callable[[], None]) -> None:
+        self._mend()
+        with psycopg.connect(self._url) as other:
+            other.execute("SELECT pg_terminate_backend(%s, 5000)", [connection.info.backend_pid])
+        end()
 
 
 def _is_write(connection: Any) -> bool:

@@ -63,6 +63,8 @@ def calls(job: Job) -> Mapping[str, Call]:
         "restore": lambda jobs: jobs.restore(queued_job(), replaces=None, note="n"),
         "replace_chunk": lambda jobs: jobs.replace_chunk(job.id, CHUNK, CHUNK),
         "marks": lambda jobs: jobs.marks([job.id]),
+        "uncopied": lambda jobs: jobs.uncopied(limit=1),
+        "copied": lambda jobs: jobs.copied(job.id, job.version),
         "users_of": lambda jobs: jobs.users_of(MODEL),
         "borrowers_of": lambda jobs: jobs.borrowers_of(job.id),
         "objects_named": lambda jobs: jobs.objects_named([job.id]),
@@ -76,6 +78,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "model_dispatched": lambda jobs: jobs.model_dispatched(MODEL),
         "settle_model": lambda jobs: jobs.settle_model(model()),
         "delete_model": lambda jobs: jobs.delete_model(MODEL),
+        "num_waiting_models": lambda jobs: jobs.num_waiting_models(),
         "models": lambda jobs: jobs.models(),
     }
 

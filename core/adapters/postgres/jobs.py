@@ -1,10 +1,9 @@
 """The record in PostgreSQL."""
 
-import hashlib
 from collections import defaultdict
 from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from itertools import islice
 from typing import Any, NoReturn
@@ -15,6 +14,7 @@ from sqlalchemy import (
     Connection,
     Engine,
     and_,
+    bindparam,
     case,
     delete,
     func,
@@ -30,7 +30,7 @@ from sqlalchemy.exc import DataError, IntegrityError
 
 from core.adapters.cursors import check_cursor
 from core.adapters.entries import status_entry
-from core.adapters.postgres import feeds, listing, models, rows
+from core.adapters.postgres import addition, feeds, listing, models, rows
 from core.adapters.postgres.errors import Breaker
 from core.adapters.postgres.tables import (
     UNFINISHED,
@@ -63,10 +63,16 @@ from core.models.record import ModelRecord
 
 log = structlog.get_logger()
 
-REMEMBERED = timedelta(hours=24)
 _HELD = tuple(status.value for status in JobStatus if status.is_held)
 # The database's clock, as it goes on within a transaction.
 _NOW = func.clock_timestamp()
+# Built once: these are a part of every submission and every claim.
+_SELECT_NOW = select(_NOW)
+_DISPATCHED = delete(dispatches).where(
+    dispatches.c.task == bindparam("task"),
+    dispatches.c.subject == bindparam("subject"),
+    dispatches.c.attempt == bindparam("attempt"),
+)
 # So many entries at once take a fraction of a call's time limit.
 _BATCH = 1000
 
@@ -94,24 +100,22 @@ class PostgresJobStore:
 
     def now(self) -> datetime:
         with self._statements() as connection:
-            return connection.execute(select(_NOW)).scalar_one()
+            return connection.execute(_SELECT_NOW).scalar_one()
 
     # ---- jobs ------------------------------------------------------------------------------------
 
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
         try:
-            with self._transaction() as connection:
-                if idempotency is not None:
-                    # Two submissions with one key wait for each other here.
-                    connection.execute(select(func.pg_advisory_xact_lock(_lock_of(idempotency))))
-                    if (earlier := _remembered(connection, idempotency)) is not None:
-                        return _readable(_load(connection, earlier))
-                _insert(connection, job)
-                if idempotency is not None:
-                    _remember(connection, idempotency, job.id)
+            # A job that was never tried is one statement.
+            has_past = bool(job.attempts or job.artifacts)
+            with self._transaction() if has_past else self._statements() as connection:
+                if _insert(connection, job, idempotency):
+                    return job
         except IntegrityError:
             raise JobExists(job.id) from None
-        return job
+        assert idempotency is not None  # noqa: S101
+        # Forgotten between the two: the earlier job was deleted.
+        return self.remembered(idempotency) or self.add(job, idempotency)
 
     def import_job(
         self, job: Job, events: Iterable[Entry], logs: Iterable[Entry], keys: Sequence[SeenKey] = ()
@@ -283,13 +287,7 @@ class PostgresJobStore:
 
     def dispatched(self, dispatch: Dispatch) -> None:
         with self._statements() as connection:
-            connection.execute(
-                delete(dispatches).where(
-                    dispatches.c.task == dispatch.task,
-                    dispatches.c.subject == dispatch.subject,
-                    dispatches.c.attempt == dispatch.attempt,
-                )
-            )
+            connection.execute(_DISPATCHED, asdict(dispatch))
 
     # ---- feeds -----------------------------------------------------------------------------------
 
@@ -436,10 +434,12 @@ def _replace(
     return changed.status
 
 
-def _insert(connection: Connection, job: Job) -> None:
-    connection.execute(insert(jobs).values(rows.new_job_values(job)))
-    _write_details(connection, None, job)
-    _update_dispatch(connection, job)
+def _insert(connection: Connection, job: Job, idempotency: Idempotency | None = None) -> bool:
+    """Whether it was added; not where its key is remembered."""
+    is_new = addition.add(connection, job, idempotency)
+    if is_new:
+        _write_details(connection, None, job)
+    return is_new
 
 
 def _append_all(connection: Connection, job_id: str, channel: Channel, entries: Iterable[Entry]) -> None:
@@ -574,7 +574,8 @@ def _without_unreadable(found: Iterable[Job | UnreadableJob]) -> list[Job]:
 def _remembered(connection: Connection, idempotency: Idempotency) -> str | None:
     row = connection.execute(
         select(idempotency_keys).where(
-            idempotency_keys.c.key_hash == _hash(idempotency.key), idempotency_keys.c.forgotten_at > _NOW
+            idempotency_keys.c.key_hash == addition.hashed(idempotency.key),
+            idempotency_keys.c.forgotten_at > _NOW,
         )
     ).first()
     if row is None:
@@ -582,19 +583,6 @@ def _remembered(connection: Connection, idempotency: Idempotency) -> str | None:
     if row.fingerprint != idempotency.fingerprint:
         raise IdempotencyKeyReused(idempotency.key)
     return row.job_id
-
-
-def _remember(connection: Connection, idempotency: Idempotency, job_id: str) -> None:
-    said = {
-        "fingerprint": idempotency.fingerprint,
-        "job_id": job_id,
-        "forgotten_at": _NOW + REMEMBERED,
-    }
-    connection.execute(
-        insert(idempotency_keys)
-        .values(key_hash=_hash(idempotency.key), **said)
-        .on_conflict_do_update(index_elements=["key_hash"], set_=said)
-    )
 
 
 def _remember_seen(connection: Connection, key: SeenKey, job_id: str) -> None:
@@ -609,12 +597,3 @@ def _remember_seen(connection: Connection, key: SeenKey, job_id: str) -> None:
         )
         .on_conflict_do_nothing()
     )
-
-
-def _hash(key: str) -> str:
-    return hashlib.sha256(key.encode("utf-8", "surrogatepass")).hexdigest()
-
-
-def _lock_of(idempotency: Idempotency) -> int:
-    """A number for PostgreSQL's advisory locks: 64 bits with a sign."""
-    return int(_hash(idempotency.key)[:16], 16) - 2**63

@@ -175,6 +175,8 @@ class World:
         finally:
             self._ready.set()
         while not self._over.wait(_GLANCE_S) and self._failure is None:
+            if self.weed.process.pid is not None and self.weed.needs_restart():
+                self.weed.stop()  # As the stack does it.
             for member in self.members.values():
                 if member.pid() is None:
                     with suppress(Exception):  # Tried again at the next glance.
