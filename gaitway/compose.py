@@ -116,6 +116,21 @@ def _remembered_word(path: Path) -> str:
     return path.read_text()
 
 
+# As `gaitway.embedded.weed` does it: after a write of its index of names that failed, weed writes no more and
+# says so at each try. Once its disk has room (128 MiB) it is ended, and the container engine starts it again.
+_ENDED_WHEN_STUCK = r"""said=$(mktemp -d)/said
+mkfifo "$said"
+while IFS= read -r line; do
+    printf '%s\n' "$line" >&2
+    case $line in
+    *'write '*/filerldb2/*': '*)
+        if [ "$(df -Pk . | awk 'NR == 2 { print $4 }')" -gt 131072 ]; then kill $$; fi ;;
+    esac
+done < "$said" &
+exec "$@" 2> "$said"
+"""
+
+
 def _starting_weed(keys: Mapping[str, str]) -> str:
     """A script that starts what it is given, with keys that no list of processes shows."""
     variables = weed_environment(
@@ -126,7 +141,7 @@ def _starting_weed(keys: Mapping[str, str]) -> str:
         SECRETS / _INNER_KEY,
     )
     lines = [f"export {name}='{value}'\n" for name, value in variables.items()]
-    return "".join([*lines, 'exec "$@"\n'])
+    return "".join([*lines, _ENDED_WHEN_STUCK])
 
 
 def main(arguments: Sequence[str]) -> int:

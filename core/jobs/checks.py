@@ -1,10 +1,10 @@
 """What can be known to be wrong before a job is stored: each refusal names the place and the way out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from core.algorithms.catalog import ALGORITHMS
-from core.algorithms.spec import check_resumption, resolve
+from core.algorithms.spec import BaseSpec, check_resumption, resolve
 from core.devices import gpu_indices
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
@@ -104,9 +104,12 @@ def _row_of(info: EnvironmentInfo, description: Description) -> EnvironmentInfo:
 
 
 def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
-    for device in DEVICES[spec.resources.kind]:
-        resolve(spec.algorithm, info, device).check_sharing(spec.resources.gpus)
-    _check_memory(spec, info, store)
+    resolved: dict[Device, BaseSpec] = {
+        device: resolve(spec.algorithm, info, device) for device in DEVICES[spec.resources.kind]
+    }
+    for settings in resolved.values():
+        settings.check_sharing(spec.resources.gpus)
+    _check_memory(spec, info, resolved, store)
     if spec.resume_from is not None:
         source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
         _check_fields(spec, store.get(spec.resume_from.job))
@@ -114,11 +117,12 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
         _check_fit(spec, info, store.get(spec.resume_from.job))
 
 
-def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
+def _check_memory(
+    spec: TrainSpec, info: EnvironmentInfo, resolved: Mapping[Device, BaseSpec], store: JobStore
+) -> None:
     """Refuses what cannot fit on the device of any worker there is; one that does not tell may be larger."""
     needs = {
-        device: resolve(spec.algorithm, info, device).least_memory(info, spec.resources.gpus)
-        for device in DEVICES[spec.resources.kind]
+        device: settings.least_memory(info, spec.resources.gpus) for device, settings in resolved.items()
     }
     if max(need.bytes for need in needs.values()) < _HARMLESS_BYTES:
         return

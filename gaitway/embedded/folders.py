@@ -24,12 +24,12 @@ def private_folder(folder: Path) -> Path:
 
 
 def _not_ours(folder: Path, error: PermissionError) -> str:
-    owner = "another user"
+    reason = "it, or a folder above it, belongs to another user"
     with suppress(OSError, KeyError):
-        owner = folder.owner()
+        reason = f"it belongs to {folder.owner()}"
     return (
-        f"{folder} cannot be used ({error.strerror}): it belongs to {owner}. Name another folder by --data, "
-        "or start as that user."
+        f"{folder} cannot be used ({error.strerror}): {reason}. Name another folder by --data, or start as "
+        "that user."
     )
 
 

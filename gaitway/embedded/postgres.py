@@ -48,7 +48,7 @@ class Postgres:
     """
 
     def __init__(self, folder: Path, *, durable: bool = True) -> None:
-        self._folder = _claimed(folder)
+        self._folder = private_folder(folder)
         self._data = self._folder / "data"
         self._durable = durable
         self._socket_folder = self._folder
@@ -211,17 +211,6 @@ def _server_user() -> pwd.struct_passwd:
         return pwd.getpwnam("postgres")
     except KeyError:
         return pwd.getpwnam("nobody")
-
-
-def _claimed(folder: Path) -> Path:
-    """The absolute folder, made if need be. Raises ServerFailed where it is another user's."""
-    try:
-        return private_folder(folder)
-    except PermissionError:
-        raise ServerFailed(
-            f"You may not use {folder}: it, or a folder above it, belongs to another user. Start as that "
-            "user (as root, if root started it before), or choose another folder."
-        ) from None
 
 
 def _hand_over(folder: Path) -> None:

@@ -131,7 +131,9 @@ class Stack:
             self._tell(sentence)
         weed = self._weed
         if weed is not None and weed.process.pid is not None and weed.needs_restart():
-            self._tell("A write of weed's failed, and it would not write again by itself: it is started again.")
+            self._tell(
+                "A write of weed's failed, and it would not write again by itself: it is started again."
+            )
             weed.stop()
             weed.launch()
 

@@ -24,7 +24,7 @@ _PORT_TAKEN = ("Port allocation failed", "address already in use")
 _TRIES = 3
 # Its index of names, a LevelDB, writes no more after one write that failed, until it is opened again
 # (github.com/syndtr/goleveldb/pull/362). Opened again, it may need room for eight logs of 16 MiB.
-_INDEX_IS_STUCK = re.compile(rb"write \S*/filerldb2/\S+: ")
+_INDEX_IS_STUCK = re.compile(rb"write .*/filerldb2/\S+: ")
 _ROOM_TO_OPEN_BYTES = 8 * 16 * 2**20
 
 
@@ -65,7 +65,7 @@ class Weed:
         return self
 
     def needs_restart(self) -> bool:
-        """Whether it will not write before it is started again, and could then: its disk was full, and has room."""
+        """Whether it writes no more until it is started again, and can be: a full disk has room again."""
         said = self.process.log_from(self._heard_bytes)
         self._heard_bytes += len(said)
         self._is_stuck = self._is_stuck or _INDEX_IS_STUCK.search(said) is not None

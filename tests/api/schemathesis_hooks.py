@@ -8,7 +8,7 @@ _OF_THESE_ONE = 10
 _number = count()
 
 
-# Its pages of options give `POST /jobs` three of four of all requests, most of them a field of the wrong type.
+# Of what is made up three in four are for this operation, most of them one option of the wrong type each.
 @schemathesis.hook("filter_case").apply_to(path="/jobs", method="POST")
 def a_part_of_the_coverage(_: schemathesis.HookContext, case: schemathesis.Case) -> bool:
     is_coverage = case.meta is not None and case.meta.phase.name.value == "coverage"

@@ -30,7 +30,7 @@ def announced(stack: Stack, device: str = "cpu") -> None:
     info = WorkerInfo(
         name="w", host="h", pid=1, device=device, queues=queue_names(device), started_at=NOON, seen_at=NOON
     )
-    stack.store.announce(info, timedelta(minutes=1))
+    stack.store.announce(info, timedelta(hours=1))
 
 
 @contextmanager

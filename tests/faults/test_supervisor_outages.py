@@ -128,12 +128,10 @@ def test_a_drain_without_the_object_store_gives_the_job_back_within_the_grace_ti
     with bench.outage(name):
         thread = threading.Thread(target=supervisor.run)
         thread.start()
+        wait_until(lambda: bench.store.get(job.id).status == JobStatus.RUNNING)
         (bench.settings.data_dir / "go").touch()
         if behaviour == "is_filmed":  # It has finished, and waits for the store.
-            wait_until(lambda: (bench.settings.data_dir / "locks").exists())
             wait_until(bench.training_has_ended)
-        else:
-            wait_until(lambda: bench.store.get(job.id).status == JobStatus.RUNNING)
         supervisor.draining.set()
         told = time.monotonic()
         thread.join(20)

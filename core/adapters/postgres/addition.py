@@ -5,6 +5,7 @@ It is built once. Most of a submission's time would go into BEGIN, COMMIT and bu
 
 import hashlib
 from datetime import timedelta
+from functools import cache
 from typing import Any
 
 from sqlalchemy import Boolean, Connection, bindparam, exists, func, literal, select
@@ -26,15 +27,12 @@ def add(connection: Connection, job: Job, idempotency: Idempotency | None) -> bo
 
     Of two submissions with one key, the second waits until the first is committed or rolled back.
     """
-    values = {
-        **rows.new_job_values(job),
-        "attempt": job.next_attempt,
-        "is_queued": job.status == JobStatus.QUEUED,
-    }
-    if idempotency is None:
-        return connection.execute(_ADD, values).first() is not None
-    key = {"key_hash": hashed(idempotency.key), "fingerprint": idempotency.fingerprint}
-    return connection.execute(_ADD_WITH_KEY, {**values, **key}).first() is not None
+    row = rows.new_job_values(job)
+    values = {**row, "attempt": job.next_attempt, "is_queued": job.status == JobStatus.QUEUED}
+    if idempotency is not None:
+        values |= {"key_hash": hashed(idempotency.key), "fingerprint": idempotency.fingerprint}
+    statement = _statement(tuple(row), has_key=idempotency is not None)
+    return connection.execute(statement, values).first() is not None
 
 
 def hashed(key: str) -> str:
@@ -42,9 +40,12 @@ def hashed(key: str) -> str:
     return hashlib.sha256(key.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def _statement(*conditions: Any) -> Any:
-    columns = [jobs.c[name] for name in rows.NEW_JOB]
-    new = select(*(bindparam(column.name, type_=column.type) for column in columns)).where(*conditions)
+@cache
+def _statement(names: tuple[str, ...], *, has_key: bool) -> Any:
+    columns = [jobs.c[name] for name in names]
+    new = select(*(bindparam(column.name, type_=column.type) for column in columns))
+    if has_key:
+        new = new.where(exists(select(_new_key().c.job_id)))
     job = insert(jobs).from_select(columns, new).returning(jobs.c.id).cte("job")
     attempt = bindparam("attempt", type_=dispatches.c.attempt.type)
     waits = select(literal("attempt"), job.c.id, attempt, _NOW).where(bindparam("is_queued", type_=Boolean))
@@ -67,7 +68,3 @@ def _new_key() -> Any:
         .returning(idempotency_keys.c.job_id)
         .cte("key")
     )
-
-
-_ADD = _statement()
-_ADD_WITH_KEY = _statement(exists(select(_new_key().c.job_id)))

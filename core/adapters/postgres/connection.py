@@ -8,7 +8,7 @@ from psycopg import errors
 from psycopg.conninfo import conninfo_to_dict
 from sqlalchemy import Engine, create_engine, event
 from sqlalchemy.exc import InvalidatePoolError
-from sqlalchemy.pool import NullPool, QueuePool
+from sqlalchemy.pool import ConnectionPoolEntry, NullPool, QueuePool
 
 from core.errors import Misconfigured
 
@@ -89,13 +89,14 @@ def _is_readable(url: str) -> bool:
     return has_ports and not any("@" in str(parts.get(name)) for name in ("host", "dbname"))
 
 
-def _refuse_closed(connection: PromptConnection, *_: object) -> None:
+def _refuse_closed(connection: PromptConnection, record: ConnectionPoolEntry, _: object) -> None:
     """A server that was restarted has closed what the pool holds.
 
     The end of a connection can be read from its socket without a round trip; an open one has nothing to say
     between two statements.
     """
+    is_new, record.info["was_used"] = "was_used" not in record.info, True
     poll = select.poll()  # Unlike `select`, it takes descriptors beyond 1023.
     poll.register(connection.fileno(), select.POLLIN)
-    if poll.poll(0):
+    if not is_new and poll.poll(0):
         raise InvalidatePoolError

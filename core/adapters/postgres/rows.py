@@ -56,14 +56,6 @@ def new_job_values(job: Job) -> Values:
     }
 
 
-# Their names.
-NEW_JOB = (
-    *("version", "status", "reason", "message", "started_at", "finished_at", "not_before", "token"),
-    *("num_attempts", "id", "kind", "environment", "name", "labels", "model", "source", "source_step"),
-    *("spec", "created_at", "progress"),
-)
-
-
 def _text(value: object) -> str | None:
     return value if isinstance(value, str) else None
 

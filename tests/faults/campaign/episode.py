@@ -34,7 +34,7 @@ def run(world: World, seed: int) -> Outcome:
     users = Users(world.url, NUM_JOBS, rng)
     _happen(world, faults, started)
     world.heal()
-    late = users.wait(_END_WITHIN_S)
+    late = users.wait(_END_WITHIN_S + max(fault.aftermath_s for fault in faults))
     broken = [f"a user was never told the end: {name}" for name in late]
     try:
         world.wait_ready()

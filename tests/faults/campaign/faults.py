@@ -13,13 +13,14 @@ from tests.faults.campaign.world import DISKS, PARTIES, SERVERS, STORES, World
 
 @dataclass(frozen=True)
 class Fault:
-    """at_s, lasts_s: seconds from the episode's start, and until it is undone."""
+    """at_s, lasts_s: seconds from the episode's start, and until it is undone. aftermath_s: from then on."""
 
     name: str
     at_s: float
     lasts_s: float
     do: Callable[[World], None]
     undo: Callable[[World], None] = lambda world: None
+    aftermath_s: float = 0.0
 
 
 def draw(rng: random.Random, within_s: float) -> list[Fault]:
@@ -111,7 +112,9 @@ def _disk_full(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
         if name in world.disks:
             world.disks[name].free()
 
-    return Fault(f"disk of {name} full for {lasts_s:g} s", at_s, lasts_s, fill, free)
+    # SeaweedFS looks once a minute whether its disk has room, and believes what it saw until the next look.
+    aftermath_s = 70.0 if name == "weed" else 0.0
+    return Fault(f"disk of {name} full for {lasts_s:g} s", at_s, lasts_s, fill, free, aftermath_s)
 
 
 def _clock_step(rng: random.Random, at_s: float, lasts_s: float) -> Fault:

@@ -249,7 +249,7 @@ class TestFailure:
         folder.mkdir()
         os.seteuid(pwd.getpwnam("nobody").pw_uid)
         try:
-            with pytest.raises(ServerFailed, match=r"You may not use .*/postgres: it, or a folder above"):
+            with pytest.raises(ServerFailed, match=r"/postgres cannot be used .*: it, or a folder above"):
                 Postgres(folder)
         finally:
             os.seteuid(0)

@@ -35,7 +35,8 @@ folder = Path(sys.argv[1])
 disk = Disk(folder, 512)
 with Weed(folder) as weed:
     keys = weed.access_key, weed.secret_key
-    store = S3ObjectStore(connect_s3(weed.endpoint, *keys, secure=False, region=REGION, retries=0), weed.bucket)
+    client = connect_s3(weed.endpoint, *keys, secure=False, region=REGION, retries=0)
+    store = S3ObjectStore(client, weed.bucket)
     store.put("kept/first", b"first")
     disk.fill()
     kept = 1

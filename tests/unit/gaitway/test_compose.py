@@ -1,6 +1,7 @@
 import json
 import re
 import shlex
+import signal
 import stat
 import subprocess
 from collections.abc import Mapping
@@ -111,6 +112,22 @@ def test_weed_is_started_with_the_keys_that_the_settings_have(tmp_path: Path) ->
     shown = subprocess.check_output(["sh", str(tmp_path / "objects.sh"), "env"], text=True)
     assert f"AWS_ACCESS_KEY_ID={(tmp_path / 'gaitway_s3_access_key').read_text()}\n" in shown
     assert f"AWS_SECRET_ACCESS_KEY={(tmp_path / 'gaitway_s3_secret_key').read_text()}\n" in shown
+
+
+def test_weed_is_ended_when_only_a_new_start_lets_it_write_again(tmp_path: Path) -> None:
+    compose.setup(tmp_path, {}, tmp_path / "database.password")
+    line = "insert entry /a: write /data/filerldb2/04/000001.log: no space left on device"
+    started = [
+        "sh",
+        str(tmp_path / "objects.sh"),
+        "sh",
+        "-c",
+        f"echo a line >&2; echo '{line}' >&2; exec sleep 60",
+    ]
+    ended = subprocess.run(
+        started, cwd=tmp_path, capture_output=True, text=True, timeout=20, check=False, start_new_session=True
+    )
+    assert (ended.returncode, ended.stderr) == (-signal.SIGTERM, f"a line\n{line}\n")
 
 
 def test_a_worker_elsewhere_is_told_the_shared_address(tmp_path: Path) -> None:
