@@ -104,6 +104,14 @@ def database_url(databases: Databases) -> str:
 
 
 @pytest.fixture
+def changes_tables(databases: Databases, database_url: str) -> Iterator[None]:
+    """For a test that changes more than rows: nobody after it gets its database."""
+    yield
+    databases.drop(database_url)
+    databases.shared = ""
+
+
+@pytest.fixture
 def job_store(database_url: str) -> Iterator[PostgresJobStore]:
     """The record, empty."""
     store = PostgresJobStore(connect_postgres(database_url))

@@ -81,12 +81,16 @@ def test_a_model_that_waits_and_was_lost_is_queued_again(jobs: JobStore, objects
     assert (queue.take_model(), queue.take_model()) == (waiting.id, None)
 
 
-def test_a_record_that_cannot_be_read_hides_no_other(
+def test_a_record_that_cannot_be_read_is_shown_as_refused_and_not_forgotten(
     jobs: JobStore, database_url: str, objects: ObjectStore
 ) -> None:
     other = kept(jobs, objects, "ready", b"of another version")
     refused = kept(jobs, objects, "refused", XML)
     with connect_postgres(database_url, pool_size=0).begin() as connection:
         connection.execute(update(models).where(models.c.id == other.id).values(status="glowing"))
-    assert [record.id for record in jobs.models()] == [refused.id]
+    assert {record.id: record.status for record in jobs.models()} == {
+        refused.id: "refused",
+        other.id: "refused",
+    }
     assert tidied(jobs, objects, 2 * DAY) == 1
+    assert [record.id for record in jobs.models()] == [other.id]

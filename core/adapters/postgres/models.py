@@ -80,9 +80,9 @@ def _record(row: Row[Any]) -> ModelRecord:
     found = said.pop("description")
     try:
         description = None if found is None else Description.model_validate_json(found)
+        return ModelRecord.model_validate({**said, "description": description})
     except ValidationError as error:
         log.warning("model_unreadable", model=row.id, problem=str(error))
         # Of today, so that it is not forgotten as an old refusal is: another version may understand it.
         said |= {"status": "refused", "message": _UNREADABLE, "refused_at": datetime.now(UTC)}
-        description = None
-    return ModelRecord.model_validate({**said, "description": description})
+        return ModelRecord.model_validate({**said, "description": None})
