@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -66,6 +67,7 @@ class Postgres:
         options = {**_OPTIONS, **({} if self._durable else _NOT_DURABLE)}
         options["unix_socket_directories"] = str(self._socket_folder)
         arguments = [part for name, value in options.items() for part in ("-c", f"{name}={value}")]
+        _end_orphans(self._data)
         self.process.start(
             [binary("postgres"), "-D", str(self._data), *arguments],
             _environment(),
@@ -239,6 +241,29 @@ def _is_stale(lock_file: Path, data: Path) -> bool:
         return True
     except (FileNotFoundError, ValueError, psutil.NoSuchProcess, psutil.AccessDenied):
         return False  # PostgreSQL itself knows what to do
+
+
+def _end_orphans(data: Path) -> None:
+    """End what a server that was killed has left: a stopped process never learns of its death.
+
+    It would hold the folder's lock and the server's memory for ever.
+    """
+    try:
+        pid = int((data / "postmaster.pid").read_text().split("\n", 1)[0])
+    except (OSError, ValueError):
+        return
+    if not _stands_in(pid, data):
+        for process in psutil.process_iter():
+            if _stands_in(process.pid, data):
+                with suppress(psutil.Error):
+                    process.kill()
+
+
+def _stands_in(pid: int, folder: Path) -> bool:
+    try:
+        return psutil.Process(pid).cwd() == str(folder)
+    except psutil.Error:
+        return False
 
 
 @cache

@@ -139,7 +139,7 @@ class TestRestart:
         with server:
             assert read(server) == [0, 1, 2, 3, 4]
 
-    def test_a_start_waits_for_a_query_that_outlives_the_killed_server(
+    def test_a_start_ends_a_query_that_outlives_the_killed_server(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("gaitway.embedded.processes.LOCK_PATIENCE_S", 60)
@@ -155,6 +155,22 @@ class TestRestart:
                 assert has_ended(client.info.backend_pid)
                 assert read(server) == [1]
             query.join()
+
+    def test_processes_that_a_signal_had_stopped_when_the_server_was_killed_are_ended(
+        self, tmp_path: Path
+    ) -> None:
+        server = Postgres(tmp_path, durable=False)
+        with server:
+            write(server, 1)
+            children = psutil.Process(server.process.pid).children()
+            for child in children:
+                with suppress(psutil.NoSuchProcess):  # Some live for a moment only.
+                    child.suspend()
+            kill(server)
+            server.process.stop(0)
+            server.launch().wait_ready()
+            assert read(server) == [1]
+        assert not any(child.is_running() for child in children)
 
     def test_a_process_that_got_the_killed_servers_id_is_no_hindrance(self, tmp_path: Path) -> None:
         with Postgres(tmp_path, durable=False) as server:
