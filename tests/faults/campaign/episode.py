@@ -17,7 +17,7 @@ from tests.faults.campaign.checker import check
 from tests.faults.campaign.clients import Users
 from tests.faults.campaign.disks import take_own_mounts
 from tests.faults.campaign.faults import Fault, draw
-from tests.faults.campaign.runner import Outcome
+from tests.faults.campaign.runner import READY, Outcome
 from tests.faults.campaign.world import PARTIES, World
 from worker.lifeline import die_with_parent
 
@@ -73,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with World(**places, has_own_mounts=has_own_mounts) as world:
         if not world.clocks:
             print("No C compiler: instead of clocks, the times that are stored move.", file=sys.stderr)
+        if given.serve is not None:
+            print(READY, end="", flush=True)
         for seed in seeds:
             outcome = run(world, seed)
             is_broken |= bool(outcome.broken)

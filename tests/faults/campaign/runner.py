@@ -15,6 +15,9 @@ from typing import Self
 _ROOT = __file__.rpartition("/tests/")[0]
 # No world runs on what hundreds of episodes have left.
 _EPISODES_OF_A_WORLD = 50
+_TRIES = 3
+# What a process says once its world is there.
+READY = "ready\n"
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,15 @@ class Runner:
     """A world in a process that ends with the thread that entered this, and all in it with that process."""
 
     def __enter__(self) -> Self:
+        for _ in range(_TRIES):
+            self._start()
+            assert self._child.stdout is not None
+            if self._child.stdout.readline() == READY:
+                return self
+            self.__exit__()  # Somebody took a port between the look and the start; stderr says what it was.
+        raise RuntimeError(f"No world could be started, {_TRIES} times.")
+
+    def _start(self) -> None:
         self._folder = tempfile.mkdtemp(prefix="gw-")
         self._child = subprocess.Popen(
             [sys.executable, "-m", "tests.faults.campaign.episode", "--serve", self._folder],
@@ -48,7 +60,6 @@ class Runner:
             stdout=subprocess.PIPE,
             text=True,
         )
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._child.communicate()  # It ends when there are no more seeds.
@@ -100,8 +111,10 @@ def _work(
         while seed is not None:
             with Runner() as runner:
                 for _ in range(_EPISODES_OF_A_WORLD):
-                    done.put(runner.run(seed))
-                    if (seed := todo.get()) is None:
+                    outcome = runner.run(seed)
+                    done.put(outcome)
+                    seed = todo.get()
+                    if seed is None or outcome.broken:  # The next one shall not suffer for it.
                         break
         done.put(None)
     except BaseException as error:

@@ -170,7 +170,7 @@ class TestRestart:
             server.process.stop(0)
             server.launch().wait_ready()
             assert read(server) == [1]
-        assert not any(child.is_running() for child in children)
+        assert all(has_ended(child.pid) for child in children)
 
     def test_a_process_that_got_the_killed_servers_id_is_no_hindrance(self, tmp_path: Path) -> None:
         with Postgres(tmp_path, durable=False) as server:
