@@ -92,7 +92,11 @@ class GaitwayWorker(rq.Worker):
         self.announce()
 
     def dequeue_job_and_maintain_ttl(self, *args: Any, **kwargs: Any) -> Any:
-        """The next job, once the device is known to work."""
+        """The next job, once the device is known to work; None where the worker has to go."""
+        # RQ only notes a stop that comes before this, and would not look again before the next job.
+        self._state = rq.worker.WorkerStatus.IDLE
+        if self._stop_requested:
+            return None
         self._wait_for_device()
         return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
 

@@ -65,6 +65,7 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
         process.wait(10)
     finally:
         process.kill()
+        process.wait()
 
 
 @pytest.fixture

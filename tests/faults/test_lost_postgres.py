@@ -1,6 +1,7 @@
 """PostgreSQL is silent, away, or dies with an answer: who works keeps the job, who is dead loses it, once."""
 
 import random
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -212,6 +213,8 @@ class LostAnswers:
         self.num_left = 0
         self._commit = PromptConnection.commit
         patch.setattr(PromptConnection, "commit", lambda connection: self._commit_and_die(connection))
+        self._execute = psycopg.Cursor.execute
+        patch.setattr(psycopg.Cursor, "execute", lambda *sent, **more: self._execute_and_die(*sent, **more))
 
     def next(self) -> None:
         self.num_left += 1
@@ -220,7 +223,17 @@ class LostAnswers:
         row = connection.execute("SELECT pg_current_xact_id_if_assigned()").fetchone()
         assert row is not None
         self._commit(connection)
-        if row[0] is not None and self.num_left:
+        if row[0] is not None:
+            self._die_if_due(connection)
+
+    def _execute_and_die(self, cursor: "psycopg.Cursor[Any]", query: Any, *more: Any, **named: Any) -> Any:
+        done = self._execute(cursor, query, *more, **named)
+        if cursor.connection.autocommit and re.search(r"\b(INSERT|UPDATE|DELETE)\b", str(query)):
+            self._die_if_due(cursor.connection)
+        return done
+
+    def _die_if_due(self, connection: "psycopg.Connection[Any]") -> None:
+        if self.num_left:
             self.num_left -= 1
             connection.close()
             raise psycopg.OperationalError("server closed the connection unexpectedly")
