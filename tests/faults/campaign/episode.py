@@ -80,6 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             is_broken |= bool(outcome.broken)
             print(outcome.line(), flush=True)
             if outcome.broken:
+                crashes = [line for line in world.logs("api").splitlines() if "request_crashed" in line]
+                print(*crashes, sep="\n", file=sys.stderr)
                 for party in PARTIES:
                     print(f"--- seed {seed}, {party}\n{world.logs(party)[-6000:]}", file=sys.stderr)
                 if given.keep:
