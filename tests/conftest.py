@@ -44,40 +44,15 @@ def compiled_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
-# All tables but the version's; the row of one as the migration made it.
-_EMPTY = """
-SELECT pg_terminate_backend(pid, 10000) FROM pg_stat_activity
-    WHERE datname = current_database() AND pid != pg_backend_pid();
-DO $$
-    DECLARE name text;
-    BEGIN
-        FOR name IN SELECT tablename FROM pg_tables
-            WHERE schemaname = 'public' AND tablename != 'alembic_version'
-        LOOP EXECUTE 'DELETE FROM ' || name; END LOOP;
-    END
-$$;
-INSERT INTO pulse (id, beat_at, quiet_until) VALUES (1, now(), now());
-"""
-
-
-@dataclass
+@dataclass(frozen=True)
 class Databases:
-    """A running PostgreSQL with a template that has the tables."""
+    """A running PostgreSQL with a template that has the tables; each test gets a copy of it."""
 
     server: Postgres
     admin: psycopg.Connection[Any]
-    shared: str = ""
-
-    def emptied(self) -> str:
-        """The address of a database that all tests share: hundreds of new ones would take a minute."""
-        if not self.shared:
-            self.shared = self.fresh()
-        with psycopg.connect(self.shared, autocommit=True) as connection:
-            connection.execute(_EMPTY)
-        return self.shared
 
     def fresh(self) -> str:
-        """The address of a new database with empty tables, for a test that changes more than rows."""
+        """The address of a new database with empty tables."""
         name = f"test_{secrets.token_hex(6)}"
         self.admin.execute(f"CREATE DATABASE {name} TEMPLATE gaitway")
         return self.server.url.replace("/gaitway?", f"/{name}?")
@@ -98,17 +73,11 @@ def databases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Databases]:
 
 
 @pytest.fixture
-def database_url(databases: Databases) -> str:
-    """The address of a database with empty tables; whoever was connected to it no longer is."""
-    return databases.emptied()
-
-
-@pytest.fixture
-def changes_tables(databases: Databases, database_url: str) -> Iterator[None]:
-    """For a test that changes more than rows: nobody after it gets its database."""
-    yield
-    databases.drop(database_url)
-    databases.shared = ""
+def database_url(databases: Databases) -> Iterator[str]:
+    """The address of a database with empty tables."""
+    url = databases.fresh()
+    yield url
+    databases.drop(url)
 
 
 @pytest.fixture

@@ -95,7 +95,6 @@ def test_a_database_with_tables_of_this_version_passes(
     )
 
 
-@pytest.mark.usefixtures("changes_tables")
 def test_a_database_without_tables_passes_and_says_who_makes_them(
     settings: WorkerSettings, durable: pytest.MonkeyPatch
 ) -> None:
@@ -114,7 +113,6 @@ def test_tables_of_an_older_version_are_a_warning(
     assert check.detail.endswith("this version's are of 0099")
 
 
-@pytest.mark.usefixtures("changes_tables")
 def test_tables_of_a_newer_version_fail(settings: WorkerSettings) -> None:
     with engine_of(settings).begin() as connection:
         connection.execute(text("UPDATE alembic_version SET version_num = '0099'"))
