@@ -20,6 +20,7 @@ import psycopg
 from core.errors import Unavailable
 from gaitway.embedded.folders import private_folder
 from gaitway.embedded.processes import ServerFailed, ServerProcess
+from gaitway.embedded.server import Server
 
 MAJOR_VERSION = "18"
 _USER = "gaitway"
@@ -42,7 +43,7 @@ _OPTIONS = {
 _NOT_DURABLE = {"fsync": "off", "full_page_writes": "off"}
 
 
-class Postgres:
+class Postgres(Server):
     """A PostgreSQL of one's own on a unix socket, its data in one folder.
 
     durable: commits survive a power cut; otherwise they survive only the end of the server.
@@ -89,20 +90,6 @@ class Postgres:
     def environment(self) -> dict[str, str]:
         """The settings under which a process of the service finds it."""
         return {"GAITWAY_DATABASE_URL": self.url}
-
-    def start(self) -> Self:
-        """Return when it is ready. Raises ServerFailed, and leaves no process behind then."""
-        try:
-            return self.launch().wait_ready()
-        except BaseException:
-            self.stop()
-            raise
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     def _prepare(self, lock: int) -> None:
         """Leave a data folder that the server can start in. Raises ServerFailed."""

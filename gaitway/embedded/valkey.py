@@ -11,11 +11,12 @@ from urllib.parse import quote
 
 from gaitway.embedded.folders import private_folder
 from gaitway.embedded.processes import ServerFailed, ServerProcess
+from gaitway.embedded.server import Server
 
 _LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
 
 
-class Valkey:
+class Valkey(Server):
     """A Valkey of one's own on a unix socket, its data in one folder.
 
     append_only: it loads and writes the append-only file of version 0.1.
@@ -70,20 +71,6 @@ class Valkey:
     def environment(self) -> dict[str, str]:
         """The settings under which a process of the service finds it."""
         return {"GAITWAY_REDIS_URL": self.url}
-
-    def start(self) -> Self:
-        """Return when it is ready. Raises ServerFailed, and leaves no process behind then."""
-        try:
-            return self.launch().wait_ready()
-        except BaseException:
-            self.stop()
-            raise
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
 
 def _binary() -> str:

@@ -11,6 +11,7 @@ from typing import Self
 
 from gaitway.embedded.folders import private_folder, remembered, write_private
 from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
+from gaitway.embedded.server import Server
 from gaitway.embedded.weed_environment import REGION, weed_environment
 
 _LISTENERS = ("s3", "master", "volume", "filer", "admin")
@@ -32,7 +33,7 @@ class _PortTaken(Exception):
     """weed ended because somebody listens where it should."""
 
 
-class Weed:
+class Weed(Server):
     """An S3 server of one's own at a loopback port, its data and its keys in one folder."""
 
     def __init__(self, folder: Path, bucket: str = "gaitway") -> None:
@@ -100,20 +101,6 @@ class Weed:
             "GAITWAY_S3_SECURE": "false",
             "GAITWAY_S3_REGION": REGION,
         }
-
-    def start(self) -> Self:
-        """Return when it is ready. Raises ServerFailed, and leaves no process behind then."""
-        try:
-            return self.launch().wait_ready()
-        except BaseException:
-            self.stop()
-            raise
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     def _wait_until_it_keeps(self) -> None:
         # Loaded while the servers start already.

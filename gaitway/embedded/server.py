@@ -1,0 +1,34 @@
+"""What the servers of the embedded stack have in common."""
+
+from abc import ABC, abstractmethod
+from typing import Self
+
+
+class Server(ABC):
+    """A server of one's own: launched, awaited and stopped, or entered as a whole."""
+
+    @abstractmethod
+    def launch(self) -> Self:
+        """Start it without waiting. Raises ServerFailed."""
+
+    @abstractmethod
+    def wait_ready(self) -> Self:
+        """Return when it does its work. Raises ServerFailed."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """No process of it is left."""
+
+    def start(self) -> Self:
+        """Return when it is ready. Raises ServerFailed, and leaves no process behind then."""
+        try:
+            return self.launch().wait_ready()
+        except BaseException:
+            self.stop()
+            raise
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
