@@ -192,6 +192,8 @@ def unprivileged() -> list[str]:
         *(setpriv, f"--reuid={user.pw_uid}", f"--regid={user.pw_gid}", "--clear-groups"),
         # Its folder and its programs may lie beneath folders that only root may enter.
         *("--inh-caps=+dac_override", "--ambient-caps=+dac_override"),
+        # access(2), by which initdb looks for `postgres`, would otherwise do without the capability.
+        "--securebits=+no_setuid_fixup",
     ]
 
 
