@@ -128,9 +128,13 @@ class RQQueue:
 
     def _remove(self, rq_id: str) -> None:
         found = self._find(rq_id)
-        if found is not None:
-            with suppress(InvalidJobOperation):  # Somebody else has removed it meanwhile.
-                found.delete()
+        if found is None:
+            return
+        try:
+            found.delete()
+        except (InvalidJobOperation, KeyError, ValueError):
+            # Its worker ended it meanwhile: RQ looked for its status, or for an execution, and met half of it.
+            self.drop([rq_id])
 
     def _find(self, rq_id: str) -> RQJob | None:
         try:

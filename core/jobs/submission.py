@@ -34,7 +34,7 @@ def submit(
 
 
 def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job | None = None) -> bool:
-    """Tell the workers' queue; whether it heard. If it is away, the reconciler tells it later.
+    """Tell the workers' queue; whether it heard. If it is away or fails, the reconciler tells it later.
 
     job: what the dispatch is of, for whoever has just stored it.
     """
@@ -46,6 +46,10 @@ def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job 
         store.dispatched(dispatch)
     except RecordsUnavailable as error:
         log.warning("dispatch_postponed", subject=dispatch.subject, error=error.detail)
+        return False
+    except Exception:
+        # The record has the job: whoever sent it is not told that it failed.
+        log.exception("dispatch_failed", subject=dispatch.subject)
         return False
     return True
 

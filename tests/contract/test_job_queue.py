@@ -193,6 +193,21 @@ class TestRQ:
         enqueue(queue)
         assert len(waiting(redis_client, "gaitway-any-normal")) == 1
 
+    @pytest.mark.parametrize("left", [{}, {"last_heartbeat": "1.0"}], ids=["nothing", "half"])
+    def test_an_attempt_whose_execution_just_ended_is_removed_and_enqueued_again(
+        self, redis_client: redis.Redis, left: dict[str, str]
+    ) -> None:
+        queue = RQQueue(redis_client)
+        enqueue(queue)
+        redis_client.lpop("rq:queue:gaitway-any-normal")
+        redis_client.zadd(f"rq:executions:{JOB}_1", {"its-execution": "inf"})
+        if left:  # A heartbeat that came after the end.
+            redis_client.hset(f"rq:execution:{JOB}_1:its-execution", mapping=left)
+        queue.remove(JOB, 1)
+        assert not queue.contains(JOB, 1)
+        enqueue(queue)
+        assert queue.contains(JOB, 1)
+
     def test_while_a_worker_runs_it_an_attempt_is_contained(
         self, redis_client: redis.Redis, monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -79,6 +79,15 @@ def away(job_store: PostgresJobStore, own_valkey: Valkey) -> Iterator[Service]:
         yield Service(job_store, client)
 
 
+def test_a_job_is_accepted_when_its_queue_is_damaged(service: Service) -> None:
+    service.client.set("rq:queue:gaitway-any-normal", "no list")
+    job = service.submit()
+    assert service.store.get(job.id).status == JobStatus.QUEUED
+    service.client.delete("rq:queue:gaitway-any-normal")
+    service.look()
+    assert service.queue.contains(job.id, 1)
+
+
 def ended_once(service: Service, jobs: list[Job]) -> list[Job]:
     """Those that succeeded at their first attempt, and whose feed says so once."""
     return [job for job in jobs if statuses(service, job) == ["starting", "running", "succeeded"]]
