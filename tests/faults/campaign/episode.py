@@ -18,7 +18,7 @@ from tests.faults.campaign.clients import Users
 from tests.faults.campaign.disks import take_own_mounts
 from tests.faults.campaign.faults import Fault, draw
 from tests.faults.campaign.runner import READY, Outcome
-from tests.faults.campaign.world import PARTIES, World
+from tests.faults.campaign.world import PARTIES, SERVERS, World
 from worker.lifeline import die_with_parent
 
 NUM_JOBS = 4
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if outcome.broken:
                 crashes = [line for line in world.logs("api").splitlines() if "request_crashed" in line]
                 print(*crashes, sep="\n", file=sys.stderr)
-                for party in PARTIES:
+                for party in (*PARTIES, *SERVERS):
                     print(f"--- seed {seed}, {party}\n{world.logs(party)[-6000:]}", file=sys.stderr)
                 if given.keep:
                     break

@@ -1,5 +1,6 @@
 """A service of real processes (servers, an API, a reconciler, two workers) with proxies between all."""
 
+import json
 import os
 import shutil
 import signal
@@ -22,13 +23,14 @@ import redis
 
 from core.adapters.connect import connect_redis, connect_s3
 from core.adapters.s3_objects import S3ObjectStore
+from gaitway.embedded.folders import private_folder, write_private
 from gaitway.embedded.postgres import Postgres
-from gaitway.embedded.processes import free_ports
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
 from tests.faults.campaign.clocks import ClockedProcess, Clocks
 from tests.faults.campaign.disks import Disk
+from tests.faults.campaign.ports import Ports
 from tests.faults.campaign.proxy import Proxies
 
 PARTIES = ("api", "reconciler", "worker-1", "worker-2")
@@ -84,6 +86,9 @@ class World:
         process.clock = self.clocks.environment("postgres")
         self.postgres.process = process
         self.valkey = Valkey(self.folder / "kv")
+        self.ports = Ports()
+        # As if it had chosen them the last time.
+        write_private(private_folder(self.folder / "s3") / "ports.json", json.dumps(self.ports.take(10)))
         self.weed = Weed(self.folder / "s3")
         self.port, self.url = 0, ""
         self.members: dict[str, Member] = {}
@@ -149,6 +154,10 @@ class World:
             self.signal(name, signal.SIGCONT)
 
     def logs(self, name: str) -> str:
+        """What a party has said in all its lives, or a server in its last."""
+        servers = {"postgres": self.postgres, "valkey": self.valkey, "weed": self.weed}
+        if name in servers:
+            return servers[name].process.log()
         path = self.folder / f"{name}.log"
         return path.read_text(errors="replace") if path.exists() else ""
 
@@ -192,7 +201,7 @@ class World:
             server.wait_ready()
         for party in PARTIES:
             self._add_proxies(party)
-        [self.port] = free_ports(1)  # Late: other worlds look for ports, too.
+        [self.port] = self.ports.take(1)
         self.url = f"http://127.0.0.1:{self.port}"
         for party in ("api", "reconciler", "worker-1", "worker-2"):
             self.members[party] = Member(party, self._starter(party), self._pid_of(party))
@@ -229,7 +238,7 @@ class World:
         self.proxies.add(f"{party}/postgres", folder / _SOCKET, target)
         self.proxies.add(f"{party}/valkey", folder / "kv", Path(self.valkey.url.removeprefix("unix://")))
         port = int(self.weed.endpoint.rpartition(":")[2])
-        [here] = free_ports(1)
+        [here] = self.ports.take(1)
         self.proxies.add(f"{party}/weed", here, port)
 
     def _starter(self, party: str) -> Callable[[], None]:
