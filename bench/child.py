@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+_REQUEST, _ANSWER = "request.json", "answer.json"
+
 
 class ChildFailed(RuntimeError):
     """reason: in one line."""
@@ -39,8 +41,10 @@ def run_child(
     Raises ChildFailed with the end of what it printed where it fails, TookTooLong after `timeout_s`.
     """
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
-        answer = Path(folder, "answer.json")
-        command = [sys.executable, "-m", module, str(answer), json.dumps(request)]
+        answer = Path(folder, _ANSWER)
+        # On the command line, a request could be too long.
+        Path(folder, _REQUEST).write_text(json.dumps(request))
+        command = [sys.executable, "-m", module, folder]
         began_at, began = time.time(), time.perf_counter()
         try:
             done = subprocess.run(
@@ -64,8 +68,10 @@ def run_child(
 
 
 def answer(work: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
-    """The child's side: do the request on the command line, and leave the answer where the parent looks."""
-    Path(sys.argv[1]).write_text(json.dumps(work(json.loads(sys.argv[2]))))
+    """The child's side: do the request, and leave the answer beside it."""
+    folder = Path(sys.argv[1])
+    answered = work(json.loads((folder / _REQUEST).read_bytes()))
+    (folder / _ANSWER).write_text(json.dumps(answered))
 
 
 def _end(status: int) -> str:
