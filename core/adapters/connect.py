@@ -2,16 +2,18 @@
 
 import base64
 import hashlib
+import ssl
+from pathlib import Path
 from typing import Any
 
 from minio import Minio
-from minio.helpers import check_bucket_name
+from minio.helpers import ObjectWriteResult, check_bucket_name
 from redis import Redis
 from redis.backoff import ExponentialBackoff
 from redis.exceptions import ConnectionError as RedisConnectionError
 from redis.exceptions import TimeoutError as RedisTimeoutError
 from redis.retry import Retry
-from urllib3 import BaseHTTPResponse, PoolManager
+from urllib3 import PoolManager
 from urllib3 import Retry as HTTPRetry
 from urllib3 import Timeout as HTTPTimeout
 
@@ -53,16 +55,18 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
     *,
     secure: bool,
     region: str | None,
+    authorities: Path | None = None,
     retries: int = 2,
     timeout_s: float = 15.0,
 ) -> Minio:
     """A client for the object store at host:port; it connects at its first request.
 
-    timeout_s: how long a silent store is waited for. It trusts the system's authorities, or those in the file
-    that SSL_CERT_FILE names. Raises Misconfigured for an address that cannot be read.
+    authorities: a PEM file of those to trust besides the system's. timeout_s: how long a silent store is
+    waited for. Raises Misconfigured for an address that cannot be read.
     """
-    pool = _ChecksummedUploads(
+    pool = PoolManager(
         maxsize=32,
+        ssl_context=None if authorities is None else _trusting(authorities),
         timeout=HTTPTimeout(connect=2, read=timeout_s),
         retries=HTTPRetry(
             total=retries,
@@ -73,7 +77,7 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
         ),
     )
     try:
-        return Minio(
+        return _ChecksummedUploads(
             endpoint,
             access_key=access_key,
             secret_key=secret_key,
@@ -88,20 +92,29 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
         ) from error
 
 
-class _ChecksummedUploads(PoolManager):
-    """Each upload says its MD5, so that a byte flipped on the way is refused and not stored.
+def _trusting(authorities: Path) -> ssl.SSLContext:
+    context = ssl.create_default_context()
+    context.load_verify_locations(authorities)
+    return context
+
+
+class _ChecksummedUploads(Minio):
+    """Each upload says its MD5, and signs that: a byte flipped on the way is refused and not stored.
 
     The SDK does so over TLS alone. Without it, it signs the body's SHA-256, at which SeaweedFS does not look.
     """
 
-    def urlopen(  # type: ignore[override]
-        self, method: str, url: str, redirect: bool = True, **said: Any
-    ) -> BaseHTTPResponse:
-        body = said.get("body")
-        if method == "PUT" and isinstance(body, bytes) and "Content-MD5" not in said["headers"]:
-            md5 = hashlib.md5(body, usedforsecurity=False).digest()
-            said["headers"]["Content-MD5"] = base64.b64encode(md5).decode()
-        return super().urlopen(method, url, redirect, **said)
+    def _put_object(
+        self,
+        bucket_name: str,
+        object_name: str,
+        data: bytes,
+        headers: dict[str, Any] | None = None,
+        query_params: dict[str, Any] | None = None,
+    ) -> ObjectWriteResult:
+        md5 = hashlib.md5(data, usedforsecurity=False).digest()
+        signed = {**(headers or {}), "Content-MD5": base64.b64encode(md5).decode()}
+        return super()._put_object(bucket_name, object_name, data, signed, query_params)
 
 
 def job_store(settings: StoreSettings, *, pool_size: int = 10) -> PostgresJobStore:
@@ -120,6 +133,7 @@ def object_store(settings: StoreSettings, *, retries: int = 2, timeout_s: float 
         settings.s3_secret_key.get_secret_value(),
         secure=settings.s3_secure,
         region=settings.s3_region,
+        authorities=settings.tls_ca,
         retries=retries,
         timeout_s=timeout_s,
     )

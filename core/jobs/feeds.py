@@ -4,19 +4,26 @@ The record holds the newest entries. Older ones lie in chunks: immutable objects
 """
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import timedelta
 
+import structlog
+
 from core.errors import StorageUnavailable
+from core.jobs.lost_feeds import gap
 from core.jobs.store import Channel, Chunk, Entry, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
+
+log = structlog.get_logger()
 
 # A chunk is made from this many bytes, or after this time, or at the job's end.
 MAX_BYTES = 256 * 1024
 MAX_AGE = timedelta(minutes=10)
 _MOST_ENTRIES = 2000
 _PAGE = 1000
+# So many readings with the same wrong bytes are what the object store has.
+_READINGS = 3
 
 
 def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
@@ -31,6 +38,7 @@ def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
 ) -> Sequence[Entry]:
     """Entries later than number `after`, oldest first; of one kind where given. Empty at the feed's end.
 
+    In the place of a part that is damaged in the object store stands a `note` that says so.
     Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
     """
     found: list[Entry] = []
@@ -52,7 +60,7 @@ def _page(  # As above.
     part = store.feed(job_id, channel, after=after, limit=limit)
     found: list[Entry] = []
     for chunk in part.chunks:
-        found += [entry for entry in _entries_of(chunk, objects) if int(entry.id) > after]
+        found += [entry for entry in _entries_of(chunk, store, objects) if int(entry.id) > after]
         if len(found) >= limit:
             break
     else:
@@ -60,11 +68,18 @@ def _page(  # As above.
     return found, int(found[-1].id) if found else after
 
 
-def _entries_of(chunk: Chunk, objects: ObjectStore) -> Iterator[Entry]:
-    body = objects.get(chunk.key)
-    if hashlib.sha256(body).hexdigest() != chunk.sha256:  # On the way, most likely: it comes whole next time.
+def _entries_of(chunk: Chunk, store: JobStore, objects: ObjectStore) -> Iterable[Entry]:
+    digests = set[str]()
+    for _ in range(_READINGS):
+        body = objects.get(chunk.key)
+        digests.add(digest := hashlib.sha256(body).hexdigest())
+        if digest == chunk.sha256:
+            return map(Entry.model_validate_json, body.splitlines())
+    if len(digests) > 1:  # Other bytes each time: they are flipped on the way.
         raise StorageUnavailable(f"The bytes of {chunk.key} do not have the SHA-256 that the record names.")
-    return map(Entry.model_validate_json, body.splitlines())
+    # Nothing is written: a bucket that is restored from a back-up has the part again.
+    log.error("feed_damaged", key=chunk.key)
+    return [gap(chunk, "damaged in the object store", store.now())]
 
 
 def compact(*, store: JobStore, objects: ObjectStore) -> int:

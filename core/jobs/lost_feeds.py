@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime
 from itertools import groupby
 from typing import get_args
 
@@ -37,14 +38,19 @@ def chunks_beyond(
     return beyond
 
 
-def close_gap(job_id: str, lost: Chunk, *, store: JobStore, objects: ObjectStore) -> None:
-    """Name another object in the place of a lost one: a single entry, which says what was lost.
+def gap(lost: Chunk, how: str, time: datetime) -> Entry:
+    """The entry that stands in the place of a chunk, and says that its entries were `how`.
 
     It has the last number, so that readers go on behind it.
     """
     which = f"Entries {lost.first} to {lost.last}" if lost.first < lost.last else f"Entry {lost.last}"
-    text = f"{which} of this feed {'were' if lost.first < lost.last else 'was'} lost from the object store."
-    entry = Entry(id=str(lost.last), kind="note", time=store.now(), data={"text": text})
+    text = f"{which} of this feed {'were' if lost.first < lost.last else 'was'} {how}."
+    return Entry(id=str(lost.last), kind="note", time=time, data={"text": text})
+
+
+def close_gap(job_id: str, lost: Chunk, *, store: JobStore, objects: ObjectStore) -> None:
+    """Name another object in the place of a lost one: a single entry, which says what was lost."""
+    entry = gap(lost, "lost from the object store", store.now())
     body = entry.model_dump_json().encode() + b"\n"
     digest = hashlib.sha256(body).hexdigest()
     key = keys.chunk(job_id, lost.channel, lost.first, digest)
