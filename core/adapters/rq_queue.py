@@ -133,7 +133,7 @@ class RQQueue:
         try:
             found.delete()
         except (InvalidJobOperation, KeyError, ValueError):
-            # Its worker ended it meanwhile: RQ looked for its status, or for an execution, and met half of it.
+            # Its worker has just ended it: RQ met half of it, or of an execution.
             self.drop([rq_id])
 
     def _find(self, rq_id: str) -> RQJob | None:

@@ -2,7 +2,7 @@
 
 import structlog
 
-from core.errors import RecordsUnavailable
+from core.errors import GaitwayError, RecordsUnavailable
 from core.jobs.checks import check
 from core.jobs.job import Job, new_job_id
 from core.jobs.queue import JobQueue
@@ -47,8 +47,10 @@ def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job 
     except RecordsUnavailable as error:
         log.warning("dispatch_postponed", subject=dispatch.subject, error=error.detail)
         return False
+    except GaitwayError:
+        raise
     except Exception:
-        # The record has the job: whoever sent it is not told that it failed.
+        # The queue's own. The record has the job: whoever sent it is not told that it failed.
         log.exception("dispatch_failed", subject=dispatch.subject)
         return False
     return True

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import redis
+from structlog.testing import capture_logs
 
 from core.adapters.connect import connect_redis
 from core.adapters.memory_objects import MemoryObjectStore
@@ -81,7 +82,9 @@ def away(job_store: PostgresJobStore, own_valkey: Valkey) -> Iterator[Service]:
 
 def test_a_job_is_accepted_when_its_queue_is_damaged(service: Service) -> None:
     service.client.set("rq:queue:gaitway-any-normal", "no list")
-    job = service.submit()
+    with capture_logs() as said:
+        job = service.submit()
+    assert [line["event"] for line in said] == ["dispatch_failed"]
     assert service.store.get(job.id).status == JobStatus.QUEUED
     service.client.delete("rq:queue:gaitway-any-normal")
     service.look()
