@@ -87,7 +87,7 @@ class JobView(View):
     )
     waiting_for: str | None = Field(
         None,
-        description="What a queued job lacks, where no present worker could take it; told by `GET` alone.",
+        description="What a queued job lacks, where no present worker could do it; told by `GET` alone.",
         examples=["No worker with exactly 4 GPUs is there: the workers here have cpu, gpu:0."],
     )
     progress: Progress

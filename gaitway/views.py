@@ -194,7 +194,7 @@ class WorkerView(View):
     """A worker that was heard of lately; job: what it works on.
 
     state: ready, testing or device_failed; problem: what was seen of its device. memory_bytes: of each of its
-    devices, where that is known.
+    devices, where that is known. packages: the optional ones that it has; None where it did not say.
     """
 
     name: str
@@ -206,5 +206,6 @@ class WorkerView(View):
     state: str = "ready"
     problem: str | None = None
     memory_bytes: int | None = None
+    packages: tuple[str, ...] | None = None
     started_at: datetime | None = None
     seen_at: datetime | None = None

@@ -17,12 +17,13 @@ import structlog
 from redis.exceptions import RedisError
 from rq.serializers import JSONSerializer
 
-from core.adapters.connect import connect_redis, job_store
+from core.adapters.connect import connect_redis, job_store, object_store
 from core.adapters.rq_queue import job_of
 from core.adapters.startup import check_stores
 from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs.job import utc_now
+from core.jobs.needs import packages_here
 from core.jobs.queue import queue_names
 from core.jobs.store import JobStore, WorkerInfo
 from core.settings import WorkerSettings
@@ -33,6 +34,7 @@ from worker.device import device_of, visible_gpus
 from worker.device_health import DeviceHealth
 from worker.device_memory import device_memory
 from worker.disk import check_folder
+from worker.left_attempts import tell_left
 from worker.lifeline import die_with_parent
 from worker.named_job import NamedJob
 from worker.slot import slot_names
@@ -56,6 +58,7 @@ class GaitwayWorker(rq.Worker):
         self, settings: WorkerSettings, device: str, store: JobStore, health: DeviceHealth | None = None
     ) -> None:
         self._store = store
+        self._objects = object_store(settings)
         self._health = health or health_of(device, settings)
         self._alive_file = settings.alive_file
         self._data_dir = settings.data_dir
@@ -71,6 +74,7 @@ class GaitwayWorker(rq.Worker):
             device=device,
             queues=queue_names(device),
             memory_bytes=device_memory(device, settings.memory_limit),
+            packages=packages_here(),
             started_at=now,
             seen_at=now,
         )
@@ -143,7 +147,10 @@ class GaitwayWorker(rq.Worker):
         locks.remove_free(self._data_dir / "locks")
 
     def announce(self) -> None:
-        """Show in `GET /workers`. A missed one is made up for by the next."""
+        """Show in `GET /workers`, and tell what the last worker here could not.
+
+        A missed one is made up for by the next.
+        """
         show_life(self._alive_file)
         job = self.get_current_job_id()
         news = {
@@ -155,6 +162,7 @@ class GaitwayWorker(rq.Worker):
         self._is_announcing = True
         try:
             self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
+            tell_left(self._data_dir, self._store, self._objects)
         except Unavailable as error:
             log.warning("announcement_missed", error=error.detail)
         finally:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from core.configuration import variable
+from worker.cgroup import NO_GROUP, TrainingGroup
 from worker.stall import processes
 
 LESS_MEMORY = "Lower num_envs, batch_size or unroll_length, or make the networks smaller."
@@ -20,16 +21,21 @@ _GIB = 2**30
 class MemoryWatch:
     """Looks at the memory of a training's processes, and at how often the kernel has killed for memory.
 
-    Not by RLIMIT_DATA: XLA takes a refusal for a crash (SIGSEGV), and nobody learns what it was. Not by a
-    cgroup: a worker seldom may make one. limit_bytes: for all of them together.
+    Not by RLIMIT_DATA: XLA takes a refusal for a crash (SIGSEGV), and nobody learns what it was. limit_bytes:
+    for all of them together. group: where the kernel keeps them to it, too; a worker seldom may make one.
     """
 
     def __init__(
-        self, limit_bytes: int, root: Path = _ROOT, clock: Callable[[], float] = time.monotonic
+        self,
+        limit_bytes: int,
+        root: Path = _ROOT,
+        clock: Callable[[], float] = time.monotonic,
+        group: TrainingGroup = NO_GROUP,
     ) -> None:
         self._limit_bytes = limit_bytes
         self._root = root
         self._clock = clock
+        self._group = group
         self._looked_at = clock()
         self._kills = self._before = kernel_kills(root)
 
@@ -51,7 +57,7 @@ class MemoryWatch:
 
     def ran_out(self) -> bool:
         """Whether the kernel has killed a process for memory in the last seconds."""
-        return kernel_kills(self._root) > self._before
+        return self._group.ran_out() or kernel_kills(self._root) > self._before
 
 
 def allowed_bytes(setting: int | None, root: Path = _ROOT) -> int:

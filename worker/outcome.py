@@ -85,7 +85,8 @@ def _crashed(exit_status: int, *, memory_ran_out: bool) -> Outcome:
     again = "It goes on from its last checkpoint."
     if -exit_status == signal.SIGKILL and memory_ran_out:
         message = (
-            f"The machine's memory ran out, and the kernel killed the training process. {LESS_MEMORY} {again}"
+            "The machine's memory ran out, or what the training may have of it, and the kernel killed the "
+            f"training process. {LESS_MEMORY} {again}"
         )
         return Outcome(None, Reason.OUT_OF_HOST_MEMORY, message)
     if -exit_status in _CRASHES:

@@ -24,8 +24,8 @@ TRAINING = (sys.executable, "-m", "worker.training")
 _CODE = Path(__file__).resolve().parents[1]
 _LONGEST_LINE = 4000
 _LONGEST_MESSAGE = 2**20  # bytes
-# Whose process this is, for whoever looks for left-overs.
-_PASSED_ON = ("GAITWAY_STACK_ID",)
+# Whose process this is, for whoever looks for left-overs; and whether it shall bind itself.
+_PASSED_ON = ("GAITWAY_STACK_ID", "GAITWAY_MODELS")
 # Other programs' settings of stores and accounts, and whatever calls itself a secret.
 _OTHERS_ACCOUNTS = re.compile(
     r"(AWS|AZURE|GCP|GOOGLE|DOCKER|GH|GIT|GITHUB|GITLAB|HF|KUBE|MC|MINIO|PG|POSTGRES|RCLONE|REDIS|S3|SSH|VALKEY|"

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,10 +19,12 @@ from core.jobs.status import JobStatus, Reason
 from core.patience import CalledOff, through_outages
 from core.settings import WorkerSettings
 from worker.caches import Caches
+from worker.cgroup import memory_group
 from worker.device_health import SUSPICIOUS, DeviceTest, mark_of, result_of, set_aside
 from worker.disk import is_full, what_to_do
 from worker.draining import Draining
 from worker.heartbeat import Heartbeat
+from worker.left_attempts import end, leave
 from worker.log_limit import LogLimit
 from worker.memory import MemoryWatch, allowed_bytes
 from worker.messages import Advanced, Failed, Finished, Noted, PhaseEnded
@@ -115,7 +118,10 @@ class Supervisor:
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fds)
             try:
                 ear = _Ear(process, outbox, caches, tracking, StallWatch(self.settings.stall))
-                outcome = self._watch(process, ear, heartbeat, job.spec.timeout_s)
+                memory_bytes = allowed_bytes(self.settings.memory_limit)
+                with memory_group(process.pid, memory_bytes) as group:
+                    memory = MemoryWatch(memory_bytes, group=group)
+                    outcome = self._watch(process, ear, heartbeat, memory, job.spec.timeout_s)
             except BaseException:
                 tracking.abandon()
                 raise
@@ -136,10 +142,10 @@ class Supervisor:
         process: TrainingProcess,
         ear: "_Ear",
         heartbeat: Heartbeat,
+        memory: MemoryWatch,
         timeout_s: float,
     ) -> Outcome:
         deadline = time.monotonic() + timeout_s
-        memory = MemoryWatch(allowed_bytes(self.settings.memory_limit))
         stop: Stop | None = None
         kill_at = float("inf")
         while (status := process.poll(_GLANCE_S)) is None:
@@ -191,20 +197,17 @@ class Supervisor:
         return lambda: self.draining.for_s() >= grace_s and time.monotonic() >= not_before
 
     def _conclude(self, outcome: Outcome) -> None:
-        end = partial(self._end, outcome)
+        tell = partial(end, self.holding, outcome)
         try:
-            job = through_outages(end, _STORAGE_PATIENCE_S, called_off=self._must_leave())
-        except CalledOff:  # PostgreSQL is away: the lease runs out, and another worker gets the job.
+            job = through_outages(tell, _STORAGE_PATIENCE_S, called_off=self._must_leave())
+        except CalledOff:  # PostgreSQL is away: the next worker here tells it, or the lease runs out.
             log.warning("attempt_left", job_id=self.holding.job_id, detail=outcome.message)
+            with suppress(OSError):  # No room for it: the job counts as a lost worker's.
+                leave(self.settings.data_dir, self.holding, outcome)
             return
         log.info(
             "attempt_ended", job_id=job.id, status=job.status, reason=outcome.reason, detail=outcome.message
         )
-
-    def _end(self, outcome: Outcome) -> Job:
-        if outcome.status is None:
-            return self.holding.give_back(outcome.reason, outcome.message)
-        return self.holding.end(outcome.status, outcome.reason, outcome.message)
 
 
 class _Ear:

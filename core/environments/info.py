@@ -29,6 +29,7 @@ class EnvironmentInfo:
     alike_arms: whether all of them have as many joints.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
     arguments: what the factory is told besides. cannot_run: engines that cannot run it, and why.
+    package: what it loads that a worker may be without, by the name under which it is imported.
     own_physics: what moves it where none of the engines does; its worlds cannot differ.
     vary: the fields above that are others under some options, by name; the row itself has them as they are
     by default.
@@ -52,6 +53,7 @@ class EnvironmentInfo:
     alike_arms: bool = True
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
+    package: str | None = None
     own_physics: str = ""
     vary: Callable[[Any], Mapping[str, Any]] | None = None
 

@@ -1,19 +1,18 @@
 """What can be known to be wrong before a job is stored: each refusal names the place and the way out."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.spec import BaseSpec, check_resumption, resolve
-from core.devices import gpu_indices
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import EnvironmentNotFound, JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.job import Artifact, Job
+from core.jobs.needs import DEVICES, kind_of, least_memory
 from core.jobs.own_model import engines_that_cannot, own_model
 from core.jobs.spec import (
-    Accelerator,
     CheckpointPolicy,
     ConstantPolicy,
     EnvironmentSpec,
@@ -27,8 +26,6 @@ from core.models.record import Description
 from core.models.store import ModelStore
 from core.physics.availability import check_physics
 from core.rendering.camera import check_cameras, check_width, model_camera
-
-DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
 # As much as every worker has.
 _HARMLESS_BYTES = 2**29
@@ -109,7 +106,7 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
     }
     for settings in resolved.values():
         settings.check_sharing(spec.resources.gpus)
-    _check_memory(spec, info, resolved, store)
+    _check_memory(spec, info, store)
     if spec.resume_from is not None:
         source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
         _check_fields(spec, store.get(spec.resume_from.job))
@@ -117,18 +114,14 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
         _check_fit(spec, info, store.get(spec.resume_from.job))
 
 
-def _check_memory(
-    spec: TrainSpec, info: EnvironmentInfo, resolved: Mapping[Device, BaseSpec], store: JobStore
-) -> None:
+def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
     """Refuses what cannot fit on the device of any worker there is; one that does not tell may be larger."""
-    needs = {
-        device: settings.least_memory(info, spec.resources.gpus) for device, settings in resolved.items()
-    }
+    needs = least_memory(spec, info)
     if max(need.bytes for need in needs.values()) < _HARMLESS_BYTES:
         return
     sizes: list[tuple[Device, int]] = []
     for worker in store.workers():
-        device: Device = "gpu" if gpu_indices(worker.device) else "cpu"
+        device = kind_of(worker.device)
         if device in needs and worker.memory_bytes is None:
             return
         if device in needs and worker.memory_bytes is not None:

@@ -48,6 +48,7 @@ class WorkerInfo(Stored):
 
     state: `ready` for jobs, or with one; while its device is `testing` or has failed a test, it takes none.
     problem: what was seen of the device. memory_bytes: of each of its devices, where that is known.
+    packages: which of `core.jobs.needs.EXTRAS` it has; None where a worker of an older version did not say.
     """
 
     name: str
@@ -59,6 +60,7 @@ class WorkerInfo(Stored):
     state: WorkerState = "ready"
     problem: str | None = None
     memory_bytes: int | None = None
+    packages: tuple[str, ...] | None = None
     started_at: datetime
     seen_at: datetime
 

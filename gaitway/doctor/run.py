@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gaitway.doctor import machine, services, settings
 from gaitway.doctor.check import Check
+from gaitway.doctor.confinement import confinement
 
 Checks = Mapping[str, Callable[[], Check]]
 
@@ -15,6 +16,7 @@ Checks = Mapping[str, Callable[[], Check]]
 def examine(data: Path, *, embedded: bool = False) -> Iterator[Check]:
     """Each check's finding as soon as it is made. embedded: with servers started for this."""
     worker = settings.of_a_worker()
+    folder = worker.data_dir if worker else data
     yield from _made(
         {
             "interpreter": machine.interpreter,
@@ -22,8 +24,9 @@ def examine(data: Path, *, embedded: bool = False) -> Iterator[Check]:
             "physics": machine.physics,
             "renderer": machine.renderer,
             "encoder": machine.encoder,
-            "disk": lambda: machine.disk(worker.data_dir if worker else data),
+            "disk": lambda: machine.disk(folder),
             "device": lambda: machine.device(worker),
+            "users' models": lambda: confinement(folder),
             "embedded servers": lambda: machine.embedded_servers(needed=not settings.of_the_stores()),
         }
     )

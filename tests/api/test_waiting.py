@@ -20,16 +20,32 @@ def test_a_job_that_nobody_can_take_says_so_until_somebody_can(stack: Stack) -> 
     assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] is None
 
 
+def test_a_job_says_which_package_nobody_has(stack: Stack) -> None:
+    announce(stack, "cpu", packages=("dm_control",))
+    spec = {"kind": "train", "environment": "ant", "physics": "warp"}
+    job = stack.http.post("/jobs", json=spec).json()["id"]
+    told = stack.http.get(f"/jobs/{job}").json()["waiting_for"]
+    assert told.startswith("No worker here that fits can run the engine warp")
+    announce(stack, "cpu", packages=("dm_control", "warp"))
+    assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] is None
+
+
 def test_a_job_that_was_cancelled_waits_for_nobody(stack: Stack) -> None:
     job = submit(stack, gpus=1)
     stack.http.post(f"/jobs/{job}/cancel")
     assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] is None
 
 
-def announce(stack: Stack, device: str) -> None:
-    queues = queue_names(device)
+def announce(stack: Stack, device: str, packages: tuple[str, ...] | None = None) -> None:
     info = WorkerInfo(
-        name=device, host="host", pid=1, device=device, queues=queues, started_at=NOON, seen_at=NOON
+        name=device,
+        host="host",
+        pid=1,
+        device=device,
+        queues=queue_names(device),
+        packages=packages,
+        started_at=NOON,
+        seen_at=NOON,
     )
     stack.store.announce(info, timedelta(seconds=40))
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import Job
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
+from core.patience import through_outages
 from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import Outages, Watch, pooled
 from worker import supervisor as supervisor_module
+from worker.left_attempts import tell_left
 
 LEASE = timedelta(seconds=1)
 # Of PostgreSQL, and of the object store.
@@ -146,10 +149,36 @@ def test_a_drain_without_the_object_store_gives_the_job_back_within_the_grace_ti
 
 @pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("name", OF_RECORDS)
-def test_a_drain_without_postgresql_leaves_the_job_to_the_end_of_its_lease(
+def test_a_drain_without_postgresql_is_told_by_the_next_worker_and_costs_no_attempt(
     name: str, bench: Disturbed
 ) -> None:
+    job = bench.submit(max_attempts=1)
+    drain_without_postgresql(name, job, bench)
+    through_outages(partial(tell_left, bench.settings.data_dir, bench.store, bench.objects), 10)
+    told = bench.store.get(job.id)
+    assert (told.status, [a.reason for a in told.attempts]) == (JobStatus.QUEUED, [Reason.WORKER_DRAINED])
+    assert told.newest("checkpoint", 10) is not None
+    assert list((bench.settings.data_dir / "left").iterdir()) == []
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_drain_without_postgresql_that_nobody_tells_leaves_the_job_to_the_end_of_its_lease(
+    bench: Disturbed,
+) -> None:
     job = bench.submit()
+    drain_without_postgresql("absence", job, bench)
+    with bench.watched() as store:
+        wait_until(lambda: status_of(store, job) == JobStatus.QUEUED)
+        lost = store.get(job.id)
+        tell_left(bench.settings.data_dir, store, bench.objects)  # A worker that comes too late.
+        assert store.get(job.id) == lost
+    assert (lost.status, [a.reason for a in lost.attempts]) == (JobStatus.QUEUED, [Reason.WORKER_LOST])
+    assert lost.newest("checkpoint", 10) is not None
+    assert list((bench.settings.data_dir / "left").iterdir()) == []
+
+
+def drain_without_postgresql(name: str, job: Job, bench: Disturbed) -> None:
+    """The job has a checkpoint; its supervisor has gone."""
     supervisor = bench.supervisor(job, "waits")
     thread = threading.Thread(target=supervisor.run)
     thread.start()
@@ -161,8 +190,3 @@ def test_a_drain_without_postgresql_leaves_the_job_to_the_end_of_its_lease(
         assert not thread.is_alive()
         # A grace time of 1 s, and calls that take 2 s each to give up.
         assert time.monotonic() - told < 8
-    with bench.watched() as store:
-        wait_until(lambda: status_of(store, job) == JobStatus.QUEUED)
-        lost = store.get(job.id)
-    assert (lost.status, [a.reason for a in lost.attempts]) == (JobStatus.QUEUED, [Reason.WORKER_LOST])
-    assert lost.newest("checkpoint", 10) is not None

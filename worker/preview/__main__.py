@@ -12,10 +12,12 @@ from core.previews.record import PreviewRequest
 from core.rendering.gl import context_works
 from core.rendering.request import FailureReason, RenderFailure
 from worker.lifeline import die_with_parent
+from worker.own_files import keep_to_own_files
 
 
 def main() -> int:
     folder, parent = Path(sys.argv[1]), int(sys.argv[2])
+    keep_to_own_files(folder)
     die_with_parent(parent)
 
     def refuse(reason: FailureReason, message: str) -> int:

@@ -7,11 +7,14 @@ import sys
 from pathlib import Path
 
 from worker.lifeline import die_with_parent
+from worker.own_files import keep_to_own_files
 from worker.training.stopping import Stopping
 
 
 def main() -> None:
     spool, events_fd, parent = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    if _has_a_users_model(spool):
+        keep_to_own_files(spool)
     die_with_parent(parent)
     stopping = Stopping()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -20,6 +23,14 @@ def main() -> None:
     from worker.training.run import run  # Imports JAX.
 
     sys.exit(run(spool, events_fd, stopping))
+
+
+def _has_a_users_model(spool: Path) -> bool:
+    """Before any thread starts, which would not be bound; what else the task says is `run`'s to read."""
+    try:
+        return bool(json.loads((spool / "task.json").read_bytes()).get("model"))
+    except (OSError, ValueError):
+        return False
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _TELL_VERSION, _PATH_BENEATH = 1, 1
 _EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 _REMOVE_DIR, _REMOVE_FILE, _MAKE_DIR, _MAKE_REG = 1 << 4, 1 << 5, 1 << 7, 1 << 8
-_REFER, _TRUNCATE = 1 << 13, 1 << 14
-_OF_A_FILE = _EXECUTE | _WRITE_FILE | _READ_FILE | _TRUNCATE
+_REFER, _TRUNCATE, _IOCTL_DEVICE = 1 << 13, 1 << 14, 1 << 15
+_OF_A_FILE = _EXECUTE | _WRITE_FILE | _READ_FILE | _TRUNCATE | _IOCTL_DEVICE
 _READ = _EXECUTE | _READ_FILE | _READ_DIR
 _WRITE = _WRITE_FILE | _REMOVE_DIR | _REMOVE_FILE | _MAKE_DIR | _MAKE_REG | _REFER | _TRUNCATE
 # How many rights each version knows; and from which on it knows TCP, and other processes.
@@ -49,25 +49,34 @@ def version() -> int:
         return 0
 
 
-def restrict(*, readable: Iterable[Path], listable: Iterable[Path], writable: Iterable[Path]) -> None:
+def restrict(
+    *,
+    readable: Iterable[Path],
+    listable: Iterable[Path],
+    writable: Iterable[Path],
+    free: Iterable[Path] = (),
+    files_only: bool = False,
+) -> None:
     """Allow only these files and folders, with all below them, for good; what is not there is left out.
 
-    listable: folders that may be listed, all below them, too. writable: may be read as well.
-    No TCP, no signal to others, no abstract socket of others: as far as the kernel's version knows these.
-    The process must have given up new privileges. Raises OSError.
+    listable: folders that may be listed, all below them, too. writable: may be read as well. free: anything
+    may be done there, as a device needs it.
+    No TCP, no signal to others, no abstract socket of others, as far as the kernel's version knows these;
+    files_only leaves them alone. The process must have given up new privileges. Raises OSError.
     """
     known = version()
     rights = (1 << _NUM_RIGHTS.get(known, _NUM_RIGHTS_NOW)) - 1
     ruleset = _Ruleset(
         rights,
-        _BIND_AND_CONNECT if known >= _WITH_NETWORK else 0,
-        _SOCKETS_AND_SIGNALS if known >= _WITH_SCOPES else 0,
+        _BIND_AND_CONNECT if known >= _WITH_NETWORK and not files_only else 0,
+        _SOCKETS_AND_SIGNALS if known >= _WITH_SCOPES and not files_only else 0,
     )
     descriptor = _call(
         _CREATE_RULESET, ctypes.byref(ruleset), ctypes.c_size_t(ctypes.sizeof(ruleset)), ctypes.c_uint32(0)
     )
     try:
-        for paths, access in ((readable, _READ), (listable, _READ_DIR), (writable, _READ | _WRITE)):
+        granted = ((readable, _READ), (listable, _READ_DIR), (writable, _READ | _WRITE), (free, rights))
+        for paths, access in granted:
             for path in paths:
                 _allow(descriptor, path, access & rights)
         _call(_RESTRICT_SELF, ctypes.c_int(descriptor), ctypes.c_uint32(0))

@@ -12,15 +12,21 @@ _CAPABILITIES_VERSION_3 = 0x20080522
 _FIRST_USER, _NUM_USERS = 2_000_000_000, 2**22
 
 
-def give_up() -> None:
-    """No capability, none to be had by starting another program, and nothing to be read out of its memory.
+def give_up(*kept: int) -> None:
+    """No capability but these, none to be had by starting another program, and nothing to be read out of its
+    memory.
 
-    Raises OSError.
+    kept: their numbers, as in capabilities(7), where the process has them. Raises OSError.
     """
     libc = ctypes.CDLL(None, use_errno=True)
-    header = (ctypes.c_uint32 * 2)(_CAPABILITIES_VERSION_3, 0)
-    nothing = (ctypes.c_uint32 * 6)()
-    if libc.capset(ctypes.byref(header), ctypes.byref(nothing)) != 0:
+    header, words = (ctypes.c_uint32 * 2)(_CAPABILITIES_VERSION_3, 0), (ctypes.c_uint32 * 6)()
+    if libc.capget(ctypes.byref(header), ctypes.byref(words)) != 0:
+        _fail("capget")
+    # Effective, permitted and inheritable, of capabilities 0 to 31; then of those from 32 on.
+    for number in range(6):
+        first = 32 * (number // 3)
+        words[number] &= sum(1 << one - first for one in kept if first <= one < first + 32)
+    if libc.capset(ctypes.byref(header), ctypes.byref(words)) != 0:
         _fail("capset")
     if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         _fail("no_new_privs")

@@ -50,6 +50,7 @@ def _row(id: str, task: str, description: str, options: type[Options]) -> Enviro
         id=id,
         description=description,
         factory=f"core.environments.brittle_star.environment:{task}",
+        package="biorobot",
         tracked_body=DISK,
         cameras=("top_camera", "BrittleStarMorphology/side_camera"),
         info=(

@@ -198,6 +198,7 @@ INFO = EnvironmentInfo(
     id="corridor",
     description="dm_control's ant, rodent or humanoid in a corridor with gaps or walls; to run in +x.",
     factory="core.environments.corridor.environment:make",
+    package="dm_control",
     options=CorridorOptions,
     vary=_under,
     **_under(CorridorOptions.model_validate({})),

@@ -26,6 +26,7 @@ def _row(name: str, facts: Mapping[str, Any], shared: Mapping[str, Any]) -> Envi
         id=f"{FAMILY}/{name}",
         description=f"{name} of MuJoCo Playground (DeepMind Control Suite), as its package has it.",
         factory="core.environments.playground.environment:make",
+        package="mujoco_playground",
         arguments={"name": name},
         observation_size=facts["observation_size"],
         action_size=facts["action_size"],

@@ -37,6 +37,7 @@ INFO = EnvironmentInfo(
     id="rodent",
     description="dm_control's rat: 67 joints and 38 actuators, rewarded for running in +x and staying up.",
     factory="core.environments.rodent.environment:make",
+    package="dm_control",
     observation_size=1260,
     action_size=38,
     dt=0.01,

@@ -1,15 +1,20 @@
 """A job that no worker could take says so."""
 
+from typing import Any
+
 import pytest
 
+from core.jobs.job import Artifact
 from core.jobs.queue import queue_names
+from core.jobs.status import Reason
 from core.jobs.store import WorkerInfo, WorkerState
 from core.jobs.waiting import what_it_waits_for
 from tests.unit.jobs.making import NOON, make_job
 
 
-def worker(device: str, state: WorkerState = "ready") -> WorkerInfo:
+def worker(device: str, state: WorkerState = "ready", **has: Any) -> WorkerInfo:
     return WorkerInfo(
+        **has,
         name=f"host:{device}",
         host="host",
         pid=1,
@@ -56,6 +61,71 @@ def test_devices_that_were_set_aside_are_named_unless_another_worker_fits() -> N
         "The device of each worker that fits was set aside: host:gpu:0: A test of the device gpu:0 failed."
     )
     assert what_it_waits_for(job, [failed, worker("gpu:1", "testing")]) is None
+
+
+@pytest.mark.parametrize(
+    ("asked", "has", "sentence"),
+    [
+        ({"physics": "warp"}, [()], "the engine warp (pip install 'gaitway[warp]')"),
+        ({"physics": "warp"}, [(), ("warp",)], None),
+        ({"physics": "warp"}, [(), None], None),  # A worker of an older version may have it.
+        ({"physics": "native"}, [()], None),
+        ({}, [()], None),
+        ({"environment": "rodent"}, [()], "the environment rodent (pip install 'gaitway[dm-control]')"),
+        (
+            {"environment": "playground/CheetahRun", "physics": "warp"},
+            [(), ("warp",)],  # The one that lacks less is the one to mend.
+            "the environment playground/CheetahRun (pip install 'gaitway[playground]')",
+        ),
+    ],
+)
+def test_a_job_says_which_package_no_worker_has(
+    asked: dict[str, Any], has: list[tuple[str, ...] | None], sentence: str | None
+) -> None:
+    told = what_it_waits_for(make_job(**asked), [worker("cpu", packages=packages) for packages in has])
+    if sentence is None:
+        assert told is None
+    else:
+        assert told == (f"No worker here that fits can run {sentence}: install it there, or ask for another.")
+
+
+def test_a_job_that_began_on_warp_needs_it_again() -> None:
+    without, job = worker("cpu", packages=()), make_job()
+    file = Artifact(name="c", role="checkpoint", media_type="", size=1, sha256="", key="k", step=1)
+    running = job.claimed("w", NOON).running(device="cpu", engine="warp").with_artifacts((file,))
+    waiting = running.requeued(Reason.WORKER_DRAINED, "", NOON)
+    assert what_it_waits_for(job, [without]) is None
+    assert "the engine warp" in str(what_it_waits_for(waiting, [without]))
+
+
+_LARGE = {"num_envs": 1024, "batch_size": 1024, "num_minibatches": 1024, "unroll_length": 100}
+
+
+@pytest.mark.parametrize(
+    ("workers", "sentence"),
+    [
+        ([("cpu", 16)], None),
+        ([("cpu", 8), ("cpu", None)], None),
+        ([("cpu", 8), ("gpu:0", 80)], None),
+        ([("cpu", 8), ("gpu:0", 15)], "the largest GPU of a worker has 15 GiB: lower batch_size"),
+    ],
+)
+def test_a_job_says_that_no_worker_has_the_memory(
+    workers: list[tuple[str, int | None]], sentence: str | None
+) -> None:
+    here = [worker(device, memory_bytes=gib and gib * 2**30) for device, gib in workers]
+    told = what_it_waits_for(make_job(algorithm=_LARGE), here)
+    assert told is None if sentence is None else sentence in str(told)
+    if sentence:  # A large worker without what the job needs else is none.
+        able = worker("gpu:0", packages=(), memory_bytes=80 * 2**30)
+        other = worker("cpu", packages=("warp",), memory_bytes=2**30)
+        told = what_it_waits_for(make_job(algorithm=_LARGE, physics="warp"), [able, other])
+        assert "the largest CPU of a worker has 1 GiB" in str(told)
+
+
+def test_a_job_that_today_would_be_refused_is_left_to_its_attempt() -> None:
+    job = make_job(environment={"id": "no_such_body"}, algorithm=_LARGE)
+    assert what_it_waits_for(job, [worker("cpu", packages=(), memory_bytes=1)]) is None
 
 
 def test_a_job_that_has_begun_waits_for_nobody() -> None:

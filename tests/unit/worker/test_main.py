@@ -9,12 +9,18 @@ from typing import Any
 import pytest
 from rq.exceptions import StopRequested
 
+from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
+from core.jobs.attempts import Holding
+from core.jobs.status import JobStatus, Reason
 from core.jobs.store import WorkerInfo
 from core.settings import WorkerSettings
+from tests.contract.recording import held, queued_job
 from worker import locks
+from worker.left_attempts import leave
 from worker.main import GaitwayWorker
+from worker.outcome import Outcome
 from worker.spool import spool
 
 
@@ -71,3 +77,16 @@ def test_what_a_killed_work_horse_has_left_on_the_disk_is_removed(
         assert held.is_dir()
         assert not left.exists()
     os.close(descriptor)
+
+
+def test_a_worker_tells_how_an_attempt_ended_that_was_left_on_its_disk(
+    settings: WorkerSettings, job_store: PostgresJobStore
+) -> None:
+    job = held(job_store, queued_job())
+    holding = Holding(job.id, 1, job.token, job_store, MemoryObjectStore())
+    leave(settings.data_dir, holding, Outcome(None, Reason.WORKER_DRAINED, "Shut down."))
+    (settings.data_dir / "left" / "damaged.json").write_text("{")
+    GaitwayWorker(settings, "cpu", job_store).heartbeat()
+    told = job_store.get(job.id)
+    assert (told.status, told.attempts[-1].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
+    assert list((settings.data_dir / "left").iterdir()) == []

@@ -1,0 +1,69 @@
+"""What a job needs of a worker besides its device: optional packages, and memory."""
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+
+from core.algorithms.memory import Memory
+from core.algorithms.spec import resolve
+from core.devices import gpu_indices
+from core.environments import catalog
+from core.environments.info import Device, EnvironmentInfo
+from core.errors import GaitwayError
+from core.jobs.job import Job
+from core.jobs.spec import Accelerator, JobSpec, TrainSpec
+
+DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
+
+# The packages that a worker may be without, by the names under which they are imported, and the extra of
+# Gaitway that brings each.
+EXTRAS: dict[str, str] = {
+    "warp": "warp",
+    "dm_control": "dm-control",
+    "biorobot": "brittle-star",
+    "mujoco_playground": "playground",
+}
+
+
+def packages_here() -> tuple[str, ...]:
+    """Which of these this installation has; loads none of them."""
+    return tuple(package for package in EXTRAS if find_spec(package) is not None)
+
+
+def packages_for(job: Job) -> Mapping[str, str]:
+    """Each of these that the job cannot do without, and what needs it."""
+    environment, needed = job.spec.environment.id, dict[str, str]()
+    info = catalog.ENVIRONMENTS.get(environment)
+    if info is not None and info.package is not None:
+        needed[info.package] = f"the environment {environment}"
+    engine = job.spec.physics
+    if engine == "auto" and isinstance(job.spec, TrainSpec) and job.begun is not None:
+        engine = job.begun.engine  # Its checkpoint was made on it.
+    if engine == "warp":
+        needed["warp"] = "the engine warp"
+    return needed
+
+
+def memory_for(spec: JobSpec) -> Mapping[Device, Memory]:
+    """The least memory that a training needs on each kind of device; empty where that is not known."""
+    if not isinstance(spec, TrainSpec):
+        return {}
+    try:
+        info = catalog.find(spec.environment.id)
+        info = info.under(catalog.parse_options(info, spec.environment.options))
+        return least_memory(spec, info)
+    except GaitwayError:  # It was accepted by a version that has other rules; the attempt says what is wrong.
+        return {}
+
+
+def least_memory(spec: TrainSpec, info: EnvironmentInfo) -> Mapping[Device, Memory]:
+    """As `memory_for`, with the environment's row at hand. Raises Rejected."""
+    gpus = spec.resources.gpus
+    return {
+        device: resolve(spec.algorithm, info, device).least_memory(info, gpus)
+        for device in DEVICES[spec.resources.kind]
+    }
+
+
+def kind_of(device: str) -> Device:
+    """`cpu` or `gpu`, of a worker's device."""
+    return "gpu" if gpu_indices(device) else "cpu"
