@@ -6,13 +6,23 @@ StoreSettings            what every process needs: where the record, the queue a
 └── ReconcilerSettings
 """
 
+import ssl
 from datetime import timedelta
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
-from pydantic import AfterValidator, BeforeValidator, ByteSize, Field, SecretStr, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ByteSize,
+    Field,
+    SecretStr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from core.devices import GPUS
@@ -54,6 +64,17 @@ def _database_address(value: SecretStr) -> SecretStr:
     return value
 
 
+def _authorities(value: Path) -> Path:
+    try:
+        ssl.create_default_context(cafile=value)
+    except OSError as error:
+        raise ValueError(
+            f"{value} cannot be read as certificates in PEM ({error.strerror or error}); let every user "
+            "read it (chmod 644)"
+        ) from None
+    return value
+
+
 # At most a year: sums of several must still be times.
 Seconds = Annotated[
     timedelta, BeforeValidator(_number_of_seconds), Field(gt=timedelta(0), le=timedelta(days=365))
@@ -61,6 +82,7 @@ Seconds = Annotated[
 Address = Annotated[str, Field(min_length=1), AfterValidator(_address)]
 RedisAddress = Annotated[SecretStr, AfterValidator(_redis_address)]
 DatabaseAddress = Annotated[SecretStr, AfterValidator(_database_address)]
+Authorities = Annotated[Path, AfterValidator(_authorities)]
 AliveFile = Annotated[
     Path | None,
     Field(
@@ -81,6 +103,12 @@ class StoreSettings(BaseSettings):
         env_prefix=PREFIX, env_ignore_empty=True, frozen=True, hide_input_in_errors=True, extra="ignore"
     )
 
+    # Before the addresses, which name it to their clients.
+    tls_ca: Authorities | None = Field(
+        None,
+        description="File with the certificate of the authority that signed the stores' own, in PEM, where "
+        "the system does not know it; PostgreSQL's always needs one.",
+    )
     database_url: DatabaseAddress = Field(
         description="Where PostgreSQL is: postgresql://USER:PASSWORD@HOST:PORT/DATABASE; for TLS with "
         "?sslmode=verify-full at its end."
@@ -105,6 +133,17 @@ class StoreSettings(BaseSettings):
         description="How the bucket is addressed: HOST/BUCKET (path), BUCKET.HOST (host), or host for "
         "Amazon's own addresses and path for all others (auto).",
     )
+
+    @field_validator("database_url", "redis_url")
+    @classmethod
+    def _trusts_the_authority(cls, value: SecretStr, info: ValidationInfo) -> SecretStr:
+        """A client of PostgreSQL or Redis takes its authority's file from the address."""
+        url, file = value.get_secret_value(), info.data.get("tls_ca")
+        parameter = "sslrootcert" if info.field_name == "database_url" else "ssl_ca_certs"
+        speaks_tls = url.startswith(("postgres", "rediss:"))
+        if file is None or not speaks_tls or f"{parameter}=" in url:
+            return value
+        return SecretStr(f"{url}{'&' if '?' in url else '?'}{parameter}={quote(str(file))}")
 
     @model_validator(mode="after")
     def _no_open_door(self) -> Self:

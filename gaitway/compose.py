@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from gaitway.embedded.certificates import Certificate, authority
+from gaitway.embedded.certificates import Certificate, authority, signed
 from gaitway.embedded.folders import remembered, write_private
 from gaitway.embedded.weed_environment import REGION, weed_environment
 
@@ -20,8 +20,18 @@ SECRETS = Path("/run/gaitway")
 DATABASE_PASSWORD = Path("/volumes/database-password/password")
 
 _INNER_CERTIFICATE, _INNER_KEY = "objects-inner.crt", "objects-inner.key"
+# The first is for the other machines; the others are what the stores show them.
+_AUTHORITY, _STORES_CERTIFICATE, _STORES_KEY = "ca.pem", "stores.crt", "stores.key"
+_JOINING = {"COMPOSE_FILE": "docker-compose.yml:deploy/own-ca.yml", "GAITWAY_TLS_CA": "/etc/gaitway/ca.pem"}
+# pg_hba.conf: a password lets anybody in, from outside the container by TLS alone.
+_DATABASE_RULES = """local all all scram-sha-256
+host all all 127.0.0.1/32 scram-sha-256
+host all all ::1/128 scram-sha-256
+hostssl all all all scram-sha-256
+"""
 _DATABASE, _REDIS, _S3 = "GAITWAY_DATABASE_URL", "GAITWAY_REDIS_URL", "GAITWAY_S3_ENDPOINT"
 _PASSED_ON = (
+    "GAITWAY_TLS_CA",
     _DATABASE,
     _REDIS,
     "GAITWAY_REDIS_WITHOUT_PASSWORD",
@@ -40,6 +50,8 @@ def setup(folder: Path, environ: Mapping[str, str], database_password: Path = DA
     write_private(folder / _INNER_CERTIFICATE, inner.certificate)
     write_private(folder / _INNER_KEY, inner.key)
     write_private(folder / "objects.sh", _starting_weed(keys))
+    if share := environ.get("GAITWAY_SHARE"):
+        _certify(folder, database_password.parent, share)
     wanted = own_stores(keys, environ, Hosts("postgres", "valkey", "objects"))
     for name in _PASSED_ON:
         file = folder / name.lower()
@@ -47,6 +59,19 @@ def setup(folder: Path, environ: Mapping[str, str], database_password: Path = DA
             write_private(file, wanted[name])
         else:  # What the user has named since then must not be mixed with what we had.
             file.unlink(missing_ok=True)
+
+
+def _certify(folder: Path, database_folder: Path, address: str) -> None:
+    """Write what the stores need for TLS at this address; the authority is made once."""
+    by = Certificate(*remembered(folder / "authority.json", lambda: authority("gaitway")))
+    write_private(folder / _AUTHORITY, by.certificate)
+    stores = signed(by, [address])
+    for where in (folder, database_folder):
+        write_private(where / _STORES_CERTIFICATE, stores.certificate)
+        write_private(where / _STORES_KEY, stores.key)
+    write_private(database_folder / "pg_hba.conf", _DATABASE_RULES)
+    for name in (_STORES_CERTIFICATE, _STORES_KEY, "pg_hba.conf"):
+        (database_folder / name).chmod(0o644)  # Like the password: PostgreSQL's container is another user.
 
 
 def join(
@@ -57,8 +82,8 @@ def join(
     if {_DATABASE, _REDIS, _S3} <= named.keys():
         return named
     shared = _shared_address(environ.get("GAITWAY_SHARE", ""))
-    own = own_stores(_keys(folder, database_password), environ, Hosts(shared, shared, shared))
-    return {**own, **named}
+    own = own_stores(_keys(folder, database_password), environ, Hosts(shared, shared, shared), with_tls=True)
+    return {**own, **named, **_JOINING}
 
 
 class Hosts(NamedTuple):
@@ -69,19 +94,23 @@ class Hosts(NamedTuple):
     objects: str
 
 
-def own_stores(keys: Mapping[str, str], environ: Mapping[str, str], hosts: Hosts) -> dict[str, str]:
+def own_stores(
+    keys: Mapping[str, str], environ: Mapping[str, str], hosts: Hosts, *, with_tls: bool = False
+) -> dict[str, str]:
     """Settings that lead to the stores of docker-compose.yml, as far as the user has not named others."""
     found = dict[str, str]()
+    scheme, verified = ("rediss", "?sslmode=verify-full") if with_tls else ("redis", "")
     if not environ.get(_DATABASE):
-        found[_DATABASE] = f"postgresql://gaitway:{keys['database_password']}@{hosts.postgres}:5432/gaitway"
+        login = f"gaitway:{keys['database_password']}"
+        found[_DATABASE] = f"postgresql://{login}@{hosts.postgres}:5432/gaitway{verified}"
     if not environ.get(_REDIS):
-        found[_REDIS] = f"redis://:{keys['redis_password']}@{hosts.valkey}:6379/0"
+        found[_REDIS] = f"{scheme}://:{keys['redis_password']}@{hosts.valkey}:6379/0"
     if not environ.get(_S3):
         found |= {
             _S3: f"{hosts.objects}:8333",
             "GAITWAY_S3_ACCESS_KEY": keys["s3_access_key"],
             "GAITWAY_S3_SECRET_KEY": keys["s3_secret_key"],
-            "GAITWAY_S3_SECURE": "false",
+            "GAITWAY_S3_SECURE": str(with_tls).lower(),
             "GAITWAY_S3_REGION": REGION,
         }
     return found

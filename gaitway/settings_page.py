@@ -71,12 +71,6 @@ OTHERS = (
     Other("GAITWAY_IMAGE", "Docker Compose", "`gaitway`", "What the images' names begin with."),
     Other("GAITWAY_TAG", "Docker Compose", "`latest`", "The images' tag."),
     Other(
-        "SSL_CERT_FILE",
-        "API, worker, reconciler",
-        "the system's",
-        "Certificates to trust, in one PEM file, where the stores' TLS has an authority of your own.",
-    ),
-    Other(
         "MUJOCO_GL",
         "worker",
         "`egl`, else `osmesa`",

@@ -31,7 +31,7 @@ def tls_refusal(error: BaseException, server: str, address: str, without: str) -
     if isinstance(failure, ssl.SSLCertVerificationError):
         return (
             f"The certificate of {server} is not trusted: {failure.verify_message.rstrip('.')}. Let "
-            "SSL_CERT_FILE name a file with the certificate of the authority that signed it; and "
+            "GAITWAY_TLS_CA name a file with the certificate of the authority that signed it; and "
             f"{address} has to name the host as the certificate does."
         )
     if failure is not None and failure.reason in _NO_TLS_THERE:

@@ -50,8 +50,9 @@ def _made(subject: str, names: Sequence[str], by: Certificate | None) -> Certifi
         .not_valid_before(_FIRST_DAY)
         .not_valid_after(_LAST_DAY)
         .add_extension(x509.BasicConstraints(ca=by is None, path_length=None), critical=True)
+        .add_extension(_usage(is_authority=by is None), critical=True)
         .add_extension(x509.SubjectAlternativeName([_name(one) for one in names]), critical=False)
-        # Python 3.13 asks for both.
+        # Python 3.13 asks for both, and for the usage of an authority's key.
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
         .add_extension(
             x509.AuthorityKeyIdentifier.from_issuer_public_key(signing.public_key()), critical=False
@@ -61,6 +62,20 @@ def _made(subject: str, names: Sequence[str], by: Certificate | None) -> Certifi
     pem = serialization.Encoding.PEM
     private = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
     return Certificate(certificate.public_bytes(pem).decode(), private.decode())
+
+
+def _usage(*, is_authority: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=True,
+        key_cert_sign=is_authority,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        crl_sign=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
 
 
 def _name(name: str) -> x509.GeneralName:

@@ -55,7 +55,7 @@ WRONG_SETTINGS = {
     "an unknown authority": (
         {"S3_ENDPOINT": "{https}", "S3_SECURE": "true"},
         "object store",
-        "Let SSL_CERT_FILE name a file with the certificate of the authority",
+        "Let GAITWAY_TLS_CA name a file with the certificate of the authority",
     ),
     "a wrong password of PostgreSQL": (
         {"DATABASE_URL": "{pg_wrong}"},
@@ -240,7 +240,7 @@ def test_an_authority_of_one_s_own_is_trusted_by_name(
 ) -> None:
     environment.setenv("GAITWAY_S3_ENDPOINT", f"127.0.0.1:{stores.https_port}")
     environment.setenv("GAITWAY_S3_SECURE", "true")
-    environment.setenv("SSL_CERT_FILE", str(stores.authority))
+    environment.setenv("GAITWAY_TLS_CA", str(stores.authority))
     assert doctor()["object store"]["state"] == "pass"
 
 

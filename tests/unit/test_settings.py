@@ -2,11 +2,14 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from psycopg.conninfo import conninfo_to_dict
 from pydantic_settings import BaseSettings
+from redis.connection import parse_url
 
 from core.configuration import EXIT_STATUS, names, read, stopping_if_misconfigured, variable
 from core.errors import Misconfigured
 from core.settings import ApiSettings, ReconcilerSettings, StoreSettings, WorkerSettings
+from gaitway.embedded.certificates import authority
 from gaitway.settings_page import OTHERS, page
 
 ROOT = Path(__file__).parents[2]
@@ -104,6 +107,53 @@ def test_a_redis_with_a_password_or_on_this_machine_is_accepted(
 ) -> None:
     environ.setenv("GAITWAY_REDIS_URL", url)
     assert read(ReconcilerSettings).redis_url.get_secret_value() == url
+
+
+@pytest.fixture
+def authority_file(tmp_path: Path) -> Path:
+    path = tmp_path / "ca, of ours.pem"
+    path.write_text(authority("gaitway").certificate)
+    return path
+
+
+def test_the_authority_is_named_in_the_addresses(authority_file: Path, environ: pytest.MonkeyPatch) -> None:
+    environ.setenv("GAITWAY_TLS_CA", str(authority_file))
+    environ.setenv("GAITWAY_DATABASE_URL", "postgresql://u:w@record/gaitway?sslmode=verify-full")
+    environ.setenv("GAITWAY_REDIS_URL", "rediss://:w@records:6380/0")
+    settings = read(ReconcilerSettings)
+    assert conninfo_to_dict(settings.database_url.get_secret_value())["sslrootcert"] == str(authority_file)
+    assert parse_url(settings.redis_url.get_secret_value())["ssl_ca_certs"] == str(authority_file)
+
+
+@pytest.mark.parametrize(
+    ("name", "url"),
+    [
+        ("database_url", "postgresql://u:w@record/gaitway?sslrootcert=system"),
+        ("redis_url", "rediss://:w@records:6380/0?ssl_ca_certs=/theirs.pem"),
+        ("redis_url", "redis://:w@records:6380/0"),
+        ("redis_url", "unix:///run/valkey.sock"),
+    ],
+)
+def test_an_address_with_an_authority_of_its_own_or_without_tls_stays_as_it_is(
+    name: str, url: str, authority_file: Path, environ: pytest.MonkeyPatch
+) -> None:
+    environ.setenv("GAITWAY_TLS_CA", str(authority_file))
+    environ.setenv(variable(name), url)
+    assert getattr(read(ReconcilerSettings), name).get_secret_value() == url
+
+
+@pytest.mark.parametrize(
+    ("content", "says"), [(None, "No such file"), ("no certificate", "cannot be read as certificates in PEM")]
+)
+def test_an_authority_that_cannot_be_read_is_refused(
+    content: str | None, says: str, tmp_path: Path, environ: pytest.MonkeyPatch
+) -> None:
+    if content is not None:
+        (tmp_path / "ca.pem").write_text(content)
+    environ.setenv("GAITWAY_TLS_CA", str(tmp_path / "ca.pem"))
+    sentence = refusal()
+    assert sentence.startswith("GAITWAY_TLS_CA is wrong: ")
+    assert says in sentence
 
 
 def test_an_open_redis_can_be_accepted_knowingly(environ: pytest.MonkeyPatch) -> None:

@@ -34,8 +34,9 @@ _REFUSALS = {
     # To a question for TLS, and to one for a session.
     "invalid response": _NO_POSTGRES,
     "expected authentication request": _NO_POSTGRES,
-    "certificate": f"The certificate of PostgreSQL is not trusted: name its authority in {_ADDRESS} "
-    "(sslrootcert=FILE), and the host as the certificate does.",
+    "certificate": "The certificate of PostgreSQL is not trusted. Let GAITWAY_TLS_CA name a file with the "
+    f"certificate of the authority that signed it; and {_ADDRESS} has to name the host as the certificate "
+    "does.",
 }
 # As text too, and it may pass by itself.
 _NOT_LET_IN = {

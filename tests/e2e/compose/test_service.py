@@ -224,9 +224,58 @@ def second_machine(checkout: Path, tmp_path: Path, project: Project) -> Iterator
         yield found
 
 
-def test_a_second_machine_joins_by_one_command(
+# Ends with 0 where each store wants TLS, and shows a certificate that only our authority has signed.
+NO_DOOR_WITHOUT_TLS = """
+import sys
+from core.adapters.connect import connect_redis, job_store, object_store
+from core.adapters.redis_errors import reaching_redis
+from core.configuration import read
+from core.errors import RecordsRefuse, RecordsUnavailable, StorageRefuses
+from core.settings import StoreSettings
+
+def refuses(store, **changed):
+    settings = trusting_us.model_copy(update=changed)
+    try:
+        with reaching_redis():
+            store(settings)
+    except (RecordsRefuse, RecordsUnavailable, StorageRefuses) as error:
+        print(store.__name__, error.detail)
+    else:
+        sys.exit(f"{store.__name__} lets {list(changed)} in")
+
+def postgresql(settings):
+    job_store(settings, pool_size=0).ping()
+
+def redis(settings):
+    connect_redis(settings.redis_url.get_secret_value(), retries=0).ping()
+
+def objects(settings):
+    list(object_store(settings, retries=0).list("jobs/"))
+
+def queue(address):
+    return {"redis_url": type(trusting_us.redis_url)(address)}
+
+def database(address):
+    return {"database_url": type(trusting_us.database_url)(address)}
+
+trusting_us = read(StoreSettings)
+for store in (postgresql, redis, objects):
+    store(trusting_us)
+postgres_url, _, _ = trusting_us.database_url.get_secret_value().partition("?")
+redis_url, _, _ = trusting_us.redis_url.get_secret_value().partition("?")
+refuses(postgresql, **database(postgres_url + "?sslmode=disable"))
+refuses(redis, **queue(redis_url.replace("rediss:", "redis:")))
+refuses(objects, s3_secure=False)
+refuses(postgresql, **database(postgres_url + "?sslmode=verify-full"))
+refuses(redis, **queue(redis_url))
+refuses(objects, tls_ca=None)
+"""
+
+
+def test_a_second_machine_joins_over_tls(
     project: Project, checkout: Path, second_machine: Project, client: Client
 ) -> None:
+    """The commands of docs/install.md."""
     # Where this host is reached from any container: the near end of the project's network.
     network = json.loads(run("docker", "network", "inspect", f"{project.name}_default"))[0]
     gateway = network["IPAM"]["Config"][0]["Gateway"]
@@ -236,17 +285,23 @@ def test_a_second_machine_joins_by_one_command(
         "GAITWAY_WORKERS": "0",
     }
     shared = Project(checkout, {**project.settings, **sharing}, project.name, project.port)
+    project.compose("stop", "worker")  # While it can: the stores go for a moment, and come back shared.
     shared.compose("up", "--detach")
     try:
         told = shared.compose("run", "--rm", "-T", "setup", "python", "-m", "gaitway.compose", "join")
         (second_machine.checkout / ".env").write_text(told)
+        with pytest.raises(CommandFailed, match=r"ca\.pem"):
+            second_machine.compose("up", "--detach", "--no-deps", "worker")
+        trusted = shared.compose("run", "--rm", "-T", "setup", "cat", "/run/gaitway/ca.pem")
+        (second_machine.checkout / "ca.pem").write_text(trusted)
         second_machine.compose("up", "--detach", "--no-deps", "worker")
         job = client.wait(client.submit(ROLLOUT).id, timeout=120)
         assert job.succeeded, job.message
         (container,) = second_machine.containers("worker")
         assert (job.attempts[0].worker or "").startswith(container[:12])
+        second_machine.exec("worker", "python", "-c", NO_DOOR_WITHOUT_TLS)
         # The same stores, with an API and a reconciler of its own.
-        files = [f"deploy/own-{store}.yml" for store in ("postgres", "redis", "s3")]
+        files = [f"deploy/own-{name}.yml" for name in ("ca", "postgres", "redis", "s3")]
         own = f"COMPOSE_FILE=docker-compose.yml:{':'.join(files)}\n"
         (second_machine.checkout / ".env").write_text(told + own)
         second_machine.compose("up", "--detach")

@@ -6,11 +6,13 @@ import stat
 import subprocess
 from collections.abc import Mapping
 from datetime import timedelta
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from cryptography import x509
 
 from core.configuration import PROCESSES, names, read, variable
 from core.settings import ApiSettings, StoreSettings, WorkerSettings
@@ -130,14 +132,52 @@ def test_weed_is_ended_when_only_a_new_start_lets_it_write_again(tmp_path: Path)
     assert (ended.returncode, ended.stderr) == (-signal.SIGTERM, f"a line\n{line}\n")
 
 
-def test_a_worker_elsewhere_is_told_the_shared_address(tmp_path: Path) -> None:
+def test_a_worker_elsewhere_is_told_the_shared_address_and_to_verify_it(tmp_path: Path) -> None:
     compose.setup(tmp_path, {}, tmp_path / "database.password")
     told = compose.join(tmp_path, {"GAITWAY_SHARE": "192.0.2.7"}, tmp_path / "database.password")
     password = (tmp_path / "valkey.password").read_text()
-    assert told["GAITWAY_REDIS_URL"] == f"redis://:{password}@192.0.2.7:6379/0"
+    assert told["GAITWAY_REDIS_URL"] == f"rediss://:{password}@192.0.2.7:6379/0"
     assert told["GAITWAY_S3_ENDPOINT"] == "192.0.2.7:8333"
-    assert "@192.0.2.7:5432/gaitway" in told["GAITWAY_DATABASE_URL"]
+    assert told["GAITWAY_S3_SECURE"] == "true"
+    assert told["GAITWAY_DATABASE_URL"].endswith("@192.0.2.7:5432/gaitway?sslmode=verify-full")
+    assert told.pop("COMPOSE_FILE") == "docker-compose.yml:deploy/own-ca.yml"
     assert set(told) <= names()
+
+
+def test_a_worker_elsewhere_finds_its_authority_where_its_container_has_it(tmp_path: Path) -> None:
+    told = compose.join(tmp_path, {"GAITWAY_SHARE": "192.0.2.7"}, tmp_path / "database.password")
+    added = yaml.safe_load((ROOT / "deploy/own-ca.yml").read_text())["services"]
+    for service in ("setup", "api", "reconciler", "worker", "worker-gpu"):
+        (mount,) = added[service]["volumes"]
+        assert mount["target"] == told["GAITWAY_TLS_CA"], service
+        assert added[service]["environment"]["GAITWAY_TLS_CA"] == told["GAITWAY_TLS_CA"], service
+
+
+def test_shared_stores_get_a_certificate_for_their_address(tmp_path: Path) -> None:
+    database = tmp_path / "database"
+    database.mkdir()
+    compose.setup(tmp_path, {}, database / "password")
+    assert not (tmp_path / "ca.pem").exists()
+    compose.setup(tmp_path, {"GAITWAY_SHARE": "192.0.2.7"}, database / "password")
+    trusted = (tmp_path / "ca.pem").read_bytes()
+    by = x509.load_pem_x509_certificate(trusted)
+    for folder in (tmp_path, database):
+        shown = x509.load_pem_x509_certificate((folder / "stores.crt").read_bytes())
+        shown.verify_directly_issued_by(by)
+        (name,) = shown.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        assert name.value == ip_address("192.0.2.7")
+    # Machines that have joined go on trusting it at another address.
+    compose.setup(tmp_path, {"GAITWAY_SHARE": "192.0.2.8"}, database / "password")
+    assert (tmp_path / "ca.pem").read_bytes() == trusted
+    assert (tmp_path / "stores.key").stat().st_mode & 0o077 == 0
+
+
+def test_postgresql_lets_in_from_outside_by_tls_alone(tmp_path: Path) -> None:
+    compose.setup(tmp_path, {"GAITWAY_SHARE": "192.0.2.7"}, tmp_path / "database.password")
+    rules = [line.split() for line in (tmp_path / "pg_hba.conf").read_text().splitlines()]
+    assert {rule[3] for rule in rules if rule[0] == "host"} == {"127.0.0.1/32", "::1/128"}
+    assert ["hostssl", "all", "all", "all", "scram-sha-256"] in rules
+    assert {rule[-1] for rule in rules} == {"scram-sha-256"}
 
 
 def test_a_worker_elsewhere_is_told_of_stores_of_the_users_own(tmp_path: Path) -> None:
@@ -213,10 +253,14 @@ def test_a_store_of_the_users_own_takes_the_place_of_ours(store: str, services: 
         assert services[process]["depends_on"][name]["required"] is False
 
 
-def test_every_store_is_shared_with_workers_elsewhere() -> None:
+def test_every_store_is_shared_by_tls_with_workers_elsewhere() -> None:
     shared = yaml.safe_load((ROOT / "deploy/share.yml").read_text())["services"]
     ports = {name: service["ports"][0].rpartition("}:")[2] for name, service in shared.items()}
-    assert ports == {"postgres": "5432:5432", "valkey": "6379:6379", "objects": "8333:8333"}
+    # The last two are those for TLS, as the command's options say.
+    assert ports == {"postgres": "5432:5432", "valkey": "6379:6380", "objects": "8333:8334"}
+    assert "-c ssl=on" in shared["postgres"]["entrypoint"][2]
+    assert "--tls-port 6380" in shared["valkey"]["entrypoint"][2]
+    assert "-s3.port.https=8334" in shared["objects"]["entrypoint"][2]
 
 
 def test_a_drain_has_more_time_than_the_grace(services: Mapping[str, Any]) -> None:
