@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import aiohttp
 import httpx
 
 
@@ -14,22 +15,24 @@ async def post_at_rate(
     """Seconds that each of `count` submissions took, and the ids of the jobs.
 
     The time runs from the moment a request was due, not from when it was sent: a stall is counted
-    for every request it delays. Raises httpx.HTTPStatusError for a refusal.
+    for every request it delays. Raises aiohttp.ClientResponseError for a refusal.
     """
-    limits = httpx.Limits(max_connections=100, max_keepalive_connections=100)
-    async with httpx.AsyncClient(base_url=url, timeout=30, limits=limits, trust_env=False) as client:
+    connections = aiohttp.TCPConnector(limit=100, keepalive_timeout=30)
+    timeout = aiohttp.ClientTimeout(total=60)
+    async with aiohttp.ClientSession(connector=connections, timeout=timeout, raise_for_status=True) as client:
         began = time.perf_counter() + 0.1
         due = [began + number / per_second for number in range(count)]
-        answers = await asyncio.gather(*(_post(client, body, moment) for moment in due))
+        answers = await asyncio.gather(*(_post(client, f"{url}/jobs", body, moment) for moment in due))
     return [seconds for seconds, _ in answers], [job for _, job in answers]
 
 
-async def _post(client: httpx.AsyncClient, body: dict[str, Any], due: float) -> tuple[float, str]:
+async def _post(
+    client: aiohttp.ClientSession, url: str, body: dict[str, Any], due: float
+) -> tuple[float, str]:
     await asyncio.sleep(due - time.perf_counter())
-    response = await client.post("/jobs", json=body)
-    seconds = time.perf_counter() - due
-    response.raise_for_status()
-    return seconds, response.json()["id"]
+    async with client.post(url, json=body) as response:
+        said = await response.json()
+    return time.perf_counter() - due, said["id"]
 
 
 async def remove(url: str, jobs: Sequence[str]) -> None:
