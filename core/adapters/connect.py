@@ -66,7 +66,7 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
     """
     pool = PoolManager(
         maxsize=32,
-        ssl_context=None if authorities is None else _trusting(authorities),
+        ssl_context=None if authorities is None else trusting(authorities),
         timeout=HTTPTimeout(connect=2, read=timeout_s),
         retries=HTTPRetry(
             total=retries,
@@ -92,7 +92,8 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
         ) from error
 
 
-def _trusting(authorities: Path) -> ssl.SSLContext:
+def trusting(authorities: Path) -> ssl.SSLContext:
+    """For a client that trusts those in the PEM file besides the system's."""
     context = ssl.create_default_context()
     context.load_verify_locations(authorities)
     return context

@@ -91,9 +91,12 @@ def clock(settings: "StoreSettings | None") -> Check:
     """Whether this clock agrees with the object store's: S3 refuses signatures that are 15 minutes off."""
     if settings is None:
         return Check("clock", "skip", _NO_SETTINGS)
+    from core.adapters.connect import trusting
+
     scheme = "https" if settings.s3_secure else "http"
+    verify = True if settings.tls_ca is None else trusting(settings.tls_ca)
     try:
-        answer = httpx.get(f"{scheme}://{settings.s3_endpoint}/", timeout=5)
+        answer = httpx.get(f"{scheme}://{settings.s3_endpoint}/", timeout=5, verify=verify)
         skew_s = abs((datetime.now(UTC) - parsedate_to_datetime(answer.headers["Date"])).total_seconds())
     except (httpx.HTTPError, KeyError, ValueError, TypeError):
         return Check("clock", "skip", "the object store does not tell the time")
