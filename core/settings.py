@@ -226,7 +226,8 @@ class WorkerSettings(StoreSettings):
     models: Literal["confined", "unconfined"] = Field(
         "confined",
         description="confined: a user's model is refused where the system cannot confine the process that "
-        "reads it; unconfined: what the system lacks is done without.",
+        "reads it; unconfined: what the system lacks is done without, and previews and trainings may read "
+        "the worker's files. For previews and trainings, only the environment variable counts.",
     )
     wandb_api_key: SecretStr | None = Field(
         None, min_length=1, description="Key for Weights & Biases, for jobs that ask for tracking there."

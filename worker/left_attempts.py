@@ -25,7 +25,7 @@ LEFT = "left"
 
 
 class LeftAttempt(Stored):
-    """What a holding and an outcome hold, but for the stores."""
+    """An attempt and its outcome, as they are written to disk."""
 
     job_id: str
     number: int

@@ -1,4 +1,4 @@
-"""What a job needs of a worker besides its device: optional packages, and memory."""
+"""What a job needs from a worker besides a device: optional packages and memory."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec

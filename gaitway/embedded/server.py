@@ -1,4 +1,4 @@
-"""What the servers of the embedded stack have in common."""
+"""How a server of the embedded stack is started, awaited and stopped."""
 
 from abc import ABC, abstractmethod
 from typing import Self

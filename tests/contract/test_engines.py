@@ -72,7 +72,7 @@ def bench(request: pytest.FixtureRequest) -> Bench:
         engine,
         reset,
         step,
-        # What is jitted already is not traced again, which takes MJX seconds.
+        # JAX does not trace a jitted function again; MJX takes seconds to trace.
         jax.jit(jax.vmap(reset)),
         jax.jit(jax.vmap(step)),
         # Native computes in float64 and rounds; the others compute in float32.

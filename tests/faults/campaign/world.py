@@ -154,7 +154,7 @@ class World:
             self.signal(name, signal.SIGCONT)
 
     def logs(self, name: str) -> str:
-        """What a party has said in all its lives, or a server in its last."""
+        """A party's log since the world began, or a server's log since its last start."""
         servers = {"postgres": self.postgres, "valkey": self.valkey, "weed": self.weed}
         if name in servers:
             return servers[name].process.log()

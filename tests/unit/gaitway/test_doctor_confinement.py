@@ -1,4 +1,4 @@
-"""What the doctor says of the confinement of users' models, on this machine and on poorer ones."""
+"""The doctor's check of users' models, on this machine and on one that lacks parts of the confinement."""
 
 from pathlib import Path
 

@@ -58,7 +58,7 @@ def delegated() -> Iterator[Path]:
 
 
 def work(delegated: Path, program: str, *arguments: str) -> list[str]:
-    """What a worker in that group says."""
+    """The lines that a worker in that group prints."""
     move = f"open('{delegated}/worker/cgroup.procs', 'w').write('0')"
     done = subprocess.run(
         [sys.executable, "-c", f"{move}\n{_WORKER}", program, str(_LIMIT), *arguments],

@@ -1,4 +1,4 @@
-"""What a process that loads a user's model can read: tried by the real preview and training processes."""
+"""The real preview and training processes cannot read the worker's secrets."""
 
 import json
 import os
@@ -69,7 +69,7 @@ class Asked:
         patch.setenv("MUJOCO_GL", probe()[0])
 
     def found(self) -> dict[str, Any]:
-        """What each attempt came to."""
+        """The result of each read and write, by its path."""
         return json.loads((self.spool / "found.json").read_text())
 
     def check(self) -> None:
