@@ -1,4 +1,4 @@
-"""An artifact as an answer: streamed piece by piece, with its version, its ranges and a safe media type."""
+"""The response for an artifact: streamed in pieces, with ETag, byte ranges and a safe media type."""
 
 from collections.abc import AsyncIterator, Iterator
 from contextlib import ExitStack
@@ -27,12 +27,12 @@ from core.storage.objects import ObjectStore
 
 
 def responses(media_type: str) -> dict[int | str, dict[str, Any]]:
-    """What a route answers whose files are of this media type; `*/*` for any."""
+    """The responses of a route that serves files of this media type; `*/*` for any."""
     content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
     return {
         200: {"description": "The whole file", "content": content},
-        206: {"description": "The bytes that `Range` asked for", "content": content},
-        304: {"description": "`If-None-Match` names this version"},
+        206: {"description": "The bytes that `Range` names", "content": content},
+        304: {"description": "The client has this version: `If-None-Match` names its ETag"},
         **refusals(
             JobNotFound,
             ArtifactNotFound,
@@ -46,7 +46,7 @@ def responses(media_type: str) -> dict[int | str, dict[str, Any]]:
 
 
 class PiecesResponse(StreamingResponse):
-    """Streams an open object, and closes it when the client has had enough, too."""
+    """Streams an open object, and closes it at the end or when the client disconnects."""
 
     def __init__(
         self, pieces: Iterator[bytes], opened: ExitStack, status: int, headers: dict[str, str]
@@ -63,7 +63,7 @@ class PiecesResponse(StreamingResponse):
 
 
 def file_response(request: Request, artifact: Artifact, objects: ObjectStore) -> Response:
-    """The file, a part of it, or word that the client has it.
+    """The file, the range that was asked for, or 304 if the client has this version.
 
     Raises RangeNotSatisfiable, ObjectNotFound, StorageUnavailable.
     """
@@ -96,7 +96,7 @@ def _headers(artifact: Artifact, etag: str) -> dict[str, str]:
 
 
 def _media_type(artifact: Artifact) -> str:
-    """As it was stored; but nothing that a browser would run, and text with its encoding."""
+    """The stored media type; for text always text/plain in UTF-8, so that a browser runs none of it."""
     if artifact.role == "log" or artifact.media_type.startswith("text/"):
         return "text/plain; charset=utf-8"
     return artifact.media_type

@@ -1,4 +1,4 @@
-"""The OpenAPI document: what FastAPI derives, with the job's own schema, and problems for its errors."""
+"""The OpenAPI document: FastAPI's own, with the schema of a job and of problem details added."""
 
 from typing import Any, cast
 
@@ -14,7 +14,7 @@ _METHODS = frozenset({"get", "post", "delete"})
 
 
 def describe(app: FastAPI) -> dict[str, Any]:
-    """The document; made once."""
+    """The document; built at the first call."""
     if app.openapi_schema is None:
         document = get_openapi(
             title=app.title, version=app.version, description=app.description, routes=app.routes
@@ -42,9 +42,9 @@ def _answer_with_problems(responses: dict[str, Any]) -> None:
 
 
 def _require_tags(schemas: dict[str, Any]) -> None:
-    """What tells the members of a union apart must be said, though in each member it has a default.
+    """Make the discriminator of each union required, although each member has a default for it.
 
-    Only an algorithm that does not say what it is, is PPO.
+    Only PPO's stays optional: an algorithm without `kind` is PPO.
     """
     waiting: list[Any] = list(schemas.values())
     while waiting:

@@ -1,4 +1,4 @@
-"""One look at all followed jobs together, however many follow them."""
+"""Tells the readers of live streams when their jobs change: one query asks about all jobs together."""
 
 import asyncio
 from collections.abc import Generator, Mapping
@@ -19,7 +19,7 @@ _PAUSE_IN_OUTAGE_S = 1.0
 
 
 class Watch:
-    """What one follower waits with."""
+    """One reader of one job's stream waits with this for news of the job."""
 
     def __init__(self, watcher: "JobWatcher") -> None:
         self._watcher = watcher
@@ -29,9 +29,9 @@ class Watch:
         self._news.set()
 
     async def news(self, patience_s: float) -> bool:
-        """Whether anything has happened to the job since the last call; waits up to `patience_s` for it.
+        """Whether the job may have changed since the last call; waits up to `patience_s` for that.
 
-        Where the watcher broke, the answer is yes: the follower has to look for itself then.
+        Always true once the watcher has failed: the reader then has to query the record itself.
         """
         with anyio.move_on_after(patience_s):
             await self._news.wait()
@@ -42,9 +42,9 @@ class Watch:
 
 
 class JobWatcher:
-    """Asks the record ten times a second which followed jobs have news, while anybody follows one.
+    """Queries the record ten times a second for changes of the watched jobs, while there are any.
 
-    An idle follower costs no query. The watcher belongs to one event loop.
+    All readers share that query. The watcher belongs to one event loop.
     """
 
     def __init__(self, store: JobStore) -> None:
@@ -52,7 +52,7 @@ class JobWatcher:
         self._watches: dict[str, set[Watch]] = {}
         self._marks: dict[str, Mark | None] = {}
         self._task: asyncio.Task[None] | None = None
-        # A thread of its own: followers that read all at once do not keep it waiting.
+        # A thread of its own: readers may occupy all threads of the common pool.
         self._thread = CapacityLimiter(1)
 
     @property
@@ -61,11 +61,11 @@ class JobWatcher:
 
     @contextmanager
     def watch(self, job_id: str) -> Generator[Watch]:
-        """What happens to the job from now on. Read its feed after this has begun, and after each news."""
+        """Watch the job within this context. Read its feed once at the start, and after each news."""
         watch = Watch(self)
         self._watches.setdefault(job_id, set()).add(watch)
         if not self.is_looking:
-            # Without the context of the request that happens to come first.
+            # An empty context: otherwise its log lines would carry the first reader's request.
             self._task = asyncio.create_task(self._look_on(), name="job watcher", context=Context())
         try:
             yield watch
@@ -91,11 +91,11 @@ class JobWatcher:
             await anyio.sleep(_PAUSE_IN_OUTAGE_S if is_away else _PAUSE_S)
 
     def _wake(self, followed: list[str], found: Mapping[str, Mark]) -> None:
-        """Wake those whose job's mark has changed, or was not known: they may have read before it."""
+        """Wake the readers of each job whose mark is new or has changed since the last query."""
         for job_id in followed:
             mark = found.get(job_id)
             is_news = job_id not in self._marks or self._marks[job_id] != mark
-            # Those who followed it may have left during the look.
+            # The last reader may have gone during the query.
             if is_news and job_id in self._watches:
                 self._marks[job_id] = mark
                 for watch in self._watches[job_id]:

@@ -1,4 +1,4 @@
-"""What it costs a running job that a store is away for ten minutes."""
+"""What an outage of one store for ten minutes costs a running job."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +15,7 @@ from tests.faults.campaign.world import STORES, World
 _MINUTES = 10.0
 _BEFORE_S, _AFTER_S = 10.0, 20.0
 _STEP_S = 1.0
-# The service's own, in the place of the short times of a campaign's world.
+# The service's defaults; the fault campaign's `World` has shorter times.
 _DEFAULTS = {
     "GAITWAY_LEASE": "15",
     "GAITWAY_HEARTBEAT": "3",
@@ -29,7 +29,7 @@ Row = dict[str, Any]
 
 
 def measure(options: Options) -> Result:
-    """Six services at once, each with one store away."""
+    """Run six services at once; in each, one store refuses connections or does not answer."""
     machine = this_machine()
     minutes = options.minutes or (0.1 if options.quick else _MINUTES)
     cases = [(store, mode) for store in STORES for mode in (Mode.REFUSE, Mode.SILENT)]
@@ -113,7 +113,7 @@ def _outage(store: str, mode: Mode, minutes: float) -> Row:
 
 
 def _steps(client: Client, job_id: str) -> list[int]:
-    """Of the rows of metrics, as far as the service can tell them now."""
+    """The steps of the rows of metrics; none while the service cannot answer."""
     with suppress(Exception):
         return [row.step for row in client.metrics(job_id)]
     return []

@@ -1,4 +1,4 @@
-"""What the record costs when it is full: listings, claims, submissions and leases among a million jobs."""
+"""How long listings, claims, submissions and lease renewals take among a million jobs."""
 
 import tempfile
 import time
@@ -23,7 +23,7 @@ from core.jobs.store import JobQuery
 from gaitway.embedded.postgres import Postgres
 
 _LEASE = timedelta(seconds=15)
-# Ended jobs of all kinds, spread over a year; every seventh hundred-thousandth has a rare label.
+# Ended jobs of each kind, environment and status, a second apart.
 _FILL = """
 INSERT INTO jobs (id, version, kind, environment, name, labels, spec, status, reason, created_at, finished_at,
                   num_attempts)
@@ -74,7 +74,7 @@ _QUERIES = {
 
 
 def measure(options: Options) -> Result:
-    """On a PostgreSQL of its own, with the settings of the embedded stack."""
+    """Measure on a PostgreSQL of its own, with the settings of the embedded stack."""
     num_ended, num_queued = (20_000, 500) if options.quick else (1_000_000, 10_000)
     machine = this_machine()
     with (
@@ -105,7 +105,7 @@ def measure(options: Options) -> Result:
         _p99("claim among the queued", claims, below(10)),
         _p99("submission", submissions, None),
         _p99("renewal of a lease", renewals, None),
-        _p99("the reconciler's three questions", looks, None),
+        _p99("the reconciler's three queries of a look", looks, None),
         Figure(name="disk for a job with an attempt and three files", value=size_kb, unit="kB"),
     ]
     rows = [
@@ -122,13 +122,13 @@ def measure(options: Options) -> Result:
         rows=rows,
         notes=[
             f"{num_ended:,} ended jobs and {num_queued:,} queued ones, in an embedded PostgreSQL on this "
-            "machine's disk, with fsync. Each call is timed in the process that makes it, one after another."
+            "machine's disk, with fsync. One process makes the calls, one after another, and times each."
         ],
     )
 
 
 def _fill(url: str, count: int) -> None:
-    """By a connection without the service's time limits."""
+    """Insert this number of ended jobs, on a connection without the service's time limits."""
     with psycopg.connect(url, autocommit=True) as connection:
         for statement in (_FILL.replace(":count", str(count)), _FILL_ATTEMPTS, _FILL_ARTIFACTS):
             connection.execute(statement)

@@ -1,4 +1,4 @@
-"""How soon a lost worker's job goes on, a new one begins, and the embedded stack is there."""
+"""How long it takes until a lost worker's job resumes, a new job is claimed, and the embedded stack is up."""
 
 import re
 import signal
@@ -25,7 +25,7 @@ Row = dict[str, Any]
 
 
 def measure(options: Options) -> Result:
-    """An embedded stack by itself: started again and again, then with two workers, one of which is killed."""
+    """Start an embedded stack repeatedly; then submit jobs to one with two workers, and kill a worker."""
     machine = this_machine()
     rounds = 1 if options.quick else 5
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
@@ -58,9 +58,9 @@ def measure(options: Options) -> Result:
         ],
         rows=[*lost, *({"picked_up_s": seconds} for seconds in picked_up)],
         notes=[
-            "A lost worker: one of two workers of the embedded stack, and all below it, is killed while it "
-            "trains an ant; the job's next attempt is the other worker's, and starts JAX anew with compiled "
-            "programs kept. Until then its lease of 15 s has to run out.",
+            "A lost worker: one of the embedded stack's two workers is killed, with all its processes, while "
+            "it trains an ant. When its lease of 15 s has run out, the other worker takes the next attempt; "
+            "its new training process finds the compiled programs in the cache.",
         ],
     )
 
@@ -112,7 +112,7 @@ def _pick_up_s(stack: Stack) -> float:
 
 
 def _start(data_dir: Path) -> float:
-    """From the command to the sentence that says where the service is."""
+    """Seconds from the command until it prints the service's address."""
     started = time.monotonic()
     command = [sys.executable, "-m", "gaitway.embedded.up", "--data", str(data_dir)]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as stack:

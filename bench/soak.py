@@ -1,4 +1,4 @@
-"""Hours of small jobs: whether anything of the service grows that should not."""
+"""Whether the service's processes, descriptors, threads or memory grow over hours of small jobs."""
 
 import tempfile
 import time
@@ -16,20 +16,20 @@ from bench.parts import Parts, running
 from bench.result import Figure, Options, Result, at_most
 from gaitway.client import Client
 
-# The campaign's: it trains nothing for a second, in a process of its own.
+# The fault campaign's worker: its training process trains nothing, and ends after a second.
 _WORKER = "tests.faults.campaign.worker"
 _WORKERS = 2
 _JOB_EVERY_S = 2.0
-# What may come and go without anything having grown. Memory: the greater of these and of a tenth.
+# A growth up to this counts as noise; for memory, up to a tenth of it where that is more.
 _MOST = {"processes": 1.0, "descriptors": 5.0, "threads": 3.0, "memory_mb": 8.0}
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One look at a part of the service.
+    """What one part of the service uses at one moment.
 
-    processes: it and those it has started; descriptors, threads: of all of them; memory_mb: what is theirs
-    alone (USS), so that what PostgreSQL's processes share does not count as growth.
+    processes: its own and all that it has started; descriptors, threads: their sums; memory_mb: the sum of
+    their private memory (USS), without the memory that PostgreSQL's processes share.
     """
 
     at_s: float
@@ -40,7 +40,7 @@ class Sample:
 
 
 def measure(options: Options) -> Result:
-    """The embedded stack's processes, with two workers that are never idle for long."""
+    """Sample the embedded stack's processes while jobs keep its two workers busy."""
     minutes = options.minutes or (1.0 if options.quick else 60.0)
     machine = this_machine()
     with (
@@ -66,16 +66,16 @@ def measure(options: Options) -> Result:
         notes=[
             f"A job every {_JOB_EVERY_S:g} s for {minutes:g} minutes to {_WORKERS} workers, whose training "
             "process trains nothing; each job has a log, metrics, checkpoints and a policy.",
-            "Each part is looked at five times a minute: a minute's value is the least of processes, "
-            "descriptors and threads, which is between two jobs, and the median of memory. A figure is the "
-            "slope of a straight line through the last half of the minutes, times their length: how much has "
-            "grown meanwhile.",
+            "Each part is sampled five times a minute. A minute's value is the minimum of processes, "
+            "descriptors and threads, as between two jobs, and the median of memory. A figure is the growth "
+            "over the second half of the minutes: the slope of a straight line through them, times their "
+            "length.",
         ],
     )
 
 
 def _soak(parts: Parts, client: Client, seconds: float) -> tuple[dict[str, list[Sample]], int, int]:
-    """A sample for each minute, of each part; how many jobs there were; how many failed."""
+    """A sample of each part for each minute, the number of jobs, and the number of those that failed."""
     began = time.monotonic()
     pace = min(12.0, seconds / 25)
     minutely: dict[str, list[Sample]] = {name: [] for name in parts.processes}
@@ -129,7 +129,7 @@ def _line(minutely: dict[str, list[Sample]]) -> str:
 
 
 def _drift(part: str, what: str, samples: Sequence[Sample]) -> Figure:
-    """How much it has grown over the last half."""
+    """The part's growth over the second half of the samples."""
     half = samples[len(samples) // 2 :]
     values = [getattr(sample, what) for sample in half]
     most = max(_MOST[what], 0.1 * median(values)) if what == "memory_mb" else _MOST[what]
@@ -139,7 +139,7 @@ def _drift(part: str, what: str, samples: Sequence[Sample]) -> Figure:
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:
-    """Of the straight line that is nearest to these points by least squares; 0 for fewer than two."""
+    """The slope of the least-squares line through these points; 0 for fewer than two."""
     middle_x, middle_y = sum(x) / len(x), sum(y) / len(y)
     spread = sum((one - middle_x) ** 2 for one in x)
     both = sum((a - middle_x) * (b - middle_y) for a, b in zip(x, y, strict=True))

@@ -25,7 +25,7 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from core.devices import GPUS
+from core.devices import GPUS, num_cores
 
 PREFIX = "GAITWAY_"
 
@@ -90,6 +90,7 @@ AliveFile = Annotated[
         "add .0, .1, … to the name."
     ),
 ]
+Confinement = Literal["confined", "unconfined"]
 Lease = Annotated[Seconds, Field(description="How long a silent worker keeps its job.")]
 
 
@@ -166,6 +167,13 @@ class ApiSettings(StoreSettings):
     max_waiting_models: int = Field(
         32, gt=0, description="How many models may wait until a worker has looked at them; no more are taken."
     )
+    api_processes: int = Field(
+        0,
+        ge=0,
+        le=64,
+        description="How many processes answer requests, each of which takes one core and 120 MB at most; 0 "
+        "stands for one for every four cores of the machine, and four at most.",
+    )
     published: str | None = Field(
         None,
         description="The host address at which others reach the API, where it cannot know: behind a proxy, "
@@ -176,6 +184,10 @@ class ApiSettings(StoreSettings):
         description="Names at which the API is reached, separated by commas, besides localhost and numeric "
         "addresses; requests that name another host are refused, and pages of these hosts may use the API.",
     )
+
+    @property
+    def num_processes(self) -> int:
+        return self.api_processes or min(4, max(1, num_cores() // 4))
 
     @property
     def hosts(self) -> frozenset[str]:
@@ -223,11 +235,11 @@ class WorkerSettings(StoreSettings):
         description="How much of this machine's memory a training may take before it is ended, as 8GiB; by "
         "default what the machine or the container has, less 5 % and at least 0.5 GiB.",
     )
-    models: Literal["confined", "unconfined"] = Field(
+    models: Confinement = Field(
         "confined",
         description="confined: a user's model is refused where the system cannot confine the process that "
         "reads it; unconfined: what the system lacks is done without, and previews and trainings may read "
-        "the worker's files. For previews and trainings, only the environment variable counts.",
+        "the worker's files.",
     )
     wandb_api_key: SecretStr | None = Field(
         None, min_length=1, description="Key for Weights & Biases, for jobs that ask for tracking there."

@@ -1,9 +1,9 @@
 """What a training process and its supervisor tell each other.
 
-The process: one JSON document a line, over a pipe of their own. The supervisor: a task, and two signals.
+The process: one JSON document a line, over a pipe of their own. The supervisor: a task, and two signals
+(`worker/stop_signals.py`).
 """
 
-import signal
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
@@ -13,12 +13,6 @@ from core.jobs.spec import SentSpec
 from core.jobs.status import Reason
 from core.model import Stored
 from core.physics.availability import EngineName
-
-# Finish the epoch, keep the work, make the video of how far it came, and exit.
-SHOW_AND_GO = signal.SIGTERM
-# The job goes on elsewhere: a checkpoint, nothing else, and exit; at once where there is nothing new to keep.
-# Said again and again until the process ends.
-KEEP_AND_GO = signal.SIGUSR1
 
 
 class Hello(Stored):

@@ -6,7 +6,8 @@ from enum import StrEnum
 
 from core.jobs.status import RETRIED, JobStatus, Reason
 from worker.memory import LESS_MEMORY
-from worker.messages import KEEP_AND_GO, Failed, Finished
+from worker.messages import Failed, Finished
+from worker.stop_signals import KEEP_AND_GO
 
 # How a process ends whose native code made a mistake, or found one.
 _CRASHES = frozenset(

@@ -14,9 +14,11 @@ import structlog
 from pydantic import ValidationError
 
 from core.configuration import variable
+from core.settings import Confinement
 from worker.memory import sacrifice
-from worker.messages import KEEP_AND_GO, MESSAGE, SHOW_AND_GO, Message
+from worker.messages import MESSAGE, Message
 from worker.outcome import Stop
+from worker.stop_signals import KEEP_AND_GO, SHOW_AND_GO
 
 log = structlog.get_logger()
 
@@ -24,8 +26,8 @@ TRAINING = (sys.executable, "-m", "worker.training")
 _CODE = Path(__file__).resolve().parents[1]
 _LONGEST_LINE = 4000
 _LONGEST_MESSAGE = 2**20  # bytes
-# Whose process this is, for whoever looks for left-overs; and whether it shall bind itself.
-_PASSED_ON = ("GAITWAY_STACK_ID", "GAITWAY_MODELS")
+# Whose process this is, for whoever looks for left-overs.
+_PASSED_ON = ("GAITWAY_STACK_ID",)
 # Other programs' settings of stores and accounts, and whatever calls itself a secret.
 _OTHERS_ACCOUNTS = re.compile(
     r"(AWS|AZURE|GCP|GOOGLE|DOCKER|GH|GIT|GITHUB|GITLAB|HF|KUBE|MC|MINIO|PG|POSTGRES|RCLONE|REDIS|S3|SSH|VALKEY|"
@@ -41,11 +43,18 @@ class TrainingProcess:
     """Started at once. `messages` and `lines` end when the process, and all it started, have ended.
 
     command: the program; it is given the spool, the descriptor to write messages to, and our process id.
-    spool, data_dir: absolute, for it starts in the spool.
+    spool, data_dir: absolute, for it starts in the spool. models: whether it binds itself, with a user's
+    model (worker/own_files.py).
     """
 
     def __init__(
-        self, command: Sequence[str], spool: Path, data_dir: Path, device: str, slot_fds: Sequence[int]
+        self,
+        command: Sequence[str],
+        spool: Path,
+        data_dir: Path,
+        device: str,
+        slot_fds: Sequence[int],
+        models: Confinement = "confined",
     ) -> None:
         read_end, write_end = os.pipe()
         self._messages: IO[bytes] = os.fdopen(read_end, "rb")
@@ -58,7 +67,7 @@ class TrainingProcess:
             stderr=subprocess.STDOUT,
             start_new_session=True,
             pass_fds=(write_end, *slot_fds),
-            env=environment(device, data_dir, os.environ),
+            env={**environment(device, data_dir, os.environ), variable("models"): models},
         )
         sacrifice(self._child.pid)
         os.close(write_end)

@@ -115,7 +115,8 @@ class Supervisor:
                 outbox.put(Noted(text=note))
             tracking = Tracking(job, self.holding, spool, self.settings, outbox)
             tracking.begin()
-            process = TrainingProcess(self.command, spool, folder, self.device, slot_fds)
+            models = self.settings.models
+            process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
             try:
                 ear = _Ear(process, outbox, caches, tracking, StallWatch(self.settings.stall))
                 memory_bytes = allowed_bytes(self.settings.memory_limit)

@@ -12,6 +12,9 @@ from core.adapters.connect import job_store, object_store
 from core.configuration import read
 from core.errors import JobUnreadable, Misconfigured, NotFound
 from core.jobs.attempts import claim, new_secret
+from core.jobs.needs import packages_here
+from core.jobs.store import JobStore
+from core.jobs.waiting import why_left_to_others
 from core.patience import CalledOff, pause, through_outages
 from core.previews.record import PreviewRequest
 from core.settings import WorkerSettings
@@ -50,17 +53,23 @@ def run_attempt(job_id: str, attempt: int) -> None:
     except Misconfigured as error:  # A GPU has gone since the worker started.
         _leave_to_others(error.detail, draining)
         return
+    store = job_store(settings)
+    look = partial(_why_left_to_others, job_id, store)
     take = partial(
         claim,
         job_id,
         attempt,
         f"{socket.gethostname()}:{device}",
-        store=job_store(settings),
+        store=store,
         objects=object_store(settings),
         lease=settings.lease,
         secret=new_secret(),
     )
     try:
+        if reason := through_outages(look, called_off=draining.is_set):
+            # The reconciler dispatches it again at the second look that misses it.
+            log.info("left_to_others", detail=reason)
+            return
         holding = through_outages(take, called_off=draining.is_set)
     except (CalledOff, NotFound, JobUnreadable) as error:
         log.info("dispatch_ignored", error=str(error))
@@ -95,7 +104,11 @@ def draw_preview(document: str) -> None:
     settings = read(WorkerSettings)
     data = settings.data_dir.absolute()
     with spool(data / SPOOLS / f"preview-{request.id}.{os.getpid()}") as folder, suppress(NotFound):
-        draw(request, object_store(settings), folder, data)
+        draw(request, object_store(settings), folder, data, models=settings.models)
+
+
+def _why_left_to_others(job_id: str, store: JobStore) -> str | None:
+    return why_left_to_others(store.get(job_id), packages_here(), store.workers())
 
 
 def _leave_to_others(reason: str, draining: Draining) -> None:

@@ -43,6 +43,12 @@ _REFUSALS = {
         "Redis at GAITWAY_REDIS_URL takes no writes without its replicas: start them, or lower its "
         "min-replicas-to-write.",
     ),
+    "WRONGTYPE ": (
+        RecordsUnavailable,
+        "Something else writes into the Redis database at GAITWAY_REDIS_URL: a key of Gaitway's queue holds "
+        "a wrong type (WRONGTYPE). Give Gaitway a database of its own, or empty this one (FLUSHDB): no job "
+        "is lost by that.",
+    ),
     "BUSY ": (RecordsUnavailable, "Redis at GAITWAY_REDIS_URL is busy with somebody's script."),
 }
 

@@ -7,8 +7,9 @@ from datetime import timedelta
 from typing import Any
 
 from redis import Redis
+from redis.exceptions import RedisError
 from rq import Queue
-from rq.exceptions import DuplicateJobError, InvalidJobOperation, NoSuchJobError
+from rq.exceptions import DuplicateJobError, InvalidJobOperation, NoSuchGroupError
 from rq.job import Job as RQJob
 from rq.job import JobStatus as RQStatus
 from rq.serializers import JSONSerializer
@@ -51,7 +52,7 @@ class RQQueue:
     @reaching_redis()
     def known(self) -> Collection[tuple[str, int]]:
         names = (name.rpartition("_") for name in self._held())
-        return {(job_id, int(attempt)) for job_id, _, attempt in names if job_id}
+        return {(job_id, int(attempt)) for job_id, _, attempt in names if job_id and attempt.isdecimal()}
 
     @reaching_redis()
     def strays(self) -> Set[str]:
@@ -102,7 +103,7 @@ class RQQueue:
                 pipeline.zrangebyscore(queue.started_job_registry.key, time.time(), "+inf")
             found: list[list[bytes]] = pipeline.execute()
         # A started one stands there with the number of its execution, behind a colon.
-        return {name.decode().partition(":")[0] for names in found for name in names}
+        return {name.decode(errors="replace").partition(":")[0] for names in found for name in names}
 
     def _enqueue(self, name: str, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
         queue = Queue(name, connection=self._redis, serializer=JSONSerializer)
@@ -128,20 +129,21 @@ class RQQueue:
 
     def _remove(self, rq_id: str) -> None:
         found = self._find(rq_id)
-        if found is None:
-            return
-        try:
-            found.delete()
-        except (InvalidJobOperation, KeyError, ValueError):
-            # Its worker has just ended it: RQ met half of it, or of an execution.
-            self.drop([rq_id])
+        if found is not None:
+            # Its worker may have just ended it: RQ then meets half of it, or of an execution.
+            with suppress(InvalidJobOperation, NoSuchGroupError, KeyError, ValueError):
+                found.delete()
+        self.drop([rq_id])
 
     def _find(self, rq_id: str) -> RQJob | None:
+        """RQ's message; None where there is none, or a damaged one, which `_remove` deletes."""
         try:
             return RQJob.fetch(  # pyright: ignore[reportUnknownMemberType]
                 rq_id, connection=self._redis, serializer=JSONSerializer
             )
-        except NoSuchJobError:
+        except RedisError:
+            raise
+        except Exception:  # RQ checks nothing that it reads: a damaged field raises whatever its parser does.
             return None
 
 

@@ -1,6 +1,6 @@
-"""Why a queued job may wait for ever, or fail when it is taken: no present worker can serve it."""
+"""Which of the workers that are there can serve a queued job, and what it lacks where none can."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from core.algorithms.memory import Memory
 from core.environments.info import Device
@@ -18,25 +18,48 @@ def what_it_waits_for(job: Job, workers: Sequence[WorkerInfo]) -> str | None:
     """
     if job.status != JobStatus.QUEUED:
         return None
-    gpus = job.spec.resources.gpus
-    queue = queue_name(job.accelerator, job.spec.priority, gpus)
-    fitting = [worker for worker in workers if queue in worker.queues]
+    fitting = _fitting(job, workers)
     if not fitting:
         here = sorted({worker.device for worker in workers})
         there = f"the workers here have {', '.join(here)}" if here else "no worker is there at all"
-        return f"No worker with {_needed(job, gpus)} is there: {there}."
-    able = [worker for worker in fitting if worker.state != "device_failed"]
+        return f"No worker with {_needed(job, job.spec.resources.gpus)} is there: {there}."
+    able = _with_device(fitting)
     if not able:
         return "The device of each worker that fits was set aside: " + " ".join(
             f"{worker.name}: {worker.problem}" for worker in fitting
         )
     packages, memory = packages_for(job), memory_for(job.spec)
-    equipped = [worker for worker in able if not _lacks(worker, packages)]
+    equipped = [worker for worker in able if not _missing(worker.packages, packages)]
     if not equipped:
         return _no_package(able, packages)
     if not any(_has_memory(worker, memory) for worker in equipped):
         return _too_large(equipped, memory)
     return None
+
+
+def why_left_to_others(job: Job, has: Collection[str], workers: Sequence[WorkerInfo]) -> str | None:
+    """A sentence where this worker lacks a package that a queued job needs, and another one here lacks none.
+
+    None where it lacks nothing, or no other worker says that it has all of them: the attempt then fails, and
+    names the extra. has: this worker's packages. Memory is not compared.
+    """
+    packages = packages_for(job)
+    missing = _missing(has, packages)
+    if job.status != JobStatus.QUEUED or not missing:
+        return None
+    for worker in _with_device(_fitting(job, workers)):
+        if worker.packages is not None and not _missing(worker.packages, packages):
+            return f"This worker cannot run {_named(missing, packages)}; {worker.name} can."
+    return None
+
+
+def _fitting(job: Job, workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
+    queue = queue_name(job.accelerator, job.spec.priority, job.spec.resources.gpus)
+    return [worker for worker in workers if queue in worker.queues]
+
+
+def _with_device(workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
+    return [worker for worker in workers if worker.state != "device_failed"]
 
 
 def _needed(job: Job, gpus: int) -> str:
@@ -45,15 +68,19 @@ def _needed(job: Job, gpus: int) -> str:
     return {"gpu": "a GPU to itself", "cpu": "a CPU", "any": "one GPU or a CPU"}[job.accelerator]
 
 
-def _lacks(worker: WorkerInfo, packages: Mapping[str, str]) -> list[str]:
-    return [] if worker.packages is None else [name for name in packages if name not in worker.packages]
+def _missing(has: Collection[str] | None, packages: Mapping[str, str]) -> list[str]:
+    return [] if has is None else [name for name in packages if name not in has]
 
 
 def _no_package(workers: Sequence[WorkerInfo], packages: Mapping[str, str]) -> str:
     """About the worker that lacks the fewest packages."""
-    missing = min((_lacks(worker, packages) for worker in workers), key=len)
-    parts = [f"{packages[name]} (pip install 'gaitway[{EXTRAS[name]}]')" for name in missing]
-    return f"No worker here that fits can run {' and '.join(parts)}: install it there, or ask for another."
+    missing = min((_missing(worker.packages, packages) for worker in workers), key=len)
+    what = _named(missing, packages)
+    return f"No worker here that fits can run {what}: install it there, or ask for another."
+
+
+def _named(missing: Sequence[str], packages: Mapping[str, str]) -> str:
+    return " and ".join(f"{packages[name]} (pip install 'gaitway[{EXTRAS[name]}]')" for name in missing)
 
 
 def _has_memory(worker: WorkerInfo, memory: Mapping[Device, Memory]) -> bool:

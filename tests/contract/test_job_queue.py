@@ -160,6 +160,33 @@ class TestRQ:
                 list(pool.map(lambda _: enqueue(queue), range(4)))
                 assert queue.contains(JOB, 1)
 
+    @pytest.mark.parametrize(
+        ("field", "content"),
+        [
+            ("status", "no status"),
+            ("created_at", b"\xff"),
+            ("timeout", "soon"),
+            ("dependency_ids", "[" * 100_000),
+            ("group_id", "nobody's"),
+        ],
+    )
+    def test_a_damaged_message_is_replaced(
+        self, redis_client: redis.Redis, field: str, content: str | bytes
+    ) -> None:
+        queue = RQQueue(redis_client)
+        enqueue(queue)
+        redis_client.delete("rq:queue:gaitway-any-normal")
+        redis_client.hset(f"rq:job:{JOB}_1", field, content)
+        assert not queue.contains(JOB, 1)
+        enqueue(queue)
+        assert queue.contains(JOB, 1)
+
+    def test_messages_of_other_programs_are_passed_over(self, redis_client: redis.Redis) -> None:
+        queue = RQQueue(redis_client)
+        enqueue(queue)
+        redis_client.rpush("rq:queue:gaitway-any-normal", "send_mail", b"\xff", "7")
+        assert queue.known() == {(JOB, 1)}
+
     def test_a_message_that_nobody_has_is_a_stray_and_can_be_dropped(self, redis_client: redis.Redis) -> None:
         queue = RQQueue(redis_client)
         enqueue(queue)

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from worker.messages import KEEP_AND_GO, SHOW_AND_GO
+from worker.stop_signals import KEEP_AND_GO, SHOW_AND_GO
 
 behaviour, spool, events_fd = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
 asked = set[int]()

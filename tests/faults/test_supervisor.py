@@ -48,6 +48,16 @@ def test_metrics_up_to_the_last_checkpoint_are_a_file(bench: Bench) -> None:
     assert b'"step": 20' in lines[1]
 
 
+@pytest.mark.parametrize("models", ["confined", "unconfined"])
+def test_the_process_is_told_the_workers_setting_for_models(bench: Bench, models: str) -> None:
+    job = bench.submit()
+    supervisor = bench.supervisor(job, "succeeds")
+    supervisor.settings = bench.settings.model_copy(update={"models": models})
+    supervisor.command = ("/bin/sh", "-c", "echo $GAITWAY_MODELS")
+    supervisor.run()
+    assert bench.lines(job) == [models]
+
+
 def test_nothing_is_left_in_the_spool(bench: Bench) -> None:
     bench.run("succeeds")
     assert list((bench.settings.data_dir / "spool").iterdir()) == []

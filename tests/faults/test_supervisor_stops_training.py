@@ -12,9 +12,10 @@ import pytest
 
 from core.jobs.spec import JOB_SPEC
 from tests.faults.bench import SPEC
-from worker.messages import KEEP_AND_GO, FileReady, Message, Task
+from worker.messages import FileReady, Message, Task
 from worker.outcome import Stop
 from worker.process import TRAINING, TrainingProcess
+from worker.stop_signals import KEEP_AND_GO
 
 # To leave takes an epoch of a second and a file; this film alone is 1,800 frames, of more than 10 ms each.
 LONG_FILM = {"width": 640, "height": 480, "fps": 30, "seconds": 60, "every_checkpoint": True}

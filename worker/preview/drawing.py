@@ -4,16 +4,19 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
 import structlog
 
+from core.configuration import variable
 from core.jobs.job import utc_now
 from core.previews import library
 from core.previews.record import PreviewRequest
-from core.rendering.gl import DRIVER_CRASHES, Backend, RenderingFailed, backends, no_gl
+from core.rendering.gl import DRIVER_CRASHES, RenderingFailed, backends, no_gl
 from core.rendering.request import RenderFailure
+from core.settings import Confinement
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from worker.process import environment
@@ -24,19 +27,24 @@ log = structlog.get_logger()
 
 
 def draw(
-    request: PreviewRequest, objects: ObjectStore, folder: Path, data_dir: Path, timeout_s: float = _MOST_S
+    request: PreviewRequest,
+    objects: ObjectStore,
+    folder: Path,
+    data_dir: Path,
+    timeout_s: float = _MOST_S,
+    models: Confinement = "confined",
 ) -> None:
     """Draw what nobody has drawn yet, and keep it, or why it could not be.
 
-    folder: an empty one, absolute, for files that are needed meanwhile. Raises ObjectNotFound where the
-    model has been deleted meanwhile.
+    folder: an empty one, absolute, for files that are needed meanwhile. models: whether the process binds
+    itself (worker/own_files.py). Raises ObjectNotFound where the model has been deleted meanwhile.
     """
     if library.find(request, objects) is not None:
         return
     if request.model:
         (folder / "model").write_bytes(objects.get(keys.model_source(request.model)))
     (folder / "request.json").write_text(request.model_dump_json())
-    failure = _drawn(folder, data_dir, timeout_s)
+    failure = _drawn(folder, data_dir, timeout_s, models)
     if failure is not None:
         log.warning("preview_failed", preview=request.id, reason=failure.reason, detail=failure.message)
         library.keep_failure(request, failure, objects, utc_now())
@@ -46,11 +54,11 @@ def draw(
     log.info("preview_drawn", preview=request.id, environment=request.environment, stills=len(pictures))
 
 
-def _drawn(folder: Path, data_dir: Path, timeout_s: float) -> RenderFailure | None:
+def _drawn(folder: Path, data_dir: Path, timeout_s: float, models: Confinement) -> RenderFailure | None:
     """None once the pictures are there; back-ends are tried in turn."""
     reasons: dict[str, str] = {}
     for backend in backends(os.environ):
-        failure = _attempt(backend, folder, data_dir, timeout_s)
+        failure = _attempt({**backend.environ, variable("models"): models}, folder, data_dir, timeout_s)
         if failure is None or failure.reason != "no_gl":
             return failure
         reasons[backend.name] = failure.message
@@ -58,7 +66,9 @@ def _drawn(folder: Path, data_dir: Path, timeout_s: float) -> RenderFailure | No
     return RenderFailure(reason="no_gl", message=nothing.detail)
 
 
-def _attempt(backend: Backend, folder: Path, data_dir: Path, timeout_s: float) -> RenderFailure | None:
+def _attempt(
+    variables: Mapping[str, str], folder: Path, data_dir: Path, timeout_s: float
+) -> RenderFailure | None:
     with (folder / "log").open("wb") as text:
         child = subprocess.Popen(
             [sys.executable, "-m", "worker.preview", str(folder), str(os.getpid())],
@@ -67,7 +77,7 @@ def _attempt(backend: Backend, folder: Path, data_dir: Path, timeout_s: float) -
             stdout=text,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            env={**environment("cpu", data_dir, os.environ), **backend.environ},
+            env={**environment("cpu", data_dir, os.environ), **variables},
         )
         try:
             status = child.wait(timeout_s)

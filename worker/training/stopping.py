@@ -5,7 +5,7 @@ import signal
 from collections.abc import Generator
 from contextlib import contextmanager
 
-from worker.messages import KEEP_AND_GO, SHOW_AND_GO
+from worker.stop_signals import KEEP_AND_GO, SHOW_AND_GO
 
 
 class Stopping:

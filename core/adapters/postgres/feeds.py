@@ -10,7 +10,7 @@ from pydantic_core import to_json
 from sqlalchemy import Connection, Row, delete, func, or_, select, update
 from sqlalchemy.dialects.postgresql import insert
 
-from core.adapters.postgres.tables import UNFINISHED, chunks, entries, jobs
+from core.adapters.postgres.tables import NOW, UNFINISHED, chunks, entries, jobs
 from core.jobs.job import Progress
 from core.jobs.store import Channel, Chunk, Entry, FeedPart
 
@@ -110,7 +110,7 @@ def entries_after(
 def due(connection: Connection, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
     """Feeds with entries that should lie in a chunk by now."""
     size = func.sum(func.octet_length(entries.c.data))
-    is_old = func.min(entries.c.time) < func.clock_timestamp() - max_age
+    is_old = func.min(entries.c.time) < NOW - max_age
     has_ended = func.bool_and(jobs.c.status.notin_(UNFINISHED))
     found = connection.execute(
         select(entries.c.job_id, entries.c.channel)

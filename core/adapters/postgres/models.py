@@ -6,11 +6,11 @@ from typing import Any
 
 import structlog
 from pydantic import ValidationError
-from sqlalchemy import Connection, Row, delete, func, select, update
+from sqlalchemy import Connection, Row, delete, select, update
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres.rows import words
-from core.adapters.postgres.tables import dispatches, models
+from core.adapters.postgres.tables import NOW, dispatches, models
 from core.errors import ModelNotFound
 from core.jobs.store import Dispatch
 from core.models.record import Description, ModelRecord
@@ -37,7 +37,7 @@ def add(connection: Connection, record: ModelRecord) -> None:
     if record.status == "validating":
         connection.execute(
             insert(dispatches)
-            .values(task="model", subject=record.id, attempt=0, created_at=func.clock_timestamp())
+            .values(task="model", subject=record.id, attempt=0, created_at=NOW)
             .on_conflict_do_nothing()
         )
 

@@ -26,11 +26,14 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    func,
     text,
 )
 from sqlalchemy.dialects.postgresql import INTERVAL, JSONB, TIMESTAMP
 
 metadata = MetaData()
+# The database's clock; unlike CURRENT_TIMESTAMP it advances within a transaction.
+NOW = func.clock_timestamp()
 
 
 def _moment(name: str, *, nullable: bool = True) -> Column[Any]:

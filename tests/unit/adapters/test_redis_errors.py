@@ -98,6 +98,13 @@ def test_a_database_that_is_not_there_is_named(redis_client: redis.Redis, valkey
         exercise_queue(client)
 
 
+def test_a_key_that_somebody_else_has_written_names_the_remedy(redis_client: redis.Redis) -> None:
+    redis_client.set("rq:queues", "no set")
+    with pytest.raises(RecordsUnavailable, match="Give Gaitway a database of its own") as caught:
+        RQQueue(redis_client).known()
+    assert not isinstance(caught.value, RecordsRefuse)
+
+
 def test_our_own_mistakes_pass_through(redis_client: redis.Redis) -> None:
     with pytest.raises(redis.ResponseError, match="wrong number of arguments"), reaching_redis():
         redis_client.execute_command("SET", "only-a-key")

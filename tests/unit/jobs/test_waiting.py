@@ -1,4 +1,4 @@
-"""A job that no worker could take says so."""
+"""A job that no worker could take says so; one that another worker can run is left to it."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from core.jobs.job import Artifact
 from core.jobs.queue import queue_names
 from core.jobs.status import Reason
 from core.jobs.store import WorkerInfo, WorkerState
-from core.jobs.waiting import what_it_waits_for
+from core.jobs.waiting import what_it_waits_for, why_left_to_others
 from tests.unit.jobs.making import NOON, make_job
 
 
@@ -96,6 +96,45 @@ def test_a_job_that_began_on_warp_needs_it_again() -> None:
     waiting = running.requeued(Reason.WORKER_DRAINED, "", NOON)
     assert what_it_waits_for(job, [without]) is None
     assert "the engine warp" in str(what_it_waits_for(waiting, [without]))
+
+
+_RODENT_ON_WARP = {"environment": "rodent", "physics": "warp"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "has", "others", "named"),
+    [
+        ({}, (), [("cpu", "ready", ("warp",))], None),
+        ({"physics": "warp"}, (), [("cpu", "ready", ("warp",))], "the engine warp"),
+        ({"physics": "warp"}, ("warp",), [("cpu", "ready", ("warp",))], None),
+        ({"physics": "warp"}, (), [], None),
+        ({"physics": "warp"}, (), [("cpu", "ready", ())], None),
+        ({"physics": "warp"}, (), [("cpu", "ready", None)], None),  # It may have it, or not.
+        ({"physics": "warp"}, (), [("cpu", "device_failed", ("warp",))], None),
+        ({"physics": "warp"}, (), [("gpu:0,1", "ready", ("warp",))], None),  # It serves other queues.
+        (_RODENT_ON_WARP, (), [("cpu", "ready", ("warp",)), ("gpu:0", "ready", ("dm_control",))], None),
+        (_RODENT_ON_WARP, ("warp",), [("gpu:0", "ready", ("dm_control", "warp"))], "the environment rodent"),
+    ],
+)
+def test_a_job_is_left_to_another_worker_that_has_all_it_needs(
+    asked: dict[str, Any],
+    has: tuple[str, ...],
+    others: list[tuple[str, WorkerState, tuple[str, ...] | None]],
+    named: str | None,
+) -> None:
+    here = [worker(device, state, packages=packages) for device, state, packages in others]
+    told = why_left_to_others(make_job(**asked), has, [worker("cpu", packages=has), *here])
+    if named is None:
+        assert told is None
+    else:
+        assert told is not None
+        assert told.startswith(f"This worker cannot run {named} (pip install 'gaitway[")
+        assert told.endswith(f"; {here[-1].name} can.")
+
+
+def test_a_job_that_somebody_has_claimed_is_left_to_nobody() -> None:
+    claimed = make_job(physics="warp").claimed("w", NOON)
+    assert why_left_to_others(claimed, (), [worker("cpu", packages=("warp",))]) is None
 
 
 _LARGE = {"num_envs": 1024, "batch_size": 1024, "num_minibatches": 1024, "unroll_length": 100}

@@ -5,8 +5,9 @@ from signal import SIGABRT, SIGBUS, SIGILL, SIGSEGV
 import pytest
 
 from core.jobs.status import JobStatus, Reason
-from worker.messages import KEEP_AND_GO, Failed, Finished
+from worker.messages import Failed, Finished
 from worker.outcome import Stop, judge
+from worker.stop_signals import KEEP_AND_GO
 
 DIVERGED = Failed(reason=Reason.DIVERGED, message="The reward became non-finite.")
 BAD_CARD = Failed(reason=Reason.DEVICE_FAILED, message="The device gpu:0 reported an error.")

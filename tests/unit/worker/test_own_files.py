@@ -13,7 +13,9 @@ from core.adapters.memory_objects import MemoryObjectStore
 from core.jobs.spec import JOB_SPEC
 from core.previews import library
 from core.rendering.gl import probe
+from core.settings import WorkerSettings
 from core.storage import keys
+from tests.unit.worker.environments import environment
 from tests.unit.worker.test_preview import MODEL, request
 from worker.messages import Failed, Task
 from worker.preview.drawing import draw
@@ -128,9 +130,20 @@ def test_a_training_process_with_a_users_model_reads_no_secret_of_the_worker(ask
     assert list((asked.spool / "cache" / "jax").iterdir())
 
 
-def test_a_worker_that_confines_no_models_lets_them_be(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GAITWAY_MODELS", "unconfined")
-    draw(request(model=None, environment="no such"), MemoryObjectStore(), asked.spool, asked.data)
+def test_a_worker_that_confines_no_models_lets_them_be(
+    asked: Asked, settings: WorkerSettings, tmp_path: Path
+) -> None:
+    secrets = tmp_path / "secrets"
+    secrets.mkdir()
+    (secrets / "gaitway_models").write_text("unconfined")
+    program = "import sys; from worker.tasks import draw_preview; draw_preview(sys.argv[1])"
+    unknown = request(model=None, environment="no such").model_dump_json()
+    subprocess.run(
+        [sys.executable, "-c", program, unknown],
+        cwd=ROOT,
+        env=environment(settings, GAITWAY_SECRETS_DIR=str(secrets)),
+        check=True,
+    )
     assert asked.found()[str(asked.secret)] == "done"
 
 

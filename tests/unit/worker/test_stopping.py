@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from worker.messages import KEEP_AND_GO, SHOW_AND_GO
+from worker.stop_signals import KEEP_AND_GO, SHOW_AND_GO
 from worker.training.stopping import Stopping
 
 
