@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from api.watching import JobWatcher
 from core.jobs import feeds
+from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.job import JOB_ID, check_job_id
 from core.jobs.queue import JobQueue
 from core.jobs.store import ENTRY_ID, Channel, Entry, JobStore
@@ -26,6 +27,7 @@ class Service:
     stopping: true once the process was asked to end, so that streams close.
     watching: the threads that streams read with, apart from those that other requests share.
     watcher: tells streams of news.
+    acknowledgements: of dispatches that the queue has heard of.
     num_uploads: models that are being received.
     """
 
@@ -37,9 +39,11 @@ class Service:
     num_uploads: int = 0
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))
     watcher: JobWatcher = field(init=False)
+    acknowledgements: Acknowledgements = field(init=False)
 
     def __post_init__(self) -> None:
         self.watcher = JobWatcher(self.store)
+        self.acknowledgements = Acknowledgements(self.store.dispatched)
 
     def read_feed(
         self, job_id: str, channel: Channel, *, after: int = 0, kind: str | None = None, limit: int = 1000

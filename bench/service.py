@@ -93,7 +93,7 @@ def _submissions(stack: Stack, count: int) -> tuple[list[Figure], list[Row]]:
 
 
 def _api_process(stack: Stack) -> tuple[list[Figure], Row]:
-    process = stack.api_process()
+    process = max(stack.api_processes(), key=lambda one: one.memory_info().rss)
     megabytes = process.memory_info().rss / 1e6
     maps = _mapped(process)
     loaded = None if maps is None else sum(name in maps for name in _UNWANTED)

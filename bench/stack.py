@@ -26,26 +26,33 @@ class Stack:
     port: int
     pid: int
 
-    def api_process(self) -> psutil.Process:
-        """The process that listens at the service's port. Raises RuntimeError where none does."""
+    def api_processes(self) -> list[psutil.Process]:
+        """Those that listen at the service's port. Raises RuntimeError where none does."""
         launcher = psutil.Process(self.pid)
-        for process in (launcher, *launcher.children(recursive=True)):
-            with suppress(psutil.Error):
-                for connection in process.net_connections(kind="tcp"):
-                    if connection.status == psutil.CONN_LISTEN and connection.laddr.port == self.port:
-                        return process
+        family = (launcher, *launcher.children(recursive=True))
+        if found := [process for process in family if _listens(process, self.port)]:
+            return found
         raise RuntimeError(f"No process of the stack listens at port {self.port}.")
 
     def cpu_s(self) -> dict[str, float]:
         """Processor seconds used so far by `api`, and by the stack's other programs under their names."""
-        api = self.api_process().pid
+        api = {process.pid for process in self.api_processes()}
         used: dict[str, float] = {}
         for process in psutil.Process(self.pid).children(recursive=True):
             with suppress(psutil.Error):
-                name = "api" if process.pid == api else process.name()
+                name = "api" if process.pid in api else process.name()
                 times = process.cpu_times()
                 used[name] = used.get(name, 0.0) + times.user + times.system
         return used
+
+
+def _listens(process: psutil.Process, port: int) -> bool:
+    with suppress(psutil.Error):
+        return any(
+            one.status == psutil.CONN_LISTEN and one.laddr.port == port
+            for one in process.net_connections(kind="tcp")
+        )
+    return False
 
 
 @contextmanager

@@ -1,9 +1,18 @@
 """What a worker runs on, by name: `cpu`, a GPU (`gpu:0`), or several of one host (`gpu:0,1`)."""
 
+import os
 import re
+import sys
 
 # How the GPUs of a worker may be named; `gpu` is the first.
 GPUS = r"gpu(:\d{1,3}(-\d{1,3})?(,\d{1,3}(-\d{1,3})?)*)?"
+
+
+def num_cores() -> int:
+    """The CPU cores that this process may use."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def gpu_indices(device: str) -> list[int]:

@@ -1,7 +1,7 @@
 """Jobs: submit, list, read, cancel, delete."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
@@ -11,7 +11,7 @@ from api.dependencies import JobId, Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.problems import refusals
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
-from api.views import JobView, Listing
+from api.views import JobView, Listing, View
 from core.errors import (
     IdempotencyKeyReused,
     JobFinished,
@@ -87,25 +87,30 @@ class Listed(Parameters):
 )
 def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep) -> Response:
     """Queue a training or a rollout."""
-    job = submit(spec, store=service.store, queue=service.queue, idempotency=idempotency(key, spec))
-    # As bytes: the framework would check and dump the view in another thread.
-    said = JobView.of(job).model_dump_json()
-    return Response(said, 202, {"Location": f"/jobs/{job.id}"}, media_type="application/json")
+    job = submit(
+        spec,
+        store=service.store,
+        queue=service.queue,
+        idempotency=idempotency(key, spec),
+        acknowledge=service.acknowledgements.add,
+    )
+    return answer(JobView.of(job), 202, {"Location": f"/jobs/{job.id}"})
 
 
-@router.get("/jobs", responses=refusals(Rejected, RecordsUnavailable))
-def list_jobs(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listing[JobView]:
+@router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))
+def list_jobs(listed: Annotated[Listed, Query()], service: ServiceDep) -> Response:
     """Jobs, newest first."""
     page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit)
     workers = _workers(page.jobs, service)
-    return Listing[JobView](items=[JobView.of(job, workers) for job in page.jobs], next=page.next_cursor)
+    views = [JobView.of(job, workers) for job in page.jobs]
+    return answer(Listing[JobView](items=views, next=page.next_cursor))
 
 
-@router.get("/jobs/{job_id}", responses=refusals(JobNotFound, RecordsUnavailable))
-def read_job(job_id: JobId, service: ServiceDep) -> JobView:
+@router.get("/jobs/{job_id}", response_model=JobView, responses=refusals(JobNotFound, RecordsUnavailable))
+def read_job(job_id: JobId, service: ServiceDep) -> Response:
     """A job as it is now."""
     job = service.store.find(job_id)
-    return JobView.of(job, _workers([job], service))
+    return answer(JobView.of(job, _workers([job], service)))
 
 
 @router.post(
@@ -132,6 +137,11 @@ def cancel_job(job_id: JobId, service: ServiceDep, response: Response) -> JobVie
 def delete_job(job_id: JobId, service: ServiceDep) -> None:
     """Remove an ended job and its files for good."""
     delete(job_id, store=service.store, objects=service.objects)
+
+
+def answer(view: View, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+    """The view as JSON: the framework would check it once more, and dump it in another thread."""
+    return Response(view.model_dump_json(), status, headers, media_type="application/json")
 
 
 def _workers(jobs: Sequence[Job | UnreadableJob], service: Service) -> Sequence[WorkerInfo] | None:

@@ -6,6 +6,8 @@ from collections.abc import Collection
 from datetime import UTC, datetime
 from typing import Any, Literal, Self
 
+from pydantic import Field
+
 from core.errors import IllegalTransition, JobNotFound
 from core.jobs.spec import Accelerator, SentSpec
 from core.jobs.status import LOSSES, NEXT, JobStatus, Reason
@@ -56,7 +58,7 @@ class Artifact(Stored):
     sha256: str
     key: str
     step: int | None = None
-    metadata: dict[str, Any] = {}
+    metadata: dict[str, Any] = Field(default_factory=dict)
 
 
 class Progress(Stored):
@@ -66,7 +68,7 @@ class Progress(Stored):
     total: int = 0
     steps_per_second: float | None = None
     eta_s: float | None = None
-    metrics: dict[str, float] = {}
+    metrics: dict[str, float] = Field(default_factory=dict)
 
 
 class Attempt(Stored):
@@ -77,7 +79,7 @@ class Attempt(Stored):
     worker: str
     device: str | None = None
     engine: str | None = None
-    details: dict[str, Any] = {}
+    details: dict[str, Any] = Field(default_factory=dict)
     started_at: datetime
     ended_at: datetime | None = None
     reason: Reason | None = None
@@ -91,12 +93,12 @@ class UnreadableJob(Stored):
     version: int
     kind: str
     name: str | None = None
-    labels: dict[str, str] = {}
+    labels: dict[str, str] = Field(default_factory=dict)
     status: JobStatus
     created_at: datetime
     started_at: datetime | None = None
     finished_at: datetime | None = None
-    spec: dict[str, Any] = {}
+    spec: dict[str, Any] = Field(default_factory=dict)
     problem: str
 
 

@@ -1,6 +1,6 @@
 """Setting right what crashes left behind. Idempotent, and safe to run in many places at once."""
 
-from collections.abc import Collection, Iterable, Set
+from collections.abc import Collection, Iterable, Sequence, Set
 from contextlib import suppress
 from datetime import timedelta
 
@@ -37,8 +37,14 @@ class Reconciler:
         """
         self._store.beat(self._lease)
         taken = [job for job in self._store.expired() if self._take_back(job)]
-        late = self._hand_over(self._store.undispatched())
-        return len(taken) + late + self._hand_over_forgotten()
+        # In this order: whatever was told before the second look is known at it.
+        late = self._store.undispatched()
+        known = self._queue.known()
+        heard = {dispatch for dispatch in late if _is_known(dispatch, known, self._queue)}
+        handed = self._hand_over(dispatch for dispatch in late if dispatch not in heard)
+        handed += self._hand_over(self._forgotten({*known, *((one.subject, one.attempt) for one in handed)}))
+        self._store.dispatched([*heard, *handed])
+        return len(taken) + len(handed)
 
     def _take_back(self, job: Job) -> bool:
         worker = job.attempts[-1].worker
@@ -57,29 +63,28 @@ class Reconciler:
             self._hand_over([Dispatch("attempt", taken.id, taken.next_attempt)])
         return True
 
-    def _hand_over_forgotten(self) -> int:
-        """Hand over what the queue did not know at two looks: a worker may be just taking it at one."""
-        known = self._queue.known()
+    def _forgotten(self, known: Collection[tuple[str, int]]) -> Sequence[Dispatch]:
+        """What waits, and the queue did not know at two looks: a worker may be just taking it at one."""
         waiting = frozenset(
             dispatch for dispatch in self._store.waiting() if not _is_known(dispatch, known, self._queue)
         )
         forgotten = waiting & self._missing
         self._missing = waiting - forgotten
-        return self._hand_over(sorted(forgotten, key=lambda dispatch: dispatch.subject))
+        return sorted(forgotten, key=lambda dispatch: dispatch.subject)
 
-    def _hand_over(self, dispatches: Iterable[Dispatch]) -> int:
-        """How many the queue has heard of; after one that it did not hear there is no use in the next."""
-        num_heard = 0
+    def _hand_over(self, dispatches: Iterable[Dispatch]) -> list[Dispatch]:
+        """Those that the queue has heard of; after one that it did not hear there is no use in the next."""
+        heard: list[Dispatch] = []
         for dispatch in dispatches:
             try:
                 if not hand_over(dispatch, store=self._store, queue=self._queue):
                     break
             except (JobNotFound, JobUnreadable):  # Deleted meanwhile, or set aside.
-                self._store.dispatched(dispatch)
+                self._store.dispatched([dispatch])
             else:
                 log.info("dispatched", task=dispatch.task, subject=dispatch.subject)
-                num_heard += 1
-        return num_heard
+                heard.append(dispatch)
+        return heard
 
 
 def _is_known(dispatch: Dispatch, known: Collection[tuple[str, int]], queue: JobQueue) -> bool:

@@ -30,7 +30,7 @@ class Entry(Stored):
     id: str = ""
     kind: str
     time: datetime
-    data: dict[str, Any] = {}
+    data: dict[str, Any] = Field(default_factory=dict)
 
 
 def entry_number(entry_id: str) -> int:
@@ -138,7 +138,7 @@ class JobStore(ModelStore, Protocol):
     """
 
     def now(self) -> datetime:
-        """The store's clock, in UTC."""
+        """The store's clock in UTC, as far as it is known: a step of it shows within a second."""
         ...
 
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
@@ -205,8 +205,8 @@ class JobStore(ModelStore, Protocol):
         """What was committed, may begin, and RQ was not told yet; oldest first."""
         ...
 
-    def dispatched(self, dispatch: Dispatch) -> None:
-        """RQ has been told."""
+    def dispatched(self, dispatches: Sequence[Dispatch]) -> None:
+        """RQ has been told of these."""
         ...
 
     def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:

@@ -1,5 +1,7 @@
 """From a specification to a queued job."""
 
+from collections.abc import Callable
+
 import structlog
 
 from core.errors import GaitwayError, RecordsUnavailable
@@ -18,10 +20,12 @@ def submit(
     store: JobStore,
     queue: JobQueue,
     idempotency: Idempotency | None = None,
+    acknowledge: Callable[[Dispatch], None] = lambda dispatch: None,
 ) -> Job:
     """The queued job; or the one an earlier submission under the same key made.
 
     The job and its dispatch are one transaction: from the answer on, no loss of Redis loses the job.
+    acknowledge: called with the dispatch once the queue has heard of it; the reconciler finds out by itself.
     Raises Rejected, IdempotencyKeyReused, RecordsUnavailable.
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
@@ -29,7 +33,9 @@ def submit(
     check(spec, store)
     now = store.now()
     job = store.add(Job(id=new_job_id(now), spec=spec, created_at=now), idempotency)
-    hand_over(Dispatch("attempt", job.id, job.next_attempt), store=store, queue=queue, job=job)
+    dispatch = Dispatch("attempt", job.id, job.next_attempt)
+    if hand_over(dispatch, store=store, queue=queue, job=job):
+        acknowledge(dispatch)
     return job
 
 
@@ -43,14 +49,14 @@ def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job 
             queue.enqueue_model(dispatch.subject)
         else:
             _enqueue(job or store.get(dispatch.subject), queue)
-        store.dispatched(dispatch)
     except RecordsUnavailable as error:
         log.warning("dispatch_postponed", subject=dispatch.subject, error=error.detail)
         return False
     except GaitwayError:
         raise
     except Exception:
-        # The queue's own. The record has the job: whoever sent it is not told that it failed.
+        # Such as a refusal by Redis that its adapter does not know. The record has the job: the client must
+        # not be told that the submission failed.
         log.exception("dispatch_failed", subject=dispatch.subject)
         return False
     return True

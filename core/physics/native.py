@@ -2,8 +2,6 @@
 
 import copy
 import hashlib
-import os
-import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -15,6 +13,7 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch, SimulationError
 from numpy.typing import NDArray
 
+from core.devices import num_cores
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
 from core.physics.host_call import Floats, host_call
 
@@ -117,7 +116,7 @@ class _Worlds:
         # What one call expands, another would have to put back: so each set of fields has its own.
         key = (num_worlds, own_fields)
         if key not in self._batches:
-            self._batches[key] = Batch(self._model, num_worlds, nthread=min(num_worlds, _num_cores()))
+            self._batches[key] = Batch(self._model, num_worlds, nthread=min(num_worlds, num_cores()))
         return self._batches[key]
 
 
@@ -134,13 +133,6 @@ def _broken(batch: Batch, move: _Move) -> NDArray[np.bool_]:
         broken[error.ids] = True
     number_of_each_kind = batch.warning[:, :, 1]
     return broken | number_of_each_kind.any(axis=1)
-
-
-def _num_cores() -> int:
-    """The cores that this process may use."""
-    if sys.platform == "linux":
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _fingerprint(model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> str:

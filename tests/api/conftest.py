@@ -17,7 +17,7 @@ from fastapi import FastAPI
 
 from api.app import create_app
 from api.dependencies import Service
-from api.main import Server, listen
+from api.server import Server, listen
 from core.adapters.memory_objects import MemoryObjectStore
 from core.adapters.memory_queue import MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
@@ -138,6 +138,7 @@ def stack(server: tuple[FastAPI, int], job_store: PostgresJobStore) -> Iterator[
     # Without certificates, whose loading takes longer than most tests.
     with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20, verify=False) as http:  # noqa: S501
         yield Stack(service, job_store, queue, objects, http, port)
+    service.acknowledgements.flush()
     service.stopping = True  # Whatever stream a test has left open.
     until = time.monotonic() + 10
     while service.watcher.is_looking and time.monotonic() < until:

@@ -30,6 +30,7 @@ def test_a_submission_is_stored_queued_and_answered_with_its_address(stack: Stac
     assert answer.headers["Location"] == f"/jobs/{view['id']}" == view["links"]["self"]
     assert stack.store.get(view["id"]).status == JobStatus.QUEUED
     assert [(d.job_id, d.attempt) for d in stack.queue.waiting()] == [(view["id"], 1)]
+    stack.service.acknowledgements.flush()
     assert stack.store.undispatched() == []
     assert list(stack.objects.list("")) == []
 

@@ -294,9 +294,9 @@ class TestDispatches:
         jobs.add(job)
         (dispatch,) = jobs.undispatched()
         assert dispatch == Dispatch("attempt", job.id, 1)
-        jobs.dispatched(dispatch)
+        jobs.dispatched([dispatch])
         assert jobs.undispatched() == []
-        jobs.dispatched(dispatch)
+        jobs.dispatched([dispatch])
 
     def test_a_requeued_job_is_to_be_dispatched_with_its_next_attempt(self, jobs: JobStore) -> None:
         claimed = held(jobs, queued_job())
@@ -323,7 +323,7 @@ class TestDispatches:
     def test_word_of_an_earlier_attempt_leaves_the_next_one_to_be_dispatched(self, jobs: JobStore) -> None:
         claimed = held(jobs, queued_job())
         jobs.save(taken_back(claimed))
-        jobs.dispatched(Dispatch("attempt", claimed.id, 1))
+        jobs.dispatched([Dispatch("attempt", claimed.id, 1)])
         assert jobs.undispatched() == [Dispatch("attempt", claimed.id, 2)]
 
     def test_a_refused_write_leaves_nothing_to_be_dispatched(self, jobs: JobStore) -> None:
@@ -347,7 +347,7 @@ class TestDispatches:
         jobs.save(taken_back(held(jobs, taken)))
         jobs.save(cancelled(ended))
         held(jobs, queued_job(4))
-        jobs.dispatched(Dispatch("attempt", told.id, 1))
+        jobs.dispatched([Dispatch("attempt", told.id, 1)])
         jobs.add_model(model(status="validating"))
         jobs.model_dispatched(MODEL)
         jobs.add_model(model(MODEL.replace("0", "1")))

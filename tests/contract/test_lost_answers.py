@@ -208,7 +208,7 @@ class TestLostAnswers:
         for write in (
             partial(jobs.renew, job.id, job.token, LEASE),
             partial(jobs.beat, LEASE),
-            partial(jobs.dispatched, Dispatch("attempt", waiting.id, 1)),
+            partial(jobs.dispatched, [Dispatch("attempt", waiting.id, 1)]),
             partial(jobs.add_model, model(status="validating")),
             partial(jobs.model_dispatched, MODEL),
             partial(jobs.settle_model, model()),

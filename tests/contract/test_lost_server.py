@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from threading import Barrier
@@ -52,7 +53,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "beat": lambda jobs: jobs.beat(LEASE),
         "waiting": lambda jobs: jobs.waiting(),
         "undispatched": lambda jobs: jobs.undispatched(),
-        "dispatched": lambda jobs: jobs.dispatched(Dispatch("attempt", job.id, 1)),
+        "dispatched": lambda jobs: jobs.dispatched([Dispatch("attempt", job.id, 1)]),
         "renew": lambda jobs: jobs.renew(job.id, job.token, LEASE),
         "record": lambda jobs: jobs.record(job.id, job.token, "logs", [line("a")], write_id="w"),
         "feed": lambda jobs: jobs.feed(job.id, "logs"),
@@ -93,7 +94,8 @@ def server(tmp_path: Path) -> Iterator[Postgres]:
 
 @pytest.fixture
 def jobs(server: Postgres) -> Iterator[PostgresJobStore]:
-    jobs = PostgresJobStore(connect_postgres(server.url))
+    # Its clock, too, asks the server at each call.
+    jobs = PostgresJobStore(connect_postgres(server.url), clock_age=timedelta(0))
     yield jobs
     jobs.close()
 

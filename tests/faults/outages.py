@@ -18,6 +18,7 @@ from core.adapters.postgres import schema
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import Unavailable
+from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import claim, new_secret
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue, queue_names
@@ -137,7 +138,8 @@ class Watch:
 
 def submitted(store: JobStore, queue: JobQueue, **fields: Any) -> Job:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
-    return submit(spec, store=store, queue=queue)
+    heard = Acknowledgements(store.dispatched)
+    return submit(spec, store=store, queue=queue, acknowledge=heard.add_at_once)
 
 
 def pooled(url: str, pool_size: int = 2) -> PostgresJobStore:

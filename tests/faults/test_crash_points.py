@@ -22,6 +22,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.s3_objects import S3ObjectStore
 from core.errors import JobNotFound, LeaseLost, Unavailable
 from core.jobs import feeds, orphans
+from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
@@ -75,7 +76,14 @@ class Service:
         )
         key = Idempotency(self.name, "the same body")
         job: Job = self.insist(
-            "api", lambda it: submit(spec, store=it.store, queue=it.queue, idempotency=key)
+            "api",
+            lambda it: submit(
+                spec,
+                store=it.store,
+                queue=it.queue,
+                idempotency=key,
+                acknowledge=Acknowledgements(it.store.dispatched).add_at_once,
+            ),
         )
         return job.id
 

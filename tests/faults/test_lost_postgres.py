@@ -18,6 +18,7 @@ from core.adapters.postgres.connection import PromptConnection
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobNotFound, RecordsUnavailable
 from core.jobs import feeds
+from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
@@ -191,7 +192,8 @@ class Service:
 
     def submit(self, idempotency: Idempotency | None = None) -> Job:
         spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant"})
-        return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency)
+        heard = Acknowledgements(self.store.dispatched).add_at_once
+        return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency, acknowledge=heard)
 
     def claim(self, job: Job, lease: timedelta = LONG, secret: str = "mine") -> Holding:  # noqa: S107
         holding = claim(job.id, 1, "w", store=self.store, objects=self.objects, lease=lease, secret=secret)

@@ -23,7 +23,7 @@ from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus, Reason
-from core.jobs.store import Entry
+from core.jobs.store import Dispatch, Entry
 from core.settings import WorkerSettings
 from gaitway.embedded.valkey import Valkey
 from tests.faults.bench import wait_until
@@ -80,13 +80,36 @@ def away(job_store: PostgresJobStore, own_valkey: Valkey) -> Iterator[Service]:
         yield Service(job_store, client)
 
 
-def test_a_job_is_accepted_when_its_queue_is_damaged(service: Service) -> None:
+def test_a_job_is_accepted_while_something_else_writes_into_redis(service: Service) -> None:
     service.client.set("rq:queue:gaitway-any-normal", "no list")
     with capture_logs() as said:
         job = service.submit()
-    assert [line["event"] for line in said] == ["dispatch_failed"]
+    assert [line["event"] for line in said] == ["dispatch_postponed"]
+    assert "WRONGTYPE" in said[0]["error"]
     assert service.store.get(job.id).status == JobStatus.QUEUED
-    service.client.delete("rq:queue:gaitway-any-normal")
+    for _ in range(2):  # The reconciler says so at each look, and lives on.
+        with pytest.raises(RecordsUnavailable, match="WRONGTYPE"):
+            service.reconciler.look()
+    service.client.flushdb()  # As the sentence advises.
+    service.look()
+    assert service.queue.contains(job.id, 1)
+
+
+def test_a_job_is_accepted_when_redis_refuses_it_in_words_that_nobody_knows(
+    service: Service, valkey: Valkey
+) -> None:
+    service.client.acl_setuser("guest", enabled=True, nopass=True, keys="*", categories=["+@all"])
+    service.client.acl_setuser("guest", enabled=True, nopass=True, keys="*", commands=["-rpush"])
+    try:
+        with (
+            connect_redis(valkey.url.replace("unix://", "unix://guest:any@")) as guest,
+            capture_logs() as said,
+        ):
+            job = submitted(service.store, RQQueue(guest))
+    finally:
+        service.client.acl_deluser("guest")
+    assert [line["event"] for line in said] == ["dispatch_failed"]
+    assert service.store.undispatched() == [Dispatch("attempt", job.id, 1)]
     service.look()
     assert service.queue.contains(job.id, 1)
 

@@ -8,18 +8,16 @@ from datetime import timedelta
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Boolean, Connection, bindparam, exists, func, literal, select
+from sqlalchemy import Boolean, Connection, bindparam, exists, literal, select
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres import rows
-from core.adapters.postgres.tables import dispatches, idempotency_keys, jobs
+from core.adapters.postgres.tables import NOW, dispatches, idempotency_keys, jobs
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.jobs.store import Idempotency
 
 REMEMBERED = timedelta(hours=24)
-# The database's clock, as it goes on within a transaction.
-_NOW = func.clock_timestamp()
 
 
 def add(connection: Connection, job: Job, idempotency: Idempotency | None) -> bool:
@@ -48,7 +46,7 @@ def _statement(names: tuple[str, ...], *, has_key: bool) -> Any:
         new = new.where(exists(select(_new_key().c.job_id)))
     job = insert(jobs).from_select(columns, new).returning(jobs.c.id).cte("job")
     attempt = bindparam("attempt", type_=dispatches.c.attempt.type)
-    waits = select(literal("attempt"), job.c.id, attempt, _NOW).where(bindparam("is_queued", type_=Boolean))
+    waits = select(literal("attempt"), job.c.id, attempt, NOW).where(bindparam("is_queued", type_=Boolean))
     dispatch = insert(dispatches).from_select(list(dispatches.c), waits).on_conflict_do_nothing()
     return select(job.c.id).add_cte(dispatch.cte("dispatch"))
 
@@ -57,13 +55,13 @@ def _new_key() -> Any:
     said: dict[str, Any] = {
         "fingerprint": bindparam("fingerprint"),
         "job_id": bindparam("id"),
-        "forgotten_at": _NOW + REMEMBERED,
+        "forgotten_at": NOW + REMEMBERED,
     }
     return (
         insert(idempotency_keys)
         .values(key_hash=bindparam("key_hash"), **said)
         .on_conflict_do_update(
-            index_elements=["key_hash"], set_=said, where=idempotency_keys.c.forgotten_at <= _NOW
+            index_elements=["key_hash"], set_=said, where=idempotency_keys.c.forgotten_at <= NOW
         )
         .returning(idempotency_keys.c.job_id)
         .cte("key")

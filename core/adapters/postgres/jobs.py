@@ -11,13 +11,15 @@ from typing import Any, NoReturn
 import structlog
 from psycopg.errors import UniqueViolation
 from sqlalchemy import (
+    ARRAY,
     Connection,
     Engine,
+    Text,
     and_,
+    any_,
     bindparam,
     case,
     delete,
-    func,
     not_,
     or_,
     select,
@@ -31,8 +33,10 @@ from sqlalchemy.exc import DataError, IntegrityError
 from core.adapters.cursors import check_cursor
 from core.adapters.entries import status_entry
 from core.adapters.postgres import addition, feeds, listing, models, rows
+from core.adapters.postgres.clock import Clock
 from core.adapters.postgres.errors import Breaker
 from core.adapters.postgres.tables import (
+    NOW,
     UNFINISHED,
     artifacts,
     attempts,
@@ -64,14 +68,19 @@ from core.models.record import ModelRecord
 log = structlog.get_logger()
 
 _HELD = tuple(status.value for status in JobStatus if status.is_held)
-# The database's clock, as it goes on within a transaction.
-_NOW = func.clock_timestamp()
 # Built once: these are a part of every submission and every claim.
-_SELECT_NOW = select(_NOW)
+_SELECT_NOW = select(NOW)
 _DISPATCHED = delete(dispatches).where(
     dispatches.c.task == bindparam("task"),
     dispatches.c.subject == bindparam("subject"),
     dispatches.c.attempt == bindparam("attempt"),
+)
+# An array is one parameter: the statement is the same for any number of ids, and PostgreSQL has it prepared.
+_IDS = bindparam("ids", type_=ARRAY(Text))
+_ATTEMPTS_OF = select(attempts).where(attempts.c.job_id == any_(_IDS)).order_by(attempts.c.number)
+_ARTIFACTS_OF = select(artifacts).where(artifacts.c.job_id == any_(_IDS)).order_by(artifacts.c.position)
+_MARKS_OF = select(jobs.c.id, jobs.c.version, jobs.c.num_events, jobs.c.num_logs).where(
+    jobs.c.id == any_(_IDS)
 )
 # So many entries at once take a fraction of a call's time limit.
 _BATCH = 1000
@@ -87,20 +96,23 @@ class SeenKey:
 
 
 class PostgresJobStore:
-    """A JobStore for many processes; thread-safe. The engine is `connect_postgres`'s."""
+    """A JobStore for many processes; thread-safe. The engine is `connect_postgres`'s.
 
-    def __init__(self, engine: Engine) -> None:
+    clock_age: how long `now` counts on from the database's last answer.
+    """
+
+    def __init__(self, engine: Engine, *, clock_age: timedelta = timedelta(seconds=1)) -> None:
         self._engine = engine
         self._autocommit = engine.execution_options(isolation_level="AUTOCOMMIT")
         self._breaker = Breaker()
+        self._clock = Clock(self._time, clock_age)
 
     def close(self) -> None:
         """Give the connections back."""
         self._engine.dispose()
 
     def now(self) -> datetime:
-        with self._statements() as connection:
-            return connection.execute(_SELECT_NOW).scalar_one()
+        return self._clock.now()
 
     # ---- jobs ------------------------------------------------------------------------------------
 
@@ -232,7 +244,7 @@ class PostgresJobStore:
             status = connection.execute(
                 update(jobs)
                 .where(jobs.c.id == job_id, jobs.c.token == token, jobs.c.token != "")
-                .values(lease_until=_NOW + rows.interval(lease))
+                .values(lease_until=NOW + rows.interval(lease))
                 .returning(jobs.c.status)
             ).scalar()
         if status is None:
@@ -246,18 +258,18 @@ class PostgresJobStore:
         return _without_unreadable(found)
 
     def beat(self, lease: timedelta) -> None:
-        silence = _NOW - pulse.c.beat_at
+        silence = NOW - pulse.c.beat_at
         was_away = or_(silence > lease / 2, silence < timedelta(0))
-        longest, quiet_until = rows.interval(lease / 2), _NOW + rows.interval(lease)
+        longest, quiet_until = rows.interval(lease / 2), NOW + rows.interval(lease)
         with self._transaction() as connection:
             connection.execute(
                 # Whoever empties all tables takes the row along.
                 insert(pulse)
-                .values(id=1, beat_at=_NOW, longest_silence=longest, quiet_until=quiet_until)
+                .values(id=1, beat_at=NOW, longest_silence=longest, quiet_until=quiet_until)
                 .on_conflict_do_update(
                     index_elements=["id"],
                     set_={
-                        "beat_at": _NOW,
+                        "beat_at": NOW,
                         "longest_silence": longest,
                         "quiet_until": case((was_away, quiet_until), else_=pulse.c.quiet_until),
                     },
@@ -266,8 +278,8 @@ class PostgresJobStore:
             # The clock was set back: no lease reaches further than a lease from now.
             connection.execute(
                 update(jobs)
-                .where(jobs.c.status.in_(_HELD), jobs.c.lease_until > _NOW + 4 * lease)
-                .values(lease_until=_NOW + rows.interval(lease))
+                .where(jobs.c.status.in_(_HELD), jobs.c.lease_until > NOW + 4 * lease)
+                .values(lease_until=NOW + rows.interval(lease))
             )
 
     # ---- dispatches ------------------------------------------------------------------------------
@@ -285,9 +297,10 @@ class PostgresJobStore:
         with self._statements() as connection:
             return [Dispatch(row.task, row.subject, row.attempt) for row in connection.execute(wanted)]
 
-    def dispatched(self, dispatch: Dispatch) -> None:
-        with self._statements() as connection:
-            connection.execute(_DISPATCHED, asdict(dispatch))
+    def dispatched(self, dispatches: Sequence[Dispatch]) -> None:
+        if dispatches:
+            with self._statements() as connection:
+                connection.execute(_DISPATCHED, [asdict(dispatch) for dispatch in dispatches])
 
     # ---- feeds -----------------------------------------------------------------------------------
 
@@ -326,9 +339,8 @@ class PostgresJobStore:
             feeds.replace_by_chunk(connection, job_id, chunk)
 
     def marks(self, job_ids: Collection[str]) -> Mapping[str, Mark]:
-        wanted = select(jobs.c.id, jobs.c.version, jobs.c.num_events, jobs.c.num_logs)
         with self._statements() as connection:
-            found = connection.execute(wanted.where(jobs.c.id.in_(job_ids)))
+            found = connection.execute(_MARKS_OF, {"ids": list(job_ids)})
             return {row.id: Mark(row.version, row.num_events, row.num_logs) for row in found}
 
     # ---- models ----------------------------------------------------------------------------------
@@ -342,7 +354,7 @@ class PostgresJobStore:
             models.add(connection, record)
 
     def model_dispatched(self, model_id: str) -> None:
-        self.dispatched(Dispatch("model", model_id))
+        self.dispatched([Dispatch("model", model_id)])
 
     def settle_model(self, record: ModelRecord) -> None:
         with self._transaction() as connection:
@@ -363,7 +375,7 @@ class PostgresJobStore:
     # ---- workers ---------------------------------------------------------------------------------
 
     def announce(self, worker: WorkerInfo, ttl: timedelta) -> None:
-        said = {"said": worker.model_dump_json(), "gone_at": _NOW + rows.interval(ttl)}
+        said = {"said": worker.model_dump_json(), "gone_at": NOW + rows.interval(ttl)}
         with self._statements() as connection:
             connection.execute(
                 insert(workers)
@@ -376,21 +388,25 @@ class PostgresJobStore:
             connection.execute(delete(workers).where(workers.c.name == name))
 
     def workers(self) -> Sequence[WorkerInfo]:
-        wanted = select(workers.c.said).where(workers.c.gone_at > _NOW).order_by(workers.c.name)
+        wanted = select(workers.c.said).where(workers.c.gone_at > NOW).order_by(workers.c.name)
         with self._statements() as connection:
             said = connection.execute(wanted).scalars().all()
         return rows.read_workers(said)
 
     def tidy(self) -> None:
         with self._transaction() as connection:
-            connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= _NOW))
-            connection.execute(delete(workers).where(workers.c.gone_at <= _NOW))
+            connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= NOW))
+            connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
 
     def ping(self) -> None:
         with self._statements() as connection:
             connection.execute(select(pulse.c.id))
 
     # ---- inside ----------------------------------------------------------------------------------
+
+    def _time(self) -> datetime:
+        with self._statements() as connection:
+            return connection.execute(_SELECT_NOW).scalar_one()
 
     @contextmanager
     def _transaction(self) -> Generator[Connection]:
@@ -421,7 +437,7 @@ def _replace(
     # A lease is the present attempt's; a change of hands ends the one before.
     same_holder = jobs.c.token == job.token
     kept = case((same_holder, jobs.c.lease_until), else_=None) if job.token else None
-    values["lease_until"] = _NOW + rows.interval(lease) if lease is not None and job.token else kept
+    values["lease_until"] = NOW + rows.interval(lease) if lease is not None and job.token else kept
     before = select(jobs.c.status).where(jobs.c.id == job.id).scalar_subquery()
     changed = connection.execute(
         update(jobs)
@@ -500,7 +516,7 @@ def _update_dispatch(connection: Connection, job: Job) -> None:
     if job.status == JobStatus.QUEUED:
         connection.execute(
             insert(dispatches)
-            .values(task="attempt", subject=job.id, attempt=job.next_attempt, created_at=_NOW)
+            .values(task="attempt", subject=job.id, attempt=job.next_attempt, created_at=NOW)
             .on_conflict_do_nothing()
         )
     else:
@@ -521,7 +537,7 @@ def _refuse(connection: Connection, job_id: str) -> NoReturn:
 
 def _is_due() -> Any:
     """Whether a job may be tried now. One that is too far off is older than a step of the clock."""
-    not_yet = and_(jobs.c.not_before > _NOW, jobs.c.not_before <= _NOW + max(PAUSES))
+    not_yet = and_(jobs.c.not_before > NOW, jobs.c.not_before <= NOW + max(PAUSES))
     return or_(jobs.c.not_before.is_(None), not_(not_yet))
 
 
@@ -530,8 +546,8 @@ def _lease_is_over() -> Any:
 
     Not in a silence, nor right after one that began behind the last beat: nobody could renew meanwhile.
     """
-    is_watched = and_(pulse.c.quiet_until < _NOW, _NOW - pulse.c.beat_at <= pulse.c.longest_silence)
-    is_over = or_(jobs.c.lease_until.is_(None), jobs.c.lease_until < _NOW)
+    is_watched = and_(pulse.c.quiet_until < NOW, NOW - pulse.c.beat_at <= pulse.c.longest_silence)
+    is_over = or_(jobs.c.lease_until.is_(None), jobs.c.lease_until < NOW)
     return and_(is_over, select(is_watched).scalar_subquery())
 
 
@@ -544,16 +560,14 @@ def _load(connection: Connection, job_id: str) -> Job | UnreadableJob:
 
 def _load_all(connection: Connection, found: Sequence[Any]) -> list[Job | UnreadableJob]:
     """The jobs of these rows, with two queries for all of them together."""
-    ids = [row.id for row in found]
-    if not ids:
+    if not found:
         return []
+    ids = {"ids": [row.id for row in found]}
     tries: dict[str, list[Any]] = defaultdict(list)
     files: dict[str, list[Any]] = defaultdict(list)
-    of_attempts = select(attempts).where(attempts.c.job_id.in_(ids)).order_by(attempts.c.number)
-    of_artifacts = select(artifacts).where(artifacts.c.job_id.in_(ids)).order_by(artifacts.c.position)
-    for row in connection.execute(of_attempts):
+    for row in connection.execute(_ATTEMPTS_OF, ids):
         tries[row.job_id].append(row)
-    for row in connection.execute(of_artifacts):
+    for row in connection.execute(_ARTIFACTS_OF, ids):
         files[row.job_id].append(row)
     return [rows.read_job(row, tries[row.id], files[row.id]) for row in found]
 
@@ -575,7 +589,7 @@ def _remembered(connection: Connection, idempotency: Idempotency) -> str | None:
     row = connection.execute(
         select(idempotency_keys).where(
             idempotency_keys.c.key_hash == addition.hashed(idempotency.key),
-            idempotency_keys.c.forgotten_at > _NOW,
+            idempotency_keys.c.forgotten_at > NOW,
         )
     ).first()
     if row is None:
@@ -593,7 +607,7 @@ def _remember_seen(connection: Connection, key: SeenKey, job_id: str) -> None:
             key_hash=key.key_hash,
             fingerprint=key.fingerprint,
             job_id=job_id,
-            forgotten_at=_NOW + key.left,
+            forgotten_at=NOW + key.left,
         )
         .on_conflict_do_nothing()
     )

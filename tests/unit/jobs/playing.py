@@ -6,6 +6,7 @@ from datetime import timedelta
 from typing import Any
 
 from core.adapters.memory_queue import MemoryJobQueue
+from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.record_copy import copy_records
@@ -28,7 +29,8 @@ class PlayedWorker:
 
     def submit(self, **fields: Any) -> Job:
         spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
-        return submit(spec, store=self.store, queue=self._queue)
+        heard = Acknowledgements(self.store.dispatched)
+        return submit(spec, store=self.store, queue=self._queue, acknowledge=heard.add_at_once)
 
     def begin(self, job: Job) -> Holding:
         """Running on a CPU."""

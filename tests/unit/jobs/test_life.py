@@ -25,6 +25,7 @@ from core.errors import (
     Rejected,
     StorageUnavailable,
 )
+from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
@@ -62,7 +63,8 @@ class Service:
 
     def submit(self, idempotency: Idempotency | None = None, **fields: Any) -> Job:
         spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
-        return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency)
+        heard = Acknowledgements(self.store.dispatched).add_at_once
+        return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency, acknowledge=heard)
 
     def claim(self, job: Job) -> Holding:
         self.queue.take()

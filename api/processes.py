@@ -1,0 +1,68 @@
+"""Several processes that answer at one socket, watched by uvicorn: one process of Python uses one core."""
+
+import os
+import socket
+import sys
+import threading
+from multiprocessing import parent_process
+from typing import Any
+
+import uvicorn
+from uvicorn.config import STARTUP_FAILURE
+from uvicorn.supervisors import multiprocess
+
+from api.app import from_environment
+from api.server import Server
+from core.configuration import stopping_if_misconfigured
+from core.telemetry import configure_logging
+
+# Gaitway's modules are loaded within it, also on a machine that is busy.
+_START_S = 30
+
+
+class _Process(multiprocess.Process):
+    """One of them. It ends with the process that watches it: the next one needs the socket's address."""
+
+    @property
+    def server(self) -> uvicorn.Server:
+        if self._server is None:
+            self._server = Server(from_environment())
+        return self._server
+
+    def target(self, sockets: list[socket.socket] | None = None) -> None:
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+        configure_logging("api")
+        try:
+            with stopping_if_misconfigured():
+                assert self.server  # noqa: S101 # Made before a second thread asks for it.
+        except SystemExit:
+            sys.exit(STARTUP_FAILURE)
+        super().target(sockets)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None  # noqa: S101
+    parent.join()
+    os._exit(1)
+
+
+def serve(listener: socket.socket, number: int) -> None:
+    """So many processes until SIGTERM or SIGINT; one that dies or hangs is replaced.
+
+    Exits with a status other than 0 where one could not start.
+    """
+    # uvicorn has no other way to say what a process serves with.
+    replaced: Any = multiprocess
+    replaced.Process = _Process
+    config = uvicorn.Config(
+        "api.app:from_environment",
+        factory=True,
+        workers=number,
+        log_config=None,
+        timeout_worker_healthcheck=_START_S,
+    )
+    watch = multiprocess.Multiprocess(config, [listener])
+    watch.run()
+    if any(process.exitcode == STARTUP_FAILURE for process in watch.processes):
+        sys.exit(STARTUP_FAILURE)

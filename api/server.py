@@ -1,0 +1,51 @@
+"""uvicorn, as this service runs it."""
+
+import socket
+from types import FrameType
+
+import uvicorn
+from fastapi import FastAPI
+
+from core.errors import Misconfigured
+
+# Long enough for a file's piece or a submission on its way; streams close by themselves.
+_GRACE_S = 5
+
+
+class Server(uvicorn.Server):
+    """uvicorn's server, which tells open streams that the end has come."""
+
+    def __init__(self, app: FastAPI) -> None:
+        super().__init__(
+            uvicorn.Config(
+                app,
+                access_log=False,
+                log_config=None,
+                lifespan="off",
+                server_header=False,
+                timeout_graceful_shutdown=_GRACE_S,
+                timeout_keep_alive=30,
+                ws="none",
+            )
+        )
+        self._service = app.state.service
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self._service.stopping = True
+        super().handle_exit(sig, frame)
+
+    def run(self, sockets: list[socket.socket] | None = None) -> None:
+        """Serve until SIGTERM or SIGINT."""
+        super().run(sockets)
+        self._service.acknowledgements.flush()
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A bound socket; port 0 takes a free one. Raises Misconfigured."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family, backlog=512)
+    except OSError as error:
+        raise Misconfigured(
+            f"The API cannot listen at {host} port {port} ({error.strerror}); see --host and --port."
+        ) from error

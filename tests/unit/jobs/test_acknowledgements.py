@@ -1,0 +1,40 @@
+"""Word that RQ was told reaches the record some at a time, and its loss does no harm."""
+
+from collections.abc import Sequence
+from queue import SimpleQueue
+
+from structlog.testing import capture_logs
+
+from core.errors import RecordsUnavailable
+from core.jobs.acknowledgements import Acknowledgements
+from core.jobs.store import Dispatch
+
+FIRST, SECOND, THIRD = (Dispatch("attempt", f"job-{number}", 1) for number in range(3))
+
+
+def test_what_comes_at_once_is_one_write() -> None:
+    written: SimpleQueue[Sequence[Dispatch]] = SimpleQueue()
+    acknowledgements = Acknowledgements(written.put)
+    acknowledgements.add(FIRST)
+    acknowledgements.add(SECOND)
+    assert written.get(timeout=5) == [FIRST, SECOND]
+    acknowledgements.add(THIRD)
+    assert written.get(timeout=5) == [THIRD]
+
+
+def test_an_outage_is_said_and_ends_nothing() -> None:
+    written: list[Sequence[Dispatch]] = []
+
+    def write(dispatches: Sequence[Dispatch]) -> None:
+        if FIRST in dispatches:
+            raise RecordsUnavailable("PostgreSQL does not answer.")
+        written.append(dispatches)
+
+    acknowledgements = Acknowledgements(write)
+    with capture_logs() as said:
+        acknowledgements.add(FIRST)
+        acknowledgements.flush()
+    assert [(line["event"], line["number"]) for line in said] == [("acknowledgements_dropped", 1)]
+    acknowledgements.add(SECOND)
+    acknowledgements.flush()
+    assert written == [[SECOND]]
