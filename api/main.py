@@ -3,6 +3,7 @@
 import argparse
 import ipaddress
 from collections.abc import Sequence
+from functools import partial
 
 import structlog
 
@@ -39,11 +40,12 @@ def _serve(host: str, port: int) -> None:
         if not _is_loopback(outside):
             log.warning("service_exposed", address=outside, advice=_OPEN_DOOR)
         number = app.state.service.settings.num_processes
-        log.info("service_listens", host=host, port=port, processes=number)
+        tell = partial(log.info, "service_listens", host=host, port=port, processes=number)
         if number == 1:
+            tell()
             Server(app).run(sockets=[listener])
         else:
-            processes.serve(listener, number)
+            processes.serve(listener, number, on_ready=tell)
 
 
 def _is_loopback(host: str) -> bool:

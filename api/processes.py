@@ -4,6 +4,7 @@ import os
 import socket
 import sys
 import threading
+from collections.abc import Callable
 from multiprocessing import parent_process
 from typing import Any
 
@@ -12,7 +13,7 @@ from uvicorn.config import STARTUP_FAILURE
 from uvicorn.supervisors import multiprocess
 
 from api.app import from_environment
-from api.server import Server
+from api.server import BACKLOG, Server, reserve
 from core.configuration import stopping_if_misconfigured
 from core.telemetry import configure_logging
 
@@ -37,7 +38,17 @@ class _Process(multiprocess.Process):
                 assert self.server  # noqa: S101 # Made before a second thread asks for it.
         except SystemExit:
             sys.exit(STARTUP_FAILURE)
-        super().target(sockets)
+        super().target([_own(sockets[0])] if sockets else None)
+
+
+def _own(listener: socket.socket) -> socket.socket:
+    """A listener at the same address. Linux spreads new connections over several listeners; from a shared one,
+    the process that wakes first takes all that wait."""
+    if sys.platform != "linux":
+        return listener
+    own = reserve(*listener.getsockname()[:2])
+    own.listen(BACKLOG)
+    return own
 
 
 def _end_with_parent() -> None:
@@ -47,11 +58,30 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def serve(listener: socket.socket, number: int) -> None:
+class _Watch(multiprocess.Multiprocess):
+    """uvicorn's, which calls `on_ready` once the first processes answer."""
+
+    def __init__(self, config: uvicorn.Config, listener: socket.socket, on_ready: Callable[[], None]) -> None:
+        super().__init__(config, [listener])
+        self._on_ready = on_ready
+
+    def init_processes(self) -> None:
+        super().init_processes()
+        if all(process.wait_until_ready(_START_S) for process in self.processes):
+            self._on_ready()
+
+
+def serve(listener: socket.socket, number: int, on_ready: Callable[[], None]) -> None:
     """So many processes until SIGTERM or SIGINT; one that dies or hangs is replaced.
 
-    Exits with a status other than 0 where one could not start.
+    listener: closed by this. on_ready: called once they answer. Exits with a status other than 0 where one
+    could not start.
     """
+    if sys.platform == "linux":
+        # This process keeps the address, and accepts nothing there.
+        address = listener.getsockname()[:2]
+        listener.close()
+        listener = reserve(*address)
     # uvicorn has no other way to say what a process serves with.
     replaced: Any = multiprocess
     replaced.Process = _Process
@@ -62,7 +92,7 @@ def serve(listener: socket.socket, number: int) -> None:
         log_config=None,
         timeout_worker_healthcheck=_START_S,
     )
-    watch = multiprocess.Multiprocess(config, [listener])
+    watch = _Watch(config, listener, on_ready)
     watch.run()
     if any(process.exitcode == STARTUP_FAILURE for process in watch.processes):
         sys.exit(STARTUP_FAILURE)

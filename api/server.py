@@ -8,6 +8,7 @@ from fastapi import FastAPI
 
 from core.errors import Misconfigured
 
+BACKLOG = 512
 # Long enough for a file's piece or a submission on its way; streams close by themselves.
 _GRACE_S = 5
 
@@ -40,12 +41,24 @@ class Server(uvicorn.Server):
         self._service.acknowledgements.flush()
 
 
+def reserve(host: str, port: int) -> socket.socket:
+    """A socket bound to an address that this process' children may listen at, too."""
+    reserved = socket.socket(_family(host))
+    reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+    reserved.bind((host, port))
+    return reserved
+
+
 def listen(host: str, port: int) -> socket.socket:
     """A bound socket; port 0 takes a free one. Raises Misconfigured."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return socket.create_server((host, port), family=family, backlog=512)
+        return socket.create_server((host, port), family=_family(host), backlog=BACKLOG)
     except OSError as error:
         raise Misconfigured(
             f"The API cannot listen at {host} port {port} ({error.strerror}); see --host and --port."
         ) from error
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
