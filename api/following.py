@@ -13,7 +13,9 @@ from anyio import to_thread
 
 from api.dependencies import Service
 from core.errors import JobNotFound, ObjectNotFound, Unavailable
+from core.jobs import feeds
 from core.jobs.job import Job, UnreadableJob
+from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry
 
 log = structlog.get_logger()
@@ -25,22 +27,20 @@ _GLANCE_S = 1.0
 
 
 class Follower:
-    """Reads one feed of one job. `job` is the job as it was at the latest look, None once it is deleted."""
+    """Reads one feed of one job. `status`: the job's at the latest look, None once it is deleted."""
 
     def __init__(self, service: Service, job: Job | UnreadableJob, channel: Channel, after: int) -> None:
-        self.job: Job | UnreadableJob | None = job
+        self.status: JobStatus | None = job.status
         self._service = service
         self._id = job.id
         self._channel: Channel = channel
         self._after = after
+        self._is_end = False
 
     async def present(self) -> AsyncIterator[Sequence[Entry]]:
         """Entries up to the feed's present end. Raises RecordsUnavailable, StorageUnavailable."""
-        is_last = False
-        while not is_last:
-            page = await self._read()
-            is_last = len(page) < _PAGE
-            if page:
+        while not self._is_end:
+            if page := await self._read():
                 yield page
 
     async def coming(self) -> AsyncIterator[Sequence[Entry]]:
@@ -49,7 +49,7 @@ class Follower:
         Ends when the job has ended, was deleted, or the service stops. It outlives outages of the stores.
         """
         heard_at = time.monotonic()
-        is_due, is_last = True, False
+        is_due, has_more, is_last = True, False, False
         with self._service.watcher.watch(self._id) as watch:
             while not (is_last or self._service.stopping):
                 page: Sequence[Entry] = ()
@@ -59,32 +59,32 @@ class Follower:
                     except Unavailable as error:
                         log.warning("feed_unavailable", job_id=self._id, error=error.detail)
                     else:
-                        is_due = len(page) == _PAGE
-                        is_last = self._has_ended and not is_due
+                        is_due = has_more = not self._is_end
+                        is_last = self._is_end and (self.status is None or self.status.is_final)
                 if page or time.monotonic() - heard_at >= HEARTBEAT_S:
                     heard_at = time.monotonic()
                     yield page
-                if len(page) < _PAGE and not is_last:
+                if not (has_more or is_last):
                     is_due = await watch.news(_GLANCE_S) or is_due
 
-    @property
-    def _has_ended(self) -> bool:
-        return self.job is None or self.job.status.is_final
+    async def job(self) -> Job | UnreadableJob:
+        """The job as it is now. Raises JobNotFound, RecordsUnavailable."""
+        return await to_thread.run_sync(self._service.store.find, self._id, limiter=self._service.watching)
 
     async def _read(self) -> Sequence[Entry]:
         page = await to_thread.run_sync(self._next_page, limiter=self._service.watching)
-        if page:
-            self._after = int(page[-1].id)
-        return page
-
-    def _next_page(self) -> Sequence[Entry]:
-        # The job first: what is in the feed after its end was seen is all that there will be.
-        try:
-            self.job = self._service.store.find(self._id)
-            return self._service.read_feed(self._id, self._channel, after=self._after, limit=_PAGE)
-        except (JobNotFound, ObjectNotFound):  # A deletion removes the objects first.
-            self.job = None
+        self.status, self._is_end = (None, True) if page is None else (page.status, page.is_end)
+        if page is None or not page.entries:
             return ()
+        self._after = int(page.entries[-1].id)
+        return page.entries
+
+    def _next_page(self) -> feeds.FeedPage | None:
+        store, objects = self._service.store, self._service.objects
+        try:
+            return feeds.read_page(self._id, self._channel, self._after, _PAGE, store=store, objects=objects)
+        except (JobNotFound, ObjectNotFound):  # A deletion removes the objects first.
+            return None
 
 
 def look(service: Service, job_id: str, channel: Channel, after: int = 0) -> tuple[Job | UnreadableJob, bool]:

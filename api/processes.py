@@ -42,8 +42,10 @@ class _Process(multiprocess.Process):
 
 
 def _own(listener: socket.socket) -> socket.socket:
-    """A listener at the same address. Linux spreads new connections over several listeners; from a shared one,
-    the process that wakes first takes all that wait."""
+    """A listener at the same address.
+
+    Linux spreads new connections over several listeners; of a shared one's, whoever wakes first takes all.
+    """
     if sys.platform != "linux":
         return listener
     own = reserve(*listener.getsockname()[:2])

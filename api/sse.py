@@ -25,9 +25,9 @@ async def event_stream(follower: Follower) -> AsyncIterator[bytes]:
     async for page in follower.coming():
         yield encoded(page) if page else b": still here\n\n"
         told = told or any(_tells_the_end(entry) for entry in page)
-    if follower.job is not None and follower.job.status.is_final and not told:
+    if follower.status is not None and follower.status.is_final and not told:
         # A job of version 0.1 that was imported has a status, but no feed.
-        yield encoded([_final(follower.job)])
+        yield encoded([_final(await follower.job())])
 
 
 def encoded(entries: Sequence[Entry]) -> bytes:

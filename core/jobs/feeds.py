@@ -5,12 +5,14 @@ The record holds the newest entries. Older ones lie in chunks: immutable objects
 
 import hashlib
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from datetime import timedelta
 
 import structlog
 
 from core.errors import StorageUnavailable
 from core.jobs.lost_feeds import gap
+from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Chunk, Entry, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
@@ -26,6 +28,15 @@ _PAGE = 1000
 _READINGS = 3
 
 
+@dataclass(frozen=True)
+class FeedPage:
+    """A part of a feed, oldest first. status, is_end: of that moment, as in `FeedPart`."""
+
+    entries: Sequence[Entry]
+    status: JobStatus
+    is_end: bool
+
+
 def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
     job_id: str,
     channel: Channel,
@@ -38,34 +49,35 @@ def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
 ) -> Sequence[Entry]:
     """Entries later than number `after`, oldest first; of one kind where given. Empty at the feed's end.
 
-    In the place of a part that is damaged in the object store stands a `note` that says so.
-    Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
+    Raises as `read_page` does.
     """
     found: list[Entry] = []
     while len(found) < limit:
         # Those of one kind may be rare: to look for the last few, a page of a few would be looked at often.
         at_once = limit - len(found) if kind is None else _PAGE
-        page, last = _page(job_id, channel, after, at_once, store, objects)
-        found += [entry for entry in page if kind in (None, entry.kind)]
-        if last == after:
+        page = read_page(job_id, channel, after, at_once, store=store, objects=objects)
+        found += [entry for entry in page.entries if kind in (None, entry.kind)]
+        if page.is_end:
             break
-        after = last
+        after = int(page.entries[-1].id)
     return found[:limit]
 
 
-def _page(  # As above.
-    job_id: str, channel: Channel, after: int, limit: int, store: JobStore, objects: ObjectStore
-) -> tuple[list[Entry], int]:
-    """At least `limit` entries behind `after`, if there are as many; and the number of the last one."""
+def read_page(  # Where from, which feed, which part of it.
+    job_id: str, channel: Channel, after: int, limit: int, *, store: JobStore, objects: ObjectStore
+) -> FeedPage:
+    """At least `limit` entries behind number `after`, if there are as many.
+
+    In the place of a part that is damaged in the object store stands a `note` that says so.
+    Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
+    """
     part = store.feed(job_id, channel, after=after, limit=limit)
     found: list[Entry] = []
     for chunk in part.chunks:
         found += [entry for entry in _entries_of(chunk, store, objects) if int(entry.id) > after]
         if len(found) >= limit:
-            break
-    else:
-        found += part.entries
-    return found, int(found[-1].id) if found else after
+            return FeedPage(found, part.status, is_end=False)
+    return FeedPage([*found, *part.entries], part.status, part.is_end)
 
 
 def _entries_of(chunk: Chunk, store: JobStore, objects: ObjectStore) -> Iterable[Entry]:

@@ -105,10 +105,15 @@ class Chunk:
 
 @dataclass(frozen=True)
 class FeedPart:
-    """What a feed holds behind a position: the chunks that reach beyond it, then the entries after them."""
+    """What a feed holds behind a position: the chunks that reach beyond it, then the entries after them.
+
+    status: the job's at that moment. is_end: whether there was no more at that moment.
+    """
 
     chunks: Sequence[Chunk]
     entries: Sequence[Entry]
+    status: JobStatus
+    is_end: bool
 
 
 @dataclass(frozen=True)

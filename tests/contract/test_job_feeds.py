@@ -2,11 +2,14 @@
 
 import secrets
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from functools import partial
+from typing import Any
 
+import psycopg
 import pytest
 
 from core.errors import JobNotFound, LeaseLost, Rejected
@@ -318,6 +321,61 @@ def due(jobs: JobStore, job: Job, max_bytes: int = 10**6) -> list[str]:
     found = jobs.long_feeds(max_bytes=max_bytes, max_age=timedelta(minutes=10))
     assert {job_id for job_id, _ in found} <= {job.id}
     return sorted(channel for _, channel in found)
+
+
+class TestWritingMeanwhile:
+    """A write that had to wait for another one's lock looks again at what the other one has left."""
+
+    @pytest.fixture
+    def locked(self, database_url: str, job: Job) -> Iterator[psycopg.Connection[Any]]:
+        """A transaction that has the job's row, as another process would."""
+        with psycopg.connect(database_url) as other:
+            other.execute("SELECT id FROM jobs WHERE id = %s FOR UPDATE", [job.id])
+            yield other
+
+    @staticmethod
+    def wait_for_a_waiter(other: psycopg.Connection[Any]) -> None:
+        until = time.monotonic() + 10
+        waits = "SELECT count(*) FROM pg_locks WHERE NOT granted"
+        while other.execute(waits).fetchone() == (0,):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+
+    def test_it_is_refused_where_the_job_was_taken_back(
+        self, jobs: JobStore, job: Job, locked: psycopg.Connection[Any]
+    ) -> None:
+        with ThreadPoolExecutor(1) as pool:
+            written = pool.submit(say, jobs, job, "too late")
+            self.wait_for_a_waiter(locked)
+            locked.execute("UPDATE jobs SET token = '2-other' WHERE id = %s", [job.id])
+            locked.commit()
+            with pytest.raises(LeaseLost):
+                written.result(10)
+        assert logs(jobs, job) == []
+
+    def test_it_is_numbered_behind_what_came_between(
+        self, jobs: JobStore, job: Job, locked: psycopg.Connection[Any]
+    ) -> None:
+        with ThreadPoolExecutor(1) as pool:
+            written = pool.submit(say, jobs, job, "a", "b")
+            self.wait_for_a_waiter(locked)
+            locked.execute("UPDATE jobs SET num_logs = num_logs + 3 WHERE id = %s", [job.id])
+            locked.commit()
+            written.result(10)
+        assert [entry.id for entry in jobs.feed(job.id, "logs").entries] == ["4", "5"]
+
+    def test_the_same_write_sent_twice_at_once_is_there_once(
+        self, jobs: JobStore, job: Job, locked: psycopg.Connection[Any]
+    ) -> None:
+        entry = Entry(kind="line", time=NOW, data={"text": "a"})
+        write = partial(jobs.record, job.id, job.token, "logs", [entry], write_id="w")
+        with ThreadPoolExecutor(2) as pool:
+            both = [pool.submit(write), pool.submit(write)]
+            self.wait_for_a_waiter(locked)
+            locked.commit()
+            for one in both:
+                one.result(10)
+        assert logs(jobs, job) == ["a"]
 
 
 class TestReadingMeanwhile:

@@ -7,14 +7,49 @@ from datetime import timedelta
 from typing import Any
 
 from pydantic_core import to_json
-from sqlalchemy import Connection, Row, delete, func, or_, select, update
+from sqlalchemy import Column, Connection, Row, TextClause, delete, func, or_, select, text, update
 from sqlalchemy.dialects.postgresql import insert
 
+from core.adapters.postgres import rows
 from core.adapters.postgres.tables import NOW, UNFINISHED, chunks, entries, jobs
 from core.jobs.job import Progress
 from core.jobs.store import Channel, Chunk, Entry, FeedPart
 
-_NUM = {"events": jobs.c.num_events, "logs": jobs.c.num_logs}
+_NUM: dict[Channel, Column[int]] = {"events": jobs.c.num_events, "logs": jobs.c.num_logs}
+# What a training says, and what a reader follows, are one statement each: round trips take most of the time.
+# PostgreSQL looks at `held`'s condition again where it has waited for the row: its holder may have changed.
+_APPEND_AS_ATTEMPT: dict[Channel, TextClause] = {
+    channel: text(f"""
+        WITH held AS (
+            SELECT id, last_write FROM jobs WHERE id = :job_id AND token = :token AND token <> '' FOR UPDATE
+        ), grown AS (
+            UPDATE jobs
+            SET last_write = :write_id, {counter.name} = jobs.{counter.name} + :count,
+                progress = coalesce(:progress, jobs.progress)
+            FROM held WHERE jobs.id = held.id AND held.last_write IS DISTINCT FROM :write_id
+            RETURNING jobs.{counter.name} - :count AS last_before
+        ), written AS (
+            INSERT INTO entries (job_id, channel, number, kind, time, data)
+            SELECT :job_id, :channel, last_before + place, said.kind, said.time, said.data
+            FROM grown, unnest(CAST(:kinds AS text[]), CAST(:times AS timestamptz[]), CAST(:data AS text[]))
+                 WITH ORDINALITY AS said (kind, time, data, place)
+        )
+        SELECT id FROM held
+    """)  # noqa: S608 # Names of columns.
+    for channel, counter in _NUM.items()
+}
+_READ = text("""
+    SELECT jobs.status,
+        (SELECT json_agg(found ORDER BY found.first) FROM (
+            SELECT channel, first, last, key, size, sha256 FROM chunks
+            WHERE job_id = :job_id AND channel = :channel AND last > :after ORDER BY first LIMIT :chunks
+        ) AS found) AS chunks,
+        (SELECT json_agg(json_build_array(number, kind, time, data) ORDER BY number) FROM (
+            SELECT number, kind, time, data FROM entries
+            WHERE job_id = :job_id AND channel = :channel AND number > :after ORDER BY number LIMIT :limit
+        ) AS found) AS entries
+    FROM jobs WHERE jobs.id = :job_id
+""")
 # A reader gets a few at a time; each is a request to the object store.
 _MOST_CHUNKS = 4
 _MOST_DUE = 200
@@ -29,20 +64,19 @@ def append_as_attempt(  # noqa: PLR0913 # As in the seam.
     progress: Progress | None,
     write_id: str,
 ) -> bool:
-    """Append in the name of the attempt that holds the job; whether it does."""
-    held = connection.execute(
-        select(jobs.c.last_write)
-        .where(jobs.c.id == job_id, jobs.c.token == token, jobs.c.token != "")
-        .with_for_update()
-    ).first()
-    if held is None:
-        return False
-    if held.last_write != write_id:
-        values: dict[str, Any] = {"last_write": write_id}
-        if progress is not None:
-            values["progress"] = progress.model_dump_json()
-        append(connection, job_id, channel, said, values)
-    return True
+    """Append in the name of the attempt that holds the job; whether it does. One statement."""
+    values = {
+        "job_id": job_id,
+        "token": token,
+        "channel": channel,
+        "write_id": write_id,
+        "progress": None if progress is None else progress.model_dump_json(),
+        "count": len(said),
+        "kinds": [entry.kind for entry in said],
+        "times": [entry.time for entry in said],
+        "data": [_data(entry) for entry in said],
+    }
+    return connection.execute(_APPEND_AS_ATTEMPT[channel], values).first() is not None
 
 
 def append(
@@ -71,39 +105,44 @@ def append(
                     "number": number,
                     "kind": entry.kind,
                     "time": entry.time,
-                    "data": to_json(entry.data, inf_nan_mode="null").decode(),
+                    "data": _data(entry),
                 }
                 for number, entry in enumerate(said, first)
             ],
         )
 
 
-def read(connection: Connection, job_id: str, channel: Channel, after: int, limit: int) -> FeedPart:
-    """The chunks that reach beyond `after`; and, where these are all, the entries behind them."""
-    found = connection.execute(
-        select(chunks)
-        .where(chunks.c.job_id == job_id, chunks.c.channel == channel, chunks.c.last > after)
-        .order_by(chunks.c.first)
-        .limit(_MOST_CHUNKS + 1)
-    ).all()
-    parts = [_chunk_of(row) for row in found[:_MOST_CHUNKS]]
-    if len(found) > _MOST_CHUNKS:
-        return FeedPart(parts, ())
-    return FeedPart(parts, entries_after(connection, job_id, channel, after, limit))
+def read(connection: Connection, job_id: str, channel: Channel, after: int, limit: int) -> FeedPart | None:
+    """The chunks that reach beyond `after`; and, where these are all, the entries behind them.
+
+    None where the job is not there.
+    """
+    asked = {"job_id": job_id, "channel": channel, "after": after, "chunks": _MOST_CHUNKS + 1, "limit": limit}
+    found = connection.execute(_READ, asked).first()
+    if found is None:
+        return None
+    parts = [Chunk(**chunk) for chunk in found.chunks or ()]
+    if len(parts) > _MOST_CHUNKS:
+        return FeedPart(parts[:_MOST_CHUNKS], (), rows.status(found.status), is_end=False)
+    behind = [
+        Entry(id=str(number), kind=kind, time=time, data=json.loads(data))
+        for number, kind, time, data in found.entries or ()
+    ]
+    return FeedPart(parts, behind, rows.status(found.status), is_end=len(behind) < limit)
 
 
 def entries_after(
     connection: Connection, job_id: str, channel: Channel, after: int, limit: int
 ) -> Sequence[Entry]:
     """Entries that lie in no chunk, oldest first."""
-    rows = connection.execute(
+    found = connection.execute(
         select(entries)
         .where(entries.c.job_id == job_id, entries.c.channel == channel, entries.c.number > after)
         .order_by(entries.c.number)
         .limit(limit)
     )
     return [
-        Entry(id=str(row.number), kind=row.kind, time=row.time, data=json.loads(row.data)) for row in rows
+        Entry(id=str(row.number), kind=row.kind, time=row.time, data=json.loads(row.data)) for row in found
     ]
 
 
@@ -146,6 +185,10 @@ def replace_chunk(connection: Connection, job_id: str, lost: Chunk, found: Chunk
         .where(chunks.c.job_id == job_id, chunks.c.channel == lost.channel, chunks.c.key == lost.key)
         .values(key=found.key, size=found.size, sha256=found.sha256)
     )
+
+
+def _data(entry: Entry) -> str:
+    return to_json(entry.data, inf_nan_mode="null").decode()
 
 
 def _chunk_of(row: Row[Any]) -> Chunk:

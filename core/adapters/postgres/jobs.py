@@ -23,7 +23,6 @@ from sqlalchemy import (
     not_,
     or_,
     select,
-    text,
     union_all,
     update,
 )
@@ -314,17 +313,16 @@ class PostgresJobStore:
         *,
         write_id: str,
     ) -> None:
-        with self._transaction() as connection:
+        with self._statements() as connection:
             if not feeds.append_as_attempt(connection, job_id, token, channel, entries, progress, write_id):
                 raise LeaseLost(job_id)
 
     def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
-        with self._transaction() as connection:
-            # The chunks and the entries are those of one moment.
-            connection.execute(text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ"))
-            if connection.execute(select(jobs.c.id).where(jobs.c.id == job_id)).first() is None:
-                raise JobNotFound(job_id[:64])
-            return feeds.read(connection, job_id, channel, after, limit)
+        with self._statements() as connection:
+            found = feeds.read(connection, job_id, channel, after, limit)
+        if found is None:
+            raise JobNotFound(job_id[:64])
+        return found
 
     def long_feeds(self, *, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
         with self._transaction() as connection:

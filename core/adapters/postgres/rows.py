@@ -133,7 +133,7 @@ def _unreadable(row: Row[Any], error: ValueError) -> UnreadableJob:
         kind=row.kind,
         name=row.name,
         labels=row.labels,
-        status=_status(row.status),
+        status=status(row.status),
         created_at=row.created_at,
         started_at=row.started_at,
         finished_at=row.finished_at,
@@ -153,7 +153,7 @@ def read_workers(texts: Iterable[str]) -> list[WorkerInfo]:
     return found
 
 
-def _status(text: str) -> JobStatus:
+def status(text: str) -> JobStatus:
     """One that this version does not know is taken for `running`, so that nobody deletes the job."""
     try:
         return JobStatus(text)
