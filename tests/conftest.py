@@ -27,6 +27,7 @@ from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
 from tests.compiling import compile_quickly, compiling_quickly
+from tests.memory_folder import memory_folder
 
 pytest_plugins = ["tests.hypothesis_profiles"]
 
@@ -63,9 +64,16 @@ class Databases:
 
 
 @pytest.fixture(scope="session")
-def databases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Databases]:
+def servers_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Where the servers of this process of the test run keep what they store."""
+    with memory_folder(otherwise=tmp_path_factory.mktemp("servers")) as folder:
+        yield folder
+
+
+@pytest.fixture(scope="session")
+def databases(servers_folder: Path) -> Iterator[Databases]:
     """A running PostgreSQL; tests take `job_store`, `database_url` or `settings`."""
-    with Postgres(tmp_path_factory.mktemp("postgres"), durable=False) as server:
+    with Postgres(servers_folder / "postgres", durable=False) as server:
         schema.upgrade(connect_postgres(server.url, pool_size=0))
         maintenance = server.url.replace("/gaitway?", "/postgres?")
         with psycopg.connect(maintenance, autocommit=True) as admin:
@@ -89,16 +97,16 @@ def job_store(database_url: str) -> Iterator[PostgresJobStore]:
 
 
 @pytest.fixture(scope="session")
-def valkey(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Valkey]:
+def valkey(servers_folder: Path) -> Iterator[Valkey]:
     """A running Valkey; tests take `redis_client`, or `settings`, to find it empty."""
-    with Valkey(tmp_path_factory.mktemp("valkey")) as server:
+    with Valkey(servers_folder / "valkey") as server:
         yield server
 
 
 @pytest.fixture(scope="session")
-def weed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Weed]:
+def weed(servers_folder: Path) -> Iterator[Weed]:
     """A running object store; tests take `object_store`, or `settings`, to find it empty."""
-    with Weed(tmp_path_factory.mktemp("weed")) as server:
+    with Weed(servers_folder / "weed") as server:
         yield server
 
 

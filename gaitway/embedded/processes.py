@@ -49,6 +49,11 @@ class ServerProcess:
     def pid(self) -> int | None:
         return self._child.pid if self._child is not None and self._child.poll() is None else None
 
+    @property
+    def status(self) -> int | None:
+        """Its exit status once it has ended; negative: the signal that ended it."""
+        return self._child.poll() if self._child is not None else None
+
     def start(
         self,
         command: Sequence[str],

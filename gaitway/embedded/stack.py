@@ -15,6 +15,7 @@ from typing import IO, Self
 
 import httpx
 
+from core.configuration import EXIT_STATUS
 from core.errors import Unavailable
 from gaitway.embedded.folders import private_folder
 from gaitway.embedded.interruption import Interruption
@@ -139,6 +140,8 @@ class Stack:
 
     def _delay_s(self, member: _Member, now: float) -> float:
         name, lines = member.process.name, member.process.last_lines(8)
+        if member.process.status == EXIT_STATUS:  # It is misconfigured: to try again would not help.
+            raise ServerFailed(f"{name} cannot work.\n{lines}")
         while member.restarts and member.restarts[0] < now - _RESTART_WINDOW_S:
             member.restarts.popleft()
         if len(member.restarts) == _MOST_RESTARTS:
@@ -166,8 +169,9 @@ class Stack:
         for number in range(1, self._num_workers + 1):
             self._add_module(f"{_WORKER}{number}", environment, "worker.main")
         self.url = f"http://127.0.0.1:{port}"
-        with self._interruption.allowed():
-            api.wait_until(lambda: _check_ready(reconciler, self.url))
+        # One client for all looks: to load its certificates takes longer than a look.
+        with self._interruption.allowed(), httpx.Client(timeout=2, trust_env=False) as http:
+            api.wait_until(lambda: _check_ready(reconciler, http, self.url))
 
     def _add(self, member: _Member) -> None:
         self._members.append(member)
@@ -238,11 +242,11 @@ def lock_folder(folder: Path) -> IO[str]:
     return lock
 
 
-def _check_ready(reconciler: ServerProcess, url: str) -> None:
+def _check_ready(reconciler: ServerProcess, http: httpx.Client, url: str) -> None:
     """Raises Unavailable until the API says that it is ready; ServerFailed where it cannot become so."""
     reconciler.check()  # Without it there are no tables.
     try:
-        answer = httpx.get(f"{url}/readyz", timeout=2, trust_env=False)
+        answer = http.get(f"{url}/readyz")
     except httpx.TransportError as error:
         raise Unavailable(f"{url} does not answer: {error}") from error
     if not answer.is_success:

@@ -17,11 +17,14 @@ import psutil
 import psycopg
 import pytest
 
+from core.adapters.postgres import schema
+from core.adapters.postgres.connection import connect_postgres
 from gaitway.embedded.postgres import Postgres
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 
 MARK = "GAITWAY_TEST_STACK"
+DATA = "data with a space"
 # No worker here has a GPU, so it stays in the queue.
 WAITS_FOR_A_GPU = {"environment": "ant", "kind": "train", "resources": {"accelerator": "gpu"}}
 
@@ -71,7 +74,7 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
 
     def start(*arguments: str) -> Launched:
         mark = uuid.uuid4().hex
-        data = tmp_path / "data with a space"
+        data = tmp_path / DATA
         command = [sys.executable, "-P", "-m", "gaitway.embedded.up", "--data", str(data), *arguments]
         process = subprocess.Popen(
             command,
@@ -169,7 +172,8 @@ def test_a_port_in_use_is_refused_before_anything_starts(launch: Launch) -> None
 
 def test_a_second_stack_on_the_same_data_is_refused_with_the_first_ones_id(launch: Launch) -> None:
     first = launch()
-    first.url()
+    lock = first.data / "stack.lock"
+    assert eventually(lambda: lock.exists() and lock.read_text() != "", 20)
     second = launch()
     _, told = second.process.communicate(timeout=30)
     assert second.process.returncode == 1
@@ -188,18 +192,16 @@ def test_a_job_survives_a_restart_of_everything(launch: Launch) -> None:
     assert again.json()["status"] == "queued"
 
 
-def test_tables_of_a_newer_version_end_the_start_with_what_to_do(launch: Launch) -> None:
+def test_tables_of_a_newer_version_end_the_start_with_what_to_do(launch: Launch, tmp_path: Path) -> None:
+    with Postgres(tmp_path / DATA / "postgres") as server:
+        schema.upgrade(connect_postgres(server.url, pool_size=0))
+        with psycopg.connect(server.url) as connection:
+            connection.execute("UPDATE alembic_version SET version_num = 'of a newer version'")
     stack = launch()
-    stack.url()
-    stack.process.send_signal(signal.SIGTERM)
-    stack.process.communicate(timeout=30)
-    with Postgres(stack.data / "postgres") as server, psycopg.connect(server.url) as connection:
-        connection.execute("UPDATE alembic_version SET version_num = 'of a newer version'")
-    again = launch()
-    _, told = again.process.communicate(timeout=60)
-    assert again.process.returncode == 1
+    _, told = stack.process.communicate(timeout=60)
+    assert stack.process.returncode == 1
     assert "A newer version of Gaitway made the tables" in told
-    assert again.family() == []
+    assert stack.family() == []
 
 
 def _says_that_its_disk_was_full(stack: Launched) -> bool:

@@ -1,12 +1,14 @@
 """What the processes of this package are told: one JSON document a line."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 
-from core.jobs.spec import TrainSpec
 from core.model import Stored
+
+if TYPE_CHECKING:  # The processes of this package would build all specifications at each start.
+    from core.jobs.spec import TrainSpec
 
 
 class About(Stored):
@@ -72,7 +74,7 @@ class WriteUp(Stored):
     exit_code: int = 0
 
 
-def about_run(job_id: str, spec: TrainSpec, folder: Path) -> About | None:
+def about_run(job_id: str, spec: "TrainSpec", folder: Path) -> About | None:
     """None where the job asks for no run."""
     wanted = spec.tracking.wandb
     if wanted is None:

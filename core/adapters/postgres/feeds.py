@@ -16,7 +16,25 @@ from core.jobs.job import Progress
 from core.jobs.store import Channel, Chunk, Entry, FeedPart
 
 _NUM: dict[Channel, Column[int]] = {"events": jobs.c.num_events, "logs": jobs.c.num_logs}
-# What a training says, and what a reader follows, are one statement each: round trips take most of the time.
+_INSERT = """
+    INSERT INTO entries (job_id, channel, number, kind, time, data)
+    SELECT :job_id, :channel, last_before + place, said.kind, said.time, said.data
+    FROM grown, unnest(CAST(:kinds AS text[]), CAST(:times AS timestamptz[]), CAST(:data AS text[]))
+         WITH ORDINALITY AS said (kind, time, data, place)
+"""
+# To write to a feed and to read it are one statement each: most of the time went into round trips.
+_APPEND: dict[Channel, TextClause] = {
+    channel: text(f"""
+        WITH grown AS (
+            UPDATE jobs
+            SET {counter.name} = {counter.name} + :count, progress = coalesce(:progress, progress)
+            WHERE id = :job_id
+            RETURNING {counter.name} - :count AS last_before
+        )
+        {_INSERT}
+    """)  # noqa: S608 # Names of columns.
+    for channel, counter in _NUM.items()
+}
 # PostgreSQL looks at `held`'s condition again where it has waited for the row: its holder may have changed.
 _APPEND_AS_ATTEMPT: dict[Channel, TextClause] = {
     channel: text(f"""
@@ -28,12 +46,7 @@ _APPEND_AS_ATTEMPT: dict[Channel, TextClause] = {
                 progress = coalesce(:progress, jobs.progress)
             FROM held WHERE jobs.id = held.id AND held.last_write IS DISTINCT FROM :write_id
             RETURNING jobs.{counter.name} - :count AS last_before
-        ), written AS (
-            INSERT INTO entries (job_id, channel, number, kind, time, data)
-            SELECT :job_id, :channel, last_before + place, said.kind, said.time, said.data
-            FROM grown, unnest(CAST(:kinds AS text[]), CAST(:times AS timestamptz[]), CAST(:data AS text[]))
-                 WITH ORDINALITY AS said (kind, time, data, place)
-        )
+        ), written AS ({_INSERT})
         SELECT id FROM held
     """)  # noqa: S608 # Names of columns.
     for channel, counter in _NUM.items()
@@ -70,11 +83,7 @@ def append_as_attempt(  # noqa: PLR0913 # As in the seam.
         "token": token,
         "channel": channel,
         "write_id": write_id,
-        "progress": None if progress is None else progress.model_dump_json(),
-        "count": len(said),
-        "kinds": [entry.kind for entry in said],
-        "times": [entry.time for entry in said],
-        "data": [_data(entry) for entry in said],
+        **_said(said, progress),
     }
     return connection.execute(_APPEND_AS_ATTEMPT[channel], values).first() is not None
 
@@ -84,32 +93,21 @@ def append(
     job_id: str,
     channel: Channel,
     said: Sequence[Entry],
-    values: dict[str, Any] | None = None,
+    progress: Progress | None = None,
 ) -> None:
-    """Number the entries and store them; `values` go into the job's row."""
-    counter = _NUM[channel]
-    last = connection.execute(
-        update(jobs)
-        .where(jobs.c.id == job_id)
-        .values({**(values or {}), counter.name: counter + len(said)})
-        .returning(counter)
-    ).scalar_one()
-    if said:
-        first = last - len(said) + 1
-        connection.execute(
-            insert(entries),
-            [
-                {
-                    "job_id": job_id,
-                    "channel": channel,
-                    "number": number,
-                    "kind": entry.kind,
-                    "time": entry.time,
-                    "data": _data(entry),
-                }
-                for number, entry in enumerate(said, first)
-            ],
-        )
+    """Number the entries and store them, with the progress where it is given."""
+    values = {"job_id": job_id, "channel": channel, **_said(said, progress)}
+    connection.execute(_APPEND[channel], values)
+
+
+def _said(said: Sequence[Entry], progress: Progress | None) -> dict[str, Any]:
+    return {
+        "progress": None if progress is None else progress.model_dump_json(),
+        "count": len(said),
+        "kinds": [entry.kind for entry in said],
+        "times": [entry.time for entry in said],
+        "data": [to_json(entry.data, inf_nan_mode="null").decode() for entry in said],
+    }
 
 
 def read(connection: Connection, job_id: str, channel: Channel, after: int, limit: int) -> FeedPart | None:
@@ -185,10 +183,6 @@ def replace_chunk(connection: Connection, job_id: str, lost: Chunk, found: Chunk
         .where(chunks.c.job_id == job_id, chunks.c.channel == lost.channel, chunks.c.key == lost.key)
         .values(key=found.key, size=found.size, sha256=found.sha256)
     )
-
-
-def _data(entry: Entry) -> str:
-    return to_json(entry.data, inf_nan_mode="null").decode()
 
 
 def _chunk_of(row: Row[Any]) -> Chunk:

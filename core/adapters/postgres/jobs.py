@@ -14,12 +14,14 @@ from sqlalchemy import (
     ARRAY,
     Connection,
     Engine,
+    Row,
     Text,
     and_,
     any_,
     bindparam,
     case,
     delete,
+    exists,
     not_,
     or_,
     select,
@@ -222,12 +224,12 @@ class PostgresJobStore:
             with self._transaction() as connection:
                 if replaces is None:
                     connection.execute(insert(jobs).values(rows.new_job_values(job)))
-                elif _replace(connection, job, replaces) != job.status:
+                elif _replace(connection, job, replaces).status != job.status:
                     said.append(status_entry(job))
                 _write_attempts(connection, job.id, job.attempts)
                 _write_artifacts(connection, job)
                 feeds.adopt(connection, job.id, chunks)
-                feeds.append(connection, job.id, "events", said, {"progress": job.progress.model_dump_json()})
+                feeds.append(connection, job.id, "events", said, job.progress)
                 _update_dispatch(connection, job)
         except IntegrityError:
             raise JobExists(job.id) from None
@@ -420,14 +422,20 @@ class PostgresJobStore:
     def _save(self, job: Job, *conditions: Any, lease: timedelta | None = None) -> None:
         with self._transaction() as connection:
             before = _replace(connection, job, job.version - 1, *conditions, lease=lease)
-            _write_details(connection, before, job)
-            _update_dispatch(connection, job)
+            # A step changes the last attempt, or the one before it.
+            _write_attempts(connection, job.id, job.attempts[-2:])
+            if job.artifacts or before.has_artifacts:
+                _write_artifacts(connection, job)
+            if before.status != job.status:
+                feeds.append(connection, job.id, "events", [status_entry(job)])
+            if JobStatus.QUEUED in (before.status, job.status):
+                _update_dispatch(connection, job)
 
 
 def _replace(
     connection: Connection, job: Job, version: int, *conditions: Any, lease: timedelta | None = None
-) -> str:
-    """Write the job's own row in the place of this version; the status that was there.
+) -> Row[Any]:
+    """Write the job's own row in the place of this version; the `status` that was there, and `has_artifacts`.
 
     Raises StaleJob, JobNotFound.
     """
@@ -437,22 +445,25 @@ def _replace(
     kept = case((same_holder, jobs.c.lease_until), else_=None) if job.token else None
     values["lease_until"] = NOW + rows.interval(lease) if lease is not None and job.token else kept
     before = select(jobs.c.status).where(jobs.c.id == job.id).scalar_subquery()
+    has_artifacts = exists().where(artifacts.c.job_id == job.id)
     changed = connection.execute(
         update(jobs)
         .where(jobs.c.id == job.id, jobs.c.version == version, *conditions)
         .values(values)
-        .returning(before.label("status"), jobs.c.id)
+        .returning(before.label("status"), has_artifacts.label("has_artifacts"))
     ).first()
     if changed is None:
         _refuse(connection, job.id)
-    return changed.status
+    return changed
 
 
 def _insert(connection: Connection, job: Job, idempotency: Idempotency | None = None) -> bool:
     """Whether it was added; not where its key is remembered."""
     is_new = addition.add(connection, job, idempotency)
     if is_new:
-        _write_details(connection, None, job)
+        _write_attempts(connection, job.id, job.attempts)
+        if job.artifacts:
+            _write_artifacts(connection, job)
     return is_new
 
 
@@ -461,16 +472,6 @@ def _append_all(connection: Connection, job_id: str, channel: Channel, entries: 
     left = iter(entries)
     while batch := list(islice(left, _BATCH)):
         feeds.append(connection, job_id, channel, batch)
-
-
-def _write_details(connection: Connection, status_before: str | None, job: Job) -> None:
-    """What a version says besides its own row: attempts, artifacts, and word of a change of status."""
-    # A step changes the last attempt, or the one before it.
-    _write_attempts(connection, job.id, job.attempts if status_before is None else job.attempts[-2:])
-    if job.artifacts or status_before is not None:
-        _write_artifacts(connection, job)
-    if status_before not in (None, job.status.value):
-        feeds.append(connection, job.id, "events", [status_entry(job)])
 
 
 def _write_attempts(connection: Connection, job_id: str, changed: Sequence[Attempt]) -> None:
@@ -557,14 +558,15 @@ def _load(connection: Connection, job_id: str) -> Job | UnreadableJob:
 
 
 def _load_all(connection: Connection, found: Sequence[Any]) -> list[Job | UnreadableJob]:
-    """The jobs of these rows, with two queries for all of them together."""
+    """The jobs of these rows, with at most two queries for all of them together."""
     if not found:
         return []
     ids = {"ids": [row.id for row in found]}
     tries: dict[str, list[Any]] = defaultdict(list)
     files: dict[str, list[Any]] = defaultdict(list)
-    for row in connection.execute(_ATTEMPTS_OF, ids):
-        tries[row.job_id].append(row)
+    if any(row.num_attempts for row in found):
+        for row in connection.execute(_ATTEMPTS_OF, ids):
+            tries[row.job_id].append(row)
     for row in connection.execute(_ARTIFACTS_OF, ids):
         files[row.job_id].append(row)
     return [rows.read_job(row, tries[row.id], files[row.id]) for row in found]

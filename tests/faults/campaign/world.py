@@ -211,13 +211,15 @@ class World:
     def wait_ready(self, timeout_s: float = 40.0) -> None:
         """Return when the API says that it is ready and both workers are there."""
         deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
-            with suppress(httpx.HTTPError):
-                workers = httpx.get(f"{self.url}/workers", timeout=2, trust_env=False)
-                ready = httpx.get(f"{self.url}/readyz", timeout=5, trust_env=False)
-                if ready.is_success and workers.is_success and len(workers.json()["items"]) >= 2:
-                    return
-            time.sleep(_GLANCE_S)
+        # One client: each loads its certificates, which takes 28 ms of processor time.
+        with httpx.Client(base_url=self.url, timeout=5, trust_env=False) as http:
+            while time.monotonic() < deadline:
+                with suppress(httpx.HTTPError):
+                    workers = http.get("/workers", timeout=2)
+                    ready = http.get("/readyz")
+                    if ready.is_success and workers.is_success and len(workers.json()["items"]) >= 2:
+                        return
+                time.sleep(_GLANCE_S)
         logs = "\n".join(f"--- {party}\n{self.logs(party)[-1500:]}" for party in PARTIES)
         raise TimeoutError(f"the service was not ready within {timeout_s:g} s\n{logs}")
 
