@@ -43,7 +43,7 @@ class Server(uvicorn.Server):
 
 
 def spare_the_collector() -> None:
-    """Python's garbage collector passes over what there is now: it took 0.1 s, in which nobody was answered."""
+    """Let Python's garbage collector pass over what is loaded: that takes 0.1 s, in which nobody is answered."""
     gc.collect()
     gc.freeze()
 

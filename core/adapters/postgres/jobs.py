@@ -434,7 +434,7 @@ class PostgresJobStore:
 
 def _replace(
     connection: Connection, job: Job, version: int, *conditions: Any, lease: timedelta | None = None
-) -> Row[Any]:
+) -> Any:
     """Write the job's own row in the place of this version; the `status` that was there, and `has_artifacts`.
 
     Raises StaleJob, JobNotFound.
