@@ -43,7 +43,7 @@ class Server(uvicorn.Server):
 
 
 def spare_the_collector() -> None:
-    """Let Python's garbage collector pass over what is loaded: that takes 0.1 s, in which nobody is answered."""
+    """Let Python's garbage collector pass over what is loaded: otherwise nobody is answered for 0.1 s."""
     gc.collect()
     gc.freeze()
 

@@ -14,7 +14,6 @@ from sqlalchemy import (
     ARRAY,
     Connection,
     Engine,
-    Row,
     Text,
     and_,
     any_,
