@@ -74,8 +74,9 @@ def _lost_worker(stack: Stack) -> Row:
             checkpoints={"every_steps": 20_000},
         )
         until(lambda: bool(client.checkpoints(job.id)))
-        held = next(worker for worker in client.workers() if worker.job == job.id)
-        family = psutil.Process(held.pid)
+        # A worker says only every few seconds which job it has.
+        until(lambda: bool(_pids_with(client, job.id)))
+        family = psutil.Process(_pids_with(client, job.id)[0])
         killed = time.time()
         for process in (family, *family.children(recursive=True)):
             with suppress(psutil.NoSuchProcess):
@@ -85,6 +86,10 @@ def _lost_worker(stack: Stack) -> Row:
         client.wait(job.id)
     seen = next(event for event in later if event.kind == "status" and event.data["status"] == "queued")
     return {"seen_s": _moment(seen) - killed, "training_s": _moment(later[-1]) - killed}
+
+
+def _pids_with(client: Client, job_id: str) -> list[int]:
+    return [worker.pid for worker in client.workers() if worker.job == job_id]
 
 
 def _until_it_trains(client: Client, job_id: str, since: float) -> Iterator[Event]:
