@@ -89,7 +89,8 @@ def _lost_worker(stack: Stack) -> Row:
 
 
 def _pids_with(client: Client, job_id: str) -> list[int]:
-    return [worker.pid for worker in client.workers() if worker.job == job_id]
+    workers = client.workers()
+    return [worker.pid for worker in workers if worker.job == job_id and worker.pid is not None]
 
 
 def _until_it_trains(client: Client, job_id: str, since: float) -> Iterator[Event]:
