@@ -21,7 +21,8 @@ from tests.faults.outages import Outages, Watch, pooled
 from worker import supervisor as supervisor_module
 from worker.left_attempts import tell_left
 
-LEASE = timedelta(seconds=1)
+# Long enough for a test on a busy machine to begin its heartbeat.
+LEASE = timedelta(seconds=2)
 # Of PostgreSQL, and of the object store.
 OF_RECORDS, OF_OBJECTS = ("silence", "absence"), ("silent objects", "absent objects")
 
