@@ -49,10 +49,11 @@ class Follower:
         Ends when the job has ended, was deleted, or the service stops. It outlives outages of the stores.
         """
         heard_at = time.monotonic()
-        is_due, has_more, is_last = True, False, False
+        is_due, is_last = True, False
         with self._service.watcher.watch(self._id) as watch:
             while not (is_last or self._service.stopping):
                 page: Sequence[Entry] = ()
+                has_more = False  # Of this look: in an outage there is none, and the next one waits.
                 if is_due:
                     try:
                         page = await self._read()

@@ -9,9 +9,11 @@ from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
+import anyio
 import httpx
 import pytest
 from sqlalchemy import event
+from structlog.testing import capture_logs
 
 from api import following
 from core.jobs import feeds
@@ -418,3 +420,23 @@ def test_idle_followers_cost_one_query_together(stack: Stack, attempt: Attempt, 
 def is_look(statement: str) -> bool:
     """Whether it is the one that asks how far jobs have come."""
     return statement.startswith("SELECT jobs.id, jobs.version, jobs.num_events, jobs.num_logs")
+
+
+def test_an_outage_between_two_pages_is_waited_out_and_not_hammered(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(following, "_PAGE", 2)
+    attempt = Attempt(stack, job())
+    attempt.print("a", "b", "c")
+    follower = following.Follower(stack.service, stack.store.get(attempt.id), "logs", 0)
+
+    async def follow() -> int:
+        coming = follower.coming()
+        assert [entry.data["text"] for entry in await anext(coming)] == ["a", "b"]
+        with stack.away("store"), capture_logs() as said:
+            with anyio.move_on_after(0.5):
+                await anext(coming)
+        return [line["event"] for line in said].count("feed_unavailable")
+
+    # One, and another where the watcher's first look, which wakes every reader, was still to come.
+    assert anyio.run(follow) in (1, 2)
