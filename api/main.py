@@ -9,7 +9,7 @@ import structlog
 
 from api import processes
 from api.app import from_environment
-from api.server import Server, listen, spare_the_collector
+from api.server import Server, listen
 from core.configuration import stopping_if_misconfigured
 from core.telemetry import configure_logging
 
@@ -42,7 +42,6 @@ def _serve(host: str, port: int) -> None:
         number = app.state.service.settings.num_processes
         tell = partial(log.info, "service_listens", host=host, port=port, processes=number)
         if number == 1:
-            spare_the_collector()
             tell()
             Server(app).run(sockets=[listener])
         else:

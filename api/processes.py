@@ -13,7 +13,7 @@ from uvicorn.config import STARTUP_FAILURE
 from uvicorn.supervisors import multiprocess
 
 from api.app import from_environment
-from api.server import BACKLOG, Server, reserve, spare_the_collector
+from api.server import BACKLOG, Server, reserve
 from core.configuration import stopping_if_misconfigured
 from core.telemetry import configure_logging
 
@@ -38,7 +38,6 @@ class _Process(multiprocess.Process):
                 assert self.server  # noqa: S101 # Made before a second thread asks for it.
         except SystemExit:
             sys.exit(STARTUP_FAILURE)
-        spare_the_collector()
         super().target([_own(sockets[0])] if sockets else None)
 
 

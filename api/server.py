@@ -1,6 +1,5 @@
 """uvicorn, as this service runs it."""
 
-import gc
 import socket
 from types import FrameType
 
@@ -35,17 +34,6 @@ class Server(uvicorn.Server):
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         self._service.stopping = True
         super().handle_exit(sig, frame)
-
-    def run(self, sockets: list[socket.socket] | None = None) -> None:
-        """Serve until SIGTERM or SIGINT."""
-        super().run(sockets)
-        self._service.acknowledgements.flush()
-
-
-def spare_the_collector() -> None:
-    """Let Python's garbage collector pass over what is loaded: otherwise nobody is answered for 0.1 s."""
-    gc.collect()
-    gc.freeze()
 
 
 def reserve(host: str, port: int) -> socket.socket:

@@ -94,7 +94,7 @@ def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep) -> Res
         idempotency=idempotency(key, spec),
         acknowledge=service.acknowledgements.add,
     )
-    return answer(JobView.of(job), 202, {"Location": f"/jobs/{job.id}"})
+    return _answer(JobView.of(job), 202, {"Location": f"/jobs/{job.id}"})
 
 
 @router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))
@@ -103,14 +103,14 @@ def list_jobs(listed: Annotated[Listed, Query()], service: ServiceDep) -> Respon
     page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit)
     workers = _workers(page.jobs, service)
     views = [JobView.of(job, workers) for job in page.jobs]
-    return answer(Listing[JobView](items=views, next=page.next_cursor))
+    return _answer(Listing[JobView](items=views, next=page.next_cursor))
 
 
 @router.get("/jobs/{job_id}", response_model=JobView, responses=refusals(JobNotFound, RecordsUnavailable))
 def read_job(job_id: JobId, service: ServiceDep) -> Response:
     """A job as it is now."""
     job = service.store.find(job_id)
-    return answer(JobView.of(job, _workers([job], service)))
+    return _answer(JobView.of(job, _workers([job], service)))
 
 
 @router.post(
@@ -139,7 +139,7 @@ def delete_job(job_id: JobId, service: ServiceDep) -> None:
     delete(job_id, store=service.store, objects=service.objects)
 
 
-def answer(view: View, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+def _answer(view: View, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """The view as JSON: the framework would check it once more, and dump it in another thread."""
     return Response(view.model_dump_json(), status, headers, media_type="application/json")
 

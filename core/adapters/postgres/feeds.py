@@ -122,26 +122,24 @@ def read(connection: Connection, job_id: str, channel: Channel, after: int, limi
     parts = [Chunk(**chunk) for chunk in found.chunks or ()]
     if len(parts) > _MOST_CHUNKS:
         return FeedPart(parts[:_MOST_CHUNKS], (), rows.status(found.status), is_end=False)
-    behind = [
-        Entry(id=str(number), kind=kind, time=time, data=json.loads(data))
-        for number, kind, time, data in found.entries or ()
-    ]
+    behind = [_entry_of(*entry) for entry in found.entries or ()]
     return FeedPart(parts, behind, rows.status(found.status), is_end=len(behind) < limit)
 
 
-def entries_after(
-    connection: Connection, job_id: str, channel: Channel, after: int, limit: int
-) -> Sequence[Entry]:
+def oldest(connection: Connection, job_id: str, channel: Channel, limit: int) -> Sequence[Entry]:
     """Entries that lie in no chunk, oldest first."""
     found = connection.execute(
-        select(entries)
-        .where(entries.c.job_id == job_id, entries.c.channel == channel, entries.c.number > after)
+        select(entries.c.number, entries.c.kind, entries.c.time, entries.c.data)
+        .where(entries.c.job_id == job_id, entries.c.channel == channel)
         .order_by(entries.c.number)
         .limit(limit)
     )
-    return [
-        Entry(id=str(row.number), kind=row.kind, time=row.time, data=json.loads(row.data)) for row in found
-    ]
+    return [_entry_of(*row) for row in found]
+
+
+def _entry_of(number: int, kind: str, time: Any, data: str) -> Entry:
+    """time: a datetime, or text in ISO 8601."""
+    return Entry(id=str(number), kind=kind, time=time, data=json.loads(data))
 
 
 def due(connection: Connection, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:

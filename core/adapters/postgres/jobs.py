@@ -331,7 +331,7 @@ class PostgresJobStore:
 
     def oldest_entries(self, job_id: str, channel: Channel, *, limit: int) -> Sequence[Entry]:
         with self._statements() as connection:
-            return feeds.entries_after(connection, job_id, channel, 0, limit)
+            return feeds.oldest(connection, job_id, channel, limit)
 
     def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
         with self._transaction() as connection:
