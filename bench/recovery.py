@@ -59,7 +59,7 @@ def measure(options: Options) -> Result:
         rows=[*lost, *({"picked_up_s": seconds} for seconds in picked_up)],
         notes=[
             "A lost worker: one of the embedded stack's two workers is killed, with all its processes, while "
-            "it trains an ant. When its lease of 15 s has run out, the other worker takes the next attempt; "
+            "it trains an ant. When its lease of 14 s has run out, the other worker takes the next attempt; "
             "its new training process finds the compiled programs in the cache.",
         ],
     )

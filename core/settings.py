@@ -207,7 +207,8 @@ class WorkerSettings(StoreSettings):
         "JAX can use it. With several GPUs (gpu:0,1 or gpu:0-3) it takes the jobs that ask for so many.",
     )
     alive_file: AliveFile = None
-    lease: Lease = timedelta(seconds=15)
+    # With the look that finds it a second later at most: 15 s to a lost worker.
+    lease: Lease = timedelta(seconds=14)
     heartbeat: Seconds = Field(
         timedelta(seconds=1), description="How often a worker renews its lease and looks for a cancel."
     )
@@ -262,7 +263,7 @@ class ReconcilerSettings(StoreSettings):
     """What `python -m worker.reconciler` reads."""
 
     alive_file: AliveFile = None
-    lease: Lease = timedelta(seconds=15)
+    lease: Lease = timedelta(seconds=14)
     reconcile_every: Seconds = Field(timedelta(seconds=1), description="Between two looks at every job.")
 
     @model_validator(mode="after")

@@ -42,7 +42,7 @@ def refusal(kind: type[StoreSettings] = WorkerSettings) -> str:
 def test_settings_in_order_are_read() -> None:
     settings = read(WorkerSettings)
     assert settings.s3_endpoint == "objects:8333"
-    assert settings.lease == timedelta(seconds=15)
+    assert settings.lease == timedelta(seconds=14)
 
 
 @pytest.mark.parametrize("name", GOOD)
@@ -80,7 +80,7 @@ def test_all_that_is_wrong_is_said_at_once(environ: pytest.MonkeyPatch) -> None:
         ("GAITWAY_DEVICE", "gpu:0,", "GAITWAY_DEVICE is wrong"),
         ("GAITWAY_DEVICE", "gpu:0 1", "GAITWAY_DEVICE is wrong"),
         ("GAITWAY_GRACE", "-1", "GAITWAY_GRACE is wrong"),
-        ("GAITWAY_HEARTBEAT", "10", "GAITWAY_LEASE (15 s) has to be at least three times"),
+        ("GAITWAY_HEARTBEAT", "10", "GAITWAY_LEASE (14 s) has to be at least three times"),
         ("GAITWAY_SECRETS_DIR", "/nowhere/at/all", "GAITWAY_SECRETS_DIR names /nowhere/at/all"),
         ("GAITWAY_S3_BUKET", "walkers", "did you mean GAITWAY_S3_BUCKET?"),
     ],

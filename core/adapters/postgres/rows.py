@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import structlog
 from pydantic import ValidationError
+from pydantic_core import from_json
 from sqlalchemy import Row
 
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
@@ -17,9 +18,6 @@ from core.jobs.stored_spec import read_spec
 log = structlog.get_logger()
 
 Values = dict[str, Any]
-
-_ATTEMPT = set(Attempt.model_fields)
-_ARTIFACT = set(Artifact.model_fields)
 
 
 def job_values(job: Job) -> Values:
@@ -75,18 +73,32 @@ def artifact_values(job_id: str, position: int, artifact: Artifact) -> Values:
     return {**artifact.model_dump(), "job_id": job_id, "position": position, "metadata": facts}
 
 
-def _columns(row: Row[Any]) -> Values:
-    return dict(row._mapping)  # pyright: ignore[reportPrivateUsage] # Public, as SQLAlchemy documents it.
-
-
 def artifact_of(row: Row[Any]) -> Artifact:
-    said = {name: value for name, value in _columns(row).items() if name in _ARTIFACT}
-    return Artifact.model_validate({**said, "metadata": json.loads(said["metadata"])})
+    return Artifact(
+        name=row.name,
+        role=row.role,
+        media_type=row.media_type,
+        size=row.size,
+        sha256=row.sha256,
+        key=row.key,
+        step=row.step,
+        metadata=from_json(row.metadata),
+    )
 
 
 def _attempt_of(row: Row[Any]) -> Attempt:
-    said = {name: value for name, value in _columns(row).items() if name in _ATTEMPT}
-    return Attempt.model_validate({**said, "details": json.loads(said["details"])})
+    return Attempt(
+        number=row.number,
+        token=row.token,
+        worker=row.worker,
+        device=row.device,
+        engine=row.engine,
+        details=from_json(row.details),
+        started_at=row.started_at,
+        ended_at=row.ended_at,
+        reason=row.reason,
+        message=row.message,
+    )
 
 
 def read_job(
