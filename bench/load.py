@@ -22,7 +22,7 @@ _PREFIX = "GAITWAY_"
 # Workers are threads of a few processes: more would wait for each other in Python.
 _WORKERS_OF_A_PROCESS = 10
 _TRAINING_S = 2.0
-# Begun before the submissions, and ended after them.
+# Workers and readers begin so long before the submissions, and end so long after them.
 _MARGIN_S = 5.0
 
 
@@ -111,8 +111,8 @@ def _load(
     requests = {
         **{f"work-{n}": worker for n in range(workers // _WORKERS_OF_A_PROCESS)},
         "follow": {**common, "part": "follow", "readers": readers, "jobs": sorted(jobs)},
-        "look": {**common, "part": "look", "seconds": seconds},
-        "post": {**common, "part": "post", "seconds": seconds, "per_second": rate},
+        "look": {**common, "part": "look", "after_s": _MARGIN_S, "seconds": seconds},
+        "post": {**common, "part": "post", "after_s": _MARGIN_S, "seconds": seconds, "per_second": rate},
     }
     begin = partial(run_child, "bench.load_part", timeout_s=whole_s + 120, environment=parts.environment)
     with _Watched(parts) as watched, ThreadPoolExecutor(len(requests)) as pool:

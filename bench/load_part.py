@@ -38,6 +38,7 @@ Answer = dict[str, Any]
 
 def post(request: Answer) -> Answer:
     """Submissions at a rate. seconds: of each."""
+    time.sleep(request["after_s"])
     count = round(request["per_second"] * request["seconds"])
     seconds, _ = asyncio.run(post_at_rate(request["url"], JOB, per_second=request["per_second"], count=count))
     return {"seconds": seconds}
@@ -47,6 +48,7 @@ def look(request: Answer) -> Answer:
     """Listings with changing filters. seconds: of each. An urgent job a second: urgent, their ids."""
     seconds: list[float] = []
     urgent: list[str] = []
+    time.sleep(request["after_s"])
     until = time.monotonic() + request["seconds"]
     with httpx.Client(base_url=request["url"], timeout=30, trust_env=False) as client:
         while (began := time.monotonic()) < until:
