@@ -1,12 +1,15 @@
 """How Hypothesis searches: briefly at the desk, the same examples every time in CI."""
 
 import os
-from datetime import timedelta
 
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
-    "dev", max_examples=50, deadline=timedelta(seconds=2), suppress_health_check=[HealthCheck.too_slow]
+    # No deadline: how long an example takes is up to what else the machine does.
+    "dev",
+    max_examples=50,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.register_profile(
     "ci",

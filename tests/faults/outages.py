@@ -4,7 +4,7 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from typing import Any
 
@@ -51,14 +51,17 @@ class Outages:
     def silence(self) -> Iterator[None]:
         """Within this it takes connections and says nothing: every process of it is stopped."""
         server = psutil.Process(self._server.process.pid)
-        stopped = [server, *server.children(recursive=True)]
-        for process in stopped:
-            process.send_signal(signal.SIGSTOP)
+        server.suspend()  # First the one that would start others.
+        children = server.children(recursive=True)
+        for process in children:
+            with suppress(psutil.NoSuchProcess):  # Its client has just gone.
+                process.suspend()
         try:
             yield
         finally:
-            for process in stopped:
-                process.send_signal(signal.SIGCONT)
+            for process in (server, *children):
+                with suppress(psutil.NoSuchProcess):
+                    process.resume()
 
     @contextmanager
     def absence(self) -> Iterator[None]:

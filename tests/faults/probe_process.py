@@ -104,7 +104,7 @@ match behaviour:
         taken: list[bytearray] = []
         while len(taken) < 256:  # 4 GiB: nobody would stop it.
             taken.append(bytearray(b"x") * 2**24)
-            time.sleep(0.005)
+            time.sleep(0.02)
     case "crashes_natively" | "breaks_its_device":
         if behaviour == "breaks_its_device":
             Path(os.environ["PROBE_DEVICE_WORKS"]).unlink()

@@ -32,7 +32,7 @@ def working(settings: WorkerSettings, name: str, behaviour: str, *lacking: str) 
         try:
             yield
             process.send_signal(signal.SIGTERM)
-            assert process.wait(10) == 0
+            assert process.wait(30) == 0
         finally:
             process.kill()
 

@@ -16,6 +16,7 @@ from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.status import JobStatus, Reason
 from core.settings import WorkerSettings
 from gaitway.embedded.weed import Weed
+from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import submitted
 from tests.unit.worker.environments import environment
@@ -43,22 +44,21 @@ def held(store: PostgresJobStore, lease: timedelta) -> Holding:
 
 
 def test_a_reconciler_whose_chores_wait_for_the_object_store_takes_jobs_back_in_time(
-    settings: WorkerSettings, job_store: PostgresJobStore, weed: Weed, tmp_path: Path
+    settings: WorkerSettings, job_store: PostgresJobStore, weed: Weed, database: Database, tmp_path: Path
 ) -> None:
     alive = tmp_path / "alive"
-    variables = environment(
-        settings, GAITWAY_LEASE="1", GAITWAY_RECONCILE_EVERY="0.2", GAITWAY_ALIVE_FILE=str(alive)
-    )
+    variables = environment(settings, GAITWAY_RECONCILE_EVERY="0.2", GAITWAY_ALIVE_FILE=str(alive))
     command = [sys.executable, "-m", "worker.reconciler"]
     with subprocess.Popen(command, env=variables, stdout=subprocess.DEVNULL) as reconciler:
         try:
-            wait_until(alive.exists, 30)
+            wait_until(alive.exists)
+            watch(job_store, database)
             with silence(weed):
                 # Its feed becomes an object at its end.
                 held(job_store, timedelta(minutes=1)).end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done.")
                 dead = held(job_store, timedelta(milliseconds=1))
                 # A call to the object store gives up after half a minute.
-                wait_until(lambda: job_store.get(dead.job_id).status == JobStatus.QUEUED, 10)
+                wait_until(lambda: job_store.get(dead.job_id).status == JobStatus.QUEUED, 20)
         finally:
             reconciler.kill()
     assert [attempt.reason for attempt in job_store.get(dead.job_id).attempts] == [Reason.WORKER_LOST]

@@ -4,8 +4,9 @@ import random
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,33 +23,37 @@ from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
-from core.jobs.job import Artifact, Job
+from core.jobs.job import Artifact, Job, utc_now
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Entry, Idempotency, JobQuery
 from core.jobs.submission import submit
 from core.patience import through_outages
+from tests.contract.recording import Database, watch
 from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
 from worker.heartbeat import Heartbeat
 
-LEASE = timedelta(seconds=0.6)
-# The usual one of a worker.
+# About that of a worker: nothing waits for its end, and no busy machine keeps a heart from beating so long.
 LONG = timedelta(seconds=15)
+# Of what happens in real time.
+SHORT = timedelta(seconds=2)
 NUM_JOBS = 16
 
 
 class Fleet:
     """Jobs that attempts hold, and two reconcilers that watch them; each as a process of its own would."""
 
-    def __init__(self, url: str, data_dir: Path, lease: timedelta = LEASE) -> None:
-        self.lease = lease
+    def __init__(self, url: str, data_dir: Path, lease: timedelta = LONG) -> None:
+        # Rare enough that reconcilers are the first to look after an outage.
+        self.lease, self.heartbeat = lease, lease / 12
+        self._url = url
         self._stack = ExitStack()
         self.store = self._connected(url, NUM_JOBS)
         self.queue, self.objects = MemoryJobQueue(), MemoryObjectStore()
         self._watches = [Watch(self._connected(url), self.queue, lease, every_s=0.2) for _ in range(2)]
-        settings = unused_servers(data_dir).model_copy(update={"lease": lease, "heartbeat": lease / 3})
+        settings = unused_servers(data_dir).model_copy(update={"lease": lease, "heartbeat": self.heartbeat})
         self.holdings = [self._hold() for _ in range(NUM_JOBS)]
         self._hearts = {holding.job_id: Heartbeat(holding, settings) for holding in self.holdings}
 
@@ -56,9 +61,9 @@ class Fleet:
         self._stack.callback(self._end_hearts)
         for heart in self._hearts.values():
             heart.__enter__()
-            time.sleep(self.lease.total_seconds() / 3 / NUM_JOBS)  # No two of them beat as one.
-        for watch in self._watches:
-            self._stack.enter_context(watch)
+            time.sleep(self.heartbeat.total_seconds() / NUM_JOBS)  # No two of them beat as one.
+        for running in self._watches:
+            self._stack.enter_context(running)
         self.watch_on()
         return self
 
@@ -69,15 +74,36 @@ class Fleet:
         """Its heart beats no more."""
         self._hearts.pop(holding.job_id).__exit__()
 
+    def pass_time(self, span: timedelta) -> None:
+        """As an outage of this length does."""
+        with self._database() as database:
+            database.pass_time(span)
+
     def watch_on(self) -> None:
         """Return when leases are enforced again, and have been looked at since."""
-        looks = int(self.lease / timedelta(seconds=0.2)) + 2
-        wanted = [watch.num_looks + looks for watch in self._watches]
-        wait_until(lambda: all(w.num_looks >= n for w, n in zip(self._watches, wanted, strict=True)), 30)
+        self._after_looks()
+        # From the first look after an outage no lease ends, for the time of one: each heart beats in it.
+        with self._database() as database:
+            [(now,)] = database.read("SELECT now()")
+            silent = "SELECT count(*) FROM jobs WHERE id = ANY(%s) AND lease_until < %s"
+            wait_until(lambda: database.read(silent, list(self._hearts), now + self.lease) == [(0,)])
+            database.change("UPDATE pulse SET quiet_until = now() - interval '1 s'")
+        self._after_looks()
 
     def attempts(self, holdings: list[Holding]) -> list[list[Reason | None]]:
         """How the attempts at these jobs ended; None for one that goes on."""
-        return [[a.reason for a in self.store.get(holding.job_id).attempts] for holding in holdings]
+        found = [through_outages(partial(self.store.get, holding.job_id)) for holding in holdings]
+        return [[attempt.reason for attempt in job.attempts] for job in found]
+
+    def _after_looks(self) -> None:
+        """Both have begun a look, and ended it."""
+        wanted = [w.num_looks + 2 for w in self._watches]
+        wait_until(lambda: all(w.num_looks >= n for w, n in zip(self._watches, wanted, strict=True)))
+
+    @contextmanager
+    def _database(self) -> Iterator[Database]:
+        with psycopg.connect(self._url, autocommit=True) as connection:
+            yield Database(connection)
 
     def _end_hearts(self) -> None:
         for heart in self._hearts.values():
@@ -105,7 +131,7 @@ class Fleet:
         return holding
 
 
-@pytest.mark.parametrize("rounds", [3, pytest.param(30, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rounds", [3, pytest.param(30, marks=[pytest.mark.slow, pytest.mark.timeout(400)])])
 @pytest.mark.parametrize("outage", ["silence", "absence"])
 def test_who_works_keeps_the_job_through_an_outage_longer_than_its_lease(
     outage: str, rounds: int, postgres: Outages, tmp_path: Path
@@ -113,8 +139,9 @@ def test_who_works_keeps_the_job_through_an_outage_longer_than_its_lease(
     chance = random.Random(outage)
     with Fleet(postgres.fresh(), tmp_path) as fleet:
         for _ in range(rounds):
+            fleet.pass_time(chance.uniform(1.2, 2.5) * fleet.lease)
             with getattr(postgres, outage)():
-                time.sleep(chance.uniform(1.2, 2.5) * LEASE.total_seconds())
+                time.sleep(chance.uniform(0.3, 0.8))
             fleet.watch_on()
             assert fleet.attempts(fleet.holdings) == [[None]] * NUM_JOBS
 
@@ -123,7 +150,8 @@ def test_who_works_keeps_the_job_through_a_silence_in_which_every_call_gives_up(
     postgres: Outages, tmp_path: Path
 ) -> None:
     # A call gives up after 2 s, and others are not tried for a second.
-    with Fleet(postgres.fresh(), tmp_path, lease=timedelta(seconds=2.4)) as fleet:
+    with Fleet(postgres.fresh(), tmp_path) as fleet:
+        fleet.pass_time(1.2 * fleet.lease)
         with postgres.silence():
             time.sleep(3.5)
         fleet.watch_on()
@@ -134,19 +162,20 @@ def test_who_works_keeps_the_job_through_a_silence_in_which_every_call_gives_up(
 def test_who_died_before_an_outage_loses_the_job_once_and_a_lease_after_it(
     outage: str, postgres: Outages, tmp_path: Path
 ) -> None:
-    with Fleet(postgres.fresh(), tmp_path) as fleet:
+    with Fleet(postgres.fresh(), tmp_path, SHORT) as fleet:
         dead, *alive = fleet.holdings
         fleet.kill(dead)
+        fleet.pass_time(1.2 * fleet.lease)
         with getattr(postgres, outage)():
-            time.sleep(1.5 * LEASE.total_seconds())
-        back_at = fleet.store.now()
+            time.sleep(0.6 * SHORT.total_seconds())  # More than half a lease is a silence.
+            back_at = utc_now()
         wait_until(lambda: fleet.attempts([dead]) != [[None]])
         fleet.watch_on()
         assert fleet.attempts([dead]) == [[Reason.WORKER_LOST]]
         assert fleet.attempts(alive) == [[None]] * len(alive)
         (attempt,) = fleet.store.get(dead.job_id).attempts
         assert attempt.ended_at is not None
-        assert attempt.ended_at - back_at > 0.9 * LEASE
+        assert attempt.ended_at - back_at > 0.9 * SHORT
         assert [(d.job_id, d.attempt) for d in fleet.queue.waiting()] == [(dead.job_id, 2)]
 
 
@@ -163,25 +192,25 @@ def store(url: str) -> Iterator[PostgresJobStore]:
 
 
 def test_a_silence_between_a_pulse_and_the_look_at_the_leases_costs_nobody_a_job(
-    store: PostgresJobStore, postgres: Outages, monkeypatch: pytest.MonkeyPatch
+    url: str, store: PostgresJobStore, postgres: Outages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = Service(store)
-    holding = service.claim(service.submit(), LEASE)
-    watch = Reconciler(store, service.queue, LEASE)
-    until = time.monotonic() + 1.2 * LEASE.total_seconds()
-    while time.monotonic() < until:  # What was before the first pulse is forgiven.
-        watch.look()
-        store.renew(holding.job_id, holding.token, LEASE)
+    holding = service.claim(service.submit(), SHORT)
+    reconciler = Reconciler(store, service.queue, SHORT)
+    reconciler.look()
+    with psycopg.connect(url, autocommit=True) as connection:
+        watch(store, Database(connection))
+    store.renew(holding.job_id, holding.token, SHORT)
     expired = store.expired
 
     def after_a_silence() -> Any:
         with postgres.silence():
-            time.sleep(1.2 * LEASE.total_seconds())
+            time.sleep(1.2 * SHORT.total_seconds())
         return expired()
 
     monkeypatch.setattr(store, "expired", after_a_silence)
-    watch.look()
-    assert store.renew(holding.job_id, holding.token, LEASE) == JobStatus.STARTING
+    reconciler.look()
+    assert store.renew(holding.job_id, holding.token, SHORT) == JobStatus.STARTING
 
 
 class Service:
@@ -343,12 +372,15 @@ class TestLostAnswers:
             through_outages(lambda: delete(job.id, store=service.store, objects=service.objects))
 
     def test_a_job_is_taken_back_and_dispatched_once(
-        self, service: Service, lost: LostAnswers, monkeypatch: pytest.MonkeyPatch
+        self, service: Service, lost: LostAnswers, url: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         job = service.submit()
         service.queue.take()
-        service.claim(job, LEASE)
-        watch = Reconciler(service.store, service.queue, LEASE)
+        service.claim(job)
+        with psycopg.connect(url, autocommit=True) as connection:
+            watch(service.store, Database(connection))
+            Database(connection).end_lease(job)
+        reconciler = Reconciler(service.store, service.queue, LONG)
         take_back = service.store.take_back
 
         def and_lose_the_answer(taken: Job) -> None:
@@ -357,16 +389,10 @@ class TestLostAnswers:
 
         monkeypatch.setattr(service.store, "take_back", and_lose_the_answer)
 
-        def is_cut_short() -> bool:
-            try:
-                watch.look()
-            except RecordsUnavailable:
-                return True
-            return False
-
-        wait_until(is_cut_short)
+        with pytest.raises(RecordsUnavailable):
+            reconciler.look()
         assert service.queue.waiting() == []
-        assert watch.look() == 1
+        assert reconciler.look() == 1
         assert [(d.job_id, d.attempt) for d in service.queue.waiting()] == [(job.id, 2)]
         assert service.statuses(job) == ["starting", "queued"]
 

@@ -26,6 +26,7 @@ from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Dispatch, Entry
 from core.settings import WorkerSettings
 from gaitway.embedded.valkey import Valkey
+from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import NullWorker, submitted
 from tests.unit.worker.environments import environment
@@ -233,17 +234,17 @@ def test_a_cancel_needs_no_redis(away: Service, own_valkey: Valkey) -> None:
 
 
 def test_a_job_whose_worker_died_while_redis_was_away_is_dispatched_when_it_is_back(
-    away: Service, own_valkey: Valkey
+    away: Service, own_valkey: Valkey, database: Database
 ) -> None:
     job = away.submit()
-    lease = timedelta(milliseconds=1)
-    assert claim(job.id, 1, "w", store=away.store, objects=away.objects, lease=lease, secret="s")
-    watch = Reconciler(away.store, away.queue, timedelta(milliseconds=20))
-    while away.store.get(job.id).status != JobStatus.QUEUED:  # A new database is watched in silence first.
-        with pytest.raises(RecordsUnavailable):
-            watch.look()
+    away.claim(job)
+    watch(away.store, database)
+    database.end_lease(job)
+    with pytest.raises(RecordsUnavailable):
+        away.look(times=1)
+    assert away.store.get(job.id).status == JobStatus.QUEUED
     own_valkey.start()
-    assert watch.look() == 1
+    assert away.look(times=1) == 1
     assert away.queue.known() == {(job.id, 2)}
 
 

@@ -169,13 +169,15 @@ def test_a_drain_is_heard_by_who_waits_for_a_store(bench: Bench, monkeypatch: py
 
 
 def test_a_timeout_is_a_failure_that_keeps_the_work(bench: Bench) -> None:
-    job = bench.run("waits", timeout_s=0.5)
+    # Long enough for the process to begin, also on a busy machine: it has to hear that it shall go.
+    job = bench.run("waits", timeout_s=2)
     assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TIMEOUT)
     assert job.newest("checkpoint", 20) is not None
     assert job.newest("video", 20) is not None
 
 
 def test_who_does_not_listen_is_killed_after_the_grace_time(bench: Bench) -> None:
+    bench.settings = bench.settings.model_copy(update={"grace": timedelta(seconds=1)})
     job = bench.submit()
     with bench.running(job, "ignores_signals"):
         bench.cancel(job)

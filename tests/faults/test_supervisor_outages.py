@@ -34,7 +34,9 @@ class Disturbed(Bench):
         self._url = postgres.fresh()
         super().__init__(data_dir, store := pooled(self._url, 10))
         self.close = store.close
-        self.settings = self.settings.model_copy(update={"lease": LEASE, "heartbeat": LEASE / 5})
+        self.settings = self.settings.model_copy(
+            update={"lease": LEASE, "heartbeat": LEASE / 5, "grace": timedelta(seconds=1)}
+        )
         self._postgres, self._patch = postgres, patch
 
     @contextmanager

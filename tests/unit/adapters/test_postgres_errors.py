@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy.exc import DBAPIError
 
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import connect_postgres
+from core.adapters.postgres.connection import DEADLINE_S, PromptConnection, connect_postgres
 from core.adapters.postgres.errors import Breaker
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
@@ -188,14 +188,23 @@ class TestTables:
             connection.execute("ALTER TABLE pulse RENAME COLUMN id TO later")
         unavailable("another version's tables: the reconciler upgrades them", elsewhere)
 
+    @pytest.fixture
+    def patient(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A client that waits for the server's word: on a busy machine that comes after its deadline."""
+        monkeypatch.setattr(PromptConnection, "deadline_s", 30.0)
+
+    @pytest.mark.usefixtures("patient")
     def test_a_lock_that_somebody_keeps_is_waited_for_a_while(self, server: Server) -> None:
+        assert DEADLINE_S > 1.5
         with psycopg.connect(server.url) as connection:
             connection.execute("LOCK TABLE pulse")
             begun = time.monotonic()
             unavailable(r"waited for a lock for longer than 1\.5 s", server.url)
-            assert time.monotonic() - begun < 2.5
+            assert time.monotonic() - begun < 5
 
+    @pytest.mark.usefixtures("patient")
     def test_a_statement_that_takes_too_long_is_ended_by_the_server(self, server: Server) -> None:
+        assert DEADLINE_S > 1.8
         unavailable(r"took longer than 1\.8 s; it is overloaded", server.url, run("SELECT pg_sleep(5)"))
 
     def test_our_own_mistakes_pass_through(self, server: Server) -> None:
@@ -250,7 +259,7 @@ class TestAddresses:
                 "does not answer at GAITWAY_DATABASE_URL: connection timeout expired",
                 f"postgresql://gaitway@127.0.0.1:{silent.getsockname()[1]}/gaitway",
             )
-            assert time.monotonic() - begun < 2.5
+            assert time.monotonic() - begun < 3.8
 
     @pytest.mark.parametrize(
         "url",

@@ -188,7 +188,7 @@ def test_waiting_ends_at_its_time_and_leaves_the_job_alone() -> None:
         began = time.monotonic()
         with pytest.raises(WaitTimeout, match=r"still running after 0\.1 s"):
             service.client.wait(ID, timeout=0.1)
-        assert time.monotonic() - began < 1
+        assert time.monotonic() - began < 10
         # Pauses of up to 10 ms between looks: far fewer than a busy loop would make.
         assert len(service.requests) < 60
     assert {request.method for request in service.requests} == {"GET"}
