@@ -12,8 +12,9 @@ import structlog
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from core.errors import Misconfigured
-from core.settings import PREFIX, ApiSettings, ReconcilerSettings, StoreSettings, WorkerSettings
+from core.errors import EXIT_STATUS, Misconfigured
+from core.settings import ApiSettings, ReconcilerSettings, StoreSettings, WorkerSettings
+from core.variables import PREFIX, variable
 
 log = structlog.get_logger()
 
@@ -23,8 +24,6 @@ PROCESSES: dict[str, type[StoreSettings]] = {
     "reconciler": ReconcilerSettings,
 }
 SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
-# What sysexits.h calls EX_CONFIG; a supervisor may know that trying again does not help.
-EXIT_STATUS = 78
 
 AnySettings = TypeVar("AnySettings", bound=StoreSettings)
 
@@ -54,10 +53,6 @@ def stopping_if_misconfigured() -> Generator[None]:
 def names() -> set[str]:
     """Every variable that some process reads."""
     return {variable(field) for kind in PROCESSES.values() for field in kind.model_fields}
-
-
-def variable(field: str) -> str:
-    return f"{PREFIX}{field.upper()}"
 
 
 def _refuse_typing_errors() -> None:

@@ -13,6 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+# Of a process that ends because it is misconfigured: what sysexits.h calls EX_CONFIG. A supervisor may know
+# that trying again does not help.
+EXIT_STATUS = 78
+
 
 @dataclass(frozen=True)
 class Problem:

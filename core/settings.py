@@ -26,8 +26,7 @@ from pydantic import (
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from core.devices import GPUS, num_cores
-
-PREFIX = "GAITWAY_"
+from core.variables import PREFIX
 
 _REDIS_SCHEMES = ("redis", "rediss", "unix")
 

@@ -1,22 +1,25 @@
 """Gaitway: send training jobs to a service, and bring back policies, metrics and videos."""
 
-from gaitway.client import Client
-from gaitway.errors import (
-    ApiError,
-    Conflict,
-    DownloadFailed,
-    FieldError,
-    GaitwayError,
-    MissingExtra,
-    NotFound,
-    NotReady,
-    Rejected,
-    Unavailable,
-    Unreachable,
-    WaitTimeout,
-)
-from gaitway.transport import Retry
-from gaitway.views import ArtifactView, Event, JobView, MetricsRow, Page, ProgressView
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gaitway.client import Client
+    from gaitway.errors import (
+        ApiError,
+        Conflict,
+        DownloadFailed,
+        FieldError,
+        GaitwayError,
+        MissingExtra,
+        NotFound,
+        NotReady,
+        Rejected,
+        Unavailable,
+        Unreachable,
+        WaitTimeout,
+    )
+    from gaitway.transport import Retry
+    from gaitway.views import ArtifactView, Event, JobView, MetricsRow, Page, ProgressView
 
 __all__ = [
     "ApiError",
@@ -40,3 +43,15 @@ __all__ = [
     "Unreachable",
     "WaitTimeout",
 ]
+
+
+def __getattr__(name: str) -> object:
+    """What `__all__` names, loaded when somebody asks for it.
+
+    Each process of the embedded stack imports this package, and needs no client, which takes 0.3 s to load.
+    """
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from gaitway import client, errors, transport, views
+
+    return next(getattr(home, name) for home in (client, errors, transport, views) if hasattr(home, name))

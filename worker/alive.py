@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from core.configuration import variable
+from core.variables import variable
 
 _LONGEST_SILENCE_S = 60.0
 

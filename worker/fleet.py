@@ -15,10 +15,11 @@ from pathlib import Path
 
 import structlog
 
-from core.configuration import EXIT_STATUS, stopping_if_misconfigured, variable
+from core.configuration import stopping_if_misconfigured
 from core.devices import gpu_indices
-from core.errors import Misconfigured
+from core.errors import EXIT_STATUS, Misconfigured
 from core.telemetry import configure_logging
+from core.variables import variable
 from worker.alive import begin_fleet
 from worker.device import REMEDY, visible_gpus
 

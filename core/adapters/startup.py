@@ -8,8 +8,10 @@ from functools import partial
 
 import structlog
 from redis import Redis
+from sqlalchemy import Engine
 
 from core.adapters.connect import connect_redis, job_store, object_store
+from core.adapters.postgres import revision
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.redis_errors import reaching_redis
 from core.adapters.s3_objects import S3ObjectStore
@@ -62,14 +64,20 @@ def prepare_database(settings: StoreSettings) -> None:
 
     Raises Misconfigured where it refuses for some seconds, or is of a newer version.
     """
-    # Alembic takes a quarter of a second to load, and only the reconciler migrates.
-    from core.adapters.postgres import schema
-
     engine = connect_postgres(settings.database_url.get_secret_value(), pool_size=0)
     try:
-        _try(partial(schema.upgrade, engine), math.inf)
+        _try(partial(_upgrade, engine), math.inf)
     except RecordsRefuse as error:
         raise Misconfigured(error.detail) from error
+
+
+def _upgrade(engine: Engine) -> None:
+    if revision.is_newest(engine):
+        return
+    # Alembic takes a tenth of a second to load, and is needed once for each version.
+    from core.adapters.postgres import schema
+
+    schema.upgrade(engine)
 
 
 def _try(look: Callable[[], None], patience_s: float) -> None:

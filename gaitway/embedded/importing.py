@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from core.settings import PREFIX, StoreSettings
+from core.settings import StoreSettings
+from core.variables import PREFIX
 from gaitway.embedded import version_01
 from gaitway.embedded.folders import private_folder
 from gaitway.embedded.servers import EmbeddedServers

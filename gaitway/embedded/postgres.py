@@ -15,7 +15,6 @@ from typing import Self
 from urllib.parse import quote
 
 import psutil
-import psycopg
 
 from core.errors import Unavailable
 from gaitway.embedded.folders import private_folder
@@ -143,6 +142,9 @@ class Postgres(Server):
 
     def _ensure_database(self) -> None:
         """Make the service's database where it is missing. Raises Unavailable."""
+        # Loaded while the servers start already.
+        import psycopg
+
         try:
             with psycopg.connect(
                 host=str(self._socket_folder),

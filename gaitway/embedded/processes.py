@@ -59,11 +59,13 @@ class ServerProcess:
         command: Sequence[str],
         environment: Mapping[str, str],
         *,
+        is_told: bool = False,
         prefix: Sequence[str] = (),
         prepare: Callable[[int], object] = lambda lock: None,
     ) -> None:
         """Start it; a second one in the same folder raises ServerFailed.
 
+        is_told: its standard input is what `tell` gives it; otherwise it is empty.
         prefix: a command that becomes another user and then runs the command after it.
         prepare: runs once the folder is locked; a child that inherits the descriptor keeps the lock.
         """
@@ -76,12 +78,18 @@ class ServerProcess:
                 [*prefix, *wrapper, *command],
                 cwd=self._folder,
                 env=dict(environment),
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if is_told else subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
                 pass_fds=[lock.fileno()],
             )
+
+    def tell(self, words: str) -> None:
+        """Write its whole standard input; does nothing if it has ended."""
+        if self._child is not None and self._child.stdin is not None:
+            with suppress(BrokenPipeError), self._child.stdin as pipe:
+                pipe.write(words.encode())
 
     def check(self) -> None:
         """Raises ServerFailed where it has ended."""
@@ -131,6 +139,8 @@ class ServerProcess:
             with suppress(ProcessLookupError):
                 os.killpg(self._child.pid, signal.SIGKILL)
             self._child.wait()
+            if self._child.stdin is not None:
+                self._child.stdin.close()
             self._child = None
 
 

@@ -1,6 +1,7 @@
 """The whole service on one machine: servers, reconciler, API and workers under one data folder."""
 
 import fcntl
+import json
 import os
 import signal
 import sys
@@ -10,13 +11,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import IO, Self
 
-import httpx
-
-from core.configuration import EXIT_STATUS
-from core.errors import Unavailable
+from core.errors import EXIT_STATUS, Unavailable
 from gaitway.embedded.folders import private_folder
 from gaitway.embedded.interruption import Interruption
 from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free
@@ -63,10 +63,12 @@ class Stack:
         self._wanted_port = port
         self._num_workers = num_workers
         self._tell = tell
-        self._members: list[_Member] = []
+        self._servers: list[_Member] = []
+        self._modules: list[_Member] = []  # They need the servers, and end before them.
         self._stopped = StoppedProcesses()
         self._looked_closer_at = time.monotonic()
         self._weed: Weed | None = None
+        self._where_servers_are: str | None = None
         self._interruption = Interruption()
         self._folder = data_dir
         self._lock: IO[str] | None = None
@@ -119,7 +121,7 @@ class Stack:
         if now - self._looked_closer_at >= _LOOK_CLOSER_EVERY_S:
             self._looked_closer_at = now
             self._end_what_hangs()
-        for member in self._members:
+        for member in (*self._servers, *self._modules):
             if member.due_at is None and member.process.pid is None:
                 member.due_at = now + self._delay_s(member, now)
             elif member.due_at is not None and now >= member.due_at:
@@ -157,39 +159,45 @@ class Stack:
         tell_if_left(self._folder, self._tell)
         servers = EmbeddedServers(self._folder)
         self._weed = servers.weed
+        # They import their modules while the servers start.
+        reconciler = self._add_module("reconciler", "worker.reconciler")
+        api = self._add_module("api", "api.main", "--port", str(port))
         # PostgreSQL last: at the first start it makes its files, and returns then.
         for server in reversed(servers.all):
-            self._add(_Member(server.process, server.launch, server.stop))
+            self._servers.append(_Member(server.process, server.launch, server.stop))
+            server.launch()
         with self._interruption.allowed():
-            # What follows would take a database or a bucket that is not there yet for a wrong setting.
+            # Others would take a database or a bucket that is not there yet for a wrong setting.
             servers.wait_ready()
-        environment = self._environment(servers)
-        reconciler = self._add_module("reconciler", environment, "worker.reconciler")
-        api = self._add_module("api", environment, "api", "--port", str(port))
+        self._where_servers_are = json.dumps(servers.environment())
+        for process in (reconciler, api):
+            process.tell(self._where_servers_are)
         for number in range(1, self._num_workers + 1):
-            self._add_module(f"{_WORKER}{number}", environment, "worker.main")
+            self._add_module(f"{_WORKER}{number}", "worker.main")
         self.url = f"http://127.0.0.1:{port}"
-        # One client for all looks: to load its certificates takes longer than a look.
-        with self._interruption.allowed(), httpx.Client(timeout=2, trust_env=False) as http:
-            api.wait_until(lambda: _check_ready(reconciler, http, self.url))
+        with self._interruption.allowed():
+            api.wait_until(lambda: _check_ready(reconciler, port))
 
-    def _add(self, member: _Member) -> None:
-        self._members.append(member)
-        member.launch()
-
-    def _add_module(self, name: str, environment: dict[str, str], *module: str) -> ServerProcess:
+    def _add_module(self, name: str, *module: str) -> ServerProcess:
+        """Start it; it runs once it is told where the servers are."""
         process = ServerProcess(name, private_folder(self._folder / name))
-        command = [sys.executable, "-m", *module]
-        launch = partial(process.start, command, environment)
+        command = [sys.executable, "-m", "gaitway.embedded.preload", "-m", *module]
+
+        def launch() -> None:
+            process.start(command, self._environment(), is_told=True)
+            if self._where_servers_are is not None:
+                process.tell(self._where_servers_are)
+
         # Workers have had their time when they are stopped.
-        self._add(_Member(process, launch, partial(process.stop, 0 if name.startswith(_WORKER) else 3)))
+        stop = partial(process.stop, 0 if name.startswith(_WORKER) else 3)
+        self._modules.append(_Member(process, launch, stop))
+        launch()
         return process
 
-    def _environment(self, servers: EmbeddedServers) -> dict[str, str]:
+    def _environment(self) -> dict[str, str]:
         leaks = ("PYTHONPATH", "PYTHONHOME")
         return {
             **{name: value for name, value in os.environ.items() if name not in leaks},
-            **servers.environment(),
             "GAITWAY_DATA_DIR": str(self._folder),
             "GAITWAY_GRACE": f"PT{_GRACE_S}S",
             # The folder it starts in must not lend it modules.
@@ -200,7 +208,7 @@ class Stack:
     def _stop(self) -> None:
         """Workers first, all at once: they save what they have. A second signal ends the wait."""
         signals_before = self._interruption.count
-        workers = [m.process for m in self._members if m.process.name.startswith(_WORKER)]
+        workers = [m.process for m in self._modules if m.process.name.startswith(_WORKER)]
         for worker in workers:
             if worker.pid is not None:
                 with suppress(ProcessLookupError):
@@ -210,9 +218,10 @@ class Stack:
             if time.monotonic() > deadline or self._interruption.count > signals_before:
                 break
             time.sleep(0.02)
-        for member in reversed(self._members):
-            member.stop()
-        self._members.clear()
+        for members in (self._modules, self._servers):
+            for member in reversed(members):
+                member.stop()
+            members.clear()
 
 
 def _choose_port(wanted: int | None) -> int:
@@ -242,12 +251,17 @@ def lock_folder(folder: Path) -> IO[str]:
     return lock
 
 
-def _check_ready(reconciler: ServerProcess, http: httpx.Client, url: str) -> None:
+def _check_ready(reconciler: ServerProcess, port: int) -> None:
     """Raises Unavailable until the API says that it is ready; ServerFailed where it cannot become so."""
     reconciler.check()  # Without it there are no tables.
+    connection = HTTPConnection("127.0.0.1", port, timeout=2)  # Importing httpx would take longer.
     try:
-        answer = http.get(f"{url}/readyz")
-    except httpx.TransportError as error:
-        raise Unavailable(f"{url} does not answer: {error}") from error
-    if not answer.is_success:
-        raise Unavailable(f"{url}/readyz answers {answer.status_code}: {answer.text[:300]}")
+        connection.request("GET", "/readyz")
+        answer = connection.getresponse()
+        words = answer.read(300).decode(errors="replace")
+    except (OSError, HTTPException) as error:
+        raise Unavailable(f"The API does not answer: {error}") from error
+    finally:
+        connection.close()
+    if answer.status != HTTPStatus.OK:
+        raise Unavailable(f"The API answers {answer.status}: {words}")

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import socket
 import sys
 import tempfile
 from importlib.util import find_spec
@@ -9,11 +10,13 @@ from pathlib import Path
 from typing import Self
 from urllib.parse import quote
 
+from core.errors import Unavailable
 from gaitway.embedded.folders import private_folder
 from gaitway.embedded.processes import ServerFailed, ServerProcess
 from gaitway.embedded.server import Server
 
 _LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
+_ANSWERS_WITHIN_S = 2.0
 
 
 class Valkey(Server):
@@ -55,13 +58,21 @@ class Valkey(Server):
 
     def wait_ready(self) -> Self:
         """Return when it answers. Raises ServerFailed."""
-        # Loaded while the servers start already.
-        from core.adapters.connect import connect_redis
-        from core.adapters.startup import exercise_queue
-
-        with connect_redis(self.url, retries=0) as client:
-            self.process.wait_until(lambda: exercise_queue(client))
+        self.process.wait_until(self._ping)
         return self
+
+    def _ping(self) -> None:
+        """Raises Unavailable until it serves. Without a client: to import one takes longer than to wait."""
+        try:
+            with socket.socket(socket.AF_UNIX) as connection:
+                connection.settimeout(_ANSWERS_WITHIN_S)
+                connection.connect(str(self._socket))
+                connection.sendall(b"PING\r\n")
+                answer = connection.recv(100)
+        except OSError as error:
+            raise Unavailable(f"Valkey does not answer: {error}") from error
+        if answer != b"+PONG\r\n":
+            raise Unavailable(f"Valkey answers {answer.decode(errors='replace').strip()}")
 
     def stop(self) -> None:
         self.process.stop(grace_s=10)

@@ -104,7 +104,7 @@ class Weed(Server):
 
     def _wait_until_it_keeps(self) -> None:
         # Loaded while the servers start already.
-        from core.adapters.connect import connect_s3
+        from core.adapters.s3_connection import connect_s3
         from core.adapters.s3_objects import S3ObjectStore
 
         client = connect_s3(

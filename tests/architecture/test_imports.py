@@ -66,6 +66,12 @@ def test_the_client_needs_httpx_and_pydantic_alone() -> None:
     assert modules_after("gaitway", "gaitway.client") - bare - theirs - standard - private == {"gaitway"}
 
 
+@pytest.mark.parametrize("module", ["worker.alive", "gaitway.embedded.up"])
+def test_what_is_waited_for_loads_neither_models_nor_clients(module: str) -> None:
+    heavy = {"httpx", "minio", "psycopg", "pydantic", "redis", "rich", "sqlalchemy", "structlog"}
+    assert modules_after(module) & heavy == set()
+
+
 def test_the_layers_hold() -> None:
     linter = Path(sys.executable).with_name("lint-imports")
     done = subprocess.run([linter, "--no-cache"], cwd=ROOT, capture_output=True, text=True, timeout=60)

@@ -14,6 +14,7 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, inspect, text
 
+from core.adapters.postgres import revision as revision_of_the_code
 from core.adapters.postgres import schema
 from core.adapters.postgres.connection import DEADLINE_S, connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
@@ -205,6 +206,16 @@ def test_an_upgrade_that_fails_leaves_what_was_there(empty: Engine) -> None:
     with pytest.raises(Exception, match='"workers" already exists'):
         schema.upgrade(empty)
     assert tables(empty) == {"workers"}
+
+
+def test_the_newest_revision_is_known_without_alembic(empty: Engine) -> None:
+    assert revision_of_the_code.newest() == revisions()[-1]
+    assert not revision_of_the_code.is_newest(empty)
+    schema.upgrade(empty)
+    assert revision_of_the_code.is_newest(empty)
+    with empty.begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    assert not revision_of_the_code.is_newest(empty)
 
 
 def test_the_tables_of_a_newer_version_are_refused_and_stay(empty: Engine) -> None:

@@ -1,0 +1,85 @@
+"""A client for S3; apart from the other stores, for a process that needs no more than this one."""
+
+import base64
+import hashlib
+import ssl
+from pathlib import Path
+from typing import Any
+
+from minio import Minio
+from minio.helpers import ObjectWriteResult
+from urllib3 import PoolManager
+from urllib3 import Retry as HTTPRetry
+from urllib3 import Timeout as HTTPTimeout
+
+from core.errors import Misconfigured
+
+
+def connect_s3(  # noqa: PLR0913 # As the SDK's own.
+    endpoint: str,
+    access_key: str,
+    secret_key: str,
+    *,
+    secure: bool,
+    region: str | None,
+    authorities: Path | None = None,
+    retries: int = 2,
+    timeout_s: float = 15.0,
+) -> Minio:
+    """A client for the object store at host:port; it connects at its first request.
+
+    authorities: a PEM file of those to trust besides the system's. timeout_s: how long a silent store is
+    waited for. Raises Misconfigured for an address that cannot be read.
+    """
+    pool = PoolManager(
+        maxsize=32,
+        ssl_context=None if authorities is None else trusting(authorities),
+        timeout=HTTPTimeout(connect=2, read=timeout_s),
+        retries=HTTPRetry(
+            total=retries,
+            read=retries // 2,  # Silence takes longer than a refusal.
+            backoff_factor=0.1,
+            status_forcelist=[500, 502, 503, 504],
+            raise_on_status=False,  # the last answer says more than "too many"
+        ),
+    )
+    try:
+        return _ChecksummedUploads(
+            endpoint,
+            access_key=access_key,
+            secret_key=secret_key,
+            secure=secure,
+            region=region,
+            http_client=pool,
+        )
+    except ValueError as error:
+        raise Misconfigured(
+            f"GAITWAY_S3_ENDPOINT or GAITWAY_S3_REGION cannot be read ({error}): write HOST:PORT, and the "
+            "region's short name."
+        ) from error
+
+
+def trusting(authorities: Path) -> ssl.SSLContext:
+    """For a client that trusts those in the PEM file besides the system's."""
+    context = ssl.create_default_context()
+    context.load_verify_locations(authorities)
+    return context
+
+
+class _ChecksummedUploads(Minio):
+    """Each upload says its MD5, and signs that: a byte flipped on the way is refused and not stored.
+
+    The SDK does so over TLS alone. Without it, it signs the body's SHA-256, at which SeaweedFS does not look.
+    """
+
+    def _put_object(
+        self,
+        bucket_name: str,
+        object_name: str,
+        data: bytes,
+        headers: dict[str, Any] | None = None,
+        query_params: dict[str, Any] | None = None,
+    ) -> ObjectWriteResult:
+        md5 = hashlib.md5(data, usedforsecurity=False).digest()
+        signed = {**(headers or {}), "Content-MD5": base64.b64encode(md5).decode()}
+        return super()._put_object(bucket_name, object_name, data, signed, query_params)
