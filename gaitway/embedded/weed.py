@@ -19,6 +19,8 @@ _OPTIONS = (
     *("-ip=127.0.0.1", "-ip.bind=127.0.0.1"),
     *("-webdav=false", "-admin.ui=false", "-s3.port.iceberg=0", "-s3.port.lance=0", "-s3.iam=false"),
     "-master.telemetry=false",
+    # Otherwise its volume server may ask before the master has elected itself, and asks again 5 s later.
+    "-master.resumeState=false",
 )
 _PROBE = "gaitway-is-this-store-ready"
 _PORT_TAKEN = ("Port allocation failed", "address already in use")
