@@ -102,7 +102,7 @@ COPY --from=project /opt/gaitway /opt/gaitway
 USER gaitway
 VOLUME /var/lib/gaitway
 CMD ["python", "-m", "worker.main"]
-HEALTHCHECK --interval=15s --timeout=5s --start-period=30s CMD ["python", "-m", "worker.alive"]
+HEALTHCHECK --interval=15s --timeout=5s --start-period=30s CMD ["python", "-m", "worker.host.health"]
 LABEL org.opencontainers.image.title="Gaitway worker" \
       org.opencontainers.image.description="Training, rollouts and videos on the CPU" \
       org.opencontainers.image.source="https://github.com/gaitway/gaitway" \
@@ -127,7 +127,7 @@ COPY --from=project /opt/gaitway /opt/gaitway
 USER gaitway
 VOLUME /var/lib/gaitway
 CMD ["python", "-m", "worker.fleet"]
-HEALTHCHECK --interval=15s --timeout=5s --start-period=60s CMD ["python", "-m", "worker.alive"]
+HEALTHCHECK --interval=15s --timeout=5s --start-period=60s CMD ["python", "-m", "worker.host.health"]
 LABEL org.opencontainers.image.title="Gaitway worker for NVIDIA GPUs" \
       org.opencontainers.image.description="Training, rollouts and videos, one worker for each GPU" \
       org.opencontainers.image.source="https://github.com/gaitway/gaitway" \

@@ -7,7 +7,7 @@ from bench.comparison import UNIT, rate
 from bench.result import Figure, Options, Result, at_least
 from bench.runs import Runs, Work
 from core.environments.info import Device
-from worker.device import visible_gpus
+from worker.host.device import visible_gpus
 
 _ENVIRONMENT = "humanoid"
 _TARGETS = {2: 1.8, 4: 3.4}

@@ -9,7 +9,7 @@ from typing import Any
 
 from bench.child import answer
 from core.rendering.request import RenderRequest
-from worker.render_client import render
+from worker.render.client import render
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.environments import catalog
 from core.environments.info import Device
 from core.physics.availability import EngineName, choose
-from worker.device import visible_gpus
+from worker.host.device import visible_gpus
 
 Settings = dict[str, Any]
 

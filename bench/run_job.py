@@ -14,8 +14,8 @@ from typing import Any
 
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from gaitway.plots import learning_curve
-from worker.messages import Advanced, Failed, Finished, Measured, Message, Noted, PhaseEnded, Started, Task
-from worker.process import TRAINING, TrainingProcess
+from worker.host.child import TRAINING, TrainingProcess
+from worker.protocol import Advanced, Failed, Finished, Measured, Message, Noted, PhaseEnded, Started, Task
 
 
 def main() -> None:

@@ -59,7 +59,7 @@ def through_outages(
 def pause(seconds: float, called_off: Callable[[], bool] = _never) -> None:
     """Sleep so long. Raises CalledOff as soon as that is so.
 
-    It looks again and again rather than to wait for a threading.Event: see worker/draining.py.
+    It looks again and again rather than to wait for a threading.Event: see worker/host/drain_flag.py.
     """
     until = time.monotonic() + seconds
     while not called_off():

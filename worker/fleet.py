@@ -20,8 +20,8 @@ from core.devices import gpu_indices
 from core.errors import EXIT_STATUS, Misconfigured
 from core.telemetry import configure_logging
 from core.variables import variable
-from worker.alive import begin_fleet
-from worker.device import REMEDY, visible_gpus
+from worker.host.device import REMEDY, visible_gpus
+from worker.host.health import begin_fleet
 
 log = structlog.get_logger()
 

@@ -28,18 +28,18 @@ from core.jobs.queue import queue_names
 from core.jobs.store import JobStore, WorkerInfo
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
-from worker import device_health, locks
-from worker.alive import show_life
-from worker.device import device_of, visible_gpus
-from worker.device_health import DeviceHealth
-from worker.device_memory import device_memory
-from worker.disk import check_folder
-from worker.left_attempts import tell_left
-from worker.lifeline import die_with_parent
+from worker.host import device_health, file_lock
+from worker.host.device import device_of, visible_gpus
+from worker.host.device_health import DeviceHealth
+from worker.host.device_lock import slot_names
+from worker.host.device_memory import device_memory
+from worker.host.disk import check_folder
+from worker.host.health import show_life
+from worker.host.parent_death import die_with_parent
 from worker.named_job import NamedJob
-from worker.slot import slot_names
-from worker.spool import SPOOLS, remove_left_over
-from worker.stall import is_stopped
+from worker.supervision.left_attempts import tell_left
+from worker.supervision.spool import SPOOLS, remove_left_over
+from worker.supervision.stall import is_stopped
 
 log = structlog.get_logger()
 
@@ -144,7 +144,7 @@ class GaitwayWorker(rq.Worker):
     def _clear_up(self) -> None:
         """Remove what a work-horse that was killed has left on the disk."""
         remove_left_over(self._data_dir / SPOOLS)
-        locks.remove_free(self._data_dir / "locks")
+        file_lock.remove_free(self._data_dir / "locks")
 
     def announce(self) -> None:
         """Show in `GET /workers`, and tell what the last worker here could not.

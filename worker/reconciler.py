@@ -26,8 +26,8 @@ from core.jobs.strays import Strays
 from core.models import library
 from core.settings import ReconcilerSettings
 from core.telemetry import configure_logging
-from worker.alive import show_life
-from worker.lifeline import die_with_parent
+from worker.host.health import show_life
+from worker.host.parent_death import die_with_parent
 
 log = structlog.get_logger()
 

@@ -18,15 +18,15 @@ from core.jobs.waiting import why_left_to_others
 from core.patience import CalledOff, pause, through_outages
 from core.previews.record import PreviewRequest
 from core.settings import WorkerSettings
-from worker import device_health
-from worker.device import device_of
-from worker.disk import has_room, what_to_do
-from worker.draining import Draining
-from worker.lifeline import die_with_parent
+from worker.host import device_health
+from worker.host.device import device_of
+from worker.host.device_lock import slot_names
+from worker.host.disk import has_room, what_to_do
+from worker.host.drain_flag import Draining
+from worker.host.parent_death import die_with_parent
 from worker.preview.drawing import draw
-from worker.slot import slot_names
-from worker.spool import SPOOLS, remove_left_over, spool
-from worker.supervisor import Supervisor
+from worker.supervision.spool import SPOOLS, remove_left_over, spool
+from worker.supervision.supervisor import Supervisor
 from worker.validation.confined import validate
 
 log = structlog.get_logger()

@@ -12,8 +12,8 @@ _PROBE = """
 import json, sys
 from pathlib import Path
 from worker.validation import landlock
-from worker.validation.confinement import Unconfined, confine
-from worker.validation.limits import Limits
+from worker.confinement.confinement import Unconfined, confine
+from worker.confinement.limits import Limits
 found = {{"landlock": landlock.version(), "layers": [], "why": ""}}
 try:
     found["layers"] = confine(Limits(), Path({folder!r}))

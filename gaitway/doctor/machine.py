@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from core.devices import GPUS
 from core.errors import Misconfigured
 from gaitway.doctor.check import Check, ProbeFailed, probe
-from worker.device import device_of, visible_gpus
+from worker.host.device import device_of, visible_gpus
 
 if TYPE_CHECKING:
     from core.settings import WorkerSettings

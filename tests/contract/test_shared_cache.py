@@ -13,9 +13,9 @@ from core.errors import StorageUnavailable
 from core.jobs.job import utc_now
 from core.storage import keys
 from core.storage.objects import ObjectStore
-from worker import shared_cache
-from worker.cache_folder import names
-from worker.shared_cache import SharedCache
+from worker.compile_cache import remote
+from worker.compile_cache.local import names
+from worker.compile_cache.remote import SharedCache
 
 NOW = utc_now()
 
@@ -80,7 +80,7 @@ def test_the_newest_come_first_and_not_too_many(
     first.has(old=b"12345", new=b"12345", newest=b"12345")
     for age, name in enumerate(["newest", "new", "old"]):
         first.stores(name, at=NOW - timedelta(hours=age))
-    monkeypatch.setattr(shared_cache, "_MOST_FETCHED_BYTES", 10)
+    monkeypatch.setattr(remote, "_MOST_FETCHED_BYTES", 10)
     assert set(second.fetches()) == {"new", "newest"}
 
 
@@ -140,6 +140,6 @@ def test_what_was_stored_damaged_is_left_there(first: Machine, second: Machine) 
 def test_a_name_that_leads_out_of_the_folder_is_passed_over(second: Machine) -> None:
     class Odd:
         def list(self, prefix: str) -> Iterator[Any]:
-            return iter([shared_cache.ObjectInfo(f"{prefix}20261121T091500Z/../../out", 1)])
+            return iter([remote.ObjectInfo(f"{prefix}20261121T091500Z/../../out", 1)])
 
     assert SharedCache(Odd(), "cpu-1", "ant").fetch(second.kept, second.room) == 0  # pyright: ignore[reportArgumentType]

@@ -6,9 +6,9 @@ from functools import partial
 import worker.main
 import worker.tasks
 from tests.faults.bench import PROBE
-from worker import device_health
-from worker.device_health import DeviceHealth
-from worker.supervisor import Supervisor
+from worker.host import device_health
+from worker.host.device_health import DeviceHealth
+from worker.supervision.supervisor import Supervisor
 
 if __name__ == "__main__":
     behaviour, file = sys.argv[1:]

@@ -21,7 +21,7 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.store import Channel, Entry, JobStore
 from core.jobs.submission import submit
 from core.settings import WorkerSettings
-from worker.supervisor import Supervisor
+from worker.supervision.supervisor import Supervisor
 
 PROBE = Path(__file__).with_name("probe_process.py")
 

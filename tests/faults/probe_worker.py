@@ -9,7 +9,7 @@ from functools import partial
 import worker.tasks
 from tests.faults.bench import PROBE
 from worker.main import main
-from worker.supervisor import Supervisor
+from worker.supervision.supervisor import Supervisor
 
 if __name__ == "__main__":
     sys.modules.update(dict.fromkeys(sys.argv[2:]))  # type: ignore[arg-type] # How Python notes that there is none.

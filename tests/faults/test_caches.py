@@ -17,10 +17,10 @@ from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
 from core.storage import keys
 from tests.faults.bench import Bench
-from worker import caches
-from worker.cache_folder import names
-from worker.fingerprint import fingerprint
-from worker.shared_cache import SharedCache
+from worker.compile_cache import session
+from worker.compile_cache.fingerprint import fingerprint
+from worker.compile_cache.local import names
+from worker.compile_cache.remote import SharedCache
 
 _JAX = str(Path(__file__).with_name("jax_process.py"))
 
@@ -116,8 +116,8 @@ def test_a_silent_store_delays_a_job_by_its_patience_alone(
     bench = Bench(tmp_path, job_store)
     silent = threading.Event()
     monkeypatch.setattr(bench.objects, "list", lambda _: silent.wait(30) and iter(()))
-    monkeypatch.setattr(caches, "_FETCH_PATIENCE_S", 0.1)
-    monkeypatch.setattr(caches, "_STORE_PATIENCE_S", 0.1)
+    monkeypatch.setattr(session, "_FETCH_PATIENCE_S", 0.1)
+    monkeypatch.setattr(session, "_STORE_PATIENCE_S", 0.1)
     began = time.monotonic()
     assert bench.run("compiles").status == JobStatus.SUCCEEDED
     assert time.monotonic() - began < 20

@@ -21,7 +21,7 @@ from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
 from tests.contract.recording import NOW, artifact, held, queued_job, say
 from tests.faults.campaign.proxy import Mode, Proxies, Proxy
-from worker.starting_point import write_task
+from worker.supervision.starting_point import write_task
 
 BODY = bytes(range(256)) * 400
 

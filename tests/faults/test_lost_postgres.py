@@ -33,7 +33,7 @@ from core.patience import through_outages
 from tests.contract.recording import Database, watch
 from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
-from worker.heartbeat import Heartbeat
+from worker.supervision.heartbeat import Heartbeat
 
 # About that of a worker: nothing waits for its end, and no busy machine keeps a heart from beating so long.
 LONG = timedelta(seconds=15)

@@ -11,7 +11,7 @@ from core.jobs.attempts import claim, new_secret
 from core.jobs.status import JobStatus, Reason
 from tests.compiling import compiling_quickly
 from tests.faults.bench import SPEC, Bench
-from worker.supervisor import Supervisor
+from worker.supervision.supervisor import Supervisor
 
 _PRETENDED = (sys.executable, "-m", "tests.faults.pretended_gpus")
 # 16 × 4 unrolls of 10 steps are 640 in an update: two updates.

@@ -14,7 +14,7 @@ from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import utc_now
 from core.jobs.status import JobStatus, Reason
 from tests.faults.bench import Bench
-from worker.slot import slot
+from worker.host.device_lock import slot
 
 
 @pytest.fixture

@@ -20,9 +20,9 @@ from core.settings import WorkerSettings
 from tests.faults.bench import SPEC, Bench
 from tests.unit.rendering.conftest import ball_request, rolling_ball, why_no_gl
 from tests.unit.worker.environments import environment
-from worker import supervisor as supervisor_module
-from worker.disk import check_folder, has_room
-from worker.process import TRAINING
+from worker.host.child import TRAINING
+from worker.host.disk import check_folder, has_room
+from worker.supervision import supervisor as supervisor_module
 
 MakeDisk = Callable[[int], Path]
 
@@ -107,7 +107,7 @@ def test_a_job_goes_on_once_there_is_room_again(make_disk: MakeDisk, job_store: 
 def test_a_video_that_does_not_fit_is_no_reason_to_fail_and_says_why(
     make_disk: MakeDisk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from worker.render_client import render
+    from worker.render.client import render
 
     if reason := why_no_gl():
         pytest.skip(reason)

@@ -18,8 +18,8 @@ from core.jobs.store import JobStore
 from core.patience import through_outages
 from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import Outages, Watch, pooled
-from worker import supervisor as supervisor_module
-from worker.left_attempts import tell_left
+from worker.supervision import supervisor as supervisor_module
+from worker.supervision.left_attempts import tell_left
 
 # Long enough for a test on a busy machine to begin its heartbeat.
 LEASE = timedelta(seconds=2)

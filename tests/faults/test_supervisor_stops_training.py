@@ -12,10 +12,10 @@ import pytest
 
 from core.jobs.spec import JOB_SPEC
 from tests.faults.bench import SPEC
-from worker.messages import FileReady, Message, Task
-from worker.outcome import Stop
-from worker.process import TRAINING, TrainingProcess
+from worker.host.child import TRAINING, TrainingProcess
+from worker.protocol import FileReady, Message, Task
 from worker.stop_signals import KEEP_AND_GO
+from worker.supervision.outcome import Stop
 
 # To leave takes an epoch of a second and a file; this film alone is 1,800 frames, of more than 10 ms each.
 LONG_FILM = {"width": 640, "height": 480, "fps": 30, "seconds": 60, "every_checkpoint": True}
@@ -109,7 +109,8 @@ def test_a_drain_ends_a_video_that_is_being_made(tmp_path: Path, data_dir: Path)
 def when_it_draws(pid: int) -> list[psutil.Process]:
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
-        found = [child for child in psutil.Process(pid).children() if "worker.rendering" in child.cmdline()]
+        children = psutil.Process(pid).children()
+        found = [child for child in children if "worker.render.process" in child.cmdline()]
         if found:
             return found
         time.sleep(0.02)

@@ -32,7 +32,7 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.store import entry_number
 from core.jobs.stored_spec import read_spec
 from core.settings import ApiSettings, ReconcilerSettings, WorkerSettings
-from worker.messages import MESSAGE
+from worker.protocol import MESSAGE
 
 # The same examples each time; the stores and patches of a test serve all of its examples.
 fuzzed = searching(

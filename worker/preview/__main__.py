@@ -11,8 +11,8 @@ from core.errors import GaitwayError
 from core.previews.record import PreviewRequest
 from core.rendering.gl import context_works
 from core.rendering.request import FailureReason, RenderFailure
-from worker.lifeline import die_with_parent
-from worker.own_files import keep_to_own_files
+from worker.confinement.own_files import keep_to_own_files
+from worker.host.parent_death import die_with_parent
 
 
 def main() -> int:

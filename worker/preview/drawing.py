@@ -19,7 +19,7 @@ from core.rendering.request import RenderFailure
 from core.settings import Confinement
 from core.storage import keys
 from core.storage.objects import ObjectStore
-from worker.process import environment
+from worker.host.child import environment
 
 # Playground's environments compile a reset on MJX, which takes a busy machine a minute.
 _MOST_S = 180.0
@@ -37,7 +37,8 @@ def draw(
     """Draw what nobody has drawn yet, and keep it, or why it could not be.
 
     folder: an empty one, absolute, for files that are needed meanwhile. models: whether the process binds
-    itself (worker/own_files.py). Raises ObjectNotFound where the model has been deleted meanwhile.
+    itself (worker/confinement/own_files.py). Raises ObjectNotFound where the model has been deleted
+    meanwhile.
     """
     if library.find(request, objects) is not None:
         return

@@ -11,7 +11,7 @@ from core.rendering.clip import camera_names
 from core.rendering.frames import MujocoRenderer
 from core.rendering.mp4 import write_png
 from core.rendering.scene import following_view
-from worker.messages import Task
+from worker.protocol import Task
 from worker.training.body import load_body
 
 

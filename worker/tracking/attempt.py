@@ -17,9 +17,9 @@ from core.jobs.job import Job
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
 from core.settings import WorkerSettings
-from worker.measurements import Measurements
-from worker.messages import FileReady, Message, Noted
-from worker.outbox import Outbox
+from worker.protocol import FileReady, Message, Noted
+from worker.supervision.measurements import Measurements
+from worker.supervision.outbox import Outbox
 from worker.tracking.child import end, start
 from worker.tracking.items import About, Film, WriteUp, about_run, configured
 from worker.tracking.live import Live

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 
 from core.settings import WorkerSettings
-from worker.process import environment
+from worker.host.child import environment
 
 # wandb's uploader watches its parent itself; nobody waits longer for it to see that this is gone.
 _GONE_S = 5.0

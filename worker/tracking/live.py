@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from core.settings import WorkerSettings
-from worker.messages import FileReady, Measured, Message, Started
+from worker.protocol import FileReady, Measured, Message, Started
 from worker.tracking.child import end, start
 from worker.tracking.items import About, Configured, End, Film, Row, configured
 

@@ -6,8 +6,8 @@ import signal
 import sys
 from pathlib import Path
 
-from worker.lifeline import die_with_parent
-from worker.own_files import keep_to_own_files
+from worker.confinement.own_files import keep_to_own_files
+from worker.host.parent_death import die_with_parent
 from worker.training.stopping import Stopping
 
 

@@ -20,7 +20,7 @@ from core.environments.randomized import randomize
 from core.errors import JobFailed
 from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
 from core.physics.choose import EngineChoice, choose, engine_builder
-from worker.messages import Started, Task
+from worker.protocol import Started, Task
 from worker.training.compilations import keep_programs, keep_warp_kernels
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from core.jobs.job import ArtifactRole
-from worker.messages import FileReady, Message
+from worker.protocol import FileReady, Message
 
 
 class Channel:

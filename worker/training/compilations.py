@@ -5,7 +5,7 @@ from pathlib import Path
 import jax
 
 from core.physics.kernels import keep_kernels
-from worker.cache_folder import CACHE
+from worker.compile_cache.local import CACHE
 
 
 def keep_programs() -> None:

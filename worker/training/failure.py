@@ -3,9 +3,9 @@
 import re
 
 from core.jobs.status import Reason
-from worker.disk import is_full, what_to_do
-from worker.memory import LESS_MEMORY
-from worker.messages import Failed
+from worker.host.disk import is_full, what_to_do
+from worker.host.memory import LESS_MEMORY
+from worker.protocol import Failed
 
 # XLA's word, and Warp's.
 _DEVICE_MEMORY = re.compile(

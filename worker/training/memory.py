@@ -6,7 +6,7 @@ from core.algorithms.memory import Memory
 from core.environments.info import Device
 from core.errors import JobFailed
 from core.jobs.status import Reason
-from worker.memory import allowed_bytes
+from worker.host.memory import allowed_bytes
 
 
 def check_memory(least: Memory, device: Device) -> None:

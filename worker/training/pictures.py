@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from core.environments import trajectory
 from core.environments.trajectory import Trajectory
 from core.rendering.gl import last_line
-from worker.messages import Noted
+from worker.protocol import Noted
 from worker.training.channel import Channel
 
-_PLOTTING = (sys.executable, "-m", "worker.plotting")
+_PLOTTING = (sys.executable, "-m", "worker.render.plotting")
 # Once on a machine matplotlib reads all of its fonts first, and may have to wait for a core.
 _TIMEOUT_S = 60.0
 _NO_MATPLOTLIB = (

@@ -21,7 +21,7 @@ from core.environments.rollout import (
 )
 from core.environments.trajectory import Episode
 from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, RolloutSpec, ZeroPolicy
-from worker.messages import Advanced, Measured, Task
+from worker.protocol import Advanced, Measured, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
 from worker.training.pictures import kept_with_path

@@ -11,7 +11,7 @@ from pathlib import Path
 from core.errors import GaitwayError, JobFailed
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.jobs.status import Reason
-from worker.messages import Failed, Finished, PhaseEnded, Task
+from worker.protocol import Failed, Finished, PhaseEnded, Task
 from worker.training.channel import Channel
 from worker.training.failure import failure
 from worker.training.stopping import Stopping

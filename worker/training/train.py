@@ -11,7 +11,7 @@ from core.algorithms.spec import BaseSpec, resolve
 from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, ShowsTables, Trainer
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
-from worker.messages import Advanced, Measured, Noted, PhaseEnded, Task
+from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task
 from worker.training.body import Body
 from worker.training.channel import Channel
 from worker.training.memory import check_memory

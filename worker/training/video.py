@@ -15,9 +15,9 @@ from core.environments.trajectory import Episode, Trajectory
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.rendering.gl import RenderingFailed
 from core.rendering.request import RenderRequest, RenderResult
-from worker.disk import is_full, what_to_do
-from worker.messages import Noted
-from worker.render_client import render
+from worker.host.disk import is_full, what_to_do
+from worker.protocol import Noted
+from worker.render.client import render
 from worker.training.body import Body
 from worker.training.channel import Channel
 from worker.training.pictures import kept_with_path

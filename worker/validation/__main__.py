@@ -8,9 +8,9 @@ import os
 import sys
 from pathlib import Path
 
-from worker.lifeline import die_with_parent
-from worker.validation.confinement import Layer, Unconfined, confine
-from worker.validation.limits import Limits
+from worker.confinement.confinement import Layer, Unconfined, confine
+from worker.confinement.limits import Limits
+from worker.host.parent_death import die_with_parent
 
 
 def main() -> None:

@@ -17,9 +17,9 @@ from core.models import library
 from core.models.store import ModelStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
-from worker.process import environment
+from worker.confinement.limits import Limits
+from worker.host.child import environment
 from worker.validation.answer import Answer, read_answer, read_plain
-from worker.validation.limits import Limits
 
 ANSWER = "answer.json"
 _TOLD = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "LD_LIBRARY_PATH", "PYTHONPATH", "GAITWAY_STACK_ID")

@@ -19,7 +19,7 @@ from tests.faults.campaign.disks import take_own_mounts
 from tests.faults.campaign.faults import Fault, draw
 from tests.faults.campaign.runner import READY, Outcome
 from tests.faults.campaign.world import PARTIES, SERVERS, World
-from worker.lifeline import die_with_parent
+from worker.host.parent_death import die_with_parent
 
 NUM_JOBS = 4
 _FAULTS_WITHIN_S = 3.5

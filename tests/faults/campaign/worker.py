@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from worker import main, tasks
-from worker.supervisor import Supervisor
+from worker.supervision.supervisor import Supervisor
 
 COMMAND = (sys.executable, str(Path(__file__).with_name("training.py")))
 

@@ -10,7 +10,7 @@ from bench.run_job import Story
 from core.algorithms.spec import resolve
 from core.environments import catalog
 from core.jobs.spec import JOB_SPEC, TrainSpec
-from worker.messages import Measured, Started
+from worker.protocol import Measured, Started
 
 READY = sorted((Path(__file__).parents[3] / "bench" / "jobs").glob("*.json"))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gaitway.doctor import confinement
-from worker.validation import landlock
+from worker.confinement import landlock
 
 _BEFORE = "from worker.validation import landlock, privileges, seccomp\n"
 

@@ -17,11 +17,11 @@ from core.jobs.status import JobStatus, Reason
 from core.jobs.store import WorkerInfo
 from core.settings import WorkerSettings
 from tests.contract.recording import held, queued_job
-from worker import locks
-from worker.left_attempts import leave
+from worker.host import file_lock
 from worker.main import GaitwayWorker
-from worker.outcome import Outcome
-from worker.spool import spool
+from worker.supervision.left_attempts import leave
+from worker.supervision.outcome import Outcome
+from worker.supervision.spool import spool
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +69,7 @@ def test_what_a_killed_work_horse_has_left_on_the_disk_is_removed(
         lock.parent.mkdir(exist_ok=True)
         lock.touch()
     worker = GaitwayWorker(settings, "cpu", job_store)
-    descriptor = locks.take(settings.data_dir / "locks" / "lives.lock")
+    descriptor = file_lock.take(settings.data_dir / "locks" / "lives.lock")
     assert descriptor is not None
     with spool(held):
         worker.heartbeat()

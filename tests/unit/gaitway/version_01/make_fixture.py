@@ -37,8 +37,8 @@ from core.storage import keys
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
-from worker.messages import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
-from worker.outbox import Outbox
+from worker.protocol import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
+from worker.supervision.outbox import Outbox
 
 BEGAN = datetime(2026, 11, 1, 12, tzinfo=UTC)
 LEASE = timedelta(hours=1)

@@ -1,0 +1,139 @@
+"""What a training process finds around itself."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import worker
+from worker.host.child import TrainingProcess, environment
+
+ROOT = Path(worker.__file__).parents[1]
+
+# Its child prints where it stands, and where it found this package.
+_PARENT = """
+import os, sys
+from pathlib import Path
+from worker.host.child import TrainingProcess
+spool = Path(sys.argv[1])
+code = "import os, worker; print(os.getcwd()); print(worker.__file__)"
+with open(os.devnull) as lock:
+    process = TrainingProcess((sys.executable, "-c", code), spool, spool.parent, "cpu", [lock.fileno()])
+print(*process.lines(), sep="\\n")
+list(process.messages())
+process.poll(10)
+"""
+
+
+def test_it_stands_in_its_spool_and_finds_the_code_of_a_checkout_that_is_not_installed(
+    tmp_path: Path,
+) -> None:
+    checkout, spool = tmp_path / "checkout", tmp_path / "spool"
+    spool.mkdir()
+    for package in ("core", "worker"):
+        shutil.copytree(ROOT / package, checkout / package, ignore=shutil.ignore_patterns("__pycache__"))
+    done = subprocess.run(
+        [sys.executable, "-c", _PARENT, str(spool)], cwd=checkout, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [str(spool), str(checkout / "worker" / "__init__.py")]
+
+
+def test_it_gets_no_setting_of_the_service_but_where_its_data_are(tmp_path: Path) -> None:
+    base = {"GAITWAY_S3_SECRET_KEY": "secret", "GAITWAY_DATA_DIR": "elsewhere", "HOME": "/theirs"}
+    given = environment("cpu", tmp_path, base)
+    assert {name for name in given if name.startswith("GAITWAY_")} == {"GAITWAY_DATA_DIR"}
+    assert (given["GAITWAY_DATA_DIR"], given["HOME"]) == (str(tmp_path), "/theirs")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(
+            "AWS_ACCESS_KEY_ID",
+            "AWS_SESSION_TOKEN",
+            "PGPASSWORD",
+            "PGPASSFILE",
+            "PGHOST",
+            "REDIS_URL",
+            "REDISCLI_AUTH",
+        ),
+        *(
+            "DATABASE_URL",
+            "MINIO_ROOT_USER",
+            "WANDB_API_KEY",
+            "WEED_JWT_SIGNING_KEY",
+            "S3_BUCKET",
+            "HF_TOKEN",
+        ),
+        *(
+            "GITHUB_TOKEN",
+            "SSH_AUTH_SOCK",
+            "OPENAI_API_KEY",
+            "MY_SECRET",
+            "DB_PASSWORD",
+            "smtp_passwd",
+            "SENTRY_DSN",
+        ),
+    ],
+)
+def test_it_gets_nobody_elses_secret(name: str, tmp_path: Path) -> None:
+    assert name not in environment("cpu", tmp_path, {name: "it"})
+
+
+def test_it_gets_no_address_with_a_password(tmp_path: Path) -> None:
+    base = {"HTTPS_PROXY": "http://me:word@proxy:3128", "BROKER": "amqp://:word@host/1"}
+    assert base.keys().isdisjoint(environment("cpu", tmp_path, base))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "XDG_CACHE_HOME", "LD_LIBRARY_PATH", "XAUTHORITY"),
+        *(
+            "XLA_FLAGS",
+            "JAX_COMPILATION_CACHE_DIR",
+            "NCCL_DEBUG",
+            "CUDA_CACHE_PATH",
+            "WARP_CACHE_PATH",
+            "MUJOCO_GL",
+        ),
+        *(
+            "LP_NUM_THREADS",
+            "MALLOC_ARENA_MAX",
+            "OMP_NUM_THREADS",
+            "SSL_CERT_FILE",
+            "HTTPS_PROXY",
+            "KEYBOARD",
+        ),
+    ],
+)
+def test_it_keeps_what_libraries_are_told(name: str, tmp_path: Path) -> None:
+    assert environment("cpu", tmp_path, {name: "http://it"})[name] == "http://it"
+
+
+def test_a_users_own_folder_of_modules_stays_after_ours(tmp_path: Path) -> None:
+    given = environment("cpu", tmp_path, {"PYTHONPATH": "/theirs"})
+    assert given["PYTHONPATH"].split(os.pathsep) == [str(ROOT), "/theirs"]
+
+
+def test_a_gpu_is_numbered_as_its_device_files_are(tmp_path: Path) -> None:
+    given = environment("gpu:1", tmp_path, {})
+    assert (given["CUDA_VISIBLE_DEVICES"], given["CUDA_DEVICE_ORDER"]) == ("1", "PCI_BUS_ID")
+
+
+def test_a_process_on_several_gpus_sees_those(tmp_path: Path) -> None:
+    assert environment("gpu:1,3", tmp_path, {})["CUDA_VISIBLE_DEVICES"] == "1,3"
+
+
+def test_a_line_without_an_end_is_cut_and_what_follows_is_heard(tmp_path: Path) -> None:
+    print_them = "print('x' * 10**6); print('after it')"
+    with Path(os.devnull).open() as lock:
+        process = TrainingProcess(
+            (sys.executable, "-c", print_them), tmp_path, tmp_path, "cpu", [lock.fileno()]
+        )
+    assert list(process.lines()) == ["x" * 4000, "after it"]
+    assert list(process.messages()) == []
+    assert process.poll(10) == 0

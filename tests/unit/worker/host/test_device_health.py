@@ -1,0 +1,133 @@
+"""Whether a worker may take jobs; shell commands stand for the test of a GPU."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from worker.host.device_health import DeviceHealth, DeviceTest, command_for, mark_of, result_of, set_aside
+from worker.host.device_lock import SlotTaken, slot
+
+# Passed as soon as the file is there.
+_PASSES_WITH = "test -e {} || {{ echo 'Traceback'; echo 'cuda:0 multiplies wrongly.'; echo; exit 3; }}"
+
+
+@pytest.fixture
+def works(tmp_path: Path) -> Path:
+    """The device works while this file is there."""
+    file = tmp_path / "works"
+    file.touch()
+    return file
+
+
+@pytest.fixture
+def health(tmp_path: Path, works: Path) -> DeviceHealth:
+    command = ("/bin/sh", "-c", _PASSES_WITH.format(works))
+    return DeviceHealth("gpu:0", tmp_path, ("gpu-nvidia0",), command, pauses_s=(0.05, 1000))
+
+
+def run(script: str, tmp_path: Path, limit_s: float = 10) -> DeviceTest:
+    return DeviceTest(("/bin/sh", "-c", script), "gpu:0", tmp_path, limit_s=limit_s)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def test_a_cpu_is_ready_at_once(tmp_path: Path) -> None:
+    health = DeviceHealth("cpu", tmp_path, ("cpu",), command_for("cpu"))
+    assert health.is_fit()
+    assert health.state == "ready"
+
+
+def test_each_gpu_of_a_worker_is_tested() -> None:
+    command = command_for("gpu:1,3")
+    assert command is not None
+    assert command[1:] == ("-m", "worker.training.device_test", "2")
+
+
+@pytest.mark.parametrize(
+    ("script", "problem"),
+    [
+        ("true", None),
+        ("echo cuda:0 multiplies wrongly.; echo; exit 3", "failed (status 3): cuda:0 multiplies wrongly."),
+        ("exit 1", "failed (status 1): it said nothing."),
+        ("kill -SEGV $$", "was ended by SIGSEGV: it said nothing."),
+    ],
+)
+def test_a_test_says_what_it_saw(script: str, problem: str | None, tmp_path: Path) -> None:
+    told = result_of(run(script, tmp_path), lambda: False)
+    assert told == (problem and f"A test of the device gpu:0 {problem}")
+
+
+def test_a_device_that_hangs_fails_its_test(tmp_path: Path) -> None:
+    told = result_of(run("sleep 1000", tmp_path, limit_s=0.1), lambda: False)
+    assert told == "A test of the device gpu:0 did not end within 0.1 s."
+
+
+def test_a_test_that_is_called_off_says_nothing_and_leaves_nobody(tmp_path: Path) -> None:
+    test = run("sleep 1000", tmp_path)
+    assert result_of(test, lambda: True) is None
+    assert test.is_over()
+
+
+def test_a_gpu_that_jax_does_not_find_fails_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    command = command_for("gpu:0")
+    assert command is not None
+    told = result_of(DeviceTest(command, "gpu:0", tmp_path), lambda: False)
+    assert told is not None
+    assert "failed (status 1): JAX finds only cpu:0." in told
+
+
+@pytest.mark.gpu
+def test_a_gpu_that_works_passes(tmp_path: Path) -> None:
+    command = command_for("gpu:0")
+    assert command is not None
+    assert result_of(DeviceTest(command, "gpu:0", tmp_path), lambda: False) is None
+
+
+def test_a_worker_is_ready_when_its_device_has_passed(health: DeviceHealth) -> None:
+    assert health.state == "testing"
+    assert not health.is_fit()
+    until(health.is_fit)
+    assert (health.state, health.problem) == ("ready", None)
+
+
+def test_a_device_that_fails_is_set_aside_and_tried_again(health: DeviceHealth, works: Path) -> None:
+    works.unlink()
+    until(lambda: health.is_fit() or health.state == "device_failed")
+    assert health.problem == "A test of the device gpu:0 failed (status 3): cuda:0 multiplies wrongly."
+    assert not health.is_fit()
+    works.touch()
+    until(health.is_fit)
+    assert (health.state, health.problem) == ("ready", None)
+
+
+def test_an_attempt_has_the_device_set_aside_until_it_passes(health: DeviceHealth, tmp_path: Path) -> None:
+    until(health.is_fit)
+    set_aside(mark_of(tmp_path, "gpu-nvidia0"), "It crashed.")
+    assert not health.is_fit()
+    assert (health.state, health.problem) == ("device_failed", "It crashed.")
+    until(health.is_fit)
+    assert not mark_of(tmp_path, "gpu-nvidia0").exists()
+
+
+def test_nobody_else_uses_the_device_meanwhile(tmp_path: Path) -> None:
+    waits = ("/bin/sh", "-c", f"until test -e {tmp_path}/go; do sleep 0.01; done")
+    health = DeviceHealth("gpu:0", tmp_path, ("gpu-nvidia0",), waits)
+    lock = tmp_path / "locks" / "gpu-nvidia0.lock"
+    with slot(lock, 0):  # Somebody's training is still on its way out.
+        assert not health.is_fit()
+        assert health.state == "testing"
+    assert not health.is_fit()
+    with pytest.raises(SlotTaken), slot(lock, 0):
+        pass
+    (tmp_path / "go").touch()
+    until(health.is_fit)
+    with slot(lock, 0):
+        pass

@@ -1,0 +1,124 @@
+"""What a training process says, on its way to the record."""
+
+import threading
+import time
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.errors import RecordsUnavailable
+from core.jobs import feeds
+from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.job import utc_now
+from core.jobs.spec import JOB_SPEC
+from core.jobs.store import Channel, Entry
+from core.jobs.submission import submit
+from worker.protocol import Advanced, FileReady, Hello, Measured, Noted, PhaseEnded, Started
+from worker.supervision.outbox import Outbox
+
+A_DAY_S = 86_400.0
+
+
+@pytest.fixture
+def holding(job_store: PostgresJobStore) -> Holding:
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant"})
+    job = submit(spec, store=job_store, queue=MemoryJobQueue())
+    objects, lease = MemoryObjectStore(), timedelta(seconds=15)
+    holding = claim(job.id, 1, "w", store=job_store, objects=objects, lease=lease, secret=new_secret())
+    assert holding is not None
+    return holding
+
+
+class Outage:
+    """The record takes nothing until it is over. writes: how many entries each one had that it took."""
+
+    def __init__(self, store: PostgresJobStore, patch: pytest.MonkeyPatch) -> None:
+        self.is_over = False
+        self.writes: list[tuple[Channel, int]] = []
+        self._record = store.record
+        patch.setattr(store, "record", self._take)
+
+    def _take(
+        self, job_id: str, token: str, channel: Channel, entries: Any, *rest: Any, **named: Any
+    ) -> None:
+        if not self.is_over:
+            raise RecordsUnavailable("The test switched it off.")
+        self._record(job_id, token, channel, entries, *rest, **named)
+        self.writes.append((channel, len(entries)))
+
+
+@pytest.fixture
+def outage(job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch) -> Outage:
+    return Outage(job_store, monkeypatch)
+
+
+@pytest.fixture
+def outbox(holding: Holding, tmp_path: Path) -> Outbox:
+    return Outbox(holding, tmp_path, keep_checkpoints=1)
+
+
+def read(holding: Holding, channel: Channel) -> list[Entry]:
+    found = feeds.read(holding.job_id, channel, store=holding.store, objects=holding.objects, limit=10_000)
+    return [entry for entry in found if entry.kind != "status"]
+
+
+def test_what_waited_through_an_outage_comes_in_order_with_the_time_at_which_it_was_said(
+    outbox: Outbox, outage: Outage, holding: Holding
+) -> None:
+    outbox.put(Hello(pid=7))
+    for step in range(200):
+        outbox.put(Measured(step=step, values={"reward": float(step)}))
+        outbox.put(Advanced(step=step, total=200))
+        outbox.put(f"line {step}")
+    said_by = utc_now()
+    outage.is_over = True
+    assert outbox.close(30)
+    events, lines = read(holding, "events"), read(holding, "logs")
+    assert [event.data["step"] for event in events if event.kind == "metrics"] == list(range(200))
+    assert [event.kind for event in events] == ["phase", *["metrics", "progress"] * 200]
+    assert [line.data["text"] for line in lines] == [f"line {step}" for step in range(200)]
+    assert max(entry.time for entry in (*events, *lines)) <= said_by
+    assert holding.store.get(holding.job_id).progress.step == 199
+    # 401 entries were said: far fewer writes than that, and none that would take long.
+    counts = [count for channel, count in outage.writes if channel == "events"]
+    assert sum(counts) == 401
+    assert max(counts) <= 100
+    assert len(counts) < 20
+
+
+def test_what_is_said_before_a_file_is_stored_before_it(
+    outbox: Outbox, holding: Holding, tmp_path: Path
+) -> None:
+    outbox.put(Started(device="cpu", engine="native"))
+    for step in (10, 20):
+        outbox.put(Measured(step=step, values={"reward": 1.0}))
+        outbox.put(PhaseEnded(name="evaluation", seconds=0.5))
+        name = f"checkpoint-{step}"
+        (tmp_path / name).write_bytes(b"state")
+        outbox.put(FileReady(name=name, path=name, role="checkpoint", media_type="", step=step))
+    outbox.put(Noted(text="The end."))
+    assert outbox.close(30)
+    assert [entry.kind for entry in read(holding, "events")] == [
+        *("metrics", "phase", "artifact"),
+        *("metrics", "phase", "artifact"),
+        "note",
+    ]
+    metrics = holding.store.get(holding.job_id).newest("metrics")
+    assert metrics is not None
+    assert len(holding.objects.get(metrics.key).splitlines()) == 2
+
+
+def test_a_wait_for_the_stores_can_be_called_off(outbox: Outbox, outage: Outage) -> None:
+    outbox.put("a line")
+    leaving = threading.Event()
+    threading.Timer(0.2, leaving.set).start()
+    began = time.monotonic()
+    assert not outbox.close(A_DAY_S, leaving.is_set)
+    assert 0.2 <= time.monotonic() - began < 3
+    outage.is_over = True
+    assert outbox.close(30)

@@ -1,0 +1,248 @@
+"""A model in its confined process: what is found in it, and what it cannot do to the worker."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.environments.mjcf.describe import inventory
+from core.environments.mjcf.model import compiled, read
+from core.errors import BadModel, ModelNotFound
+from core.jobs.job import utc_now
+from core.models import library
+from core.storage import keys
+from tests import models
+from tests.unit.environments.mjcf.probe import XML
+from tests.unit.environments.mjcf.test_archive import zipped
+from worker.confinement.limits import Limits
+from worker.validation import confined
+from worker.validation.answer import Answer, read_answer
+from worker.validation.confined import look, validate
+from worker.validation.findings import findings
+
+NO_MOTOR = XML.replace(
+    b'<motor name="elbow" joint="elbow" gear="2" ctrllimited="true" ctrlrange="-0.5 1.5"/>', b""
+)
+# Nine million geoms, written in 200 bytes.
+SLOW = XML.replace(
+    b'<body name="ball"',
+    b'<replicate count="3000" euler="0 0 1"><replicate count="3000" offset="0 0 1"><geom size="0.1"/>'
+    b'</replicate></replicate><body name="ball"',
+)
+URDF = b"""<robot name="arm">
+  <link name="base"/>
+  <link name="fore"><inertial><mass value="1"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <joint name="elbow" type="revolute"><parent link="base"/><child link="fore"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="5" velocity="1"/></joint>
+</robot>"""
+
+
+def looked(body: bytes, folder: Path, limits: Limits | None = None) -> Answer:
+    """The last word; and nothing runs on."""
+    *_, answer = look(body, folder, folder, limits or Limits())
+    assert not [child for child in psutil.Process().children() if str(folder) in child.cmdline()]
+    return answer
+
+
+def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path: Path) -> None:
+    # MJX has no contacts of ellipsoids with boxes.
+    body = XML.replace(b'<body name="ball"', b'<geom type="box" size="1 1 1" pos="0 0 -1"/><body name="ball"')
+    body = body.replace(b'name="sphere" size="0.1"', b'name="sphere" type="ellipsoid" size="0.1 0.1 0.2"')
+    first, last = look(body, tmp_path, tmp_path, Limits())
+    assert first.description is not None
+    assert (first.description.engines, first.description.complete) == ({"native": None}, False)
+    found = last.description
+    assert found is not None
+    assert found.complete
+    assert found.inventory.bodies == ["world", "ball", "arm"]
+    assert found.physics_steps_per_second > 1000
+    assert found.settled_height == pytest.approx(0.5)  # There is no gravity.
+    assert found.notes == []
+    assert (found.engines["native"], found.engines["warp"]) == (None, None)
+    why = found.engines["mjx"]
+    assert why is not None
+    assert "not implemented" in why
+
+
+def test_what_an_engine_can_hold_but_not_step_is_found_too(tmp_path: Path) -> None:
+    # A rangefinder that sees one geom alone: MJX takes the model, and its step cannot be traced.
+    one_geom = XML.replace(b'<geom name="floor" type="plane" size="5 5 1"/>', b"")
+    (tmp_path / "model").write_bytes(one_geom.replace(b"<sensor>", b'<sensor><rangefinder site="middle"/>'))
+    *_, found = findings(tmp_path / "model")
+    assert found.complete
+    assert found.engines["mjx"] is not None
+    assert found.engines["warp"] is None
+
+
+def test_a_body_without_a_floor_is_described_with_a_word_about_that(tmp_path: Path) -> None:
+    falling = XML.replace(b'gravity="0 0 0"', b"")
+    # Half a second of the trial's wall time is enough for its 2 s: g t² / 2 = 19.6 m.
+    for body, said in (
+        (falling.replace(b'name="floor"', b'contype="0" conaffinity="0"'), "It fell 20 m"),
+        (falling, ""),
+    ):
+        (tmp_path / "model").write_bytes(body)
+        notes = next(findings(tmp_path / "model")).notes
+        assert (len(notes), " ".join(notes)[: len(said)]) == (bool(said), said)
+
+
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        (XML.replace(b'joint="elbow"', b'joint="knee"'), "MuJoCo cannot compile the model: Error: unknown"),
+        (XML.replace(b"<mujoco>", b'<mujoco><size memory="900G"/>'), "memory"),
+        (XML.replace(b'mass="0.1"', b'mass="1e309"'), "number is too large"),
+        (b'<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "document type"),
+        (b'<mujoco><include file="/etc/hostname"/></mujoco>', "send both in a zip"),
+        (zipped({"model.xml": XML, "m.stl": b"\0" * 2**22}), "times its size"),
+    ],
+)
+def test_a_model_that_no_job_could_use_is_refused(body: bytes, sentence: str, tmp_path: Path) -> None:
+    answer = looked(body, tmp_path)
+    assert answer.description is None
+    assert answer.refusal is not None
+    assert sentence in answer.refusal
+    assert str(tmp_path) not in answer.refusal
+
+
+@pytest.mark.parametrize("timestep", [b"0", b"-0.002", b"1e-9", b"10"])
+def test_a_time_step_that_no_job_could_take_is_refused(timestep: bytes, tmp_path: Path) -> None:
+    (tmp_path / "model").write_bytes(XML.replace(b'"0.01"', b'"%s"' % timestep, 1))
+    with pytest.raises(BadModel, match=r"timestep is .* s, and may be 1e-05 s to 0.1 s"):
+        next(findings(tmp_path / "model"))
+
+
+def test_a_model_that_takes_too_long_is_refused_and_its_process_is_gone(tmp_path: Path) -> None:
+    answer = looked(SLOW, tmp_path, Limits(wall_s=0.2))
+    assert answer.refusal == "MuJoCo was not done with the model within 0.2 s; make it smaller."
+
+
+def test_a_model_that_needs_too_much_memory_is_refused(tmp_path: Path) -> None:
+    texture = b'<asset><texture name="t" type="2d" builtin="flat" width="30000" height="30000"/></asset>'
+    limits = dataclasses.replace(Limits(), memory_bytes=2 * 2**30)
+    answer = looked(XML.replace(b"<mujoco>", b"<mujoco>" + texture), tmp_path, limits)
+    assert answer.refusal is not None
+    assert "memory" in answer.refusal
+
+
+@pytest.mark.parametrize("body", [URDF, zipped({"arm.urdf": URDF}), zipped({"arm.xml": URDF})])
+def test_a_urdf_gets_a_motor_for_each_joint_whatever_it_is_called(body: bytes, tmp_path: Path) -> None:
+    (tmp_path / "model").write_bytes(body)
+    with read(tmp_path / "model") as spec:
+        has = inventory(compiled(spec))
+    assert [(one.name, one.control_range) for one in has.actuators] == [("elbow", (-1.0, 1.0))]
+
+
+# Runs the same program, after something was taken away from the kernel.
+_WITHOUT = "from worker.validation import __main__ as it, landlock, seccomp\n{change}\nit.main()"
+_NO_LANDLOCK = "landlock.version = lambda: 0"
+_NO_SECCOMP = "seccomp._PROCESSORS.clear()"
+
+
+@pytest.mark.parametrize(("change", "layer"), [(_NO_LANDLOCK, "files"), (_NO_SECCOMP, "calls")])
+def test_a_model_is_refused_unread_where_its_process_cannot_be_confined(
+    change: str, layer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(confined, "_PROGRAM", ("-c", _WITHOUT.format(change=change)))
+    answer = looked(XML, tmp_path)
+    assert answer.description is None
+    assert answer.refusal is not None
+    assert answer.refusal.startswith(
+        f"This worker's system cannot confine the process that reads models, so it reads none ({layer}: "
+    )
+    assert "GAITWAY_MODELS" in answer.refusal
+
+
+def test_whoever_accepts_that_has_models_read_in_the_layers_that_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    change = f"{_NO_LANDLOCK}; {_NO_SECCOMP}"
+    monkeypatch.setattr(confined, "_PROGRAM", ("-c", _WITHOUT.format(change=change)))
+    answer = next(look(XML, tmp_path, tmp_path, Limits(), strictly=False))
+    assert answer.description is not None
+    assert answer.layers == ("limits", "privileges")
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe", "nonsense", "nothing"])
+def test_a_reader_that_was_taken_over_cannot_make_its_worker_read_or_wait(kind: str, tmp_path: Path) -> None:
+    secret, said = tmp_path / "secret", tmp_path / "answer.json"
+    secret.write_text(Answer(refusal="secret").model_dump_json())
+    if kind == "link":
+        said.symlink_to(secret)
+    elif kind == "pipe":
+        os.mkfifo(said)
+    elif kind == "nonsense":
+        said.write_bytes(b'{"refusal": 7')
+    assert read_answer(said) == Answer()
+
+
+def test_a_confined_process_dies_with_its_worker(tmp_path: Path) -> None:
+    (tmp_path / "slow.xml").write_bytes(SLOW)
+    program = (
+        "import sys; from pathlib import Path; from worker.validation.confined import look, Limits;"
+        "here = Path(sys.argv[1]);"
+        "list(look((here / 'slow.xml').read_bytes(), here, here, Limits(), strictly=False))"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, str(tmp_path)]) as worker:
+        while not (confined := psutil.Process(worker.pid).children()):
+            time.sleep(0.02)
+        worker.kill()
+    until = time.monotonic() + 10
+    while confined[0].is_running() and confined[0].status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def test_the_library_keeps_what_was_found_and_of_a_refused_one_no_file(
+    tmp_path: Path, job_store: PostgresJobStore
+) -> None:
+    objects, queue = MemoryObjectStore(), MemoryJobQueue()
+    stores: Any = {"store": job_store, "objects": objects, "queue": queue}
+    record = models.add(NO_MOTOR, **stores, now=utc_now())
+    assert queue.take_model() == record.id
+    validate(record.id, job_store, objects, tmp_path, tmp_path)
+    found = library.find(record.id, job_store)
+    assert (found.status, found.message) == (
+        "refused",
+        "The model has no actuators, so no policy could move it.",
+    )
+    assert found.refused_at is not None
+    assert found.refused_at >= record.created_at
+    assert list(objects.list("")) == []
+    # Sent again, it is looked at again.
+    again = models.add(NO_MOTOR, **stores, now=utc_now())
+    assert (again.status, queue.contains_model(record.id)) == ("validating", True)
+
+
+def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sent_again(
+    tmp_path: Path, job_store: PostgresJobStore
+) -> None:
+    objects, queue = MemoryObjectStore(), MemoryJobQueue()
+    stores: Any = {"store": job_store, "objects": objects, "queue": queue}
+    record = models.add(NO_MOTOR, **stores, now=utc_now())
+    objects.delete_prefix(keys.model_source(record.id))  # as a worker that was killed before it kept why
+    validate(record.id, job_store, objects, tmp_path, tmp_path)
+    found = library.find(record.id, job_store)
+    assert (found.status, found.message) == (
+        "refused",
+        "A worker was stopped while it refused the model; send it again to be told why.",
+    )
+    models.add(NO_MOTOR, **stores, now=utc_now())
+    assert objects.get(keys.model_source(record.id)) == NO_MOTOR
+
+
+def test_a_model_that_was_deleted_meanwhile_does_not_come_back(
+    tmp_path: Path, job_store: PostgresJobStore
+) -> None:
+    with pytest.raises(ModelNotFound):
+        validate(f"sha256:{'0' * 64}", job_store, MemoryObjectStore(), tmp_path, tmp_path)

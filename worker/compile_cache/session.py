@@ -1,0 +1,100 @@
+"""What was compiled before, brought to an attempt, and what it compiles itself, kept for those to come.
+
+The training process knows of none of this: it finds a folder `cache` where it stands.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from threading import Thread
+
+import structlog
+
+from core.jobs.job import utc_now
+from core.patience import CalledOff
+from core.settings import WorkerSettings
+from core.storage.objects import ObjectStore
+from worker.compile_cache.fingerprint import fingerprint
+from worker.compile_cache.local import CACHE, keep_within, lend, take_over
+from worker.compile_cache.remote import SharedCache
+
+log = structlog.get_logger()
+
+# How long a job waits for what others compiled before it starts without it.
+_FETCH_PATIENCE_S = 10.0
+# How long a worker that is done with a job waits until others have what it compiled.
+_STORE_PATIENCE_S = 60.0
+_GLANCE_S = 0.05
+
+
+class Caches:
+    """Nothing that fails here fails the job: it compiles, as a first one would, and the log has a note."""
+
+    def __init__(self, objects: ObjectStore, settings: WorkerSettings, device: str, spool: Path) -> None:
+        self._objects = objects
+        self._machine = fingerprint(device)
+        self._all = settings.data_dir.absolute() / CACHE
+        self._kept, self._own, self._room = self._all / self._machine, spool / CACHE, spool
+        self._max_bytes, self._shared_max_bytes = settings.cache_max_bytes, settings.shared_cache_max_bytes
+        self._shared: SharedCache | None = None
+        self._thread: Thread | None = None  # The last that was begun; each waits for the one before.
+
+    def open(self, environment: str, called_off: Callable[[], bool]) -> None:
+        """Lay out for the job what is known here or elsewhere of its environment. Raises CalledOff."""
+        if self._shared_max_bytes:
+            self._shared = SharedCache(self._objects, self._machine, environment)
+            self._begin("caches_not_fetched", partial(self._fetch, self._shared))
+            self._wait(_FETCH_PATIENCE_S, called_off)
+        _attempt("caches_not_lent", partial(lend, self._kept, self._own))
+
+    def keep(self) -> None:
+        """Keep what the job has compiled by now; others will have it soon."""
+        _attempt("caches_not_kept", self._keep)
+
+    def close(self, called_off: Callable[[], bool]) -> None:
+        """Let others have the rest, but not for long; and make room."""
+        try:
+            self._wait(_STORE_PATIENCE_S, called_off)
+        except CalledOff:
+            log.info("caches_not_shared", error="The worker goes.")
+        _attempt("caches_not_bounded", partial(keep_within, self._all, self._max_bytes))
+
+    def _fetch(self, shared: SharedCache) -> None:
+        if fetched := shared.fetch(self._kept, self._room):
+            log.info("caches_fetched", num_files=fetched)
+
+    def _keep(self) -> None:
+        new = take_over(self._own, self._kept)
+        if new and self._shared:
+            self._begin("caches_not_shared", partial(self._store, self._shared, new))
+
+    def _store(self, shared: SharedCache, new: list[str]) -> None:
+        stored = shared.store(self._kept, new, utc_now())
+        shared.keep_within(self._shared_max_bytes)
+        log.info("caches_shared", num_files=stored)
+
+    def _begin(self, failure: str, step: Callable[[], None]) -> None:
+        before = self._thread
+
+        def work() -> None:
+            if before:
+                before.join()
+            _attempt(failure, step)
+
+        self._thread = Thread(target=work, name="caches", daemon=True)
+        self._thread.start()
+
+    def _wait(self, patience_s: float, called_off: Callable[[], bool]) -> None:
+        until = time.monotonic() + patience_s
+        while self._thread and self._thread.is_alive() and time.monotonic() < until:
+            if called_off():
+                raise CalledOff
+            self._thread.join(_GLANCE_S)
+
+
+def _attempt(failure: str, step: Callable[[], None]) -> None:
+    try:
+        step()
+    except Exception as error:  # Whatever it is, no job shall fail for it.
+        log.warning(failure, error=str(error))

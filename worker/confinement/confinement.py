@@ -1,0 +1,82 @@
+"""A process that reads a stranger's model binds itself first. It imports nothing but Python's own library.
+
+Every layer holds, or the process ends before it has read a byte.
+"""
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from worker.confinement import landlock, privileges, seccomp
+from worker.confinement.limits import Limits, limit
+
+Layer = Literal["limits", "privileges", "user", "files", "calls"]
+_CODE = Path(__file__).resolve().parents[2]
+# Programs and libraries, and what these ask about the machine. Nothing of /etc but the linker's list.
+_SYSTEM = (
+    *("/usr", "/lib", "/lib64", "/bin", "/nix/store"),
+    *("/etc/ld.so.cache", "/etc/localtime", "/dev/null", "/dev/zero", "/dev/urandom"),
+    *("/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/self", "/sys/devices/system/cpu"),
+)
+_PACKAGES = ("core", "worker")
+
+
+class Unconfined(Exception):
+    """A layer does not hold here; the message says which and why."""
+
+
+def confine(limits: Limits, folder: Path, *, strictly: bool = True) -> tuple[Layer, ...]:
+    """Bind this process and all it starts, for good, to the limits and to its folder; which layers hold.
+
+    "limits" on time, memory and files; a "user" of its own, where this is root and Python is open to all; no
+    "privileges"; no "files" but its own and those of programs and libraries; no "calls" that make sockets,
+    reach other processes or mount. Where the kernel has no Landlock, only a user of its own keeps it from the
+    worker's files. strictly: raises Unconfined where a layer fails, or neither of these two holds.
+    """
+    held = list[Layer]()
+    steps: tuple[tuple[Layer, Callable[[], object]], ...] = (
+        ("limits", lambda: limit(limits)),
+        ("user", lambda: privileges.become_nobody(folder)),
+        ("privileges", privileges.give_up),
+        ("files", lambda: _keep_to(folder)),
+        ("calls", seccomp.refuse_calls),
+    )
+    for layer, step in steps:
+        try:
+            if step() is not False:
+                held.append(layer)
+        # A system other than Linux lacks the functions themselves.
+        except (OSError, ValueError, AttributeError) as error:
+            if strictly:
+                raise Unconfined(f"{layer}: {error}") from error
+    if strictly and not {"user", "files"} & set(held):
+        raise Unconfined(
+            "files: this kernel has no Landlock (Linux 5.13 or newer, and switched on), and the worker is no "
+            "root whose Python and GAITWAY_DATA_DIR are open to other users"
+        )
+    return tuple(held)
+
+
+def _keep_to(folder: Path) -> bool:
+    """False where there is no Landlock."""
+    if not landlock.version():
+        return False
+    libraries = {
+        sys.prefix,
+        sys.base_prefix,
+        sys.exec_prefix,
+        *os.environ.get("LD_LIBRARY_PATH", "").split(":"),
+    }
+    landlock.restrict(
+        readable=[
+            *map(Path, _SYSTEM),
+            *map(Path, libraries - {"", "/"}),
+            *(_CODE / name for name in _PACKAGES),
+        ],
+        # Python lists the folders that it looks for modules in. The checkout may hold an `.env`.
+        listable=[_CODE],
+        writable=[folder, Path("/dev/null")],
+    )
+    return True

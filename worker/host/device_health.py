@@ -1,0 +1,186 @@
+"""Whether a worker's device works: tested before the first job, and after an end that it may have caused.
+
+A device that fails is set aside: its worker takes no job until a later test is passed.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import structlog
+
+from core.devices import gpu_indices
+from core.jobs.status import Reason
+from core.jobs.store import WorkerState
+from core.patience import CalledOff, pause
+from worker.host.child import environment
+from worker.host.device_lock import SlotTaken, slots
+
+log = structlog.get_logger()
+
+# After which ends of an attempt a device is tested before anybody uses it again.
+SUSPICIOUS = frozenset({Reason.NATIVE_CRASH, Reason.DEVICE_FAILED, Reason.TRAINING_STALLED})
+# JAX and CUDA take some 10 s to start on a machine that has just been started.
+_TEST_S = 60.0
+_GLANCE_S = 0.1
+# From a test that was not passed to the next one; the last for all others.
+_PAUSES_S = (60.0, 300.0, 900.0)
+
+
+def command_for(device: str) -> tuple[str, ...] | None:
+    """The program that tests a device; None for a CPU, which runs this code already."""
+    gpus = gpu_indices(device)
+    return (sys.executable, "-m", "worker.training.device_test", str(len(gpus))) if gpus else None
+
+
+class DeviceTest:
+    """A child process that tests the device. Started at once; fds: inherited by it, as are the slot's."""
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        device: str,
+        data_dir: Path,
+        fds: Sequence[int] = (),
+        limit_s: float = _TEST_S,
+    ) -> None:
+        self._device, self._limit_s = device, limit_s
+        self._deadline = time.monotonic() + limit_s
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 # `close` does.
+        self._child = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=self._said,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            pass_fds=fds,
+            env=environment(device, data_dir, os.environ),
+        )
+
+    def is_over(self) -> bool:
+        """Whether there is a result."""
+        return self._child.poll() is not None or time.monotonic() > self._deadline
+
+    def problem(self) -> str | None:
+        """What is wrong with the device, as a sentence; None where nothing is. For a test that is over."""
+        status, last_line = self._child.poll(), self._last_line()
+        self.close()
+        if status == 0:
+            return None
+        if status is None:
+            return f"A test of the device {self._device} did not end within {self._limit_s:g} s."
+        ending = f"was ended by {signal.Signals(-status).name}" if status < 0 else f"failed (status {status})"
+        return f"A test of the device {self._device} {ending}: {last_line}"
+
+    def close(self) -> None:
+        """No process is left. One that hangs in a driver goes when the driver lets it."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._child.pid, signal.SIGKILL)
+        with suppress(subprocess.TimeoutExpired):
+            self._child.wait(5)
+        self._said.close()
+
+    def _last_line(self) -> str:
+        self._said.seek(0)
+        lines = self._said.read().decode(errors="replace").split("\n")
+        return next((line.strip()[:500] for line in reversed(lines) if line.strip()), "it said nothing.")
+
+
+def result_of(test: DeviceTest, called_off: Callable[[], bool]) -> str | None:
+    """What is wrong with the device; None also where the test was called off."""
+    try:
+        while not test.is_over():
+            pause(_GLANCE_S, called_off)
+    except CalledOff:
+        test.close()
+        return None
+    return test.problem()
+
+
+def mark_of(data_dir: Path, slot_name: str) -> Path:
+    """The file by which an attempt tells its worker that the device has failed; it holds the sentence."""
+    return data_dir / "devices" / f"{slot_name}.failed"
+
+
+def set_aside(mark: Path, problem: str) -> None:
+    """The worker will see it before it takes another job."""
+    mark.parent.mkdir(parents=True, exist_ok=True)
+    mark.write_text(problem)
+
+
+class DeviceHealth:
+    """What a worker knows of its device. command: the test; None where there is none to pass.
+
+    slot_names: of the device, which nobody else may use during a test.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        data_dir: Path,
+        slot_names: Sequence[str],
+        command: Sequence[str] | None,
+        pauses_s: Sequence[float] = _PAUSES_S,
+    ) -> None:
+        self.state: WorkerState = "ready" if command is None else "testing"
+        self.problem: str | None = None
+        self._device, self._data_dir, self._command = device, data_dir, command
+        self._locks = [data_dir / "locks" / f"{name}.lock" for name in slot_names]
+        self._mark = mark_of(data_dir, slot_names[0])
+        self._pauses_s = pauses_s
+        self._num_failures = 0
+        self._test_at = 0.0
+        self._test: DeviceTest | None = None
+        self._held = ExitStack()
+
+    def is_fit(self) -> bool:
+        """Whether the worker may take a job. Ask until it is so: each call does a little, and none waits."""
+        if self._command is None:
+            return True
+        if self.state == "ready":
+            with suppress(FileNotFoundError):
+                self._fail(self._mark.read_text())
+        if self._test is not None:
+            self._look(self._test)
+        elif self.state != "ready" and time.monotonic() >= self._test_at:
+            self._begin(self._command)
+        return self.state == "ready"
+
+    def close(self) -> None:
+        """End a test that runs."""
+        if self._test is not None:
+            self._test.close()
+            self._test = None
+        self._held.close()
+
+    def _begin(self, command: Sequence[str]) -> None:
+        try:
+            fds = self._held.enter_context(slots(self._locks, 0.0))
+        except SlotTaken:  # A training whose worker was killed is on its way out.
+            return
+        self._test = DeviceTest(command, self._device, self._data_dir, fds)
+
+    def _look(self, test: DeviceTest) -> None:
+        if not test.is_over():
+            return
+        problem = test.problem()
+        self.close()
+        if problem is not None:
+            self._fail(problem)
+            return
+        self._mark.unlink(missing_ok=True)
+        self.state, self.problem, self._num_failures = "ready", None, 0
+        log.info("device_works", device=self._device)
+
+    def _fail(self, problem: str) -> None:
+        pause_s = self._pauses_s[min(self._num_failures, len(self._pauses_s) - 1)]
+        self._num_failures += 1
+        self.state, self.problem = "device_failed", problem
+        self._test_at = time.monotonic() + pause_s
+        log.error("device_set_aside", device=self._device, detail=problem, tested_again_in_s=pause_s)

@@ -1,0 +1,35 @@
+"""How much memory a worker's device has, found without loading the numerical stack."""
+
+import shutil
+import subprocess
+
+from core.devices import gpu_indices
+from worker.host.memory import allowed_bytes
+
+_PATIENCE_S = 10.0
+_MIB = 2**20
+
+
+def device_memory(device: str, memory_limit: int | None) -> int | None:
+    """The bytes of `cpu`, which are what a training may take of the machine's; or of each GPU, the least.
+
+    memory_limit: the setting. None where NVIDIA's program for it is not there, or does not know the GPU.
+    """
+    indices = gpu_indices(device)
+    if not indices:
+        return allowed_bytes(memory_limit)
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return None
+    asked = [
+        "--query-gpu=memory.total",
+        "--format=csv,noheader,nounits",
+        f"--id={','.join(map(str, indices))}",
+    ]
+    try:
+        said = subprocess.run(
+            [program, *asked], capture_output=True, text=True, timeout=_PATIENCE_S, check=True
+        )
+        return _MIB * min(int(line) for line in said.stdout.splitlines())
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return None

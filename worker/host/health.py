@@ -1,0 +1,52 @@
+"""A sign of life for whoever watches a container: a file whose age tells when its process last worked.
+
+`python -m worker.host.health` is the health check: exit status 0 while the last sign is younger than a
+minute, and that of each member of a fleet.
+"""
+
+import glob
+import os
+import sys
+import time
+from pathlib import Path
+
+from core.variables import variable
+
+_LONGEST_SILENCE_S = 60.0
+
+
+def show_life(file: Path | None) -> None:
+    """Touch the file, if one is set."""
+    if file is not None:
+        file.touch()
+
+
+def silence_s(file: Path) -> float:
+    """How long ago the last sign was; infinite if there was none."""
+    try:
+        return time.time() - file.stat().st_mtime
+    except FileNotFoundError:
+        return float("inf")
+
+
+def begin_fleet(file: Path, num_members: int) -> list[Path]:
+    """A file for each member, beside this one. All begin as a sign of life: that gives them a minute."""
+    for old in _of_members(file):
+        old.unlink()
+    signs = [file.with_name(f"{file.name}.{number}") for number in range(num_members)]
+    for sign in signs:
+        sign.touch()
+    return signs
+
+
+def longest_silence_s(file: Path) -> float:
+    """Of the process that touches this file; or of the members of a fleet, if one was begun with it."""
+    return max(map(silence_s, _of_members(file) or [file]))
+
+
+def _of_members(file: Path) -> list[Path]:
+    return list(file.parent.glob(f"{glob.escape(file.name)}.*"))
+
+
+if __name__ == "__main__":
+    sys.exit(longest_silence_s(Path(os.environ[variable("alive_file")])) > _LONGEST_SILENCE_S)

@@ -1,0 +1,64 @@
+"""The render process: `python -m worker.render.process REQUEST.json`. It loads no JAX.
+
+It answers with one JSON line, a RenderResult with exit status 0, or a RenderFailure with another.
+MUJOCO_GL is its caller's to set.
+"""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+from core.errors import Rejected
+from core.rendering.gl import context_works
+from core.rendering.request import RenderFailure, RenderRequest, RenderResult
+from worker.host.disk import is_full, what_to_do
+from worker.host.parent_death import die_with_parent
+
+NO_GL, BAD_REQUEST = 3, 4
+PARENT = "GAITWAY_PARENT_PID"
+
+
+def main(arguments: list[str]) -> int:
+    parent = os.environ.get(PARENT)
+    die_with_parent(int(parent) if parent else None)
+    # A signal to the whole group is a word to the parent, who may still want this video.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    request = RenderRequest.model_validate_json(Path(arguments[0]).read_bytes())
+    try:
+        context_works()
+    except Exception as error:  # whatever GL raises means the same to our caller
+        return _answer(RenderFailure(reason="no_gl", message=f"{type(error).__name__}: {error}"), NO_GL)
+    try:
+        return _answer(_draw(request), 0)
+    except (Rejected, ValueError, OSError) as error:
+        message = what_to_do() if is_full(error) else str(error)
+        return _answer(RenderFailure(reason="bad_request", message=message), BAD_REQUEST)
+
+
+def _draw(request: RenderRequest) -> RenderResult:
+    # Imported here: only a process with working GL needs them.
+    from core.environments import trajectory
+    from core.rendering.clip import draw, load_model
+    from core.rendering.timeline import Motion
+
+    motions = [
+        Motion(
+            episode.time,
+            episode.qpos.astype("float64"),
+            None if episode.target is None else episode.target.astype("float64"),
+        )
+        for episode in trajectory.load(request.trajectory).episodes
+    ]
+    return draw(request, load_model(request.model), motions, gl_backend=os.environ.get("MUJOCO_GL", ""))
+
+
+def _answer(answer: RenderResult | RenderFailure, status: int) -> int:
+    sys.stdout.write(answer.model_dump_json() + "\n")
+    sys.stdout.flush()
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

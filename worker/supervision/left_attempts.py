@@ -1,0 +1,74 @@
+"""Ends of attempts that a worker could not tell PostgreSQL before it had to go: they wait on its disk.
+
+The next worker on that disk tells them. Where it comes too late, the job was taken back as a lost worker's.
+"""
+
+import os
+from pathlib import Path
+
+import structlog
+from pydantic import ValidationError
+
+from core.errors import Conflict, NotFound
+from core.jobs.attempts import Holding
+from core.jobs.job import Job
+from core.jobs.status import JobStatus, Reason
+from core.jobs.store import JobStore
+from core.model import Stored
+from core.storage.objects import ObjectStore
+from worker.supervision.outcome import Outcome
+
+log = structlog.get_logger()
+
+# Their folder in GAITWAY_DATA_DIR.
+LEFT = "left"
+
+
+class LeftAttempt(Stored):
+    """An attempt and its outcome, as they are written to disk."""
+
+    job_id: str
+    number: int
+    token: str
+    status: JobStatus | None
+    reason: Reason
+    message: str
+
+
+def end(holding: Holding, outcome: Outcome) -> Job:
+    """Tell the record how the attempt ended. Raises LeaseLost, NotFound, RecordsUnavailable."""
+    if outcome.status is None:
+        return holding.give_back(outcome.reason, outcome.message)
+    return holding.end(outcome.status, outcome.reason, outcome.message)
+
+
+def leave(data_dir: Path, holding: Holding, outcome: Outcome) -> None:
+    """Keep the end for whoever works here next. Raises OSError."""
+    folder = data_dir / LEFT
+    folder.mkdir(parents=True, exist_ok=True)
+    left = LeftAttempt(
+        job_id=holding.job_id,
+        number=holding.number,
+        token=holding.token,
+        status=outcome.status,
+        reason=outcome.reason,
+        message=outcome.message,
+    )
+    part = folder / f"{holding.job_id}.{holding.number}.part"
+    part.write_text(left.model_dump_json())
+    os.replace(part, part.with_suffix(".json"))
+
+
+def tell_left(data_dir: Path, store: JobStore, objects: ObjectStore) -> None:
+    """Tell the record every end that is kept here. Raises RecordsUnavailable; what was not told stays."""
+    for path in sorted((data_dir / LEFT).glob("*.json")):
+        try:
+            left = LeftAttempt.model_validate_json(path.read_bytes())
+            holding = Holding(left.job_id, left.number, left.token, store, objects)
+            job = end(holding, Outcome(left.status, left.reason, left.message))
+            log.info("left_attempt_told", job_id=job.id, status=job.status, reason=left.reason)
+        except FileNotFoundError:  # Another worker on this disk was faster.
+            continue
+        except (Conflict, NotFound, ValidationError) as error:  # The job has gone on without it.
+            log.warning("left_attempt_dropped", file=path.name, error=str(error))
+        path.unlink(missing_ok=True)

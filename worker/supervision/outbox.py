@@ -1,0 +1,224 @@
+"""From what the training process says to stored facts, in order, whatever the network does meanwhile."""
+
+import contextlib
+import hashlib
+import queue
+import secrets
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from threading import Thread
+
+from core.errors import StorageUnavailable
+from core.jobs.attempts import Holding
+from core.jobs.job import Artifact, Progress, utc_now
+from core.jobs.store import Channel, Entry
+from core.patience import through_outages
+from core.storage import keys
+from worker.protocol import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
+from worker.supervision.measurements import Measurements
+
+# How long an object that the record no longer names is kept for those who are reading it.
+_LINGER_S = 60.0
+_GLANCE_S = 0.1
+# What becomes an entry of the feed, and nothing else; and how much of it is one write.
+_MOST_SAID = 100
+_SAID = Hello | PhaseEnded | Advanced | Measured | Noted
+
+
+@dataclass(frozen=True)
+class _Heard:
+    """A message, or a line of the log, and when it came."""
+
+    what: Message | str
+    time: datetime
+
+
+class Outbox:
+    """A thread that stores messages and log lines. An outage makes it wait, never the training."""
+
+    def __init__(self, holding: Holding, spool: Path, keep_checkpoints: int) -> None:
+        self._failure: Exception | None = None
+        self._holding = holding
+        self._spool = spool
+        self._keep_checkpoints = keep_checkpoints
+        self._measurements = Measurements(holding.job_id, holding.store, holding.objects)
+        self._dropped: list[tuple[float, str]] = []
+        self._waiting: queue.SimpleQueue[_Heard | None] = queue.SimpleQueue()
+        self._thread = Thread(target=self._work, name="outbox", daemon=True)
+        self._thread.start()
+
+    @property
+    def num_waiting(self) -> int:
+        """How many messages and lines are not stored yet."""
+        return self._waiting.qsize()
+
+    def put(self, item: Message | str) -> None:
+        """Take a message, or a line of the log."""
+        self._waiting.put(_Heard(item, utc_now()))
+
+    def close(self, patience_s: float, called_off: Callable[[], bool] = lambda: False) -> bool:
+        """Wait until all is stored, for `patience_s` at most and until it is called off; whether it is.
+
+        Raises what `check` raises.
+        """
+        self._waiting.put(None)
+        deadline = time.monotonic() + patience_s
+        while self._thread.is_alive() and time.monotonic() < deadline and not called_off():
+            self._thread.join(min(_GLANCE_S, patience_s))
+        self.check()
+        return not self._thread.is_alive()
+
+    def check(self) -> None:
+        """Raises what ended the storing before its time: LeaseLost, where the attempt's job is not ours."""
+        if self._failure is not None:
+            raise self._failure
+
+    def _work(self) -> None:
+        while True:
+            items = self._take()
+            heard = [item for item in items if item is not None]
+            for step in self._steps(heard):
+                if not self._insist(step):
+                    return
+            if None in items:
+                return
+
+    def _take(self) -> list[_Heard | None]:
+        """At least one item; and, so that a flood is few writes, what else waits already."""
+        items = [self._waiting.get()]
+        with contextlib.suppress(queue.Empty):
+            while len(items) < 500:
+                items.append(self._waiting.get_nowait())
+        return items
+
+    def _steps(self, heard: Sequence[_Heard]) -> Iterator[Callable[[], None]]:
+        """What stores these: the lines in one write, and in one write each what is said between two files."""
+        lines = [item for item in heard if isinstance(item.what, str)]
+        if lines:
+            yield partial(self._store_lines, lines, _new_id())
+        messages = [item for item in heard if not isinstance(item.what, str)]
+        for is_said, group in groupby(messages, lambda item: isinstance(item.what, _SAID)):
+            found = list(group)
+            size = _MOST_SAID if is_said else 1
+            for first in range(0, len(found), size):
+                part = found[first : first + size]
+                yield partial(self._store_said if is_said else self._store_one, part, _new_id())
+
+    def _insist(self, step: Callable[[], None]) -> bool:
+        """Do it, through any outage; whether it was possible at all."""
+        try:
+            through_outages(step)
+        except Exception as error:  # Whatever it is, the job must not seem done.
+            self._failure = error
+            return False
+        return True
+
+    def _store_lines(self, lines: Sequence[_Heard], write_id: str) -> None:
+        self._record(
+            "logs", [Entry(kind="line", time=item.time, data={"text": item.what}) for item in lines], write_id
+        )
+
+    def _store_said(self, said: Sequence[_Heard], write_id: str) -> None:
+        entries = [_entry(item) for item in said]
+        newest = next((item.what for item in reversed(said) if isinstance(item.what, Advanced)), None)
+        progress = None if newest is None else Progress.model_validate(newest.model_dump(exclude={"type"}))
+        self._record("events", entries, write_id, progress)
+        for entry in entries:
+            if entry.kind == "metrics":
+                self._measurements.add(entry)
+
+    def _store_one(self, heard: Sequence[_Heard], write_id: str) -> None:
+        (item,) = heard
+        match item.what:
+            case Started(device=device, engine=engine, details=details):
+                self._holding.start(device=device, engine=engine, details=details)
+            case FileReady() as message:
+                self._publish(message, item.time, write_id)
+            case _:  # Failed and Finished are the supervisor's to weigh.
+                pass
+
+    def _record(
+        self, channel: Channel, entries: Sequence[Entry], write_id: str, progress: Progress | None = None
+    ) -> None:
+        self._holding.store.record(
+            self._holding.job_id, self._holding.token, channel, entries, progress, write_id=write_id
+        )
+
+    def _publish(self, message: FileReady, heard_at: datetime, write_id: str) -> None:
+        path = self._spool / message.path
+        published = [self._upload(message, path)]
+        if message.role == "checkpoint":
+            published.append(self._upload_metrics())
+        _, dropped = self._holding.publish(tuple(published), self._keep_checkpoints)
+        said = {"name": message.name, "role": message.role, "step": message.step}
+        self._record("events", [Entry(kind="artifact", time=heard_at, data=said)], write_id)
+        path.unlink(missing_ok=True)
+        self._remove_later(dropped)
+
+    def _remove_later(self, dropped: Sequence[str]) -> None:
+        """Remove what was dropped some time ago, and remember what is dropped now.
+
+        What is left when the attempt ends, or cannot be removed, is collected with the orphans.
+        """
+        now = time.monotonic()
+        due = [key for at, key in self._dropped if now - at > _LINGER_S]
+        self._dropped = [(at, key) for at, key in self._dropped if now - at <= _LINGER_S]
+        self._dropped += [(now, key) for key in dropped]
+        with contextlib.suppress(StorageUnavailable):
+            for key in due:
+                self._holding.objects.delete_prefix(key)
+
+    def _upload(self, message: FileReady, path: Path) -> Artifact:
+        digest = _sha256(path)
+        artifact = Artifact(
+            **message.model_dump(exclude={"type", "path"}),
+            size=path.stat().st_size,
+            sha256=digest,
+            key=self._key(digest, message.name),
+        )
+        self._holding.objects.put_file(artifact.key, path, media_type=artifact.media_type)
+        return artifact
+
+    def _upload_metrics(self) -> Artifact:
+        body = "".join(f"{row}\n" for row in self._measurements.documents()).encode()
+        digest = hashlib.sha256(body).hexdigest()
+        artifact = Artifact(
+            name="metrics.jsonl",
+            role="metrics",
+            media_type="application/jsonl",
+            size=len(body),
+            sha256=digest,
+            key=self._key(digest, "metrics.jsonl"),
+        )
+        self._holding.objects.put(artifact.key, body, media_type=artifact.media_type)
+        return artifact
+
+    def _key(self, sha256: str, name: str) -> str:
+        return keys.artifact(self._holding.job_id, self._holding.number, sha256, name)
+
+
+def _entry(item: _Heard) -> Entry:
+    match item.what:
+        case Hello(pid=pid):
+            return Entry(kind="phase", time=item.time, data={"name": "process", "pid": pid})
+        case Noted(text=text):
+            return Entry(kind="note", time=item.time, data={"text": text})
+        case PhaseEnded() | Advanced() | Measured() as message:
+            return Entry(kind=message.type, time=item.time, data=message.model_dump(exclude={"type"}))
+        case _:
+            raise TypeError(f"{item.what!r} is no entry")
+
+
+def _new_id() -> str:
+    """The identity of a write, which keeps it when it has to be sent again."""
+    return secrets.token_hex(8)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

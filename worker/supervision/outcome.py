@@ -1,0 +1,96 @@
+"""What an attempt's end means for its job."""
+
+import signal
+from dataclasses import dataclass
+from enum import StrEnum
+
+from core.jobs.status import RETRIED, JobStatus, Reason
+from worker.host.memory import LESS_MEMORY
+from worker.protocol import Failed, Finished
+from worker.stop_signals import KEEP_AND_GO
+
+# How a process ends whose native code made a mistake, or found one.
+_CRASHES = frozenset(
+    {
+        signal.SIGSEGV,
+        signal.SIGBUS,
+        signal.SIGILL,
+        signal.SIGFPE,
+        signal.SIGABRT,
+        signal.SIGTRAP,
+        signal.SIGSYS,
+    }
+)
+
+
+class Stop(StrEnum):
+    """Why a training process was asked to stop."""
+
+    CANCEL = "cancel"
+    TIMEOUT = "timeout"
+    DRAIN = "drain"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """status None: the job goes back to the queue, if another attempt is allowed."""
+
+    status: JobStatus | None
+    reason: Reason
+    message: str
+
+
+def judge(
+    last_word: Failed | Finished | None,
+    exit_status: int,
+    stop: Stop | None,
+    timeout_s: float,
+    *,
+    memory_ran_out: bool = False,
+) -> Outcome:
+    """From the process' last word, how it ended, and what it had been asked.
+
+    exit_status: negative is the signal that ended it. memory_ran_out: the kernel was killing for memory then.
+    """
+    if isinstance(last_word, Failed):
+        if last_word.reason in RETRIED and stop is not Stop.TIMEOUT:
+            return Outcome(None, last_word.reason, last_word.message)
+        return Outcome(JobStatus.FAILED, last_word.reason, last_word.message)
+    if isinstance(last_word, Finished) and not last_word.stopped:
+        return Outcome(JobStatus.SUCCEEDED, Reason.COMPLETED, "Everything asked for is done.")
+    kept = (
+        "The work up to then is kept."
+        if last_word is not None or exit_status == -KEEP_AND_GO
+        else "It did not stop within the grace time and was killed; its last checkpoint is kept."
+    )
+    match stop:
+        case Stop.CANCEL:
+            return Outcome(JobStatus.CANCELLED, Reason.USER_CANCELLED, f"Cancelled while it ran. {kept}")
+        case Stop.TIMEOUT:
+            return Outcome(
+                JobStatus.FAILED, Reason.TIMEOUT, f"It took longer than timeout_s = {timeout_s:g} s. {kept}"
+            )
+        case Stop.DRAIN:
+            return Outcome(None, Reason.WORKER_DRAINED, f"The worker was shut down. {kept}")
+        case None:
+            return _crashed(exit_status, memory_ran_out=memory_ran_out)
+
+
+def _crashed(exit_status: int, *, memory_ran_out: bool) -> Outcome:
+    if exit_status >= 0:
+        message = (
+            f"The training process ended with status {exit_status} and said nothing; its log may tell why."
+        )
+        return Outcome(JobStatus.FAILED, Reason.TRAINING_CRASHED, message)
+    name = signal.Signals(-exit_status).name
+    again = "It goes on from its last checkpoint."
+    if -exit_status == signal.SIGKILL and memory_ran_out:
+        message = (
+            "The machine's memory ran out, or what the training may have of it, and the kernel killed the "
+            f"training process. {LESS_MEMORY} {again}"
+        )
+        return Outcome(None, Reason.OUT_OF_HOST_MEMORY, message)
+    if -exit_status in _CRASHES:
+        message = f"Native code of the training process crashed ({name}); its log may tell where. {again}"
+        return Outcome(None, Reason.NATIVE_CRASH, message)
+    return Outcome(None, Reason.TRAINING_KILLED, f"The training process was ended by {name}. {again}")

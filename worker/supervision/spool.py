@@ -1,0 +1,43 @@
+"""An attempt's own folder. It goes with the attempt, or, where that was killed, with the next one here."""
+
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from core.patience import pause
+from worker.host import file_lock
+
+# The folder of all attempts' spools, in GAITWAY_DATA_DIR.
+SPOOLS = "spool"
+_PAUSE_S = 0.01
+_LOCK = ".lock"
+
+
+@contextmanager
+def spool(path: Path) -> Generator[Path]:
+    """The folder, empty at first, and locked for as long as this process lives: workers may share a disk."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = path.with_name(path.name + _LOCK)
+    while (descriptor := file_lock.take(lock)) is None:
+        pause(_PAUSE_S)  # Another worker looks at this very moment whether somebody holds it.
+    try:
+        path.mkdir(exist_ok=True)
+        yield path
+    finally:
+        _remove(path, lock, descriptor)
+
+
+def remove_left_over(folder: Path) -> None:
+    """Remove the spools in this folder that no process holds: their containers were killed."""
+    names = {file.name.removesuffix(_LOCK) for file in folder.glob("*")}
+    for name in names:
+        lock = folder / (name + _LOCK)
+        with suppress(OSError):  # Whoever comes next tries again.
+            if (descriptor := file_lock.take(lock)) is not None:
+                _remove(folder / name, lock, descriptor)
+
+
+def _remove(path: Path, lock: Path, descriptor: int) -> None:
+    shutil.rmtree(path, ignore_errors=True)
+    file_lock.remove(lock, descriptor)  # Last: until then nobody else touches the folder.

@@ -1,0 +1,123 @@
+"""What a training process starts from: its task, a checkpoint that was verified, and the user's own model."""
+
+import hashlib
+from pathlib import Path
+from typing import get_args
+
+from core.errors import JobFailed, NotFound, ObjectNotFound
+from core.jobs.attempts import Holding
+from core.jobs.checks import source_checkpoint
+from core.jobs.job import Artifact, Attempt, Job
+from core.jobs.own_model import engines_that_cannot, model_of
+from core.jobs.spec import TrainSpec
+from core.models import library
+from core.physics.availability import EngineName
+from core.storage import keys
+from core.storage.objects import ObjectStore
+from worker.protocol import Task
+
+_FILE = "start.msgpack"
+# A byte may be flipped on the way, too: only what is damaged at each reading is damaged at the store.
+_READINGS = 3
+
+
+def write_task(job: Job, holding: Holding, device: str, spool: Path) -> list[str]:
+    """Leave in the spool what the training process needs; sentences for people about what was wrong with it.
+
+    Raises Rejected or NotFound where the checkpoint of another job has gone meanwhile; JobFailed where the
+    model has ("bad_model"), or where no checkpoint of another job is whole ("bad_checkpoint").
+    """
+    notes: list[str] = []
+    checkpoint = _own_checkpoint(job, holding, spool, notes)
+    if checkpoint is None:
+        checkpoint = _lent_checkpoint(job, holding, spool, notes)
+    task = _as_begun(Task(job_id=job.id, attempt=holding.number, spec=job.spec, device=device), job.begun)
+    if checkpoint is not None:
+        task = task.model_copy(update={"checkpoint": _FILE, "checkpoint_step": checkpoint.step or 0})
+    task = _with_model(task, holding, spool)
+    (spool / "task.json").write_text(task.model_dump_json())
+    return notes
+
+
+def _own_checkpoint(job: Job, holding: Holding, spool: Path, notes: list[str]) -> Artifact | None:
+    """The newest whole one that an earlier attempt left. One that is damaged is struck from the record."""
+    while (checkpoint := job.newest("checkpoint")) is not None:
+        damage = _fetch(checkpoint, holding.objects, spool / _FILE)
+        if damage is None:
+            if notes:
+                notes.append(f"The run resumes from step {checkpoint.step}.")
+            return checkpoint
+        notes.append(damage)
+        job = holding.strike(checkpoint)
+    if notes:
+        notes.append("No checkpoint of this job is whole: the run starts again.")
+    return None
+
+
+def _lent_checkpoint(job: Job, holding: Holding, spool: Path, notes: list[str]) -> Artifact | None:
+    """The one that the specification names; or the newest whole one of the job that it names."""
+    source = job.spec.source
+    if source is None:
+        return None
+    get = holding.store.get
+    checkpoint = source_checkpoint(job.spec, source.job, source.step, source.pointer, get)
+    others = [a for a in get(source.job).artifacts if a.role == "checkpoint"] if source.step is None else []
+    others.sort(key=lambda artifact: artifact.step or 0, reverse=True)
+    damages: list[str] = []
+    for candidate in [checkpoint, *(other for other in others if other != checkpoint)]:
+        damage = _fetch(candidate, holding.objects, spool / _FILE)
+        if damage is None:
+            if damages:
+                notes += [*damages, f"Step {candidate.step} of job {source.job} is taken instead."]
+            return candidate
+        damages.append(damage)
+    raise JobFailed("bad_checkpoint", " ".join(damages))
+
+
+def _fetch(checkpoint: Artifact, objects: ObjectStore, path: Path) -> str | None:
+    """Load the file; what is wrong with it, or None. Raises StorageUnavailable."""
+    try:
+        if any(_load(checkpoint.key, objects, path) == checkpoint.sha256 for _ in range(_READINGS)):
+            return None
+    except ObjectNotFound:
+        return f"{checkpoint.name} has gone from the object store."
+    return f"{checkpoint.name} is damaged: its bytes do not have the SHA-256 that the record names."
+
+
+def _load(key: str, objects: ObjectStore, path: Path) -> str:
+    """Write the object to the file; the SHA-256 of what came."""
+    digest = hashlib.sha256()
+    with objects.open(key) as pieces, path.open("wb") as file:
+        for piece in pieces:
+            digest.update(piece)
+            file.write(piece)
+    return digest.hexdigest()
+
+
+def _as_begun(task: Task, begun: Attempt | None) -> Task:
+    """With what the attempt before resolved: tuned values and the choice of `auto` may be others by now."""
+    spec = task.spec
+    if begun is None or not isinstance(spec, TrainSpec):
+        return task
+    had = begun.details.get("hyperparameters", {})
+    known = {name: value for name, value in had.items() if name in type(spec.algorithm).model_fields}
+    if known:
+        spec = spec.model_copy(update={"algorithm": type(spec.algorithm).model_validate(known)})
+    # Environments with physics of their own name that instead, and have no choice.
+    engine = begun.engine if begun.engine in get_args(EngineName) else None
+    return task.model_copy(update={"spec": spec, "begun_on": engine})
+
+
+def _with_model(task: Task, holding: Holding, spool: Path) -> Task:
+    model_id = model_of(task.spec.environment)
+    if model_id is None:
+        return task
+    try:
+        record = library.find(model_id, holding.store)
+        model = (keys.model_source(model_id), holding.objects, spool / "model")
+        if all(f"sha256:{_load(*model)}" != model_id for _ in range(_READINGS)):
+            raise JobFailed("bad_model", f"The model {model_id} is damaged: its bytes are not those sent.")
+    except NotFound:
+        raise JobFailed("bad_model", f"The model {model_id} was deleted before the job began.") from None
+    cannot = dict(engines_that_cannot(record.description))
+    return task.model_copy(update={"model": "model", "engines_that_cannot": cannot})

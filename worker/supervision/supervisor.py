@@ -1,0 +1,281 @@
+"""One attempt at one job: start the training process, watch it, store what it says, end it for certain."""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import structlog
+
+from core.errors import JobFailed, LeaseLost, NotFound, Rejected, Unavailable
+from core.jobs.attempts import Holding
+from core.jobs.job import Job
+from core.jobs.own_model import model_of
+from core.jobs.spec import TrainSpec
+from core.jobs.status import JobStatus, Reason
+from core.patience import CalledOff, through_outages
+from core.settings import WorkerSettings
+from worker.compile_cache.session import Caches
+from worker.host.cgroup import memory_group
+from worker.host.child import TRAINING, TrainingProcess
+from worker.host.device_health import SUSPICIOUS, DeviceTest, mark_of, result_of, set_aside
+from worker.host.device_lock import SlotTaken, slots
+from worker.host.disk import is_full, what_to_do
+from worker.host.drain_flag import Draining
+from worker.host.memory import MemoryWatch, allowed_bytes
+from worker.protocol import Advanced, Failed, Finished, Noted, PhaseEnded
+from worker.supervision.heartbeat import Heartbeat
+from worker.supervision.left_attempts import end, leave
+from worker.supervision.log_limit import LogLimit
+from worker.supervision.outbox import Outbox
+from worker.supervision.outcome import Outcome, Stop, judge
+from worker.supervision.spool import SPOOLS, spool
+from worker.supervision.stall import StallWatch
+from worker.supervision.starting_point import write_task
+from worker.tracking.attempt import Tracking
+
+log = structlog.get_logger()
+
+# How often the supervisor looks up from waiting for the process to end.
+_GLANCE_S = 0.1
+# The phases after which there are new programs, and new kernels.
+_COMPILED = ("compile", "first_update")
+# How long finished work waits for a store that is away, before the attempt is given up.
+_STORAGE_PATIENCE_S = 86_400.0
+# What is stored last gets at least this time, also where the training process has used up its grace time.
+_LAST_S = 3.0
+
+
+@dataclass
+class Supervisor:
+    """Runs one claimed attempt.
+
+    draining: set, also by a signal handler, once the worker has to go; the job then keeps a checkpoint
+    and is given back. device_test: the program that tests the device after an end that this may have caused.
+    Leaves behind: the job ended or back in the queue, no process, no spool.
+    """
+
+    holding: Holding
+    settings: WorkerSettings
+    device: str
+    slot_names: tuple[str, ...]
+    command: Sequence[str] = TRAINING
+    draining: Draining = field(default_factory=Draining)
+    device_test: Sequence[str] | None = None
+
+    def run(self) -> None:
+        folder = self.settings.data_dir.absolute()  # The training process stands elsewhere.
+        own = folder / SPOOLS / f"{self.holding.job_id}.{self.holding.number}"
+        caches = Caches(self.holding.objects, self.settings, self.device, own)
+        try:
+            with Heartbeat(self.holding, self.settings) as heartbeat:
+                self._conclude(self._outcome(heartbeat, caches, folder, own))
+        except LeaseLost:
+            log.warning("attempt_abandoned", job_id=self.holding.job_id, attempt=self.holding.number)
+        caches.close(self.draining.is_set)  # The job has ended: nobody waits for this.
+
+    def _outcome(self, heartbeat: Heartbeat, caches: Caches, folder: Path, own: Path) -> Outcome:
+        try:
+            with spool(own):
+                return self._attempt(heartbeat, caches, folder, own)
+        except CalledOff:
+            message = "The worker was shut down before it had begun with the job."
+            return Outcome(None, Reason.WORKER_DRAINED, message)
+        except SlotTaken as error:
+            return Outcome(None, Reason.WORKER_LOST, str(error))
+        except JobFailed as error:
+            return Outcome(JobStatus.FAILED, Reason(error.reason), error.detail)
+        except (NotFound, Rejected) as error:
+            return Outcome(JobStatus.FAILED, Reason.BAD_CHECKPOINT, error.detail)
+        except Unavailable as error:
+            return Outcome(None, Reason.STORAGE_UNAVAILABLE, error.detail)
+        except OSError as error:
+            if not is_full(error):
+                raise
+            return Outcome(None, Reason.STORAGE_UNAVAILABLE, what_to_do(folder))
+
+    def _attempt(self, heartbeat: Heartbeat, caches: Caches, folder: Path, spool: Path) -> Outcome:
+        leaving = self.draining.is_set
+        job = through_outages(
+            partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S, called_off=leaving
+        )
+        notes = through_outages(
+            partial(write_task, job, self.holding, self.device, spool),
+            _STORAGE_PATIENCE_S,
+            called_off=leaving,
+        )
+        locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
+        with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
+            caches.open(_cached_as(job), leaving)
+            outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
+            for note in notes:
+                outbox.put(Noted(text=note))
+            tracking = Tracking(job, self.holding, spool, self.settings, outbox)
+            tracking.begin()
+            models = self.settings.models
+            process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
+            try:
+                ear = _Ear(process, outbox, caches, tracking, StallWatch(self.settings.stall))
+                memory_bytes = allowed_bytes(self.settings.memory_limit)
+                with memory_group(process.pid, memory_bytes) as group:
+                    memory = MemoryWatch(memory_bytes, group=group)
+                    outcome = self._watch(process, ear, heartbeat, memory, job.spec.timeout_s)
+            except BaseException:
+                tracking.abandon()
+                raise
+            finally:
+                process.kill()
+            outcome = self._after_test(outcome, folder, slot_fds)
+        if leaving():
+            tracking.abandon()
+        else:
+            tracking.finish(outcome.status)
+        if not outbox.close(_STORAGE_PATIENCE_S, self._must_leave(_LAST_S)):
+            return _not_stored(leaving())
+        tracking.write_up(outcome.status, leaving)
+        return outcome
+
+    def _watch(
+        self,
+        process: TrainingProcess,
+        ear: "_Ear",
+        heartbeat: Heartbeat,
+        memory: MemoryWatch,
+        timeout_s: float,
+    ) -> Outcome:
+        deadline = time.monotonic() + timeout_s
+        stop: Stop | None = None
+        kill_at = float("inf")
+        while (status := process.poll(_GLANCE_S)) is None:
+            if heartbeat.lost.is_set():
+                raise LeaseLost(self.holding.job_id)
+            ear.outbox.check()
+            if stop is None and (stop := self._wanted(heartbeat, deadline)) is not None:
+                log.info("training_stops", job_id=self.holding.job_id, why=stop)
+                process.stop(stop)
+                kill_at = time.monotonic() + self.settings.grace.total_seconds()
+            elif stop is Stop.DRAIN:
+                process.stop(stop)  # It may have been deaf for a moment: see worker/training/stopping.py.
+            if time.monotonic() > kill_at:
+                process.kill()
+            for watch, reason in ((ear.stall, Reason.TRAINING_STALLED), (memory, Reason.OUT_OF_HOST_MEMORY)):
+                if (problem := watch.what_is_wrong(process.pid)) is not None:
+                    log.warning(reason.value, job_id=self.holding.job_id, detail=problem)
+                    process.kill()
+                    ear.join()
+                    return Outcome(None, reason, problem)
+        memory_ran_out = memory.ran_out()
+        process.kill()
+        ear.join()
+        if status == 0:  # A process that crashed may have left kernels that would crash the next.
+            ear.caches.keep()
+        return judge(ear.last_word, status, stop, timeout_s, memory_ran_out=memory_ran_out)
+
+    def _after_test(self, outcome: Outcome, folder: Path, slot_fds: Sequence[int]) -> Outcome:
+        """A device that may have caused the end, and fails a test, is set aside and gets the blame."""
+        if self.device_test is None or outcome.status is not None or outcome.reason not in SUSPICIOUS:
+            return outcome
+        test = DeviceTest(self.device_test, self.device, folder, slot_fds)
+        problem = result_of(test, self.draining.is_set)
+        if problem is None:
+            return outcome
+        set_aside(mark_of(folder, self.slot_names[0]), problem)
+        return Outcome(None, Reason.DEVICE_FAILED, f"{outcome.message} {problem}")
+
+    def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
+        if heartbeat.cancelled.is_set():
+            return Stop.CANCEL
+        if self.draining.is_set():
+            return Stop.DRAIN
+        return Stop.TIMEOUT if time.monotonic() > deadline else None
+
+    def _must_leave(self, at_least_s: float = 0.0) -> Callable[[], bool]:
+        """Whether the grace time of a drain is over, and `at_least_s` from now, too."""
+        grace_s, not_before = self.settings.grace.total_seconds(), time.monotonic() + at_least_s
+        return lambda: self.draining.for_s() >= grace_s and time.monotonic() >= not_before
+
+    def _conclude(self, outcome: Outcome) -> None:
+        tell = partial(end, self.holding, outcome)
+        try:
+            job = through_outages(tell, _STORAGE_PATIENCE_S, called_off=self._must_leave())
+        except CalledOff:  # PostgreSQL is away: the next worker here tells it, or the lease runs out.
+            log.warning("attempt_left", job_id=self.holding.job_id, detail=outcome.message)
+            with suppress(OSError):  # No room for it: the job counts as a lost worker's.
+                leave(self.settings.data_dir, self.holding, outcome)
+            return
+        log.info(
+            "attempt_ended", job_id=job.id, status=job.status, reason=outcome.reason, detail=outcome.message
+        )
+
+
+class _Ear:
+    """Two threads that hear what the process says, so that no pipe ever fills up and halts it."""
+
+    def __init__(
+        self,
+        process: TrainingProcess,
+        outbox: Outbox,
+        caches: Caches,
+        tracking: Tracking,
+        stall: StallWatch,
+    ) -> None:
+        self.last_word: Failed | Finished | None = None
+        self.stall = stall
+        self.outbox = outbox
+        self.caches = caches
+        self._process = process
+        self._tracking = tracking
+        self._threads = [
+            threading.Thread(target=target, name=target.__name__, daemon=True)
+            for target in (self._hear_messages, self._hear_lines)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def join(self) -> None:
+        """Both pipes have been read to their ends; the log is on its way to the store."""
+        for thread in self._threads:
+            thread.join()
+
+    def _hear_messages(self) -> None:
+        for message in self._process.messages():
+            self.stall.hear(is_progress=isinstance(message, Advanced))
+            if isinstance(message, Failed | Finished):
+                self.last_word = message
+            self._tracking.tell(message)
+            self.outbox.put(message)
+            if isinstance(message, PhaseEnded) and message.name in _COMPILED:
+                self.caches.keep()
+
+    def _hear_lines(self) -> None:
+        limit = LogLimit()
+        for line in self._process.lines():
+            self.stall.hear()
+            for told in limit.pass_on(line, self.outbox.num_waiting):
+                self.outbox.put(told)
+        for told in limit.end():
+            self.outbox.put(told)
+
+
+def _not_stored(is_leaving: bool) -> Outcome:
+    """The end of an attempt whose results no store took."""
+    away = "PostgreSQL or the object store was away, or refused; the worker's log says which"
+    if is_leaving:
+        message = f"The worker was shut down before everything was stored: {away}."
+        return Outcome(None, Reason.WORKER_DRAINED, message)
+    hours = _STORAGE_PATIENCE_S / 3600
+    message = f"The results could not be stored for {hours:.0f} hours: {away}."
+    return Outcome(None, Reason.STORAGE_UNAVAILABLE, message)
+
+
+def _cached_as(job: Job) -> str:
+    """What is compiled for one model of a user is of no use to another. A name without slashes."""
+    model_id, environment_id = model_of(job.spec.environment) or "", job.spec.environment.id.replace("/", "-")
+    return "-".join(filter(None, (environment_id, model_id.removeprefix("sha256:")[:16])))
+
+
+def _checkpoints_kept(job: Job) -> int:
+    return job.spec.checkpoints.keep if isinstance(job.spec, TrainSpec) else 1
