@@ -11,7 +11,7 @@ _NAME = "users' models"
 _PROBE = """
 import json, sys
 from pathlib import Path
-from worker.validation import landlock
+from worker.confinement import landlock
 from worker.confinement.confinement import Unconfined, confine
 from worker.confinement.limits import Limits
 found = {{"landlock": landlock.version(), "layers": [], "why": ""}}

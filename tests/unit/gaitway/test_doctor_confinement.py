@@ -7,7 +7,7 @@ import pytest
 from gaitway.doctor import confinement
 from worker.confinement import landlock
 
-_BEFORE = "from worker.validation import landlock, privileges, seccomp\n"
+_BEFORE = "from worker.confinement import landlock, privileges, seccomp\n"
 
 
 def without(monkeypatch: pytest.MonkeyPatch, *changes: str) -> None:

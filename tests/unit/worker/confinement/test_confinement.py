@@ -21,7 +21,7 @@ NEEDS_LANDLOCK = pytest.mark.skipif(not landlock.version(), reason="this kernel 
 _PROBE = """
 import ctypes, json, os, resource, signal, socket, sys
 from pathlib import Path
-from worker.validation import confinement, landlock, limits, privileges, seccomp
+from worker.confinement import confinement, landlock, limits, privileges, seccomp
 {change}
 here = Path.cwd()
 try:

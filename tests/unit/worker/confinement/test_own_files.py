@@ -150,7 +150,7 @@ def test_a_worker_that_confines_no_models_lets_them_be(
 def test_a_system_that_refuses_is_done_without_and_says_so(tmp_path: Path) -> None:
     program = (
         "import sys; from pathlib import Path\n"
-        "from worker import own_files; from worker.validation import landlock\n"
+        "from worker.confinement import landlock, own_files\n"
         "landlock._CREATE_RULESET = 100_000; landlock.version = lambda: 7\n"
         "print(own_files.keep_to_own_files(Path(sys.argv[1])), open('pyproject.toml').read(1))"
     )

@@ -144,7 +144,12 @@ def test_a_urdf_gets_a_motor_for_each_joint_whatever_it_is_called(body: bytes, t
 
 
 # Runs the same program, after something was taken away from the kernel.
-_WITHOUT = "from worker.validation import __main__ as it, landlock, seccomp\n{change}\nit.main()"
+_WITHOUT = """
+from worker.confinement import landlock, seccomp
+from worker.validation import __main__ as it
+{change}
+it.main()
+"""
 _NO_LANDLOCK = "landlock.version = lambda: 0"
 _NO_SECCOMP = "seccomp._PROCESSORS.clear()"
 
