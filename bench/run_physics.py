@@ -20,8 +20,14 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from bench.turn import Turn
     from core.algorithms.ppo.spec import PPOSpec, resolve
     from core.environments import catalog
-    from core.environments.worlds import Worlds
-    from core.environments.wrappers import Episodes, draw, fresh_states, start_episodes, step_episodes
+    from core.environments.wrappers.autoreset import (
+        Episodes,
+        draw,
+        fresh_states,
+        start_episodes,
+        step_episodes,
+    )
+    from core.environments.wrappers.vectorized import Worlds
     from core.physics.choose import engine_builder
 
     info = catalog.find(request["environment"])

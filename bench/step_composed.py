@@ -21,8 +21,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from mujoco import mjx
 
     from bench.turn import Turn
-    from core.environments.corridor.compose import composed
-    from core.environments.corridor.info import CorridorOptions
+    from core.environments.dm_control.corridor.compose import composed
+    from core.environments.dm_control.corridor.info import CorridorOptions
 
     if request.get("cache"):
         jax.config.update("jax_compilation_cache_dir", request["cache"])

@@ -23,8 +23,8 @@ from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments import catalog
 from core.environments.body import Body
-from core.environments.worlds import Worlds
-from core.environments.wrappers import Episodes, draw, fresh_states, step_episodes
+from core.environments.wrappers.autoreset import Episodes, draw, fresh_states, step_episodes
+from core.environments.wrappers.vectorized import Worlds
 from core.physics.choose import engine_builder
 from core.physics.kernels import keep_kernels
 

@@ -11,13 +11,13 @@ import pytest
 import redis
 
 from core.adapters.connect import connect_redis, connect_s3
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres import schema
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.rq_queue import RQQueue
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.rq.queue import RQQueue
+from core.adapters.s3.objects import S3ObjectStore
 from core.jobs.queue import JobQueue
 from core.jobs.store import JobStore
 from core.settings import WorkerSettings

@@ -5,8 +5,8 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-from core.models import library
-from core.models.record import ModelRecord
+from core.user_models import library
+from core.user_models.record import ModelRecord
 
 
 def identity(body: bytes) -> str:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from core.environments.environment import State
-from core.environments.wrapped import Wrapped
+from core.environments.wrappers.base import Wrapped
 from core.physics.engine import NOMINAL, OVERFLOW, ModelFields
 
 

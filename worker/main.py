@@ -18,7 +18,7 @@ from redis.exceptions import RedisError
 from rq.serializers import JSONSerializer
 
 from core.adapters.connect import connect_redis, job_store, object_store
-from core.adapters.rq_queue import job_of
+from core.adapters.rq.queue import job_of
 from core.adapters.startup import check_stores
 from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable

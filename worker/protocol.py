@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 
+from core.documents import Stored
 from core.jobs.job import ArtifactRole
 from core.jobs.spec import SentSpec
 from core.jobs.status import Reason
-from core.model import Stored
 from core.physics.availability import EngineName
 
 

@@ -23,9 +23,9 @@ from core.jobs import feeds, orphans
 from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_records
 from core.jobs.strays import Strays
-from core.models import library
 from core.settings import ReconcilerSettings
 from core.telemetry import configure_logging
+from core.user_models import library
 from worker.host.health import show_life
 from worker.host.parent_death import die_with_parent
 

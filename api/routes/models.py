@@ -17,8 +17,8 @@ from api.uploads import Upload, receiving
 from api.views import Listing, View
 from core.errors import BadModel, ModelInUse, ModelNotFound, RecordsUnavailable, StorageUnavailable
 from core.jobs.model_removal import remove_model
-from core.models import library
-from core.models.record import Description, ModelRecord, ModelStatus
+from core.user_models import library
+from core.user_models.record import Description, ModelRecord, ModelStatus
 
 router = APIRouter(tags=["models"])
 

@@ -9,9 +9,9 @@ from redis.retry import Retry
 
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.rq_queue import RQQueue
-from core.adapters.s3_connection import connect_s3
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.rq.queue import RQQueue
+from core.adapters.s3.connection import connect_s3
+from core.adapters.s3.objects import S3ObjectStore
 from core.errors import Misconfigured
 from core.settings import StoreSettings
 

@@ -13,8 +13,8 @@ from sqlalchemy import Engine
 from core.adapters.connect import connect_redis, job_store, object_store
 from core.adapters.postgres import revision
 from core.adapters.postgres.connection import connect_postgres
-from core.adapters.redis_errors import reaching_redis
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.redis.errors import reaching_redis
+from core.adapters.s3.objects import S3ObjectStore
 from core.errors import (
     Misconfigured,
     ObjectNotFound,

@@ -32,16 +32,16 @@ from redis import Redis
 
 from core.adapters.entries import status_entry
 from core.adapters.postgres.jobs import SeenKey
-from core.adapters.redis_errors import reaching_redis
+from core.adapters.redis.errors import reaching_redis
+from core.documents import Stored
 from core.errors import JobNotFound, JobUnreadable, ObjectNotFound
 from core.jobs.job import Artifact, Job, Progress, check_job_id
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Channel, Entry
 from core.jobs.stored_spec import read_spec
-from core.model import Stored
-from core.models.record import ModelRecord
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models.record import ModelRecord
 
 _IMPORTED = "Version 0.1 was stopped during this attempt, and its data were imported into a newer version."
 _PAGE = 1000

@@ -8,7 +8,7 @@ import numpy as np
 from flax import struct
 
 from core.environments.environment import Environment, State
-from core.environments.wrappers import select
+from core.environments.wrappers.autoreset import select
 
 
 @struct.dataclass

@@ -4,9 +4,9 @@ from abc import abstractmethod
 from typing import ClassVar, TypeVar
 
 from core.algorithms.memory import Memory
+from core.documents import Strict
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
-from core.model import Strict
 
 
 class BaseSpec(Strict):

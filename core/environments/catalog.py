@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING, Any, cast
 
 from pydantic import ValidationError
 
-from core.environments.ant.info import INFO as ANT
-from core.environments.brax_registry import info as brax_registry
+from core.documents import Strict
 from core.environments.brittle_star.info import INFOS as BRITTLE_STARS
-from core.environments.corridor.info import INFO as CORRIDOR
-from core.environments.half_cheetah.info import INFO as HALF_CHEETAH
-from core.environments.hopper.info import INFO as HOPPER
-from core.environments.humanoid.info import INFO as HUMANOID
+from core.environments.dm_control.corridor.info import INFO as CORRIDOR
+from core.environments.dm_control.rodent.info import INFO as RODENT
+from core.environments.external.brax import info as brax_registry
+from core.environments.external.playground import info as playground
 from core.environments.info import EnvironmentInfo
-from core.environments.inverted_pendulum.info import INFO as INVERTED_PENDULUM
+from core.environments.locomotion.ant.info import INFO as ANT
+from core.environments.locomotion.half_cheetah.info import INFO as HALF_CHEETAH
+from core.environments.locomotion.hopper.info import INFO as HOPPER
+from core.environments.locomotion.humanoid.info import INFO as HUMANOID
+from core.environments.locomotion.inverted_pendulum.info import INFO as INVERTED_PENDULUM
+from core.environments.locomotion.reacher.info import INFO as REACHER
+from core.environments.locomotion.walker2d.info import INFO as WALKER2D
 from core.environments.mjcf.info import INFO as MJCF
-from core.environments.playground import info as playground
-from core.environments.reacher.info import INFO as REACHER
-from core.environments.rodent.info import INFO as RODENT
-from core.environments.walker2d.info import INFO as WALKER2D
 from core.errors import EnvironmentNotFound, Problem, Rejected
-from core.model import Strict
 
 if TYPE_CHECKING:
     from core.environments.environment import Environment

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from core.model import Strict
+from core.documents import Strict
 from core.physics.availability import EngineName
 
 Device = Literal["cpu", "gpu"]

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from core.model import Strict
+from core.documents import Strict
 
 
 def _ascending(bounds: tuple[float, float | None]) -> tuple[float, float | None]:

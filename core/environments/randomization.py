@@ -5,7 +5,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from core.model import Strict
+from core.documents import Strict
 
 FieldName = Literal[
     "actuator_biasprm",

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.spec import BaseSpec, check_resumption, resolve
+from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
@@ -21,11 +22,10 @@ from core.jobs.spec import (
     TrainSpec,
 )
 from core.jobs.store import JobStore
-from core.model import Strict
-from core.models.record import Description
-from core.models.store import ModelStore
 from core.physics.availability import check_physics
 from core.rendering.camera import check_cameras, check_width, model_camera
+from core.user_models.record import Description
+from core.user_models.store import ModelStore
 
 # As much as every worker has.
 _HARMLESS_BYTES = 2**29

@@ -2,9 +2,9 @@
 
 from core.errors import ModelInUse
 from core.jobs.store import JobStore
-from core.models import library
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models import library
 
 
 def remove_model(model_id: str, *, store: JobStore, objects: ObjectStore) -> None:

@@ -7,10 +7,10 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import ModelNotFound, Problem, Rejected
 from core.jobs.spec import EnvironmentSpec
-from core.models import library
-from core.models.record import Description
-from core.models.store import ModelStore
 from core.physics.availability import EngineName
+from core.user_models import library
+from core.user_models.record import Description
+from core.user_models.store import ModelStore
 
 _POINTER = "/environment/options/model"
 

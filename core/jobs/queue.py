@@ -5,8 +5,8 @@ from typing import Protocol
 
 from core.devices import gpu_indices
 from core.jobs.spec import Accelerator, Priority
-from core.models.queue import ModelQueue
 from core.previews.queue import PreviewQueue
+from core.user_models.queue import ModelQueue
 
 # Where previews wait, which go before all jobs; and models, which a worker without jobs looks at.
 FIRST, LAST = "gaitway-any-high", "gaitway-models"

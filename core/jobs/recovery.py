@@ -18,9 +18,9 @@ from core.jobs.orphans import batches, folders
 from core.jobs.record_copy import read_copy
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Chunk, JobQuery, JobStore
-from core.models.record import ModelRecord
 from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
+from core.user_models.record import ModelRecord
 
 Remedy = Literal["adopt", "mark"]
 Sizes = Mapping[str, int]

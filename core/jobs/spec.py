@@ -16,8 +16,8 @@ from pydantic import (
 
 from core.algorithms.catalog import AlgorithmSpec
 from core.algorithms.ppo.spec import PPOSpec
+from core.documents import Strict
 from core.environments.randomization import Randomizations
-from core.model import Strict
 from core.physics.availability import PhysicsChoice
 
 JobId = Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$", examples=["019aa3c2f0b1-5be0c1d2e3"])]

@@ -7,12 +7,12 @@ from typing import Any, Literal, Protocol
 
 from pydantic import Field
 
+from core.documents import Stored
 from core.errors import Problem, Rejected
 from core.jobs.job import Job, Progress, UnreadableJob
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
-from core.model import Stored
-from core.models.store import ModelStore
+from core.user_models.store import ModelStore
 
 Channel = Literal["events", "logs"]
 WorkerState = Literal["ready", "testing", "device_failed"]

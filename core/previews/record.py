@@ -6,7 +6,7 @@ from importlib.metadata import version
 
 from pydantic import JsonValue
 
-from core.model import Stored
+from core.documents import Stored
 from core.rendering.request import RenderFailure
 
 # To be raised with every change of how a scene looks, so that nobody is shown the former one.

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from core.model import Stored
+from core.documents import Stored
 
 FailureReason = Literal["no_gl", "bad_request", "crashed", "timeout"]
 

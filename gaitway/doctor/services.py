@@ -52,7 +52,7 @@ def redis(settings: "StoreSettings | None") -> Check:
     if settings is None:
         return Check("redis", "skip", _NO_SETTINGS)
     from core.adapters.connect import connect_redis
-    from core.adapters.redis_errors import reaching_redis
+    from core.adapters.redis.errors import reaching_redis
     from core.adapters.startup import exercise_queue
 
     try:
@@ -91,7 +91,7 @@ def clock(settings: "StoreSettings | None") -> Check:
     """Whether this clock agrees with the object store's: S3 refuses signatures that are 15 minutes off."""
     if settings is None:
         return Check("clock", "skip", _NO_SETTINGS)
-    from core.adapters.s3_connection import trusting
+    from core.adapters.s3.connection import trusting
 
     scheme = "https" if settings.s3_secure else "http"
     verify = True if settings.tls_ca is None else trusting(settings.tls_ca)

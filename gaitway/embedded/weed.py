@@ -106,8 +106,8 @@ class Weed(Server):
 
     def _wait_until_it_keeps(self) -> None:
         # Loaded while the servers start already.
-        from core.adapters.s3_connection import connect_s3
-        from core.adapters.s3_objects import S3ObjectStore
+        from core.adapters.s3.connection import connect_s3
+        from core.adapters.s3.objects import S3ObjectStore
 
         client = connect_s3(
             self.endpoint,

@@ -18,8 +18,8 @@ from fastapi import FastAPI
 from api.app import create_app
 from api.dependencies import Service
 from api.server import Server, listen
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Unavailable

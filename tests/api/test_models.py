@@ -18,9 +18,9 @@ import pytest
 from api.routes import models as route
 from core.environments.mjcf.describe import inventory
 from core.jobs.reconciliation import Reconciler
-from core.models import library
-from core.models.record import Description
 from core.storage import keys
+from core.user_models import library
+from core.user_models.record import Description
 from tests.api.conftest import Stack
 from tests.api.problems import problem
 from tests.models import identity

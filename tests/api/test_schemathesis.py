@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from core.errors import Conflict, NotFound
-from core.models import library as models
 from core.previews import library as previews
+from core.user_models import library as models
 from tests.api.conftest import NOON, Attempt, Stack, job
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_previews import announced

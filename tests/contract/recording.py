@@ -13,7 +13,7 @@ from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Chunk, Entry, JobStore, WorkerInfo
-from core.models.record import ModelRecord
+from core.user_models.record import ModelRecord
 
 NOW = datetime(2026, 11, 21, 12, 0, 0, tzinfo=UTC)
 LEASE = timedelta(seconds=30)

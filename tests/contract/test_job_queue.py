@@ -11,8 +11,8 @@ from rq.job import Job as RQJob
 from rq.serializers import JSONSerializer
 
 from core.adapters.connect import connect_redis
-from core.adapters.memory_queue import Dispatch, MemoryJobQueue
-from core.adapters.rq_queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
+from core.adapters.memory.queue import Dispatch, MemoryJobQueue
+from core.adapters.rq.queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
 from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_names
 from core.jobs.strays import Strays
@@ -239,7 +239,7 @@ class TestRQ:
         self, redis_client: redis.Redis, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         queue = RQQueue(redis_client)
-        monkeypatch.setattr("core.adapters.rq_queue.TASK", "tests.contract.test_job_queue.look")
+        monkeypatch.setattr("core.adapters.rq.queue.TASK", "tests.contract.test_job_queue.look")
         enqueue(queue)
         monkeypatch.setattr(f"{__name__}.seen_from", queue)
         work(redis_client)
@@ -250,7 +250,7 @@ class TestRQ:
         self, redis_client: redis.Redis, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         queue = RQQueue(redis_client)
-        monkeypatch.setattr("core.adapters.rq_queue.TASK", "tests.contract.test_job_queue.no_such_function")
+        monkeypatch.setattr("core.adapters.rq.queue.TASK", "tests.contract.test_job_queue.no_such_function")
         enqueue(queue)
         work(redis_client)
         assert not queue.contains(JOB, 1)

@@ -24,7 +24,7 @@ from core.errors import (
 from core.jobs.job import Job, Progress, UnreadableJob, new_job_id
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Dispatch, Idempotency, JobQuery, JobStore
-from core.models.record import Description
+from core.user_models.record import Description
 from tests.contract.recording import (
     LEASE,
     MODEL,

@@ -9,7 +9,7 @@ from typing import Any
 import psycopg
 import pytest
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobExists, JobNotFound, LeaseLost, RecordsUnavailable, StaleJob

@@ -18,7 +18,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
-from core.models.store import ModelStore
+from core.user_models.store import ModelStore
 from gaitway.embedded.postgres import Postgres
 from tests.contract.recording import (
     LEASE,

@@ -5,16 +5,16 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import update
 
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.tables import models
 from core.errors import ModelNotFound
 from core.jobs.reconciliation import Reconciler
 from core.jobs.store import JobStore
-from core.models import library
-from core.models.record import ModelRecord, ModelStatus
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models import library
+from core.user_models.record import ModelRecord, ModelStatus
 from tests.models import add, identity
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.jobs.making import NOON

@@ -11,8 +11,8 @@ from typing import Any
 
 from pydantic import SecretStr
 
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs import feeds
 from core.jobs.attempts import claim, new_secret
 from core.jobs.cancellation import cancel

@@ -14,7 +14,7 @@ import pytest
 
 from core.adapters.connect import connect_postgres, connect_redis, connect_s3
 from core.adapters.postgres import schema
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.s3.objects import S3ObjectStore
 from core.errors import StorageUnavailable
 from gaitway.embedded import postgres as postgres_module
 from gaitway.embedded import weed as weed_module

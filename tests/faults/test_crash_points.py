@@ -17,9 +17,9 @@ from typing import Any, Literal
 
 import pytest
 
-from core.adapters.memory_queue import Dispatch, MemoryJobQueue
+from core.adapters.memory.queue import Dispatch, MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobNotFound, LeaseLost, Unavailable
 from core.jobs import feeds, orphans
 from core.jobs.acknowledgements import Acknowledgements

@@ -12,10 +12,10 @@ import pytest
 import structlog
 from typer.testing import CliRunner
 
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobNotFound
 from core.jobs import feeds
 from core.jobs.job import Job
@@ -23,9 +23,9 @@ from core.jobs.orphans import sweep
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
-from core.models.record import ModelRecord
 from core.settings import WorkerSettings
 from core.storage import keys
+from core.user_models.record import ModelRecord
 from gaitway.cli.main import app
 from gaitway.embedded.postgres import binary
 from gaitway.embedded.stack import lock_folder

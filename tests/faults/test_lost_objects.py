@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.status import JobStatus, Reason

@@ -13,9 +13,9 @@ import redis
 from structlog.testing import capture_logs
 
 from core.adapters.connect import connect_redis
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.rq_queue import RQQueue
+from core.adapters.rq.queue import RQQueue
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
 from core.jobs.attempts import Holding, claim, new_secret

@@ -2,9 +2,9 @@
 
 import redis
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.rq_queue import RQQueue
+from core.adapters.rq.queue import RQQueue
 from core.jobs.attempts import claim, new_secret
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC

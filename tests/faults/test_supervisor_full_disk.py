@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.rq_queue import RQQueue
+from core.adapters.rq.queue import RQQueue
 from core.errors import Misconfigured, RecordsUnavailable
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason

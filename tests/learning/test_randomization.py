@@ -11,7 +11,7 @@ from core.algorithms.trainer import Progress
 from core.environments import catalog, probes
 from core.environments.environment import Environment
 from core.environments.randomization import Randomization
-from core.environments.randomized import randomize
+from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.physics.native import NativeEngine
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer

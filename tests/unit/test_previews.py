@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime, timedelta
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.previews import library
 from core.previews.record import PreviewRequest
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import structlog
 from pydantic import ValidationError
 
+from core.documents import Stored
 from core.errors import Conflict, NotFound
 from core.jobs.attempts import Holding
 from core.jobs.job import Job
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
-from core.model import Stored
 from core.storage.objects import ObjectStore
 from worker.supervision.outcome import Outcome
 

@@ -10,10 +10,10 @@ from core.jobs.checks import source_checkpoint
 from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.own_model import engines_that_cannot, model_of
 from core.jobs.spec import TrainSpec
-from core.models import library
 from core.physics.availability import EngineName
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models import library
 from worker.protocol import Task
 
 _FILE = "start.msgpack"

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 
-from core.model import Stored
+from core.documents import Stored
 
 if TYPE_CHECKING:  # The processes of this package would build all specifications at each start.
     from core.jobs.spec import TrainSpec

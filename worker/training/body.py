@@ -16,7 +16,7 @@ from core.devices import gpu_indices
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import Device, EnvironmentInfo
-from core.environments.randomized import randomize
+from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
 from core.physics.choose import EngineChoice, choose, engine_builder

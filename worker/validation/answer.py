@@ -6,8 +6,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from core.model import Stored
-from core.models.record import Description
+from core.documents import Stored
+from core.user_models.record import Description
 
 _MOST_BYTES = 16 * 2**20
 

@@ -13,10 +13,10 @@ import structlog
 
 from core.errors import ObjectNotFound
 from core.jobs.job import utc_now
-from core.models import library
-from core.models.store import ModelStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models import library
+from core.user_models.store import ModelStore
 from worker.confinement.limits import Limits
 from worker.host.child import environment
 from worker.validation.answer import Answer, read_answer, read_plain

@@ -14,9 +14,9 @@ from core.environments.mjcf.info import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
 from core.errors import BadModel
-from core.models.record import Description
 from core.physics.availability import EngineName, has_warp
 from core.physics.model import initial_qpos
+from core.user_models.record import Description
 
 _TRIAL_S, _TRIAL_WALL_S, _STEPS_AT_ONCE = 2.0, 0.5, 20
 _LONGEST_REASON = 300

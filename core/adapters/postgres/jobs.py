@@ -63,7 +63,7 @@ from core.jobs.store import (
     Page,
     WorkerInfo,
 )
-from core.models.record import ModelRecord
+from core.user_models.record import ModelRecord
 
 log = structlog.get_logger()
 

@@ -13,7 +13,7 @@ from core.adapters.postgres.rows import words
 from core.adapters.postgres.tables import NOW, dispatches, models
 from core.errors import ModelNotFound
 from core.jobs.store import Dispatch
-from core.models.record import Description, ModelRecord
+from core.user_models.record import Description, ModelRecord
 
 log = structlog.get_logger()
 

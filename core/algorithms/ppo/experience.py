@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from flax import struct
 
 from core.algorithms.ppo.brax_training import Transition
+from core.environments.body_position import whereabouts
 from core.environments.environment import State
-from core.environments.whereabouts import whereabouts
-from core.environments.worlds import Worlds
-from core.environments.wrappers import Episodes, draw, follow
+from core.environments.wrappers.autoreset import Episodes, draw, follow
+from core.environments.wrappers.vectorized import Worlds
 from core.physics.engine import OVERFLOW
 
 Policy = Any  # (observations [B, obs], or several by name, key) -> (actions [B, act], extras)

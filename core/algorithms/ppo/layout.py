@@ -8,7 +8,7 @@ import jax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments.worlds import ENVS
+from core.environments.wrappers.vectorized import ENVS
 from core.errors import Rejected
 
 Tree = TypeVar("Tree")

@@ -17,7 +17,7 @@ from core.algorithms.ppo.brax_training import make_inference_fn
 from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment, ObservationSize, State
-from core.environments.holding import Holding
+from core.environments.wrappers.action_hold import Holding
 from core.errors import JobFailed
 
 Inference = Callable[[Any, jax.Array], jax.Array]

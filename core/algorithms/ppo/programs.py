@@ -16,7 +16,7 @@ from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.layout import Layout
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.update import Learner, TrainingState
-from core.environments.worlds import ENVS
+from core.environments.wrappers.vectorized import ENVS
 
 
 @dataclass(frozen=True)

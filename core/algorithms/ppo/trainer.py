@@ -22,8 +22,8 @@ from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.algorithms.schedule import Schedule
 from core.algorithms.trainer import Event, Phase
-from core.environments.action_repeat import repeat_action
 from core.environments.environment import Environment
+from core.environments.wrappers.action_repeat import repeat_action
 from core.errors import JobFailed
 
 

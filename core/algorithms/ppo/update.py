@@ -32,8 +32,8 @@ from core.algorithms.ppo.loss import loss_of
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks, normalization
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment
-from core.environments.worlds import Worlds
-from core.environments.wrappers import Episodes, begun_at_random, fresh_states, start_episodes
+from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
+from core.environments.wrappers.vectorized import Worlds
 
 ADAM = optax.scale_by_adam()
 

@@ -9,9 +9,9 @@ import jax
 from core.algorithms.q_learning.indexers import Indexer, make_indexer
 from core.algorithms.q_learning.mappers import Mapper, make_mapper, num_arms
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions, ObservationGrid
-from core.environments.action_repeat import repeat_action
 from core.environments.environment import Environment, State
-from core.environments.wrapped import Wrapped
+from core.environments.wrappers.action_repeat import repeat_action
+from core.environments.wrappers.base import Wrapped
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, ModelFields
 

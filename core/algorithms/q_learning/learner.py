@@ -16,8 +16,8 @@ from core.algorithms.q_learning.exploration import Exploration, decay_length
 from core.algorithms.q_learning.spec import AgentSpec, QLearningSpec
 from core.algorithms.q_learning.table import Transitions, epsilon_greedy, greedy, learn, td_errors
 from core.environments.environment import State
-from core.environments.worlds import Worlds
-from core.environments.wrappers import select
+from core.environments.wrappers.autoreset import select
+from core.environments.wrappers.vectorized import Worlds
 from core.physics.engine import OVERFLOW
 
 # What is looked at in each round, in the order in which one spoils the next.

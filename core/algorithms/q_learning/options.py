@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from core.documents import Strict
 from core.environments.options import Range
-from core.model import Strict
 
 # A table of so many cells, its visits and a copy take 120 MB.
 MOST_CELLS = 10_000_000

@@ -16,7 +16,7 @@ from core.algorithms.q_learning.indexers import make_indexer
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from core.environments.environment import Environment, State
-from core.environments.holding import Holding
+from core.environments.wrappers.action_hold import Holding
 from core.errors import JobFailed
 
 FORMAT = Format("gaitway-q_learning-1")

@@ -20,9 +20,9 @@ from core.algorithms.q_learning.options import (
     ObservationGrid,
 )
 from core.algorithms.spec import BaseSpec
+from core.documents import Strict
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
-from core.model import Strict
 
 Share = Annotated[float, Field(ge=0, le=1)]
 

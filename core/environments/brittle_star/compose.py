@@ -11,7 +11,7 @@ from core.environments.brittle_star.options import (
     LightEscapeOptions,
     Options,
 )
-from core.environments.headless import without_a_display
+from core.environments.dm_control.dm_control_import import without_a_display
 from core.errors import JobFailed
 
 

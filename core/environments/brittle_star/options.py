@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from core.documents import Strict
 from core.environments.brittle_star.observables import (
     DEAR,
     OF_THE_BODY,
@@ -17,7 +18,6 @@ from core.environments.brittle_star.observables import (
 )
 from core.environments.cpg.options import CPGOptions
 from core.environments.options import NoiseScale
-from core.model import Strict
 
 # Of biorobot's morphology, whose name stands before everything of it.
 DISK = "BrittleStarMorphology/central_disk"

@@ -17,7 +17,7 @@ from core.environments.cpg.options import CPGOptions
 from core.environments.cpg.oscillators import Network, Oscillators, at_rest, output
 from core.environments.cpg.roles import Gait, modulation, roles_under
 from core.environments.environment import Environment, State
-from core.environments.wrapped import Wrapped
+from core.environments.wrappers.base import Wrapped
 from core.physics.engine import NOMINAL, ModelFields
 
 # So that the body starts as it would without oscillators.

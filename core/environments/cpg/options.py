@@ -5,7 +5,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from core.model import Strict
+from core.documents import Strict
 
 # The largest step of an integrator, times the rate of what decays: beyond, errors grow.
 _STABLE = {"euler": 2.0, "rk4": 2.785}

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from core.environments import terms
+from core.environments import rewards
 from core.environments.mjcf import observations
 from core.environments.mjcf.contacts import sensor_name
 from core.environments.mjcf.moment import Bound, Moment, Parts
@@ -59,14 +59,14 @@ def reward(term: RewardTerm, parts: Parts) -> Bound:  # noqa: C901 # A table.
         case Alive():
             return Bound((), lambda moment: jnp.ones(()))
         case ControlCost():
-            return Bound((), lambda moment: terms.control_cost(moment.action))
+            return Bound((), lambda moment: rewards.control_cost(moment.action))
         case Energy():
             return Bound(
                 ("qfrc_actuator",),
-                lambda moment: terms.energy(moment.after.derived["qfrc_actuator"], moment.after.qvel),
+                lambda moment: rewards.energy(moment.after.derived["qfrc_actuator"], moment.after.qvel),
             )
         case ActionRate():
-            return Bound((), lambda moment: terms.action_rate(moment.action, moment.previous_action))
+            return Bound((), lambda moment: rewards.action_rate(moment.action, moment.previous_action))
         case Distance():
             return _distance(term, parts)
         case JointLimits():
@@ -136,7 +136,7 @@ def _forward_velocity(term: ForwardVelocity, parts: Parts) -> Bound:
     if term.of == "centre_of_mass":
         return Bound(
             ("subtree_com",),
-            lambda moment: terms.forward_velocity(
+            lambda moment: rewards.forward_velocity(
                 moment.before.derived["subtree_com"][body],
                 moment.after.derived["subtree_com"][body],
                 direction,
@@ -146,7 +146,7 @@ def _forward_velocity(term: ForwardVelocity, parts: Parts) -> Bound:
     derived, position = parts.position(body)
     return Bound(
         derived,
-        lambda moment: terms.forward_velocity(
+        lambda moment: rewards.forward_velocity(
             position(moment.before), position(moment.after), direction, moment.dt
         ),
     )
@@ -158,10 +158,10 @@ def _velocity_tracking(term: VelocityTracking, parts: Parts) -> Bound:
     turned = term.frame == "body"
 
     def measure(moment: Moment) -> jax.Array:
-        velocity = terms.velocity(position(moment.before), position(moment.after), moment.dt)
+        velocity = rewards.velocity(position(moment.before), position(moment.after), moment.dt)
         if turned:
             velocity = moment.after.derived["xmat"][body].reshape(3, 3).T @ velocity
-        return terms.velocity_tracking(velocity[:2], wanted, term.tolerance)
+        return rewards.velocity_tracking(velocity[:2], wanted, term.tolerance)
 
     return Bound((*derived, "xmat") if turned else derived, measure)
 
@@ -169,23 +169,23 @@ def _velocity_tracking(term: VelocityTracking, parts: Parts) -> Bound:
 def _upright(term: Upright | NotUpright, parts: Parts) -> Bound:
     body, axis = parts.body(term.body), _unit(term.axis)
     return Bound(
-        ("xmat",), lambda moment: terms.upright(moment.after.derived["xmat"][body].reshape(3, 3), axis)
+        ("xmat",), lambda moment: rewards.upright(moment.after.derived["xmat"][body].reshape(3, 3), axis)
     )
 
 
 def _in_height_range(term: HeightRange | OutsideHeightRange, parts: Parts) -> Bound:
     derived, position = parts.position(parts.body(term.body))
-    return Bound(derived, lambda moment: terms.height_range(position(moment.after)[2], term.range))
+    return Bound(derived, lambda moment: rewards.height_range(position(moment.after)[2], term.range))
 
 
 def _distance(term: Distance, parts: Parts) -> Bound:
     derived, position = parts.position(parts.body(term.body))
     if term.target is None:
         point = jnp.array(term.point, jnp.float32)
-        return Bound(derived, lambda moment: terms.distance(position(moment.after), point))
+        return Bound(derived, lambda moment: rewards.distance(position(moment.after), point))
     others, target = parts.position(parts.body(term.target))
     return Bound(
-        (*derived, *others), lambda moment: terms.distance(position(moment.after), target(moment.after))
+        (*derived, *others), lambda moment: rewards.distance(position(moment.after), target(moment.after))
     )
 
 
@@ -193,12 +193,12 @@ def _joint_limits(term: JointLimits, parts: Parts) -> Bound:
     joints = observations.limited_joints(parts, term.joints)
     places = parts.model.jnt_qposadr[joints]
     low, high = jnp.asarray(parts.model.jnt_range[joints].T, jnp.float32)
-    return Bound((), lambda moment: terms.joint_limits(moment.after.qpos[places], low, high, term.share))
+    return Bound((), lambda moment: rewards.joint_limits(moment.after.qpos[places], low, high, term.share))
 
 
 def _num_touching(term: Contact | Touching, parts: Parts) -> Bound:
     places = parts.sensors([sensor_name(geom, term.against) for geom in term.geoms])
-    return Bound(("sensordata",), lambda moment: terms.contact(moment.after.derived["sensordata"][places]))
+    return Bound(("sensordata",), lambda moment: rewards.contact(moment.after.derived["sensordata"][places]))
 
 
 def _unit(vector: tuple[float, float, float]) -> jax.Array:

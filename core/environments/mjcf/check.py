@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Iterator, Sequence
 
+from core.documents import Strict
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Kind
 from core.environments.mjcf.vocabulary.observations import Activation, Qpos, Sensors
@@ -16,7 +17,6 @@ from core.environments.mjcf.vocabulary.rewards import (
 )
 from core.environments.mjcf.vocabulary.terminations import Touching
 from core.errors import Problem
-from core.model import Strict
 
 _OPTIONS = "/environment/options"
 _MOST_NAMES = 20

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments import terms
+from core.environments import rewards
 from core.environments.body import Body, noisy_start, scaled_to_control
 from core.environments.environment import State
 from core.environments.mjcf import binding
@@ -115,8 +115,8 @@ class Mjcf(Body):
     def _of_the_body(self, state: State, physics: PhysicsState) -> dict[str, jax.Array]:
         """Where the root is and how fast it goes: m, m/s."""
         position = self._position(physics)
-        velocity = terms.velocity(self._position(state.physics), position, self.dt)
-        distance = terms.distance(position[:2], state.info["start"][:2])
+        velocity = rewards.velocity(self._position(state.physics), position, self.dt)
+        distance = rewards.distance(position[:2], state.info["start"][:2])
         values = (position[0], position[1], position[2], velocity[0], velocity[1], distance)
         return dict(zip(_OF_THE_BODY, values, strict=True))
 

@@ -4,13 +4,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from core.documents import Strict
 from core.environments.info import EnvironmentInfo
 from core.environments.mjcf.vocabulary.observations import ObservationTerm
 from core.environments.mjcf.vocabulary.parts import Name
 from core.environments.mjcf.vocabulary.reset import Reset
 from core.environments.mjcf.vocabulary.rewards import RewardTerm
 from core.environments.mjcf.vocabulary.terminations import TerminationTerm
-from core.model import Strict
 
 # Seconds of a physics step.
 SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1

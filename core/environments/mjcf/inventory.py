@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from core.model import Stored
+from core.documents import Stored
 
 Kind = Literal["body", "geom", "joint", "sensor"]
 

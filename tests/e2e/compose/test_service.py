@@ -228,7 +228,7 @@ def second_machine(checkout: Path, tmp_path: Path, project: Project) -> Iterator
 NO_DOOR_WITHOUT_TLS = """
 import sys
 from core.adapters.connect import connect_redis, job_store, object_store
-from core.adapters.redis_errors import reaching_redis
+from core.adapters.redis.errors import reaching_redis
 from core.configuration import read
 from core.errors import RecordsRefuse, RecordsUnavailable, StorageRefuses
 from core.settings import StoreSettings

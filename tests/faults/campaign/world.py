@@ -22,7 +22,7 @@ import psycopg
 import redis
 
 from core.adapters.connect import connect_redis, connect_s3
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.s3.objects import S3ObjectStore
 from gaitway.embedded.folders import private_folder, write_private
 from gaitway.embedded.postgres import Postgres
 from gaitway.embedded.valkey import Valkey

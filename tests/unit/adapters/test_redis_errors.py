@@ -9,8 +9,8 @@ import pytest
 import redis
 
 from core.adapters.connect import connect_redis
-from core.adapters.redis_errors import reaching_redis
-from core.adapters.rq_queue import RQQueue
+from core.adapters.redis.errors import reaching_redis
+from core.adapters.rq.queue import RQQueue
 from core.adapters.startup import exercise_queue
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
 from gaitway.embedded.valkey import Valkey

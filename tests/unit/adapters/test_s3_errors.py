@@ -8,8 +8,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from core.adapters.connect import connect_s3, object_store
-from core.adapters.s3_errors import meaning
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.s3.errors import meaning
+from core.adapters.s3.objects import S3ObjectStore
 from core.adapters.startup import exercise_objects
 from core.errors import Misconfigured, ObjectNotFound, StorageRefuses, StorageUnavailable
 from core.settings import StoreSettings, WorkerSettings

@@ -15,8 +15,8 @@ from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.environment import Environment, State
 from core.environments.probes import Probe, endless
-from core.environments.worlds import Worlds
-from core.environments.wrappers import start_episodes
+from core.environments.wrappers.autoreset import start_episodes
+from core.environments.wrappers.vectorized import Worlds
 from core.physics.engine import NOMINAL, ModelFields
 from tests.overflowing import Overflowing
 

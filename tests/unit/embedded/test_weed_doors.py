@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from core.adapters.connect import connect_s3
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.s3.objects import S3ObjectStore
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION
 

@@ -17,7 +17,7 @@ if not take_own_mounts():
     sys.exit("This user may mount no disk.")
 
 from core.adapters.connect import connect_s3
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.s3.objects import S3ObjectStore
 from core.errors import StorageUnavailable
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
+from core.environments.body_position import whereabouts
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo
-from core.environments.whereabouts import whereabouts
 from core.physics.choose import engine_builder
 
 NUM_WORLDS = 8

@@ -7,8 +7,8 @@ import pytest
 
 from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.environments import catalog
-from core.environments.ant.info import AntOptions
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.locomotion.ant.info import AntOptions
 from core.errors import EnvironmentNotFound, Rejected
 
 INFOS = list(catalog.ENVIRONMENTS.values())

@@ -21,7 +21,7 @@ from core.environments.rollout import (
     trajectory_of,
     zero_policy,
 )
-from core.environments.wrapped import Wrapped
+from core.environments.wrappers.base import Wrapped
 from core.physics.choose import engine_builder
 from core.physics.engine import NOMINAL, ModelFields
 

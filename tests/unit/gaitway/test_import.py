@@ -17,9 +17,9 @@ import pytest
 import redis
 
 from core.adapters.connect import connect_redis, connect_s3, job_store
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.s3.objects import S3ObjectStore
 from core.configuration import variable
 from core.errors import IdempotencyKeyReused, ModelNotFound
 from core.jobs import feeds

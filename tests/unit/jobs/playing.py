@@ -5,7 +5,7 @@ import secrets
 from datetime import timedelta
 from typing import Any
 
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Holding, claim, new_secret
 from core.jobs.job import Artifact, Job

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from sqlalchemy import event
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobNotFound, ObjectNotFound, StorageUnavailable
 from core.jobs import feeds

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from sqlalchemy import text
 
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import (
@@ -36,8 +36,8 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Idempotency, JobQuery
 from core.jobs.submission import submit
-from core.models.record import ModelRecord
 from core.storage import keys
+from core.user_models.record import ModelRecord
 from tests.unit.jobs.making import NOON, make_job
 
 LEASE = timedelta(seconds=10)

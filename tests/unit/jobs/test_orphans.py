@@ -9,16 +9,16 @@ import pytest
 from structlog.testing import capture_logs
 from structlog.typing import EventDict
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.errors import StorageUnavailable
 from core.jobs import feeds
 from core.jobs.orphans import sweep
 from core.jobs.record_copy import copy_record
 from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
-from core.models.record import ModelRecord
 from core.storage import keys
 from core.storage.objects import ObjectInfo
+from core.user_models.record import ModelRecord
 from tests.unit.jobs.making import make_job
 from tests.unit.jobs.playing import PlayedWorker
 from worker import reconciler

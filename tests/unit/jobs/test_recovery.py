@@ -5,8 +5,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobUnreadable, ModelNotFound, StaleJob
@@ -18,8 +18,8 @@ from core.jobs.record_copy import copy_record, read_copy
 from core.jobs.recovery import Finding, findings
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
-from core.models.record import ModelRecord
 from core.storage import keys
+from core.user_models.record import ModelRecord
 from tests.conftest import Databases
 from tests.unit.jobs.playing import LEASE, PlayedWorker
 

@@ -6,8 +6,8 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import text
 
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import Dispatch, MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import Dispatch, MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.jobs.attempts import PAUSES

@@ -1,6 +1,6 @@
 """The bucket's layout."""
 
-from core.adapters.object_keys import is_portable
+from core.adapters.s3.keys import is_portable
 from core.storage import keys
 
 JOB = "019aa3c2f0b1-5be0c1d2e3"

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rq.exceptions import StopRequested
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs.attempts import Holding

@@ -8,7 +8,7 @@ import rq
 from rq.job import Callback
 from rq.serializers import JSONSerializer
 
-from core.adapters import rq_queue
+from core.adapters.rq import queue as rq_queue
 from worker.named_job import NamedJob, UnknownTask
 
 

@@ -12,7 +12,7 @@ import pytest
 import redis
 
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.adapters.rq_queue import RQQueue
+from core.adapters.rq.queue import RQQueue
 from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.submission import submit

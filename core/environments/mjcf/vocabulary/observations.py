@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from core.documents import Strict
 from core.environments.mjcf.vocabulary.parts import Names, OfBodies
-from core.model import Strict
 
 
 class Qpos(Strict):

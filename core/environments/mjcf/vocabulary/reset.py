@@ -4,9 +4,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from core.documents import Strict
 from core.environments.mjcf.vocabulary.parts import Name
 from core.environments.options import NoiseScale
-from core.model import Strict
 
 
 class Reset(Strict):

@@ -1,9 +1,10 @@
-"""What a body can earn, in a job's words; `core.environments.terms` computes it."""
+"""What a body can earn, in a job's words; `core.environments.rewards` computes it."""
 
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from core.documents import Strict
 from core.environments.mjcf.vocabulary.parts import (
     Direction,
     Name,
@@ -15,7 +16,6 @@ from core.environments.mjcf.vocabulary.parts import (
     Vector,
 )
 from core.environments.options import Weight
-from core.model import Strict
 
 
 class _Reward(Strict):

@@ -12,7 +12,7 @@ from core.algorithms.q_learning.indexers import Indexer, make_indexer
 from core.algorithms.q_learning.mappers import make_mapper
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
 from core.environments import probes
-from core.environments.randomized import RandomizedEnvironment
+from core.environments.wrappers.domain_randomization import RandomizedEnvironment
 from core.errors import JobFailed
 from tests.learning.q_probes import PlanarStar
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from core.environments.brittle_star.options import DirectedOptions, LightEscapeOptions, Options
-from core.environments.headless import without_a_display
+from core.environments.dm_control.dm_control_import import without_a_display
 
 TASKS = {
     "brittle_star": ("directed_locomotion", "DirectedLocomotion"),

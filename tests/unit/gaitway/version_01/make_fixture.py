@@ -20,8 +20,8 @@ from typing import Any
 
 from core.adapters.connect import connect_redis, connect_s3
 from core.adapters.redis_jobs import RedisJobStore
-from core.adapters.rq_queue import RQQueue
-from core.adapters.s3_objects import S3ObjectStore
+from core.adapters.rq.queue import RQQueue
+from core.adapters.s3.objects import S3ObjectStore
 from core.environments.mjcf.inventory import Inventory
 from core.jobs.attempts import Holding, claim, given_back
 from core.jobs.cancellation import cancel
@@ -31,8 +31,8 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Idempotency
 from core.jobs.submission import submit
-from core.models import library
-from core.models.record import Description, ModelRecord
+from core.user_models import library
+from core.user_models.record import Description, ModelRecord
 from core.storage import keys
 from gaitway.embedded.valkey import Valkey
 from gaitway.embedded.weed import Weed
@@ -176,7 +176,7 @@ def others(service: Service, succeeded: Job) -> None:
 
 
 def models(objects: S3ObjectStore) -> dict[str, str]:
-    """One of each status, as `core.models.library` of 0.1 kept them."""
+    """One of each status, as `core.user_models.library` of 0.1 kept them."""
     description = Description(
         inventory=inventory(),
         engines={"native": None, "mjx": "It has a tendon."},

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from core.adapters.object_keys import is_portable
+from core.adapters.s3.keys import is_portable
 from core.storage import keys
 from worker.compile_cache import fingerprint as module
 from worker.compile_cache.fingerprint import fingerprint

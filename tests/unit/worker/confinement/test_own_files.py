@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.jobs.spec import JOB_SPEC
 from core.previews import library
 from core.rendering.gl import probe

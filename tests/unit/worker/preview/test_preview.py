@@ -8,7 +8,7 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.environments.catalog import find, parse_options
 from core.errors import ObjectNotFound
 from core.previews import library

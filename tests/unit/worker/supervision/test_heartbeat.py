@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from core.adapters.memory_objects import MemoryObjectStore
+from core.adapters.memory.objects import MemoryObjectStore
 from core.errors import LeaseLost, RecordsUnavailable
 from core.jobs.attempts import Holding
 from core.jobs.status import JobStatus

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs import feeds

@@ -11,15 +11,15 @@ from typing import Any
 import psutil
 import pytest
 
-from core.adapters.memory_objects import MemoryObjectStore
-from core.adapters.memory_queue import MemoryJobQueue
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import compiled, read
 from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
-from core.models import library
 from core.storage import keys
+from core.user_models import library
 from tests import models
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped

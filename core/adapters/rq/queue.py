@@ -1,0 +1,176 @@
+"""The job queue on RQ."""
+
+import time
+from collections.abc import Collection, Set
+from contextlib import suppress
+from datetime import timedelta
+from typing import Any
+
+from redis import Redis
+from redis.exceptions import RedisError
+from rq import Queue
+from rq.exceptions import DuplicateJobError, InvalidJobOperation, NoSuchGroupError
+from rq.job import Job as RQJob
+from rq.job import JobStatus as RQStatus
+from rq.serializers import JSONSerializer
+
+from core.adapters.redis.errors import reaching_redis
+from core.jobs.queue import FIRST, LAST, queue_name
+from core.jobs.spec import Accelerator, Priority
+from core.previews.record import PreviewRequest
+
+TASK = "worker.tasks.run_attempt"
+MODEL_TASK = "worker.tasks.validate_model"
+PREVIEW_TASK = "worker.tasks.draw_preview"
+# What RQ thinks of an end is nobody's concern: the record says why an attempt ended.
+_KEEP_FAILURES = timedelta(minutes=1)
+_NO_LIMIT = -1  # the supervisor keeps the deadline
+# How RQ names its keys, and what Redis says of one without a time to live.
+_MESSAGE, _EXECUTIONS, _FOR_EVER = "rq:job:", "rq:executions:", -1
+
+
+class RQQueue:
+    """A JobQueue whose workers are RQ's; they call `TASK` with the job's id and the attempt.
+
+    And `MODEL_TASK` with a model's id, `PREVIEW_TASK` with a request as JSON.
+    """
+
+    def __init__(self, client: "Redis") -> None:
+        self._redis: Any = client
+
+    @reaching_redis()
+    def enqueue(
+        self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
+    ) -> None:
+        name = queue_name(accelerator, priority, gpus)
+        self._enqueue(name, _rq_id(job_id, attempt), TASK, (job_id, attempt))
+
+    @reaching_redis()
+    def contains(self, job_id: str, attempt: int) -> bool:
+        return self._contains(_rq_id(job_id, attempt))
+
+    @reaching_redis()
+    def known(self) -> Collection[tuple[str, int]]:
+        names = (name.rpartition("_") for name in self._held())
+        return {(job_id, int(attempt)) for job_id, _, attempt in names if job_id and attempt.isdecimal()}
+
+    @reaching_redis()
+    def strays(self) -> Set[str]:
+        # Those that RQ keeps for a while have a time to live.
+        found = [key.decode() for key in self._redis.scan_iter(f"{_MESSAGE}*", count=1000)]
+        names = {key.removeprefix(_MESSAGE) for key in found} - self._held()
+        with self._redis.pipeline(transaction=False) as pipeline:
+            for name in names:
+                pipeline.ttl(_MESSAGE + name)
+            lives: list[int] = pipeline.execute()
+        return {name for name, life in zip(names, lives, strict=True) if life == _FOR_EVER}
+
+    @reaching_redis()
+    def drop(self, names: Collection[str]) -> None:
+        self._redis.delete(*(prefix + name for name in names for prefix in (_MESSAGE, _EXECUTIONS)))
+
+    @reaching_redis()
+    def remove(self, job_id: str, attempt: int) -> None:
+        self._remove(_rq_id(job_id, attempt))
+
+    @reaching_redis()
+    def enqueue_model(self, model_id: str) -> None:
+        self._enqueue(LAST, _model_rq_id(model_id), MODEL_TASK, (model_id,))
+
+    @reaching_redis()
+    def contains_model(self, model_id: str) -> bool:
+        return self._contains(_model_rq_id(model_id))
+
+    @reaching_redis()
+    def enqueue_preview(self, request: PreviewRequest) -> None:
+        self._enqueue(FIRST, _preview_rq_id(request.id), PREVIEW_TASK, (request.model_dump_json(),))
+
+    @reaching_redis()
+    def contains_preview(self, preview_id: str) -> bool:
+        return self._contains(_preview_rq_id(preview_id))
+
+    @reaching_redis()
+    def num_previews(self) -> int:
+        waiting = Queue(FIRST, connection=self._redis, serializer=JSONSerializer).job_ids
+        return sum(rq_id.startswith(_preview_rq_id("")) for rq_id in waiting)
+
+    def _held(self) -> Set[str]:
+        """RQ's names of all that waits, or that a worker has started and prolongs."""
+        queues = Queue.all(connection=self._redis, serializer=JSONSerializer)  # pyright: ignore[reportUnknownMemberType]
+        with self._redis.pipeline(transaction=False) as pipeline:
+            for queue in queues:
+                pipeline.lrange(queue.key, 0, -1)
+                pipeline.zrangebyscore(queue.started_job_registry.key, time.time(), "+inf")
+            found: list[list[bytes]] = pipeline.execute()
+        # A started one stands there with the number of its execution, behind a colon.
+        return {name.decode(errors="replace").partition(":")[0] for names in found for name in names}
+
+    def _enqueue(self, name: str, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
+        queue = Queue(name, connection=self._redis, serializer=JSONSerializer)
+        try:
+            _push(queue, rq_id, task, args)
+        except DuplicateJobError:
+            # RQ may know one that it has lost: its worker died between taking it and starting it.
+            if not self._contains(rq_id):
+                self._remove(rq_id)
+                with suppress(DuplicateJobError):  # Of the API and the reconciler, the other was faster.
+                    _push(queue, rq_id, task, args)
+
+    def _contains(self, rq_id: str) -> bool:
+        found = self._find(rq_id)
+        if found is None:
+            return False
+        if found.get_status(refresh=False) == RQStatus.QUEUED:
+            return (
+                self._redis.lpos(Queue.redis_queue_namespace_prefix + str(found.origin), found.id) is not None
+            )
+        # Started: as long as the worker that took it prolongs its entry.
+        return self._redis.zcount(found.execution_registry.key, time.time(), "+inf") > 0
+
+    def _remove(self, rq_id: str) -> None:
+        found = self._find(rq_id)
+        if found is not None:
+            # Its worker may have just ended it: RQ then meets half of it, or of an execution.
+            with suppress(InvalidJobOperation, NoSuchGroupError, KeyError, ValueError):
+                found.delete()
+        self.drop([rq_id])
+
+    def _find(self, rq_id: str) -> RQJob | None:
+        """RQ's message; None where there is none, or a damaged one, which `_remove` deletes."""
+        try:
+            return RQJob.fetch(  # pyright: ignore[reportUnknownMemberType]
+                rq_id, connection=self._redis, serializer=JSONSerializer
+            )
+        except RedisError:
+            raise
+        except Exception:  # RQ checks nothing that it reads: a damaged field raises whatever its parser does.
+            return None
+
+
+def _push(queue: Queue, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
+    queue.enqueue_call(  # pyright: ignore[reportUnknownMemberType]
+        task,
+        args=args,
+        job_id=rq_id,
+        unique=True,
+        timeout=_NO_LIMIT,
+        result_ttl=0,
+        failure_ttl=int(_KEEP_FAILURES.total_seconds()),
+    )
+
+
+def job_of(rq_id: str) -> str | None:
+    """The job that RQ's name for an attempt belongs to; None where it is of none."""
+    return rq_id.rpartition("_")[0] or None
+
+
+def _rq_id(job_id: str, attempt: int) -> str:
+    return f"{job_id}_{attempt}"
+
+
+def _model_rq_id(model_id: str) -> str:
+    return model_id.replace(":", "-")
+
+
+def _preview_rq_id(preview_id: str) -> str:
+    return f"preview-{preview_id}"

@@ -1,0 +1,144 @@
+"""Objects on an S3 server, through the minio SDK."""
+
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from io import BytesIO
+from itertools import chain
+from pathlib import Path
+
+from minio import Minio
+from minio.deleteobjects import DeleteObject
+from minio.error import S3Error
+from urllib3.response import BaseHTTPResponse
+
+from core.adapters.s3.errors import meaning, reaching_s3
+from core.adapters.s3.keys import PIECE_BYTES, check_readable, check_writable
+from core.errors import ObjectNotFound, StorageRefuses
+from core.storage.objects import ObjectInfo
+
+_ANY = "application/octet-stream"
+_PART_BYTES = 8 * 2**20
+
+
+class S3ObjectStore:
+    """An ObjectStore in one bucket; thread-safe."""
+
+    def __init__(self, client: Minio, bucket: str) -> None:
+        self._client = client
+        self._bucket = bucket
+
+    def ensure_bucket(self) -> None:
+        """Make the bucket unless it is there. Raises StorageUnavailable."""
+        with self._reaching():
+            if not self._client.bucket_exists(self._bucket):
+                self._make_bucket()
+
+    def put(self, key: str, body: bytes, *, media_type: str = _ANY) -> None:
+        check_writable(key)
+        with self._reaching(key):
+            self._client.put_object(self._bucket, key, BytesIO(body), len(body), content_type=media_type)
+
+    def put_file(self, key: str, path: Path, *, media_type: str = _ANY) -> None:
+        check_writable(key)
+        with self._reaching(key):
+            self._client.fput_object(
+                self._bucket, key, str(path), content_type=media_type, part_size=_PART_BYTES
+            )
+
+    def get(self, key: str) -> bytes:
+        with self.open(key) as pieces:
+            return b"".join(pieces)
+
+    def open(
+        self, key: str, start: int = 0, length: int | None = None
+    ) -> AbstractContextManager[Iterator[bytes]]:
+        check_readable(key)
+        if length == 0:
+            self.info(key)
+            return nullcontext(iter(()))
+        with self._reaching(key):
+            try:
+                response = self._client.get_object(self._bucket, key, offset=start, length=length or 0)
+            except S3Error as error:
+                if error.code == "InvalidRange":  # begins at or after the end: nothing is there
+                    return nullcontext(iter(()))
+                raise
+        return _streaming(self._bucket, key, response)
+
+    def info(self, key: str) -> ObjectInfo:
+        check_readable(key)
+        try:
+            with self._reaching(key):
+                found = self._client.stat_object(self._bucket, key)
+        except (ObjectNotFound, StorageRefuses):
+            # The answer to a HEAD has no body, so it cannot say that there is no bucket, or what is refused.
+            self.list(key)
+            raise
+        return ObjectInfo(key, found.size or 0, found.content_type or _ANY, modified_at=found.last_modified)
+
+    def list(self, prefix: str) -> Iterator[ObjectInfo]:
+        found = _in_key_order(self._listed(prefix), prefix)
+        first = next(found, None)  # A refusal is raised here, and not where the listing is read.
+        return iter(()) if first is None else chain([first], found)
+
+    def delete_prefix(self, prefix: str) -> None:
+        self.delete([item.key for item in self.list(prefix)])
+
+    def delete(self, keys: Iterable[str]) -> None:
+        """Remove these objects; one that is not there is no error."""
+        with self._reaching():
+            named = [DeleteObject(key) for key in keys]
+            failures = list(self._client.remove_objects(self._bucket, named))
+        if failures:
+            raise meaning(failures[0].code, failures[0].message, self._bucket)
+
+    def _listed(self, prefix: str) -> Generator[ObjectInfo]:
+        """In the server's order, a page of 1000 at a time."""
+        with self._reaching(prefix):
+            for item in self._client.list_objects(self._bucket, prefix=prefix, recursive=True):
+                if item.object_name:
+                    yield ObjectInfo(item.object_name, item.size or 0, modified_at=item.last_modified)
+
+    def _reaching(self, key: str = "") -> AbstractContextManager[None]:
+        return reaching_s3(self._bucket, key)
+
+    def _make_bucket(self) -> None:
+        try:
+            self._client.make_bucket(self._bucket)
+        except S3Error as error:
+            # Somebody else was faster.
+            if error.code not in ("BucketAlreadyOwnedByYou", "BucketAlreadyExists"):
+                raise
+
+
+def _in_key_order(listed: Iterable[ObjectInfo], prefix: str) -> Generator[ObjectInfo]:
+    """Sorted by key, holding one child of `prefix` in memory at a time.
+
+    Servers that keep objects in folders list them folder by folder: jobs/a/1 before jobs/a-b. Such a listing
+    differs from the order of keys only among children of which the first one's name begins the others'.
+    """
+    held: list[ObjectInfo] = []
+    begins = ""
+    for info in listed:
+        child = info.key[len(prefix) :].partition("/")[0]
+        if held and not child.startswith(begins):
+            yield from sorted(held, key=lambda info: info.key)
+            held.clear()
+        if not held:
+            begins = child
+        held.append(info)
+    yield from sorted(held, key=lambda info: info.key)
+
+
+@contextmanager
+def _streaming(bucket: str, key: str, response: BaseHTTPResponse) -> Generator[Iterator[bytes]]:
+    try:
+        yield _pieces(bucket, key, response)
+    finally:
+        response.close()
+        response.release_conn()
+
+
+def _pieces(bucket: str, key: str, response: BaseHTTPResponse) -> Iterator[bytes]:
+    with reaching_s3(bucket, key):
+        yield from response.stream(PIECE_BYTES)

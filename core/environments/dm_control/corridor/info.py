@@ -1,0 +1,205 @@
+"""The corridor's row in the catalog, and how its options change it."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from core.documents import Strict
+from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker
+from core.environments.info import Device, EnvironmentInfo
+from core.environments.options import Range, RunnerOptions, Weight, check_survives_its_start
+
+# How long dm_control makes the first platform, in metres, and how far in front of the first wall it leaves.
+FIRST_PLATFORM_M = 6.0
+_BEFORE_THE_FIRST_WALL_M = 2.0
+_MOST_OBSTACLES = 200
+
+
+def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
+    low, high = bounds
+    if low > high:
+        raise ValueError(f"[{low:g}, {high:g}] is not [low, high] with low ≤ high")
+    if low < 0:
+        raise ValueError(f"must not be negative, but [{low:g}, {high:g}] is")
+    return bounds
+
+
+Drawn = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_not_descending)]
+"""[low, high] in metres: each length is drawn uniformly between them."""
+
+
+class _Place(Strict):
+    """Who walks, and where."""
+
+    walker: Walker = Field("ant", description="`humanoid` is dm_control's CMU humanoid (2020).")
+    arena: Arena = Field("gaps", description="Platforms with gaps, walls from both sides, or neither.")
+    corridor_length: float = Field(40.0, ge=8, le=400, description="Metres.")
+    corridor_width: float = Field(5.0, gt=0, le=50, description="Metres.")
+    platform_length: Drawn = Field((1.5, 2.0), description="Of `gaps`: each platform's length, in metres.")
+    gap_length: Drawn = Field((0.05, 0.2), description="Of `gaps`: each gap's length, in metres.")
+    wall_gap: Drawn = Field((5.0, 6.0), description="Of `walls`: from one wall to the next, in metres.")
+    wall_width: Drawn = Field((1.0, 2.0), description="Of `walls`: how far each reaches in, in metres.")
+    wall_height: float = Field(2.0, gt=0, le=10, description="Of `walls`, in metres.")
+    arena_seed: int = Field(123456, ge=0, lt=2**32, description="The lengths are drawn from it alone.")
+    start_x: float = Field(5.0, ge=0, description="Where it begins; the first platform ends at 6 m.")
+
+
+class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's fields come first.
+    """Who walks, where, what it earns, and the physics."""
+
+    distance_reward_weight: Weight = Field(5.0, description="Reward for each metre in +x.")
+    terminate_when_unhealthy: bool = Field(
+        True, description="Otherwise it costs the healthy reward. A fall below the ground always ends it."
+    )
+    healthy_z_range: Range | None = Field(
+        None, description="Healthy heights of the trunk, in metres; null: what fits the walker."
+    )
+    exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
+    num_next_obstacles: int = Field(
+        0, ge=0, le=10, description="So many of the gaps or walls ahead are shown to it."
+    )
+    episode_length: int = Field(
+        1000, ge=1, le=100_000, description="Control steps until an episode is cut off."
+    )
+
+    @property
+    def healthy_range(self) -> tuple[float, float]:
+        """What `healthy_z_range` says, or else what fits the walker."""
+        return self.healthy_z_range or WALKERS[self.walker].healthy_z_range
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        needed = 2 * WALKERS[self.walker].reach
+        if self.corridor_width < needed:
+            raise ValueError(
+                f"corridor_width = {self.corridor_width:g} m is too narrow: "
+                f"the {self.walker} needs {needed:g} m"
+            )
+        room = self.corridor_length
+        match self.arena:
+            case "gaps":
+                room = FIRST_PLATFORM_M
+                _check_gaps(self)
+            case "walls":
+                room = self.wall_gap[0] + _BEFORE_THE_FIRST_WALL_M
+                _check_walls(self, needed)
+            case "empty":
+                pass
+        most = room - WALKERS[self.walker].reach / 2
+        if self.start_x > most:
+            raise ValueError(
+                f"start_x = {self.start_x:g} m leaves no room to stand: it may be {most:g} m at most here"
+            )
+        height, terminates = WALKERS[self.walker].standing_height, self.terminate_when_unhealthy
+        check_survives_its_start(height, self.healthy_range, terminates=terminates)
+        return self
+
+
+def _check_gaps(options: CorridorOptions) -> None:
+    behind = options.corridor_length - FIRST_PLATFORM_M
+    if options.gap_length[1] >= behind:
+        raise ValueError(
+            f"gap_length reaches {options.gap_length[1]:g} m, and behind the first platform "
+            f"({FIRST_PLATFORM_M:g} m) the corridor has {behind:g} m left"
+        )
+    if options.platform_length[0] <= 0:
+        raise ValueError("platform_length must be above 0")
+    _check_number(behind / (options.platform_length[0] + options.gap_length[0]), "platforms")
+
+
+def _check_walls(options: CorridorOptions, needed: float) -> None:
+    passage = options.corridor_width - options.wall_width[1]
+    if passage < needed:
+        raise ValueError(
+            f"wall_width reaches {options.wall_width[1]:g} m, which leaves {passage:g} m of the corridor's "
+            f"{options.corridor_width:g} m to pass; the {options.walker} needs {needed:g} m"
+        )
+    if options.wall_gap[0] <= 0 or options.wall_width[0] <= 0:
+        raise ValueError("wall_gap and wall_width must be above 0")
+    _check_number(options.corridor_length / options.wall_gap[0], "walls")
+
+
+def _check_number(number: float, what: str) -> None:
+    if number > _MOST_OBSTACLES:
+        raise ValueError(
+            f"these lengths may make {number:.0f} {what}, and {_MOST_OBSTACLES} are the most: "
+            "each costs time at every step"
+        )
+
+
+def _under(options: CorridorOptions) -> Mapping[str, Any]:
+    """The fields of the row that are others under these options."""
+    walker = WALKERS[options.walker]
+    hidden = 2 if options.exclude_current_positions_from_observation else 0
+    own = {"episode_length": options.episode_length, **_held(options)}
+    return {
+        "observation_size": walker.num_positions
+        - hidden
+        + walker.num_velocities
+        + 3 * options.num_next_obstacles,
+        "action_size": walker.num_actuators,
+        "dt": options.timestep * options.n_frames,
+        "episode_length": options.episode_length,
+        "tracked_body": walker.trunk,
+        "cameras": walker.cameras,
+        "cannot_run": _cannot_run(options),
+        "tuned": {
+            "ppo": {device: {**settings, **own} for device, settings in _TUNED.items()},
+        },
+    }
+
+
+def _held(options: CorridorOptions) -> Mapping[str, Any]:
+    """What is tuned for the ant alone: with a new action each 0.01 s it explores by trembling."""
+    if options.walker != "ant":
+        return {}
+    num_steps = round(_ANT_ACTS_EVERY_S / (options.timestep * options.n_frames))
+    return {"action_repeat": max(1, num_steps), "discounting": 0.97}
+
+
+def _cannot_run(options: CorridorOptions) -> Mapping[str, str]:
+    if not WALKERS[options.walker].has_ellipsoids or options.arena == "empty":
+        return {}
+    return {
+        "mjx": f"MJX has no contacts of ellipsoids with boxes: the {options.walker} has parts of the one "
+        f"kind, the arena {options.arena!r} of the other. Ask for native or warp, or for the arena 'empty'."
+    }
+
+
+_CPU = {
+    "num_timesteps": 3_000_000,
+    "num_envs": 256,
+    "unroll_length": 10,
+    "batch_size": 256,
+    "num_minibatches": 8,
+    "num_updates_per_batch": 4,
+    "learning_rate": 3e-4,
+    "discounting": 0.98,
+    "entropy_cost": 1e-3,
+    "reward_scaling": 0.1,
+    "normalize_observations": True,
+    "normalize_observations_max_abs_value": 10.0,
+    "random_initial_episode_length": True,
+}
+# As many actions of each world in an update as on a CPU, 80: with 20 the value function diverged.
+_GPU = {
+    **_CPU,
+    "num_timesteps": 30_000_000,
+    "num_evals": 1,  # 2 to 4 s of a minute, for the ant.
+    "num_envs": 2048,
+    "batch_size": 512,
+    "num_minibatches": 32,
+}
+_TUNED: Mapping[Device, Mapping[str, Any]] = {"cpu": _CPU, "gpu": _GPU}
+_ANT_ACTS_EVERY_S = 0.04
+
+INFO = EnvironmentInfo(
+    id="corridor",
+    description="dm_control's ant, rodent or humanoid in a corridor with gaps or walls; to run in +x.",
+    factory="core.environments.dm_control.corridor.environment:make",
+    package="dm_control",
+    options=CorridorOptions,
+    vary=_under,
+    **_under(CorridorOptions.model_validate({})),
+)

@@ -1,0 +1,85 @@
+"""A rat that learns to run. Source: Merel et al., 2020, for the body; rewards as in the tutorial notebook."""
+
+import jax
+import jax.numpy as jnp
+
+from core.environments import rewards
+from core.environments.body import TRAVEL, Body, noisy_start, travel
+from core.environments.dm_control.rodent.info import RodentOptions
+from core.environments.dm_control.rodent.model import rodent_model
+from core.environments.environment import State
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+
+_DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
+_METRICS = ("forward_reward", "reward_linvel", "reward_quadctrl", "reward_alive", "height", *TRAVEL)
+
+
+def make(options: RodentOptions, build_engine: EngineBuilder) -> "Rodent":
+    """The rodent under these options, moved by the engine that `build_engine` makes."""
+    return Rodent(options, build_engine)
+
+
+class Rodent(Body):
+    """Reward: forward speed + being up - the action's cost. It may end when the torso is too low or high."""
+
+    def __init__(self, options: RodentOptions, build_engine: EngineBuilder) -> None:
+        model = rodent_model(options.timestep)
+        # The tail's joints have next to no inertia: without implicit damping they fly apart at once.
+        accelerated = SolverSettings(
+            options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
+        )
+        hidden = 2 if options.exclude_current_positions_from_observation else 0
+        super().__init__(
+            model,
+            build_engine(model, options.n_frames, _DERIVED, accelerated=accelerated),
+            num_substeps=options.n_frames,
+            # Each body: 10 numbers of its inertia and 6 of its velocity.
+            observation_size=model.nq - hidden + model.nv + 16 * (model.nbody - 1) + model.nv,
+            tracked_body="torso",
+        )
+        # The noise shall not push it into the floor, which would throw it up.
+        self.initial_qpos = self.initial_qpos.at[2].add(options.reset_noise_scale)
+        self._options = options
+        self._num_hidden = hidden
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
+        zero = jnp.zeros(())
+        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        options = self._options
+        physics = self.engine.step(state.physics, action)
+        position = self._centre_of_mass(physics)
+        velocity = rewards.velocity(self._centre_of_mass(state.physics), position, self.dt)
+        height = physics.qpos[2]
+        forward = options.forward_reward_weight * velocity[0]
+        healthy = rewards.height_range(height, options.healthy_z_range)
+        survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
+        alive = options.healthy_reward * survives
+        effort = options.ctrl_cost_weight * rewards.control_cost(action)
+        metrics = {
+            "forward_reward": forward,
+            "reward_linvel": forward,
+            "reward_quadctrl": -effort,
+            "reward_alive": alive,
+            "height": height,
+            **travel(position, velocity),
+        }
+        return State(physics, self._observe(physics), forward + alive - effort, done, metrics, state.info)
+
+    def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:
+        """[3], in metres; the torso is the root of all the other bodies."""
+        return physics.derived["subtree_com"][self.tracked_body]
+
+    def _observe(self, physics: PhysicsState) -> jax.Array:
+        """Positions, velocities, each body's inertia and velocity as MuJoCo has them, actuators' forces."""
+        return jnp.concatenate(
+            [
+                physics.qpos[self._num_hidden :],
+                physics.qvel,
+                physics.derived["cinert"][1:].ravel(),
+                physics.derived["cvel"][1:].ravel(),
+                physics.derived["qfrc_actuator"],
+            ]
+        )

@@ -1,0 +1,83 @@
+"""The rodent's row in the catalog."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from core.environments.info import EnvironmentInfo
+from core.environments.options import Range, RunnerOptions, check_survives_its_start
+
+STANDING_HEIGHT_M = 0.047
+
+
+class RodentOptions(RunnerOptions):
+    """What a run may change about the rodent, its reward and its physics."""
+
+    terminate_when_unhealthy: bool = Field(True, description="Otherwise it costs the healthy reward.")
+    healthy_z_range: Range = Field(
+        (0.03, 0.3),
+        description=f"Healthy heights of the torso, in metres: it stands at {STANDING_HEIGHT_M}, runs above "
+        "0.033, and has fallen below 0.03.",
+    )
+    exclude_current_positions_from_observation: bool = Field(False, description="Hide x and y.")
+    # With two iterations of Newton's method the body flies apart, in float64, too.
+    iterations: int = Field(
+        4, ge=3, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
+    )
+    ls_iterations: int = Field(8, ge=4, le=100, description="Of its line search, on mjx and warp.")
+
+    @model_validator(mode="after")
+    def _stands(self) -> Self:
+        terminates = self.terminate_when_unhealthy
+        check_survives_its_start(STANDING_HEIGHT_M, self.healthy_z_range, terminates=terminates)
+        return self
+
+
+INFO = EnvironmentInfo(
+    id="rodent",
+    description="dm_control's rat: 67 joints and 38 actuators, rewarded for running in +x and staying up.",
+    factory="core.environments.dm_control.rodent.environment:make",
+    package="dm_control",
+    observation_size=1260,
+    action_size=38,
+    dt=0.01,
+    episode_length=1000,
+    tracked_body="torso",
+    cameras=("back", "side", "side_alt", "top", "egocentric"),
+    options=RodentOptions,
+    tuned={
+        "ppo": {
+            "cpu": {
+                "num_timesteps": 3_000_000,
+                "num_envs": 256,
+                "unroll_length": 10,
+                "batch_size": 256,
+                "num_minibatches": 8,
+                "num_updates_per_batch": 4,
+                "learning_rate": 3e-4,
+                "discounting": 0.98,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 0.1,
+                "normalize_observations": True,
+                "normalize_observations_max_abs_value": 10.0,
+                "random_initial_episode_length": True,
+            },
+            "gpu": {
+                "num_timesteps": 30_000_000,
+                "num_evals": 1,  # 7.6 s of four minutes: a second one would be more than 5 % of the run.
+                "num_envs": 2048,
+                "unroll_length": 10,
+                "batch_size": 512,
+                "num_minibatches": 32,
+                "num_updates_per_batch": 4,
+                "learning_rate": 3e-4,
+                "discounting": 0.98,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 0.1,
+                "normalize_observations": True,
+                "normalize_observations_max_abs_value": 10.0,
+                "random_initial_episode_length": True,
+            },
+        }
+    },
+)

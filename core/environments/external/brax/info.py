@@ -1,0 +1,82 @@
+"""The catalog's rows of Brax's registry, from a table that `describe` makes of the package."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from core.documents import Strict
+from core.environments.info import EnvironmentInfo
+from core.environments.locomotion.ant.info import INFO as ANT
+from core.environments.locomotion.half_cheetah.info import INFO as HALF_CHEETAH
+from core.environments.locomotion.hopper.info import INFO as HOPPER
+from core.environments.locomotion.humanoid.info import INFO as HUMANOID
+from core.environments.locomotion.inverted_pendulum.info import INFO as INVERTED_PENDULUM
+from core.environments.locomotion.reacher.info import INFO as REACHER
+from core.environments.locomotion.walker2d.info import INFO as WALKER2D
+from core.physics.availability import EngineName
+
+FAMILY = "brax"
+TABLE = Path(__file__).parent / "table.json"
+EPISODE_LENGTH = 1000
+
+Backend = Literal["generalized", "spring", "positional", "mjx"]
+BACKENDS: tuple[Backend, ...] = ("generalized", "spring", "positional", "mjx")
+
+
+class BraxOptions(Strict):
+    """Brax's environments with their own defaults."""
+
+    backend: Backend = Field("generalized", description="Which of Brax's physics moves the body.")
+
+
+# Brax's registry comes without settings. The same task has ours; the others have PPO's defaults.
+_TWINS = {
+    "ant": ANT,
+    "halfcheetah": HALF_CHEETAH,
+    "hopper": HOPPER,
+    "humanoid": HUMANOID,
+    "inverted_pendulum": INVERTED_PENDULUM,
+    "reacher": REACHER,
+    "walker2d": WALKER2D,
+}
+
+
+def _row(name: str, facts: Mapping[str, Any]) -> EnvironmentInfo:
+    why = f"{FAMILY}/{name} is moved by Brax's own physics: choose it by options.backend, without `physics`."
+    cannot: dict[EngineName, str] = {"native": why, "mjx": why, "warp": why}
+    twin = _TWINS.get(name)
+    also = f" The task of {twin.id!r}, which runs on this service's engines." if twin else ""
+
+    def vary(options: BraxOptions) -> dict[str, Any]:
+        return {"dt": facts["dt"][options.backend], "own_physics": f"brax {options.backend}"}
+
+    return EnvironmentInfo(
+        id=f"{FAMILY}/{name}",
+        description=f"{name} of Brax's registry, moved by Brax's own physics.{also}",
+        factory="core.environments.external.brax.environment:make",
+        arguments={"name": name},
+        observation_size=facts["observation_size"],
+        action_size=facts["action_size"],
+        dt=facts["dt"]["generalized"],
+        episode_length=EPISODE_LENGTH,
+        tracked_body=facts["tracked_body"],
+        cameras=tuple(facts["cameras"]),
+        options=BraxOptions,
+        tuned=twin.tuned if twin else {},
+        cannot_run=cannot,
+        own_physics="brax generalized",
+        vary=vary,
+    )
+
+
+def _read() -> tuple[tuple[EnvironmentInfo, ...], dict[str, str]]:
+    table: dict[str, Any] = json.loads(TABLE.read_text())
+    rows = tuple(_row(name, facts) for name, facts in table["environments"].items())
+    return rows, {f"{FAMILY}/{name}": why for name, why in table["cannot"].items()}
+
+
+# INFOS: those that step. CANNOT: why the others of the package's registry cannot, by id.
+INFOS, CANNOT = _read()

@@ -1,0 +1,137 @@
+"""MuJoCo Playground's environments as they are. Source: Zakka et al., MuJoCo Playground (2025)."""
+
+import copy
+from collections.abc import Generator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from core.environments.environment import State
+from core.environments.external.compat import as_float, plain_key, root_of
+from core.environments.info import NoOptions
+from core.errors import JobFailed
+from core.physics.engine import (
+    NOMINAL,
+    OVERFLOW,
+    EngineBuilder,
+    ModelFields,
+    PhysicsState,
+    check_model_fields,
+)
+
+# What a step of MJX reads of the Data before it; everything else follows from these.
+_CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
+# Also read by it, and set by a reset: where targets are.
+_MOCAP = ("mocap_pos", "mocap_quat")
+# Where `info` tells those who draw an episode where its target is: the body of the name `target`.
+_TARGET = "target_position"
+
+
+def make(options: NoOptions, build_engine: EngineBuilder, name: str) -> "Playground":
+    """The environment of this name in Playground's registry, on MJX-JAX or MJX-Warp.
+
+    Raises JobFailed("bad_model") where the package is not installed.
+    """
+    return Playground(name, "warp" if build_engine.name == "warp" else "jax")
+
+
+def load(name: str, implementation: Literal["jax", "warp"]) -> Any:
+    """The package's own object. Only its control suite is asked, because that downloads nothing."""
+    try:
+        suite: Any = import_module("mujoco_playground").dm_control_suite
+    except ModuleNotFoundError as error:
+        raise JobFailed(
+            "bad_model",
+            f"The environment comes from the package playground, which this worker has not got ({error}). "
+            f"`pip install 'gaitway[worker,playground]'` brings it.",
+        ) from error
+    return suite.load(name, config_overrides={"impl": implementation})
+
+
+class Playground:
+    """The package's own reset and step, around a Data that is built anew at each step.
+
+    So a state holds a few arrays: on Warp, a Data shares its contacts with all worlds, and
+    `jax.tree.map(where, ...)` over two of them would be wrong. `info` is the environment's own.
+    """
+
+    def __init__(self, name: str, implementation: Literal["jax", "warp"]) -> None:
+        self._theirs = load(name, implementation)
+        self._state: Any = import_module("mujoco_playground").State
+        self._make_data: Any = import_module("mujoco_playground._src.mjx_env").make_data
+        self._implementation = implementation
+        self._mocap = _MOCAP if self._theirs.mj_model.nmocap else ()
+        self.model = _drawn(self._theirs.mj_model)
+        self.observation_size: int = self._theirs.observation_size
+        self.action_size: int = self._theirs.action_size
+        self.dt = float(self._theirs.dt)
+        self.episode_length = int(self._theirs._config.episode_length)
+        self.tracked_body = root_of(self.model)
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        check_model_fields(model)
+        with self._in_a_world_of(model):
+            return self._ours(self._theirs.reset(plain_key(key)), model)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        # What it leaves alone is taken for what it says now: `done` may tell of the episode before.
+        nothing = jnp.zeros(())
+        data = self._data(state.physics)
+        before = self._state(data, state.obs, nothing, nothing, dict(state.metrics), dict(state.info))
+        with self._in_a_world_of(state.physics.model):
+            return self._ours(self._theirs.step(before, action), state.physics.model)
+
+    @contextmanager
+    def _in_a_world_of(self, fields: ModelFields) -> Generator[None]:
+        """Their functions take the model from here; they are only traced, one after the other."""
+        nominal = self._theirs._mjx_model
+        if fields:
+            self._theirs._mjx_model = nominal.tree_replace(dict(fields))
+        try:
+            yield
+        finally:
+            self._theirs._mjx_model = nominal
+
+    def _data(self, physics: PhysicsState) -> Any:
+        config = self._theirs._config
+        blank = self._make_data(
+            self._theirs.mj_model,
+            impl=self._implementation,
+            naconmax=config.naconmax,
+            njmax=config.njmax,
+        )
+        carried = {name: getattr(physics, name) for name in _CARRIED}
+        return blank.replace(**carried, **{name: physics.derived[name] for name in self._mocap})
+
+    def _ours(self, theirs: Any, model: ModelFields) -> State:
+        data = theirs.data
+        derived = {name: getattr(data, name) for name in self._mocap}
+        if self._implementation == "warp":
+            from core.physics.warp_worlds import LOST
+
+            derived[OVERFLOW] = as_float((data._impl.overflow & LOST) != 0)
+        physics = PhysicsState(
+            **{name: as_float(getattr(data, name)) for name in _CARRIED}, derived=derived, model=model
+        )
+        return State(
+            physics,
+            theirs.obs,
+            as_float(theirs.reward),
+            as_float(theirs.done),
+            {name: as_float(value) for name, value in theirs.metrics.items()},
+            {**theirs.info, **({_TARGET: data.mocap_pos[0]} if self._mocap else {})},
+        )
+
+
+def _drawn(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model, its mocap bodies fixed where the model has them: a drawing has no mocap data.
+
+    A stepping C MuJoCo would do the same with it, because Playground moves none of them during an episode.
+    """
+    fixed = copy.copy(model)
+    fixed.body_mocapid[:] = -1
+    return fixed

@@ -1,0 +1,73 @@
+"""A four-legged body that learns to run. Source: Schulman et al., 2015; rewards as in brax.envs.ant."""
+
+import jax
+import jax.numpy as jnp
+
+from core.environments import rewards
+from core.environments.body import TRAVEL, Body, noisy_start, travel
+from core.environments.environment import State
+from core.environments.locomotion.ant.info import AntOptions
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+from core.physics.model import brax_model
+
+_NUM_SUBSTEPS = 5
+_METRICS = (
+    "reward_forward",
+    "reward_survive",
+    "reward_ctrl",
+    "reward_contact",
+    "forward_reward",
+    *TRAVEL,
+)
+
+
+def make(options: AntOptions, build_engine: EngineBuilder) -> "Ant":
+    """The ant under these options, moved by the engine that `build_engine` makes."""
+    return Ant(options, build_engine)
+
+
+class Ant(Body):
+    """Reward: forward speed + being alive - the action's cost. Ends when the torso is too low or too high."""
+
+    def __init__(self, options: AntOptions, build_engine: EngineBuilder) -> None:
+        model = brax_model("ant")
+        accelerated = SolverSettings(iterations=1, ls_iterations=4, implicit_damping=False)
+        engine = build_engine(model, _NUM_SUBSTEPS, (), accelerated=accelerated)
+        hidden = 2 if options.exclude_current_positions_from_observation else 0
+        super().__init__(
+            model,
+            engine,
+            num_substeps=_NUM_SUBSTEPS,
+            observation_size=model.nq - hidden + model.nv,
+            tracked_body="torso",
+        )
+        self._options = options
+        self._num_hidden = hidden
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=True)
+        zero = jnp.zeros(())
+        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        options = self._options
+        physics = self.engine.step(state.physics, action)
+        torso = physics.qpos[:3]
+        velocity = rewards.velocity(state.physics.qpos[:3], torso, self.dt)
+        healthy = rewards.height_range(torso[2], options.healthy_z_range)
+        survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
+        survive = options.healthy_reward * survives
+        control = options.ctrl_cost_weight * rewards.control_cost(action)
+        metrics = {
+            "reward_forward": velocity[0],
+            "reward_survive": survive,
+            "reward_ctrl": -control,
+            "reward_contact": jnp.zeros(()),
+            "forward_reward": velocity[0],
+            **travel(torso, velocity),
+        }
+        reward = velocity[0] + survive - control
+        return State(physics, self._observe(physics), reward, done, metrics, state.info)
+
+    def _observe(self, physics: PhysicsState) -> jax.Array:
+        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel])

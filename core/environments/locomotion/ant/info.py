@@ -1,0 +1,68 @@
+"""The ant's row in the catalog."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from core.documents import Strict
+from core.environments.info import EnvironmentInfo
+from core.environments.options import NoiseScale, Range, Weight
+
+
+class AntOptions(Strict):
+    """Brax's options for the ant, under Brax's names and with its defaults."""
+
+    ctrl_cost_weight: Weight = Field(0.5, description="Cost of an action: this times its squared norm.")
+    use_contact_forces: Literal[False] = Field(False, description="Brax does not implement it either.")
+    contact_cost_weight: Weight = Field(5e-4, description="Without effect: contact forces are not used.")
+    healthy_reward: Weight = Field(1.0, description="Reward for each step.")
+    terminate_when_unhealthy: bool = True
+    healthy_z_range: Range = Field((0.2, 1.0), description="Healthy heights of the torso, in metres.")
+    contact_force_range: Range = Field((-1.0, 1.0), description="Without effect, as contact_cost_weight.")
+    reset_noise_scale: NoiseScale = Field(0.1, description="Of the initial positions and velocities.")
+    exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
+
+
+INFO = EnvironmentInfo(
+    id="ant",
+    description="A four-legged body with eight motors, rewarded for running in +x and staying up.",
+    factory="core.environments.locomotion.ant.environment:make",
+    observation_size=27,
+    action_size=8,
+    dt=0.05,
+    episode_length=1000,
+    tracked_body="torso",
+    cameras=("track",),
+    options=AntOptions,
+    tuned={
+        "ppo": {
+            "cpu": {
+                "num_timesteps": 3_000_000,
+                "num_envs": 256,
+                "unroll_length": 5,
+                "batch_size": 64,
+                "num_minibatches": 8,
+                "num_updates_per_batch": 4,
+                "learning_rate": 6e-4,
+                "discounting": 0.97,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 0.1,
+                "normalize_observations": True,
+            },
+            "gpu": {
+                "num_timesteps": 50_000_000,
+                "num_evals": 1,
+                "num_envs": 4096,
+                "unroll_length": 5,
+                "batch_size": 2048,
+                "num_minibatches": 32,
+                "num_updates_per_batch": 4,
+                "learning_rate": 3e-4,
+                "discounting": 0.97,
+                "entropy_cost": 1e-2,
+                "reward_scaling": 10.0,
+                "normalize_observations": True,
+            },
+        }
+    },
+)

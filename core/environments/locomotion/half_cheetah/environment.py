@@ -1,0 +1,57 @@
+"""A planar two-legged body that learns to run. Rewards as in brax.envs.half_cheetah."""
+
+import jax
+import jax.numpy as jnp
+
+from core.environments import rewards
+from core.environments.body import Body, noisy_start
+from core.environments.environment import State
+from core.environments.locomotion.half_cheetah.info import HalfCheetahOptions
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
+from core.physics.model import brax_model
+
+_NUM_SUBSTEPS = 5
+_METRICS = ("x_position", "x_velocity", "reward_ctrl", "reward_run")
+
+
+def make(options: HalfCheetahOptions, build_engine: EngineBuilder) -> "HalfCheetah":
+    """The half cheetah under these options, moved by the engine that `build_engine` makes."""
+    return HalfCheetah(options, build_engine)
+
+
+class HalfCheetah(Body):
+    """Reward: forward speed - the action's cost. It never terminates."""
+
+    def __init__(self, options: HalfCheetahOptions, build_engine: EngineBuilder) -> None:
+        model = brax_model("half_cheetah")
+        hidden = 1 if options.exclude_current_positions_from_observation else 0
+        super().__init__(
+            model,
+            build_engine(model, _NUM_SUBSTEPS, ()),
+            num_substeps=_NUM_SUBSTEPS,
+            observation_size=model.nq - hidden + model.nv,
+            tracked_body="torso",
+        )
+        self._options = options
+        self._num_hidden = hidden
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=True)
+        zero = jnp.zeros(())
+        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        physics = self.engine.step(state.physics, action)
+        velocity = rewards.velocity(state.physics.qpos[0], physics.qpos[0], self.dt)
+        run = self._options.forward_reward_weight * velocity
+        control = self._options.ctrl_cost_weight * rewards.control_cost(action)
+        metrics = {
+            "x_position": physics.qpos[0],
+            "x_velocity": velocity,
+            "reward_ctrl": -control,
+            "reward_run": run,
+        }
+        return State(physics, self._observe(physics), run - control, jnp.zeros(()), metrics, state.info)
+
+    def _observe(self, physics: PhysicsState) -> jax.Array:
+        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel])

@@ -1,0 +1,61 @@
+"""The half cheetah's row in the catalog."""
+
+from pydantic import Field
+
+from core.documents import Strict
+from core.environments.info import EnvironmentInfo
+from core.environments.options import NoiseScale, Weight
+
+
+class HalfCheetahOptions(Strict):
+    """Brax's options for the half cheetah, under Brax's names and with its defaults."""
+
+    forward_reward_weight: Weight = Field(1.0, description="Reward for each metre per second in +x.")
+    ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
+    reset_noise_scale: NoiseScale = Field(0.1, description="Of the initial positions and velocities.")
+    exclude_current_positions_from_observation: bool = Field(True, description="Hide x.")
+
+
+INFO = EnvironmentInfo(
+    id="half_cheetah",
+    description="A two-legged body in a plane with six motors, rewarded for running in +x.",
+    factory="core.environments.locomotion.half_cheetah.environment:make",
+    observation_size=17,
+    action_size=6,
+    dt=0.05,
+    episode_length=1000,
+    tracked_body="torso",
+    cameras=("track",),
+    options=HalfCheetahOptions,
+    tuned={
+        "ppo": {
+            "cpu": {
+                "num_timesteps": 3_000_000,
+                "num_envs": 256,
+                "unroll_length": 20,
+                "batch_size": 128,
+                "num_minibatches": 16,
+                "num_updates_per_batch": 4,
+                "learning_rate": 6e-4,
+                "discounting": 0.95,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 1.0,
+                "normalize_observations": True,
+            },
+            "gpu": {
+                "num_timesteps": 50_000_000,
+                "num_evals": 3,
+                "num_envs": 2048,
+                "unroll_length": 20,
+                "batch_size": 512,
+                "num_minibatches": 32,
+                "num_updates_per_batch": 8,
+                "learning_rate": 3e-4,
+                "discounting": 0.95,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 1.0,
+                "normalize_observations": True,
+            },
+        }
+    },
+)

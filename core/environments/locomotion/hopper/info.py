@@ -1,0 +1,68 @@
+"""The hopper's row in the catalog."""
+
+from pydantic import Field
+
+from core.documents import Strict
+from core.environments.info import EnvironmentInfo
+from core.environments.options import NoiseScale, OpenRange, Range, Weight
+
+
+class HopperOptions(Strict):
+    """Brax's options for the hopper, under Brax's names and with its defaults."""
+
+    forward_reward_weight: Weight = Field(1.0, description="Reward for each metre per second in +x.")
+    ctrl_cost_weight: Weight = Field(1e-3, description="Cost of an action: this times its squared norm.")
+    healthy_reward: Weight = Field(1.0, description="Reward for each step.")
+    terminate_when_unhealthy: bool = True
+    healthy_state_range: Range = Field(
+        (-100.0, 100.0), description="Every joint's angle and velocity must lie inside; its own units."
+    )
+    healthy_z_range: OpenRange = Field((0.7, None), description="Healthy heights of the torso, in metres.")
+    healthy_angle_range: Range = Field((-0.2, 0.2), description="Healthy pitches of the torso, in radians.")
+    reset_noise_scale: NoiseScale = Field(5e-3, description="Of the initial positions and velocities.")
+    exclude_current_positions_from_observation: bool = Field(True, description="Hide x.")
+
+
+INFO = EnvironmentInfo(
+    id="hopper",
+    description="A one-legged body in a plane with three motors, rewarded for hopping in +x and staying up.",
+    factory="core.environments.locomotion.hopper.environment:make",
+    observation_size=11,
+    action_size=3,
+    dt=0.008,
+    episode_length=1000,
+    tracked_body="torso",
+    cameras=("track",),
+    options=HopperOptions,
+    tuned={
+        "ppo": {
+            "cpu": {
+                "num_timesteps": 5_000_000,
+                "num_envs": 256,
+                "unroll_length": 20,
+                "batch_size": 128,
+                "num_minibatches": 16,
+                "num_updates_per_batch": 4,
+                "learning_rate": 6e-4,
+                "discounting": 0.99,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 1.0,
+                "normalize_observations": True,
+            },
+            "gpu": {
+                "num_timesteps": 50_000_000,
+                "num_evals": 2,
+                "num_envs": 2048,
+                "unroll_length": 20,
+                "batch_size": 1024,
+                "num_minibatches": 32,
+                "num_updates_per_batch": 4,
+                "learning_rate": 3e-4,
+                "discounting": 0.99,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 1.0,
+                "normalize_observations": True,
+            },
+        }
+    },
+)

@@ -1,0 +1,96 @@
+"""A humanoid that learns to walk. Source: Tassa et al., 2012; rewards as in brax.envs.humanoid."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from core.environments import rewards
+from core.environments.body import TRAVEL, Body, noisy_start, scaled_to_control, travel
+from core.environments.environment import State
+from core.environments.locomotion.humanoid.info import HumanoidOptions
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+from core.physics.model import brax_model
+
+_NUM_SUBSTEPS = 5
+_DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
+_METRICS = ("forward_reward", "reward_linvel", "reward_quadctrl", "reward_alive", *TRAVEL)
+
+
+def make(options: HumanoidOptions, build_engine: EngineBuilder) -> "Humanoid":
+    """The humanoid under these options, moved by the engine that `build_engine` makes."""
+    return Humanoid(options, build_engine)
+
+
+class Humanoid(Body):
+    """Reward: forward speed + being alive - the control's cost. Ends when the torso falls."""
+
+    def __init__(self, options: HumanoidOptions, build_engine: EngineBuilder) -> None:
+        model = brax_model("humanoid")
+        accelerated = SolverSettings(iterations=1, ls_iterations=4, implicit_damping=False)
+        hidden = 2 if options.exclude_current_positions_from_observation else 0
+        num_bodies = model.nbody - 1
+        super().__init__(
+            model,
+            build_engine(model, _NUM_SUBSTEPS, _DERIVED, accelerated=accelerated),
+            num_substeps=_NUM_SUBSTEPS,
+            # Each body: its inertia [3, 3] and mass; its linear and angular velocity.
+            observation_size=model.nq - hidden + model.nv + 10 * num_bodies + 6 * num_bodies + model.nv,
+            tracked_body="torso",
+        )
+        self._options = options
+        self._num_hidden = hidden
+        self._masses = np.asarray(model.body_mass, np.float32)
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
+        zero = jnp.zeros(())
+        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        options = self._options
+        control = scaled_to_control(self.model, action)
+        physics = self.engine.step(state.physics, control)
+        position = self._centre_of_mass(physics)
+        velocity = rewards.velocity(self._centre_of_mass(state.physics), position, self.dt)
+        forward = options.forward_reward_weight * velocity[0]
+        healthy = rewards.height_range(physics.qpos[2], options.healthy_z_range)
+        survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
+        alive = options.healthy_reward * survives
+        effort = options.ctrl_cost_weight * rewards.control_cost(control)
+        metrics = {
+            "forward_reward": forward,
+            "reward_linvel": forward,
+            "reward_quadctrl": -effort,
+            "reward_alive": alive,
+            **travel(position, velocity),
+        }
+        return State(physics, self._observe(physics), forward + alive - effort, done, metrics, state.info)
+
+    def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:
+        """[3]; the torso is the root of all the other bodies."""
+        return physics.derived["subtree_com"][self.tracked_body]
+
+    def _observe(self, physics: PhysicsState) -> jax.Array:
+        """Positions, velocities, each body's inertia and mass, each body's velocities, joint torques.
+
+        Inertia is about the whole body's centre of mass. A linear velocity is the one of the body's own
+        centre of mass, weighted by its share of the whole mass.
+        """
+        # cinert: 6 of the inertia, 3 of mass times offset from the whole's centre of mass, 1 mass.
+        inertia, moment = physics.derived["cinert"][1:, :6], physics.derived["cinert"][1:, 6:9]
+        masses = physics.model.get("body_mass", self._masses)[1:, None]
+        symmetric = inertia[:, np.array([0, 3, 4, 3, 1, 5, 4, 5, 2])]
+        # cvel: angular velocity, then linear velocity at the whole's centre of mass.
+        angular, linear = physics.derived["cvel"][1:, :3], physics.derived["cvel"][1:, 3:]
+        own_linear = linear + jnp.cross(angular, moment / masses)
+        bodies = jnp.concatenate([symmetric, masses], axis=1)
+        velocities = jnp.concatenate([own_linear * (masses / masses.sum()), angular], axis=1)
+        return jnp.concatenate(
+            [
+                physics.qpos[self._num_hidden :],
+                physics.qvel,
+                bodies.ravel(),
+                velocities.ravel(),
+                physics.derived["qfrc_actuator"],
+            ]
+        )

@@ -1,0 +1,64 @@
+"""The humanoid's row in the catalog."""
+
+from pydantic import Field
+
+from core.documents import Strict
+from core.environments.info import EnvironmentInfo
+from core.environments.options import NoiseScale, Range, Weight
+
+
+class HumanoidOptions(Strict):
+    """Brax's options for the humanoid, under Brax's names and with its defaults."""
+
+    forward_reward_weight: Weight = Field(1.25, description="Reward for each metre per second in +x.")
+    ctrl_cost_weight: Weight = Field(0.1, description="Cost of the control: this times its squared norm.")
+    healthy_reward: Weight = Field(5.0, description="Reward for each step.")
+    terminate_when_unhealthy: bool = True
+    healthy_z_range: Range = Field((1.0, 2.0), description="Healthy heights of the torso, in metres.")
+    reset_noise_scale: NoiseScale = Field(1e-2, description="Of the initial positions and velocities.")
+    exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
+
+
+INFO = EnvironmentInfo(
+    id="humanoid",
+    description="A body with two legs, two arms and 17 motors, rewarded for walking in +x and staying up.",
+    factory="core.environments.locomotion.humanoid.environment:make",
+    observation_size=244,
+    action_size=17,
+    dt=0.015,
+    episode_length=1000,
+    tracked_body="torso",
+    cameras=("track",),
+    options=HumanoidOptions,
+    tuned={
+        "ppo": {
+            "cpu": {
+                "num_timesteps": 10_000_000,
+                "num_envs": 256,
+                "unroll_length": 10,
+                "batch_size": 256,
+                "num_minibatches": 16,
+                "num_updates_per_batch": 4,
+                "learning_rate": 3e-4,
+                "discounting": 0.97,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 0.1,
+                "normalize_observations": True,
+            },
+            "gpu": {
+                "num_timesteps": 50_000_000,
+                "num_evals": 3,
+                "num_envs": 2048,
+                "unroll_length": 10,
+                "batch_size": 1024,
+                "num_minibatches": 32,
+                "num_updates_per_batch": 8,
+                "learning_rate": 3e-4,
+                "discounting": 0.97,
+                "entropy_cost": 1e-3,
+                "reward_scaling": 0.1,
+                "normalize_observations": True,
+            },
+        }
+    },
+)

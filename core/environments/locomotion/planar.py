@@ -1,0 +1,94 @@
+"""What the hopper and the planar walker share: a torso on x, z and pitch, which must not fall."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from core.environments import rewards
+from core.environments.body import Body, noisy_start
+from core.environments.environment import State
+from core.environments.locomotion.hopper.info import HopperOptions
+from core.environments.locomotion.walker2d.info import Walker2dOptions
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
+
+_NUM_SUBSTEPS = 4
+_MAX_OBSERVED_SPEED = 10.0
+_METRICS = ("reward_forward", "reward_ctrl", "reward_healthy", "x_position", "x_velocity")
+
+
+def _always(_: PhysicsState) -> jax.Array:
+    return jnp.ones((), bool)
+
+
+class PlanarWalker(Body):
+    """Reward: forward speed + being alive - the action's cost. Ends when the torso falls, flies or tilts.
+
+    also_healthy: a further condition on the state.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        options: HopperOptions | Walker2dOptions,
+        build_engine: EngineBuilder,
+        also_healthy: Callable[[PhysicsState], jax.Array] = _always,
+    ) -> None:
+        hidden = 1 if options.exclude_current_positions_from_observation else 0
+        super().__init__(
+            model,
+            build_engine(model, _NUM_SUBSTEPS, ()),
+            num_substeps=_NUM_SUBSTEPS,
+            observation_size=model.nq - hidden + model.nv,
+            tracked_body="torso",
+        )
+        self._options = options
+        self._also_healthy = also_healthy
+        self._num_hidden = hidden
+        # The joint `rootz` counts from here.
+        self._height_at_zero = float(model.body("torso").pos[2])
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
+        zero = jnp.zeros(())
+        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        options = self._options
+        physics = self.engine.step(state.physics, action)
+        velocity = rewards.velocity(state.physics.qpos[0], physics.qpos[0], self.dt)
+        forward = options.forward_reward_weight * velocity
+        healthy = self._is_healthy(physics).astype(jnp.float32)
+        survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
+        survive = options.healthy_reward * survives
+        control = options.ctrl_cost_weight * rewards.control_cost(action)
+        metrics = {
+            "reward_forward": forward,
+            "reward_ctrl": -control,
+            "reward_healthy": survive,
+            "x_position": physics.qpos[0],
+            "x_velocity": velocity,
+        }
+        return State(physics, self._observe(physics), forward + survive - control, done, metrics, state.info)
+
+    def _height(self, physics: PhysicsState) -> jax.Array:
+        return physics.qpos[1] + self._height_at_zero
+
+    def _is_healthy(self, physics: PhysicsState) -> jax.Array:
+        upright = is_inside(physics.qpos[2], self._options.healthy_angle_range)
+        up = is_inside(self._height(physics), self._options.healthy_z_range)
+        return up & upright & self._also_healthy(physics)
+
+    def _observe(self, physics: PhysicsState) -> jax.Array:
+        positions = physics.qpos.at[1].set(self._height(physics))
+        velocities = jnp.clip(physics.qvel, -_MAX_OBSERVED_SPEED, _MAX_OBSERVED_SPEED)
+        return jnp.concatenate([positions[self._num_hidden :], velocities])
+
+
+def is_inside(value: jax.Array, bounds: tuple[float, float | None]) -> jax.Array:
+    """Whether each value lies strictly between the bounds; no upper bound where it is None."""
+    # Not terms.height_range: in Brax these bodies' bounds are themselves unhealthy, and so is NaN.
+    low, high = bounds
+    above = value > low
+    return above if high is None else above & (value < high)

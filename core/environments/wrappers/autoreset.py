@@ -1,0 +1,125 @@
+"""Many episodes side by side: truncation by length, and a fresh start where one has ended."""
+
+from dataclasses import replace
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from core.environments.environment import State
+from core.environments.wrappers.vectorized import Worlds
+
+Tree = TypeVar("Tree")
+
+
+@struct.dataclass
+class Episodes:
+    """`num_envs` environments, each somewhere in an episode.
+
+    state: after the last step, already a fresh start where an episode ended; its `done` says so (1 for
+    a termination or a truncation). first: every environment's own first state, where it goes back to
+    that; None where fresh starts come from a pool. truncated: [num_envs], 1 where the last step cut an
+    episode off that had not terminated. length: [num_envs] int32, actions taken in the running episode.
+    score: [num_envs], rewards summed over it. ended_length, ended_score: [num_envs], those of the
+    episode that the last step ended, and 0 elsewhere.
+    """
+
+    state: State
+    first: State | None
+    truncated: jax.Array
+    length: jax.Array
+    score: jax.Array
+    ended_length: jax.Array
+    ended_score: jax.Array
+
+
+def start_episodes(worlds: Worlds, key: jax.Array, num_envs: int, *, keep_first: bool = False) -> Episodes:
+    """`num_envs` fresh episodes; keep_first: remember their first states, to go back to them."""
+    state = fresh_states(worlds, key, num_envs)
+    zeros = jnp.zeros(num_envs)
+    count = jnp.zeros(num_envs, jnp.int32)
+    return Episodes(
+        state=state,
+        first=state if keep_first else None,
+        truncated=zeros,
+        length=count,
+        score=zeros,
+        ended_length=count,
+        ended_score=zeros,
+    )
+
+
+def begun_at_random(episodes: Episodes, key: jax.Array, *, episode_length: int) -> Episodes:
+    """The same episodes, as if each had already run for a random number of actions below `episode_length`.
+
+    So their ends are spread over time from the first on, and not all at once.
+    Source: `init_at_random_ep_len` of RSL-RL (Rudin et al., Learning to Walk in Minutes, 2022).
+    """
+    length = jax.random.randint(key, episodes.length.shape, 0, episode_length, jnp.int32)
+    return replace(episodes, length=length)
+
+
+def fresh_states(worlds: Worlds, key: jax.Array, num_states: int) -> State:
+    """Initial states [num_states, ...], each from a key of its own."""
+    return worlds.reset(jax.random.split(key, num_states))
+
+
+def draw(pool: State, chosen: jax.Array) -> State:
+    """The states [num_envs, ...] with the numbers `chosen` [num_envs] of a pool."""
+    return jax.tree.map(lambda x: jnp.take(x, chosen, axis=0, mode="clip"), pool)
+
+
+def step_episodes(
+    worlds: Worlds,
+    episodes: Episodes,
+    action: jax.Array,
+    starts: State | None = None,
+    *,
+    episode_length: int,
+) -> Episodes:
+    """Every episode one action [num_envs, action_size] later.
+
+    Where one ends, physics, observation and info become those of `starts` [num_envs, ...]: a reset in
+    every step would cost as much as the step. None: those of the environment's own first state, as in
+    Brax; raises ValueError where these were not kept. Reward, done and metrics stay those of the step.
+    """
+    state = worlds.step(episodes.state, action)
+    return follow(episodes, state, starts, episode_length=episode_length)
+
+
+def follow(episodes: Episodes, state: State, starts: State | None, *, episode_length: int) -> Episodes:
+    """The episodes after a step that led to `state` [num_envs, ...]; see step_episodes."""
+    fresh = episodes.first if starts is None else starts
+    if fresh is None:
+        raise ValueError("Where do ended episodes begin anew? Their first states were not kept.")
+    length = episodes.length + 1
+    score = episodes.score + state.reward
+    cut_off = jnp.where(length >= episode_length, 1.0, 0.0)
+    done = jnp.maximum(state.done, cut_off)
+    ended = done > 0
+    restarted = replace(
+        state,
+        physics=select(ended, fresh.physics, state.physics),
+        obs=select(ended, fresh.obs, state.obs),
+        info=select(ended, fresh.info, state.info),
+        done=done,
+    )
+    return Episodes(
+        state=restarted,
+        first=episodes.first,
+        truncated=cut_off * (1 - state.done),
+        length=jnp.where(ended, 0, length),
+        score=jnp.where(ended, 0.0, score),
+        ended_length=jnp.where(ended, length, 0),
+        ended_score=jnp.where(ended, score, 0.0),
+    )
+
+
+def select(condition: jax.Array, yes: Tree, no: Tree) -> Tree:
+    """`yes` where the condition [num_envs] holds and `no` elsewhere, for every array of two equal trees."""
+
+    def choose(a: jax.Array, b: jax.Array) -> jax.Array:
+        return jnp.where(condition.reshape(condition.shape + (1,) * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(choose, yes, no)

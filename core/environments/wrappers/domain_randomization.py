@@ -1,0 +1,170 @@
+"""Worlds that differ: an environment whose every start draws fields of the model (domain randomisation).
+
+Source: Peng et al., Sim-to-Real Transfer of Robotic Control with Dynamics Randomization (2018);
+Brax's `randomization_fn` and MuJoCo Playground's `domain_randomize`, which draw once for a run.
+"""
+
+import copy
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from core.environments.environment import Environment, State
+from core.environments.randomization import FIELDS, FieldName, Kind, Randomization
+from core.environments.wrappers.base import Wrapped
+from core.errors import JobFailed
+from core.physics.engine import CONSTANTS, NOMINAL, ModelFields
+from core.physics.model import model_field
+
+# Enough for each world of a batch to see others than its neighbours; constants are derived for each.
+NUM_MODELS = 1024
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RandomizedEnvironment(Wrapped):
+    """An environment in which every fresh start takes one of the models of a pool.
+
+    pool: fields of the model [NUM_MODELS, ...]; the same for every seed, which decides who takes which.
+    """
+
+    pool: Mapping[str, NDArray[np.float32]]
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        reset_key, model_key = jax.random.split(key)
+        chosen = jax.random.randint(model_key, (), 0, NUM_MODELS)
+        drawn = {name: jnp.asarray(values)[chosen] for name, values in self.pool.items()}
+        return self.environment.reset(reset_key, {**drawn, **model})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self.environment.step(state, action)
+
+
+def randomize(environment: Environment, rules: Sequence[Randomization]) -> Environment:
+    """The environment with these things different in each episode; itself where there are none.
+
+    Raises JobFailed("bad_model") where the model has not got what a rule names, or a rule makes of it what
+    cannot be: a negative friction, say.
+    """
+    return RandomizedEnvironment(environment, draw_models(environment.model, rules)) if rules else environment
+
+
+def draw_models(model: mujoco.MjModel, rules: Sequence[Randomization]) -> dict[str, NDArray[np.float32]]:
+    """The fields [NUM_MODELS, ...] that the rules change, and the constants that MuJoCo derives from them.
+
+    Rules are applied one after the other, so two may change the same numbers. Raises as `randomize`.
+    """
+    fields: dict[FieldName, _Floats] = {
+        rule.field: np.repeat(
+            np.asarray(model_field(model, rule.field), np.float64)[None], NUM_MODELS, axis=0
+        )
+        for rule in rules
+    }
+    for number, rule in enumerate(rules):
+        _apply(model, fields[rule.field], rule, seed=rule.draw or f"{number}")
+    for name, values in fields.items():
+        _check(model, name, values)
+    derives = any(FIELDS[name].changes_constants for name in fields)
+    changed = {**fields, **(_constants(model, fields) if derives else {})}
+    return {name: values.astype(np.float32) for name, values in changed.items() if values.size}
+
+
+def _apply(model: mujoco.MjModel, values: _Floats, rule: Randomization, seed: str) -> None:
+    """Changes the field [NUM_MODELS, ...] in place."""
+    rows, owners = _rows(model, rule)
+    numbers = _numbers(rule, seed, owners.max(initial=0) + 1)[:, owners]  # [NUM_MODELS, rows]
+    # Without rows of its own, a field is the one row of a matrix.
+    matrix = values.reshape(NUM_MODELS, -1, FIELDS[rule.field].size)
+    columns = slice(None) if rule.axis is None else slice(rule.axis, rule.axis + 1)
+    before = matrix[:, rows, columns]
+    match rule.operation:
+        case "scale":
+            matrix[:, rows, columns] = before * numbers[..., None]
+        case "add":
+            matrix[:, rows, columns] = before + numbers[..., None]
+        case "set":
+            matrix[:, rows, columns] = numbers[..., None]
+
+
+def _numbers(rule: Randomization, seed: str, count: int) -> _Floats:
+    """[NUM_MODELS, count or 1] numbers of the rule's range, spread evenly over it (Latin hypercube)."""
+    random = np.random.default_rng(zlib.crc32(seed.encode()))
+    wanted = count if rule.each else 1
+    order = random.permuted(np.tile(np.arange(NUM_MODELS), (wanted, 1)), axis=1).T
+    fraction = (order + random.random((NUM_MODELS, wanted))) / NUM_MODELS
+    low, high = np.log(rule.range) if rule.distribution == "log_uniform" else rule.range
+    numbers = low + fraction * (high - low)
+    return np.exp(numbers) if rule.distribution == "log_uniform" else numbers
+
+
+def _rows(model: mujoco.MjModel, rule: Randomization) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The rows of the field that the rule is about, and of each the number of the object that it belongs to.
+
+    A number per object, or always 0 where one number is for all.
+    """
+    kind = FIELDS[rule.field].kind
+    if kind is None:
+        return np.zeros(1, np.intp), np.zeros(1, np.intp)
+    known = _names(model, kind)
+    objects = range(len(known)) if rule.names is None else [_find(kind, name, known) for name in rule.names]
+    rows = [row for one in objects for row in _rows_of(model, rule.field, one)]
+    owners = [number for number, one in enumerate(objects) for _ in _rows_of(model, rule.field, one)]
+    return np.array(rows, np.intp), np.array(owners, np.intp) * rule.each
+
+
+def _rows_of(model: mujoco.MjModel, field: str, number: int) -> list[int]:
+    """A joint has as many rows as degrees of freedom in fields of those; all else has one row."""
+    if not field.startswith("dof_"):
+        return [number]
+    return np.flatnonzero(model.dof_jntid == number).tolist()
+
+
+def _names(model: mujoco.MjModel, kind: Kind) -> list[str]:
+    """In MuJoCo's order; empty where something has none."""
+    counts = {"actuator": len(model.actuator_gear), "body": model.nbody, "geom": model.ngeom}
+    get = getattr(model, kind)
+    return [str(get(number).name) for number in range(counts.get(kind, model.njnt))]
+
+
+def _find(kind: str, name: str, known: Sequence[str]) -> int:
+    if name in known:
+        return known.index(name)
+    named = ", ".join(filter(None, known)) or "none that has a name"
+    raise _bad(f"randomization: the model has no {kind} {name!r}; there are {named}.")
+
+
+def _check(model: mujoco.MjModel, name: FieldName, values: _Floats) -> None:
+    if FIELDS[name].positive and values.min(initial=0.0) < 0:
+        raise _bad(f"randomization: {name} becomes negative in some worlds ({values.min():g}).")
+    if (
+        name in ("body_mass", "body_inertia")
+        and (values[:, np.asarray(model_field(model, name)) > 0] <= 0).any()
+    ):
+        raise _bad(f"randomization: {name} becomes 0 in some worlds, and nothing could move such a body.")
+    if name == "dof_frictionloss" and values[:, model.dof_frictionloss == 0].any():
+        raise _bad(
+            "randomization: dof_frictionloss is given to joints that have none in the model, and engines "
+            "make room only for those that have; name those that have."
+        )
+
+
+def _constants(model: mujoco.MjModel, fields: Mapping[FieldName, _Floats]) -> dict[str, _Floats]:
+    """`CONSTANTS` [NUM_MODELS, ...] as MuJoCo derives them for each of the models."""
+    scratch, data = copy.copy(model), mujoco.MjData(model)
+    rows: list[dict[str, _Floats]] = []
+    for number in range(NUM_MODELS):
+        for name, values in fields.items():
+            model_field(scratch, name)[...] = values[number]
+        mujoco.mj_setConst(scratch, data)
+        rows.append({name: np.array(model_field(scratch, name)) for name in CONSTANTS})
+    return {name: np.stack([row[name] for row in rows]) for name in CONSTANTS}
+
+
+def _bad(detail: str) -> JobFailed:
+    return JobFailed("bad_model", detail)

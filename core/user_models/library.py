@@ -1,0 +1,81 @@
+"""Users' own models: their records, and their files in the object store by the hash of their bytes."""
+
+import re
+from contextlib import suppress
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from core.errors import BadModel, ModelNotFound, RecordsUnavailable
+from core.storage import keys
+from core.storage.objects import ObjectStore
+from core.user_models.queue import ModelQueue
+from core.user_models.record import ModelRecord
+from core.user_models.store import ModelStore
+
+_ID = re.compile(r"sha256:[0-9a-f]{64}")
+# How long whoever was answered 202 may ask why the model was refused.
+_TOLD_FOR = timedelta(days=1)
+
+
+def find(model_id: str, store: ModelStore) -> ModelRecord:
+    """Raises ModelNotFound; also for what cannot be an id, so that it never becomes part of a key."""
+    if _ID.fullmatch(model_id) is None:
+        raise ModelNotFound(model_id[:80])
+    return store.find_model(model_id)
+
+
+def add(  # noqa: PLR0913 # What was sent, and where it goes.
+    file: Path,
+    sha256: str,
+    media_type: str,
+    *,
+    store: ModelStore,
+    objects: ObjectStore,
+    queue: ModelQueue,
+    now: datetime,
+) -> ModelRecord:
+    """The record of this file; unless it is known and good, a worker is to look at it. Nobody has yet."""
+    model_id = f"sha256:{sha256}"
+    try:
+        known = find(model_id, store)
+    except ModelNotFound:
+        known = None
+    if known is not None and known.status != "refused":
+        return known
+    record = ModelRecord(
+        id=model_id, status="validating", media_type=media_type, size=file.stat().st_size, created_at=now
+    )
+    objects.put_file(keys.model_source(model_id), file, media_type=media_type)
+    store.add_model(record)
+    with suppress(RecordsUnavailable):  # The reconciler tells the queue later.
+        queue.enqueue_model(model_id)
+        store.model_dispatched(model_id)
+    return record
+
+
+def forget(model_id: str, *, store: ModelStore, objects: ObjectStore) -> None:
+    """Remove the file and the record."""
+    objects.delete_prefix(keys.model(model_id))
+    store.delete_model(model_id)
+
+
+def refused(record: ModelRecord, *, store: ModelStore, objects: ObjectStore) -> BadModel:
+    """The refusal to answer with; nothing is left of the model."""
+    forget(record.id, store=store, objects=objects)
+    return BadModel(record.message or "It cannot be used.")
+
+
+def tidy(*, store: ModelStore, objects: ObjectStore, now: datetime) -> int:
+    """Forget refusals that are older than a day; how many.
+
+    A record is read just before it is removed, and a model that is sent again in between is not ready so
+    soon: what is lost is at most an upload whose sender still waits, and is told that it is not there.
+    """
+    old = [
+        record.id
+        for record in store.models()
+        if record.status == "refused" and now - (record.refused_at or record.created_at) > _TOLD_FOR
+    ]
+    for model_id in old:
+        forget(model_id, store=store, objects=objects)
+    return len(old)

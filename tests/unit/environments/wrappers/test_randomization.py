@@ -1,0 +1,164 @@
+"""What a job may ask to differ between worlds, and the models that come of it."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from core.environments.randomization import FIELDS, Randomization
+from core.environments.wrappers.domain_randomization import NUM_MODELS, draw_models
+from core.errors import JobFailed
+from core.physics.engine import CONSTANTS, MODEL_FIELDS
+from core.physics.model import brax_model
+
+MODEL = mujoco.MjModel.from_xml_string(
+    """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1" friction="0.5 0.01 0.001"/>
+    <body name="ball" pos="0 0 1">
+      <freejoint name="root"/>
+      <geom name="ball" type="sphere" size="0.1" mass="2" friction="1 0.01 0.001"/>
+      <body name="arm">
+        <joint name="hinge" damping="1" frictionloss="0.1"/>
+        <geom name="arm" type="sphere" size="0.1" mass="1" pos="0.2 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="hinge" kp="10"/></actuator>
+</mujoco>
+"""
+)
+
+
+def rule(field: str, low: float, high: float, **more: Any) -> Randomization:
+    return Randomization.model_validate({"field": field, "range": [low, high], **more})
+
+
+def draw(*rules: Randomization) -> dict[str, np.ndarray]:
+    return draw_models(MODEL, rules)
+
+
+def test_a_named_geoms_sliding_friction_differs_and_nothing_else() -> None:
+    friction = draw(rule("geom_friction", 0.6, 1.4, names=["floor"], axis=0))["geom_friction"]
+    assert friction.shape == (NUM_MODELS, 3, 3)
+    sliding = friction[:, 0, 0]
+    # The model's 0.5 times 0.6 to 1.4, spread evenly: every tenth of the range has its tenth of the worlds.
+    counts, _ = np.histogram(sliding, bins=10, range=(0.3, 0.7))
+    assert sliding.min() >= 0.3
+    assert sliding.max() <= 0.7
+    assert np.ptp(counts) <= 2
+    friction[:, 0, 0] = MODEL.geom_friction[0, 0]
+    np.testing.assert_array_equal(friction, np.float32(np.tile(MODEL.geom_friction, (NUM_MODELS, 1, 1))))
+
+
+def test_one_number_is_for_all_unless_each_has_its_own() -> None:
+    alike = draw(rule("geom_friction", 0.5, 2.0))["geom_friction"] / MODEL.geom_friction
+    np.testing.assert_allclose(alike, np.tile(alike[:, :1, :1], (1, 3, 3)), rtol=1e-5)
+    each = draw(rule("geom_friction", 0.5, 2.0, each=True))["geom_friction"] / MODEL.geom_friction
+    np.testing.assert_allclose(each, np.tile(each[:, :, :1], (1, 1, 3)), rtol=1e-5)
+    assert abs(np.corrcoef(each[:, 0, 0], each[:, 1, 0])[0, 1]) < 0.15
+
+
+def test_numbers_are_added_or_set() -> None:
+    gravity = draw(rule("opt.gravity", -0.5, 0.5, axis=2, operation="add"))["opt.gravity"]
+    assert gravity.shape == (NUM_MODELS, 3)
+    assert not gravity[:, :2].any()
+    assert -10.31 <= gravity[:, 2].min() < -10.2
+    damping = draw(rule("dof_damping", 3, 4, names=["hinge"], operation="set"))["dof_damping"]
+    assert not damping[:, :6].any()  # the free joint's
+    assert ((damping[:, 6] >= 3) & (damping[:, 6] <= 4)).all()
+
+
+def test_a_free_joints_six_degrees_of_freedom_share_its_number() -> None:
+    armature = draw(rule("dof_armature", 0.1, 0.2, operation="set", each=True))["dof_armature"]
+    np.testing.assert_array_equal(armature[:, :6], np.tile(armature[:, :1], (1, 6)))
+    assert not np.allclose(armature[:, 0], armature[:, 6])
+
+
+def test_log_uniform_numbers_are_as_often_halves_as_doubles() -> None:
+    damping = draw(rule("dof_damping", 0.25, 4.0, names=["hinge"], distribution="log_uniform"))["dof_damping"]
+    assert np.median(damping[:, 6]) == pytest.approx(1.0, rel=0.01)
+    assert damping[:, 6].min() == pytest.approx(0.25, rel=0.01)
+
+
+def test_rules_with_the_same_draw_move_together() -> None:
+    # A position servo's gain and its bias are the same stiffness, with opposite signs.
+    fields = draw(
+        rule("actuator_gainprm", 0.5, 2, axis=0, draw="kp"),
+        rule("actuator_biasprm", 0.5, 2, axis=1, draw="kp"),
+    )
+    np.testing.assert_allclose(fields["actuator_gainprm"][:, 0, 0], -fields["actuator_biasprm"][:, 0, 1])
+    apart = draw(rule("actuator_gainprm", 0.5, 2, axis=0), rule("actuator_biasprm", 0.5, 2, axis=1))
+    assert not np.allclose(apart["actuator_gainprm"][:, 0, 0], -apart["actuator_biasprm"][:, 0, 1])
+
+
+def test_rules_about_one_field_are_applied_one_after_the_other() -> None:
+    fields = draw(rule("body_mass", 2, 2), rule("body_mass", 1, 1, names=["arm"], operation="add"))
+    np.testing.assert_allclose(fields["body_mass"], np.tile([0, 4, 3], (NUM_MODELS, 1)))
+
+
+def test_what_mujoco_derives_from_a_mass_is_derived_anew() -> None:
+    fields = draw(rule("body_mass", 2, 2), rule("body_inertia", 2, 2))
+    assert set(fields) == {"body_mass", "body_inertia", *CONSTANTS} - {"tendon_invweight0"}  # no tendons
+    # Everything twice as heavy: what it weighs doubles, and how easily it moves halves.
+    for name, factor in (("body_subtreemass", 2.0), ("body_invweight0", 0.5), ("dof_invweight0", 0.5)):
+        np.testing.assert_allclose(fields[name][7], factor * getattr(MODEL, name), rtol=1e-5)
+
+
+def test_nothing_is_derived_where_nothing_calls_for_it() -> None:
+    assert set(draw(rule("geom_friction", 0.5, 2))) == {"geom_friction"}
+
+
+def test_equal_rules_give_equal_models() -> None:
+    rules = [rule("geom_friction", 0.5, 2, each=True), rule("dof_damping", 1, 2)]
+    for name, values in draw(*rules).items():
+        np.testing.assert_array_equal(values, draw(*rules)[name])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (rule("geom_friction", 0.5, 2, names=["flor"]), "no geom 'flor'; there are floor, ball, arm"),
+        (rule("body_mass", 1, 2, names=["torso"]), "no body 'torso'; there are world, ball, arm"),
+        (rule("dof_damping", 1, 2, names=["knee"]), "no joint 'knee'; there are root, hinge"),
+        (rule("actuator_gear", 1, 2, names=["motor"]), "no actuator 'motor'; there are servo"),
+        (rule("dof_damping", -2, 0, operation="add"), "dof_damping becomes negative"),
+        (rule("body_mass", 0, 0), "body_mass becomes 0"),
+        (rule("dof_frictionloss", 0.1, 0.2, operation="set"), "joints that have none"),
+    ],
+)
+def test_what_the_model_has_not_got_or_cannot_be_ends_the_job(wrong: Randomization, says: str) -> None:
+    with pytest.raises(JobFailed, match=says) as failure:
+        draw(wrong)
+    assert failure.value.reason == "bad_model"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"range": [2, 1]}, "low <= high"),
+        ({"range": [0, 1], "distribution": "log_uniform"}, "above 0"),
+        ({"range": [-1, 1]}, "must not be negative"),
+        ({"range": [-1, 1], "operation": "set"}, "geom_friction must not be negative"),
+        ({"axis": 3}, "geom_friction has 3 numbers"),
+        ({"field": "body_mass", "axis": 1}, "body_mass has one number"),
+        ({"field": "opt.gravity", "each": True}, "belongs to the whole world"),
+        ({"field": "geom_size"}, "geom_friction"),
+        ({"names": []}, "at least 1"),
+        ({"rnage": [0, 1]}, "not permitted"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(wrong: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValidationError, match=says):
+        Randomization.model_validate({"field": "geom_friction", "range": [0.5, 1], **wrong})
+
+
+def test_every_field_has_its_shape_and_is_one_that_engines_take() -> None:
+    assert set(FIELDS) <= set(MODEL_FIELDS)
+    ant = brax_model("ant")
+    for name, about in FIELDS.items():
+        if about.kind is not None:
+            assert int(np.prod(getattr(ant, name).shape[1:])) == about.size, name
