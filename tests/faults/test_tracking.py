@@ -26,7 +26,7 @@ from core.jobs.status import JobStatus
 from core.settings import WorkerSettings
 from tests.faults.bench import Bench, wait_until
 from tests.faults.wandb_server import wandb_server
-from worker.tracking import attempt
+from worker.supervision import tracking
 
 KEY = "0123456789abcdef0123456789abcdef01234567"
 ONLINE = {"wandb": {"project": "vnl", "name": "first"}}
@@ -192,7 +192,7 @@ def test_a_server_that_never_answers_delays_no_job(bench: Bench) -> None:
 
 
 def test_a_worker_without_the_package_says_so_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attempt, "find_spec", lambda name: None)
+    monkeypatch.setattr(tracking, "find_spec", lambda name: None)
     (bench.settings.data_dir / "go").touch()
     job = bench.run("is_filmed", tracking=ONLINE)
     (note,) = notes(bench, job)

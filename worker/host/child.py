@@ -19,8 +19,7 @@ from core.configuration import variable
 from core.settings import Confinement
 from worker.host.memory import sacrifice
 from worker.protocol import MESSAGE, Message
-from worker.stop_signals import KEEP_AND_GO, SHOW_AND_GO
-from worker.supervision.outcome import Stop
+from worker.stop_signals import KEEP_AND_GO, SHOW_AND_GO, Stop
 
 log = structlog.get_logger()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from core.configuration import variable
 from worker.host.cgroup import NO_GROUP, TrainingGroup
-from worker.supervision.stall import processes
+from worker.host.processes import processes
 
 LESS_MEMORY = "Lower num_envs, batch_size or unroll_length, or make the networks smaller."
 # What the worker and its supervisor keep of the memory that there is.

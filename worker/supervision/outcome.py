@@ -2,12 +2,11 @@
 
 import signal
 from dataclasses import dataclass
-from enum import StrEnum
 
 from core.jobs.status import RETRIED, JobStatus, Reason
 from worker.host.memory import LESS_MEMORY
 from worker.protocol import Failed, Finished
-from worker.stop_signals import KEEP_AND_GO
+from worker.stop_signals import KEEP_AND_GO, Stop
 
 # How a process ends whose native code made a mistake, or found one.
 _CRASHES = frozenset(
@@ -21,14 +20,6 @@ _CRASHES = frozenset(
         signal.SIGSYS,
     }
 )
-
-
-class Stop(StrEnum):
-    """Why a training process was asked to stop."""
-
-    CANCEL = "cancel"
-    TIMEOUT = "timeout"
-    DRAIN = "drain"
 
 
 @dataclass(frozen=True)

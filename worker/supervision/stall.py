@@ -1,9 +1,11 @@
 """Noticing that a training process hangs: it says nothing for far longer than ever before, or was stopped."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
+
+from worker.host.processes import processes
 
 # It is ended after many times its own longest silence: rendering on a busy machine may take minutes.
 _TIMES_THE_LONGEST = 20.0
@@ -76,14 +78,3 @@ def stopped_processes(group: int, proc: Path = _PROC) -> list[int]:
 def is_stopped(pid: int, proc: Path = _PROC) -> bool:
     """Whether the process was stopped by a signal."""
     return any(found == pid and state in "Tt" for found, state, _ in processes(proc, str(pid)))
-
-
-def processes(proc: Path, name: str = "[0-9]*") -> Iterator[tuple[int, str, int]]:
-    """Id, state and process group of each process that there is (proc(5))."""
-    for path in proc.glob(f"{name}/stat"):
-        try:
-            # The name, in parentheses, may hold anything; the fields behind it are plain.
-            state, _, group = path.read_text().rpartition(")")[2].split()[:3]
-        except (OSError, ValueError):  # It has just ended.
-            continue
-        yield int(path.parent.name), state, int(group)

@@ -27,15 +27,16 @@ from worker.host.disk import is_full, what_to_do
 from worker.host.drain_flag import Draining
 from worker.host.memory import MemoryWatch, allowed_bytes
 from worker.protocol import Advanced, Failed, Finished, Noted, PhaseEnded
+from worker.stop_signals import Stop
 from worker.supervision.heartbeat import Heartbeat
 from worker.supervision.left_attempts import end, leave
 from worker.supervision.log_limit import LogLimit
 from worker.supervision.outbox import Outbox
-from worker.supervision.outcome import Outcome, Stop, judge
+from worker.supervision.outcome import Outcome, judge
 from worker.supervision.spool import SPOOLS, spool
 from worker.supervision.stall import StallWatch
 from worker.supervision.starting_point import write_task
-from worker.tracking.attempt import Tracking
+from worker.supervision.tracking import Tracking
 
 log = structlog.get_logger()
 

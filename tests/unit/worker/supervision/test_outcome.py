@@ -6,8 +6,8 @@ import pytest
 
 from core.jobs.status import JobStatus, Reason
 from worker.protocol import Failed, Finished
-from worker.stop_signals import KEEP_AND_GO
-from worker.supervision.outcome import Stop, judge
+from worker.stop_signals import KEEP_AND_GO, Stop
+from worker.supervision.outcome import judge
 
 DIVERGED = Failed(reason=Reason.DIVERGED, message="The reward became non-finite.")
 BAD_CARD = Failed(reason=Reason.DEVICE_FAILED, message="The device gpu:0 reported an error.")
