@@ -1,6 +1,7 @@
 """Real servers for the tests, one of each per process of the test run, empty for every test."""
 
 import secrets
+import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +37,9 @@ def pytest_configure(config: pytest.Config) -> None:
     """Long tests run long enough to be compiled well."""
     if "not slow" in config.option.markexpr:
         compile_quickly()
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        # A shell's background job ignores it, and so would all that the tests start and end by it.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
