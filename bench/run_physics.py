@@ -27,13 +27,13 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         start_episodes,
         step_episodes,
     )
-    from core.environments.wrappers.vectorized import Worlds
+    from core.environments.wrappers.vectorized import VectorEnv
     from core.physics.choose import engine_builder
 
     info = catalog.find(request["environment"])
     environment = catalog.make(info, catalog.parse_options(info, {}), engine_builder(request["engine"]))
     settings = resolve(PPOSpec.model_validate(request["settings"]), info, request["device"])
-    worlds, num_envs = Worlds(environment), settings.num_envs
+    worlds, num_envs = VectorEnv(environment), settings.num_envs
     steps = request.get("steps_per_call", 50)
     episodes_key, pool_key, key = jax.random.split(jax.random.PRNGKey(request["seed"]), 3)
 

@@ -22,9 +22,9 @@ from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments import catalog
-from core.environments.body import Body
+from core.environments.body import MujocoEnv
 from core.environments.wrappers.autoreset import Episodes, draw, fresh_states, step_episodes
-from core.environments.wrappers.vectorized import Worlds
+from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.choose import engine_builder
 from core.physics.kernels import keep_kernels
 
@@ -57,7 +57,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 class Pieces:
     """An update of this body under these settings, in parts."""
 
-    body: Body
+    body: MujocoEnv
     settings: PPOSpec
     repeats: int
 
@@ -70,8 +70,8 @@ class Pieces:
         return Hyperparameters.of(self.settings)
 
     @property
-    def worlds(self) -> Worlds:
-        return Worlds(self.body)
+    def worlds(self) -> VectorEnv:
+        return VectorEnv(self.body)
 
     def trained(self, seed: int, updates: int) -> TrainingState:
         """The state after a few updates, where bodies have fallen and begun anew."""

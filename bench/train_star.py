@@ -76,14 +76,14 @@ def _steered(environment: Any, settings: Any, table: Any, episodes: int) -> dict
     import jax.numpy as jnp
 
     from core.algorithms.evaluation import run_episodes
-    from core.algorithms.q_learning.decisions import Decisions, Tabular
+    from core.algorithms.q_learning.decisions import DiscreteEnv, Tabular
     from core.algorithms.q_learning.table import greedy
 
     tabular = Tabular.of(settings.indexer, settings.mapper, environment)
     totals = jax.device_get(
         jax.jit(
             lambda key: run_episodes(
-                Decisions(environment, tabular, settings.decision_steps),
+                DiscreteEnv(environment, tabular, settings.decision_steps),
                 lambda rows, _: (greedy(jnp.asarray(table), rows), ()),
                 key,
                 num_envs=episodes,

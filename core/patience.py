@@ -27,7 +27,7 @@ def _never() -> bool:
     return False
 
 
-def through_outages(
+def retry_while_unavailable(
     step: Callable[[], Result],
     patience_s: float = float("inf"),
     gives_up_on: tuple[type[Unavailable], ...] = (),

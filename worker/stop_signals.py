@@ -7,10 +7,10 @@ import signal
 from enum import StrEnum
 
 # Finish the epoch, keep the work, make the video of how far it came, and exit.
-SHOW_AND_GO = signal.SIGTERM
+STOP_SIGNAL = signal.SIGTERM
 # The job continues elsewhere: a checkpoint, nothing else, and exit; at once where there is nothing new to
 # keep. Said again and again until the process ends.
-KEEP_AND_GO = signal.SIGUSR1
+DRAIN_SIGNAL = signal.SIGUSR1
 
 
 class Stop(StrEnum):

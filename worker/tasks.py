@@ -15,7 +15,7 @@ from core.jobs.attempts import claim, new_secret
 from core.jobs.needs import packages_here
 from core.jobs.store import JobStore
 from core.jobs.waiting import why_left_to_others
-from core.patience import CalledOff, pause, through_outages
+from core.patience import CalledOff, pause, retry_while_unavailable
 from core.previews.record import PreviewRequest
 from core.settings import WorkerSettings
 from worker.host import device_health
@@ -66,11 +66,11 @@ def run_attempt(job_id: str, attempt: int) -> None:
         secret=new_secret(),
     )
     try:
-        if reason := through_outages(look, called_off=draining.is_set):
+        if reason := retry_while_unavailable(look, called_off=draining.is_set):
             # The reconciler dispatches it again at the second look that misses it.
             log.info("left_to_others", detail=reason)
             return
-        holding = through_outages(take, called_off=draining.is_set)
+        holding = retry_while_unavailable(take, called_off=draining.is_set)
     except (CalledOff, NotFound, JobUnreadable) as error:
         log.info("dispatch_ignored", error=str(error))
         return

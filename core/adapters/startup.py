@@ -23,7 +23,7 @@ from core.errors import (
     StorageUnavailable,
     Unavailable,
 )
-from core.patience import through_outages
+from core.patience import retry_while_unavailable
 from core.settings import StoreSettings
 
 log = structlog.get_logger()
@@ -82,9 +82,9 @@ def _upgrade(engine: Engine) -> None:
 
 def _try(look: Callable[[], None], patience_s: float) -> None:
     try:
-        through_outages(look, patience_s, gives_up_on=_REFUSALS)
+        retry_while_unavailable(look, patience_s, gives_up_on=_REFUSALS)
     except _REFUSALS:
-        through_outages(look, _BELIEVED_AFTER_S)
+        retry_while_unavailable(look, _BELIEVED_AFTER_S)
 
 
 @reaching_redis()

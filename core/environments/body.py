@@ -15,7 +15,7 @@ from core.physics.model import initial_qpos
 TRAVEL = ("x_position", "y_position", "distance_from_origin", "x_velocity", "y_velocity")
 
 
-class Body(ABC):
+class MujocoEnv(ABC):
     """An environment over one MuJoCo model; a subclass says how it begins, what it sees and what it earns."""
 
     episode_length = 1000
@@ -45,7 +45,7 @@ class Body(ABC):
 
 
 def noisy_start(
-    body: Body,
+    body: MujocoEnv,
     key: jax.Array,
     model: ModelFields,
     scale: float,

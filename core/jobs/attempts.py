@@ -18,7 +18,7 @@ _FAILURES = RETRIED - {Reason.WORKER_LOST}
 
 
 @dataclass(frozen=True)
-class Holding:
+class Claim:
     """An attempt that holds its job. Each method may be called again after its answer was lost."""
 
     job_id: str
@@ -108,7 +108,7 @@ def claim(  # noqa: PLR0913 # Who, what, and where it is written.
     objects: ObjectStore,
     lease: timedelta,
     secret: str,
-) -> Holding | None:
+) -> Claim | None:
     """Take a queued job; None where somebody else has it, or this dispatch is an old one.
 
     secret: a fresh one for each claim. Called again with the same one, because the answer was lost, the claim
@@ -120,7 +120,7 @@ def claim(  # noqa: PLR0913 # Who, what, and where it is written.
         claimed = _claimed(job, worker, secret, store, lease)
     elif job.token == Job.token_of(number, secret):
         claimed = job
-    return None if claimed is None else Holding(job_id, number, claimed.token, store, objects)
+    return None if claimed is None else Claim(job_id, number, claimed.token, store, objects)
 
 
 def _claimed(job: Job, worker: str, secret: str, store: JobStore, lease: timedelta) -> Job | None:

@@ -18,7 +18,7 @@ from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobFinished, JobNotFinished, JobNotFound, LeaseLost
 from core.jobs import feeds
-from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.attempts import Claim, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
@@ -37,7 +37,7 @@ class Known:
     """What an observer outside remembers of a job."""
 
     job: Job
-    holdings: list[Holding] = field(default_factory=list[Holding])
+    holdings: list[Claim] = field(default_factory=list[Claim])
     published: set[str] = field(default_factory=set[str])
     said: int = 0
     deleted: bool = False
@@ -219,11 +219,11 @@ class Life(RuleBasedStateMachine):
         assert [entry.data["text"] for entry in said] == [str(number) for number in range(known.said)]
         assert [entry.id for entry in said] == [str(number) for number in range(1, known.said + 1)]
 
-    def _one_of(self, known: Known, data: strategies.DataObject) -> list[Holding]:
+    def _one_of(self, known: Known, data: strategies.DataObject) -> list[Claim]:
         """An attempt at the job that a worker once had; nothing where nobody ever had one."""
         return [data.draw(strategies.sampled_from(known.holdings))] if known.holdings else []
 
-    def _holds(self, known: Known, holding: Holding) -> bool:
+    def _holds(self, known: Known, holding: Claim) -> bool:
         return not known.deleted and known.job.token == holding.token
 
 

@@ -13,7 +13,7 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobExists, JobNotFound, LeaseLost, RecordsUnavailable, StaleJob
-from core.jobs.attempts import Holding, claim
+from core.jobs.attempts import Claim, claim
 from core.jobs.job import Job, Progress
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Dispatch, Idempotency, JobQuery
@@ -262,8 +262,8 @@ class TestAttempts:
         return MemoryObjectStore()
 
     @pytest.fixture
-    def holding(self, jobs: PostgresJobStore, job: Job, objects: MemoryObjectStore) -> Holding:
-        return Holding(job.id, 1, job.token, jobs, objects)
+    def holding(self, jobs: PostgresJobStore, job: Job, objects: MemoryObjectStore) -> Claim:
+        return Claim(job.id, 1, job.token, jobs, objects)
 
     def test_a_claim_sent_again_finds_what_it_took(
         self, unsure: Unsure, jobs: PostgresJobStore, objects: MemoryObjectStore
@@ -294,7 +294,7 @@ class TestAttempts:
         assert take(secret="mine") is None
 
     def test_a_start_sent_again_leaves_the_job_running(
-        self, unsure: Unsure, jobs: PostgresJobStore, holding: Holding
+        self, unsure: Unsure, jobs: PostgresJobStore, holding: Claim
     ) -> None:
         with unsure.losing_answer():
             holding.start(device="cpu")
@@ -304,7 +304,7 @@ class TestAttempts:
         assert [entry.data["status"] for entry in statuses(jobs, job)] == ["starting", "running"]
 
     def test_a_publication_sent_again_names_the_same_files_and_drops_none_of_them(
-        self, unsure: Unsure, jobs: PostgresJobStore, holding: Holding
+        self, unsure: Unsure, jobs: PostgresJobStore, holding: Claim
     ) -> None:
         kept, newer = (artifact(f"checkpoint-{step}", role="checkpoint", step=step) for step in (10, 20))
         holding.publish((kept,), 1)
@@ -316,7 +316,7 @@ class TestAttempts:
 
     @pytest.mark.parametrize("reason", [Reason.DIVERGED, Reason.WORKER_LOST])
     def test_an_end_sent_again_is_the_same_end(
-        self, unsure: Unsure, jobs: PostgresJobStore, holding: Holding, reason: Reason
+        self, unsure: Unsure, jobs: PostgresJobStore, holding: Claim, reason: Reason
     ) -> None:
         end = partial(holding.end, JobStatus.FAILED, reason, "NaN at 7")
         with unsure.losing_answer():
@@ -327,7 +327,7 @@ class TestAttempts:
 
     @pytest.mark.parametrize("reason", [Reason.WORKER_DRAINED, Reason.TRAINING_KILLED, Reason.WORKER_LOST])
     def test_a_job_given_back_again_stays_whosever_it_is_by_then(
-        self, unsure: Unsure, jobs: PostgresJobStore, holding: Holding, reason: Reason
+        self, unsure: Unsure, jobs: PostgresJobStore, holding: Claim, reason: Reason
     ) -> None:
         give_back = partial(holding.give_back, reason, "Bye.")
         with unsure.losing_answer():
@@ -339,7 +339,7 @@ class TestAttempts:
         assert jobs.get(claimed.id) == claimed
 
     def test_an_attempt_whose_job_was_taken_back_is_told_so(
-        self, jobs: PostgresJobStore, job: Job, holding: Holding
+        self, jobs: PostgresJobStore, job: Job, holding: Claim
     ) -> None:
         jobs.save(taken := taken_back(job))
         for leave in (

@@ -8,18 +8,18 @@ from types import SimpleNamespace
 
 import jax
 
-from core.algorithms.ppo.layout import Layout
+from core.algorithms.ppo.layout import Sharding
 from core.algorithms.ppo.spec import PPOSpec
 from worker.training.__main__ import main
 
-_over = Layout.over
+_over = Sharding.over
 
 
 def devices() -> list[SimpleNamespace]:
     return [SimpleNamespace(platform="gpu", device_kind="Pretended") for _ in jax.local_devices()]
 
 
-def over(num_devices: int, settings: PPOSpec) -> Layout:
+def over(num_devices: int, settings: PPOSpec) -> Sharding:
     layout = _over(num_devices, settings)
     print(f"laid out over {layout.mesh.size if layout.mesh else 1}", flush=True)
     return layout
@@ -27,5 +27,5 @@ def over(num_devices: int, settings: PPOSpec) -> Layout:
 
 if __name__ == "__main__":
     jax.devices = devices
-    Layout.over = staticmethod(over)
+    Sharding.over = staticmethod(over)
     main()

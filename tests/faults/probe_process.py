@@ -8,12 +8,12 @@ import sys
 import time
 from pathlib import Path
 
-from worker.stop_signals import KEEP_AND_GO, SHOW_AND_GO
+from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL
 
 behaviour, spool, events_fd = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
 asked = set[int]()
 
-for wish in (SHOW_AND_GO, KEEP_AND_GO):
+for wish in (STOP_SIGNAL, DRAIN_SIGNAL):
     signal.signal(
         wish, signal.SIG_IGN if behaviour == "ignores_signals" else lambda number, _: asked.add(number)
     )
@@ -69,15 +69,15 @@ match behaviour:
         while not asked:
             time.sleep(0.01)
         keep("checkpoint-000000000020.msgpack", "checkpoint", b"state", 20)
-        if SHOW_AND_GO in asked:
+        if STOP_SIGNAL in asked:
             keep("video.mp4", "video", b"film", 20)
         say(type="finished", stopped=True)
     case "has_nothing_new_to_keep":
-        signal.signal(KEEP_AND_GO, signal.SIG_DFL)
+        signal.signal(DRAIN_SIGNAL, signal.SIG_DFL)
         keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
         signal.pause()
     case "misses_the_first_word_to_go":
-        signal.signal(KEEP_AND_GO, lambda number, _: signal.signal(number, signal.SIG_DFL))
+        signal.signal(DRAIN_SIGNAL, lambda number, _: signal.signal(number, signal.SIG_DFL))
         keep("checkpoint-000000000010.msgpack", "checkpoint", b"state", 10)
         while True:
             signal.pause()

@@ -23,7 +23,7 @@ from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobNotFound, LeaseLost, Unavailable
 from core.jobs import feeds, orphans
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.attempts import Claim, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
@@ -165,7 +165,7 @@ def _through_outages(step: Callable[[], Any], crash: Crash) -> Any:
         return step()
 
 
-def _claim(it: Process, dispatch: Dispatch, secret: str) -> Holding | None:
+def _claim(it: Process, dispatch: Dispatch, secret: str) -> Claim | None:
     return claim(
         dispatch.job_id,
         dispatch.attempt,
@@ -177,13 +177,13 @@ def _claim(it: Process, dispatch: Dispatch, secret: str) -> Holding | None:
     )
 
 
-def _say(holding: Holding, step: int, write_id: str) -> None:
+def _say(holding: Claim, step: int, write_id: str) -> None:
     said = {"text": f"attempt {holding.number} step {step}"}
     entry = Entry(kind="line", time=holding.store.now(), data=said)
     holding.store.record(holding.job_id, holding.token, "logs", [entry], write_id=write_id)
 
 
-def _publish(holding: Holding, step: int) -> None:
+def _publish(holding: Claim, step: int) -> None:
     body = f"checkpoint {step}".encode()
     digest = hashlib.sha256(body).hexdigest()
     name = f"checkpoint-{step}"
@@ -205,28 +205,26 @@ def _publish(holding: Holding, step: int) -> None:
 
 # ---- how an attempt ends ----------------------------------------------------------------------------
 
-End = Callable[[Service, Holding, Callable[[Callable[[], Any]], Any]], None]
+End = Callable[[Service, Claim, Callable[[Callable[[], Any]], Any]], None]
 
 
-def completes(service: Service, holding: Holding, through: Callable[[Callable[[], Any]], Any]) -> None:
+def completes(service: Service, holding: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
     through(lambda: holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done."))
 
 
-def is_cancelled(service: Service, holding: Holding, through: Callable[[Callable[[], Any]], Any]) -> None:
+def is_cancelled(service: Service, holding: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
     service.cancel(holding.job_id)
     through(lambda: holding.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "Cancelled while it ran."))
 
 
-def drains_at_first(service: Service, holding: Holding, through: Callable[[Callable[[], Any]], Any]) -> None:
+def drains_at_first(service: Service, holding: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
     if holding.number == 1:
         through(lambda: holding.give_back(Reason.WORKER_DRAINED, "The worker was shut down."))
     else:
         completes(service, holding, through)
 
 
-def is_silent_at_first(
-    service: Service, holding: Holding, through: Callable[[Callable[[], Any]], Any]
-) -> None:
+def is_silent_at_first(service: Service, holding: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
     if holding.number > 1:
         completes(service, holding, through)
 

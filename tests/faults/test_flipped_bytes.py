@@ -13,7 +13,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import ObjectNotFound, StorageUnavailable
 from core.jobs import feeds
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus, Reason
 from core.storage.objects import ObjectStore
 from gaitway.embedded.processes import free_ports
@@ -177,7 +177,7 @@ def test_a_checkpoint_that_is_whole_at_the_store_is_read_again(
 ) -> None:
     objects = FlipsOnce()
     job = held(job_store, queued_job())
-    holding = Holding(job.id, 1, job.token, job_store, objects)
+    holding = Claim(job.id, 1, job.token, job_store, objects)
     objects.put("checkpoint", BODY)
     facts = {"role": "checkpoint", "step": 5, "size": len(BODY), "sha256": hashlib.sha256(BODY).hexdigest()}
     saved, _ = holding.publish((artifact("checkpoint", key="checkpoint", **facts),), 1)

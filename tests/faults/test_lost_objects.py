@@ -12,7 +12,7 @@ from pathlib import Path
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.attempts import Claim, claim, new_secret
 from core.jobs.status import JobStatus, Reason
 from core.settings import WorkerSettings
 from gaitway.embedded.weed import Weed
@@ -34,7 +34,7 @@ def silence(weed: Weed) -> Iterator[None]:
         os.kill(pid, signal.SIGCONT)
 
 
-def held(store: PostgresJobStore, lease: timedelta) -> Holding:
+def held(store: PostgresJobStore, lease: timedelta) -> Claim:
     job = submitted(store, MemoryJobQueue())
     holding = claim(
         job.id, 1, "w", store=store, objects=MemoryObjectStore(), lease=lease, secret=new_secret()

@@ -20,7 +20,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobNotFound, RecordsUnavailable
 from core.jobs import feeds
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.attempts import Claim, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job, utc_now
@@ -29,7 +29,7 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Entry, Idempotency, JobQuery
 from core.jobs.submission import submit
-from core.patience import through_outages
+from core.patience import retry_while_unavailable
 from tests.contract.recording import Database, watch
 from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
@@ -70,7 +70,7 @@ class Fleet:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def kill(self, holding: Holding) -> None:
+    def kill(self, holding: Claim) -> None:
         """Its heart beats no more."""
         self._hearts.pop(holding.job_id).__exit__()
 
@@ -90,9 +90,9 @@ class Fleet:
             database.change("UPDATE pulse SET quiet_until = now() - interval '1 s'")
         self._after_looks()
 
-    def attempts(self, holdings: list[Holding]) -> list[list[Reason | None]]:
+    def attempts(self, holdings: list[Claim]) -> list[list[Reason | None]]:
         """How the attempts at these jobs ended; None for one that goes on."""
-        found = [through_outages(partial(self.store.get, holding.job_id)) for holding in holdings]
+        found = [retry_while_unavailable(partial(self.store.get, holding.job_id)) for holding in holdings]
         return [[attempt.reason for attempt in job.attempts] for job in found]
 
     def _after_looks(self) -> None:
@@ -114,7 +114,7 @@ class Fleet:
         self._stack.callback(store.close)
         return store
 
-    def _hold(self) -> Holding:
+    def _hold(self) -> Claim:
         submitted(self.store, self.queue)
         dispatch = self.queue.take()
         assert dispatch is not None
@@ -224,7 +224,7 @@ class Service:
         heard = Acknowledgements(self.store.dispatched).add_at_once
         return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency, acknowledge=heard)
 
-    def claim(self, job: Job, lease: timedelta = LONG, secret: str = "mine") -> Holding:  # noqa: S107
+    def claim(self, job: Job, lease: timedelta = LONG, secret: str = "mine") -> Claim:  # noqa: S107
         holding = claim(job.id, 1, "w", store=self.store, objects=self.objects, lease=lease, secret=secret)
         assert holding is not None
         return holding
@@ -286,7 +286,7 @@ class TestLostAnswers:
     def test_a_claim_is_found_again_by_the_same_secret(self, service: Service, lost: LostAnswers) -> None:
         job = service.submit()
         lost.next()
-        holding = through_outages(lambda: service.claim(job, secret="mine"))
+        holding = retry_while_unavailable(lambda: service.claim(job, secret="mine"))
         found = service.store.get(job.id)
         assert (holding.token, found.token, len(found.attempts)) == ("1-mine", "1-mine", 1)
         assert service.statuses(job) == ["starting"]
@@ -315,7 +315,7 @@ class TestLostAnswers:
     )
     def test_a_step_of_an_attempt_is_taken_once(
         self,
-        do: Callable[[Holding], object],
+        do: Callable[[Claim], object],
         status: str,
         statuses: list[str],
         service: Service,
@@ -324,7 +324,7 @@ class TestLostAnswers:
         job = service.submit()
         holding = service.claim(job)
         lost.next()
-        through_outages(lambda: do(holding))
+        retry_while_unavailable(lambda: do(holding))
         found = service.store.get(job.id)
         assert (found.status, len(found.attempts)) == (status, 1)
         assert service.statuses(job) == ["starting", *statuses]
@@ -336,7 +336,7 @@ class TestLostAnswers:
         for number in range(3):
             lines = [Entry(kind="line", time=now, data={"text": f"{number}{letter}"}) for letter in "ab"]
             lost.next()
-            through_outages(
+            retry_while_unavailable(
                 lambda lines=lines, number=number: service.store.record(
                     job.id, holding.token, "logs", lines, write_id=str(number)
                 )
@@ -351,7 +351,7 @@ class TestLostAnswers:
             service.claim(job)
         before, wanted = service.statuses(job), "cancelling" if is_held else "cancelled"
         lost.next()
-        assert through_outages(lambda: service.cancel(job)).status == wanted
+        assert retry_while_unavailable(lambda: service.cancel(job)).status == wanted
         assert service.statuses(job) == [*before, wanted]
 
     def test_a_submission_with_a_key_makes_one_job(self, service: Service, lost: LostAnswers) -> None:
@@ -369,7 +369,7 @@ class TestLostAnswers:
         job = service.cancel(service.submit())
         lost.next()
         with pytest.raises(JobNotFound):
-            through_outages(lambda: delete(job.id, store=service.store, objects=service.objects))
+            retry_while_unavailable(lambda: delete(job.id, store=service.store, objects=service.objects))
 
     def test_a_job_is_taken_back_and_dispatched_once(
         self, service: Service, lost: LostAnswers, url: str, monkeypatch: pytest.MonkeyPatch

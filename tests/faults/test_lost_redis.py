@@ -18,7 +18,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
-from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.attempts import Claim, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
@@ -46,7 +46,7 @@ class Service:
     def submit(self) -> Job:
         return submitted(self.store, self.queue)
 
-    def claim(self, job: Job) -> Holding:
+    def claim(self, job: Job) -> Claim:
         holding = claim(
             job.id, 1, "w", store=self.store, objects=self.objects, lease=LEASE, secret=new_secret()
         )

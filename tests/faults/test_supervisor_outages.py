@@ -15,7 +15,7 @@ from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import Job
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
-from core.patience import through_outages
+from core.patience import retry_while_unavailable
 from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import Outages, Watch, pooled
 from worker.supervision import supervisor as supervisor_module
@@ -157,7 +157,7 @@ def test_a_drain_without_postgresql_is_told_by_the_next_worker_and_costs_no_atte
 ) -> None:
     job = bench.submit(max_attempts=1)
     drain_without_postgresql(name, job, bench)
-    through_outages(partial(tell_left, bench.settings.data_dir, bench.store, bench.objects), 10)
+    retry_while_unavailable(partial(tell_left, bench.settings.data_dir, bench.store, bench.objects), 10)
     told = bench.store.get(job.id)
     assert (told.status, [a.reason for a in told.attempts]) == (JobStatus.QUEUED, [Reason.WORKER_DRAINED])
     assert told.newest("checkpoint", 10) is not None

@@ -14,7 +14,7 @@ from core.jobs.spec import JOB_SPEC
 from tests.faults.bench import SPEC
 from worker.host.child import TRAINING, TrainingProcess
 from worker.protocol import FileReady, Message, Task
-from worker.stop_signals import KEEP_AND_GO, Stop
+from worker.stop_signals import DRAIN_SIGNAL, Stop
 
 # To leave takes an epoch of a second and a file; this film alone is 1,800 frames, of more than 10 ms each.
 LONG_FILM = {"width": 640, "height": 480, "fps": 30, "seconds": 60, "every_checkpoint": True}
@@ -81,13 +81,13 @@ def test_a_drain_in_the_middle_of_training_hands_over_a_checkpoint_and_nothing_e
     files, status, took_s = training.leave()
     assert [file.role for file in files] == ["checkpoint"]
     assert (files[0].step or 0) > 0
-    assert (status, took_s < SOON_S) == (-KEEP_AND_GO, True)
+    assert (status, took_s < SOON_S) == (-DRAIN_SIGNAL, True)
 
 
 def test_a_drain_before_the_first_update_ends_the_process_at_once(training: Training) -> None:
     training.until("started")  # From here on it compiles.
     files, status, took_s = training.leave()
-    assert (files, status) == ([], -KEEP_AND_GO)
+    assert (files, status) == ([], -DRAIN_SIGNAL)
     assert took_s < 1
 
 
@@ -98,7 +98,7 @@ def test_a_drain_ends_a_video_that_is_being_made(tmp_path: Path, data_dir: Path)
         when_it_draws(training.process.pid)
         children = psutil.Process(training.process.pid).children()  # The path's picture is drawn beside it.
         files, status, took_s = training.leave()
-        assert ([file.role for file in files], status) == (["trajectory"], -KEEP_AND_GO)
+        assert ([file.role for file in files], status) == (["trajectory"], -DRAIN_SIGNAL)
         assert took_s < 1
         assert not psutil.wait_procs(children, timeout=5)[1]
     finally:

@@ -8,7 +8,7 @@ from structlog.testing import capture_logs
 
 from core import patience
 from core.errors import RecordsUnavailable, StorageUnavailable, Unavailable
-from core.patience import CalledOff, pause, through_outages
+from core.patience import CalledOff, pause, retry_while_unavailable
 
 
 class Store:
@@ -30,31 +30,31 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_outage_is_waited_out() -> None:
-    assert through_outages(Store(*[RecordsUnavailable("away")] * 3).get) == "an answer"
+    assert retry_while_unavailable(Store(*[RecordsUnavailable("away")] * 3).get) == "an answer"
 
 
 def test_patience_ends_with_what_the_store_said_last() -> None:
     with pytest.raises(RecordsUnavailable, match="away"):
-        through_outages(Store(*[RecordsUnavailable("away")] * 9999).get, 0.05)
+        retry_while_unavailable(Store(*[RecordsUnavailable("away")] * 9999).get, 0.05)
 
 
 def test_the_log_says_a_sentence_once_and_another_one_when_it_changes() -> None:
     away, full = RecordsUnavailable("away"), RecordsUnavailable("full")
     with capture_logs() as said:
-        through_outages(Store(away, away, away, full, full, away).get)
+        retry_while_unavailable(Store(away, away, away, full, full, away).get)
     assert [line["error"] for line in said] == ["away", "full", "away"]
 
 
 def test_the_log_says_the_same_sentence_again_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(patience, "_SAY_AGAIN_AFTER_S", 0)
     with capture_logs() as said:
-        through_outages(Store(*[RecordsUnavailable("away")] * 3).get)
+        retry_while_unavailable(Store(*[RecordsUnavailable("away")] * 3).get)
     assert [line["error"] for line in said] == ["away"] * 3
 
 
 def test_what_gives_up_gives_up_at_once() -> None:
     with pytest.raises(StorageUnavailable):
-        through_outages(Store(StorageUnavailable("refused")).get, gives_up_on=(StorageUnavailable,))
+        retry_while_unavailable(Store(StorageUnavailable("refused")).get, gives_up_on=(StorageUnavailable,))
 
 
 def test_who_waits_hears_that_it_is_called_off(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,11 +62,11 @@ def test_who_waits_hears_that_it_is_called_off(monkeypatch: pytest.MonkeyPatch) 
     over = threading.Event()
     threading.Timer(0.05, over.set).start()
     with pytest.raises(CalledOff):
-        through_outages(Store(RecordsUnavailable("away")).get, called_off=over.is_set)
+        retry_while_unavailable(Store(RecordsUnavailable("away")).get, called_off=over.is_set)
 
 
 def test_what_answers_is_asked_even_where_nobody_would_wait() -> None:
-    assert through_outages(Store().get, called_off=lambda: True) == "an answer"
+    assert retry_while_unavailable(Store().get, called_off=lambda: True) == "an answer"
 
 
 def test_a_pause_lasts_as_long_as_it_is_told() -> None:

@@ -19,7 +19,7 @@ from core.configuration import variable
 from core.settings import Confinement
 from worker.host.memory import sacrifice
 from worker.protocol import MESSAGE, Message
-from worker.stop_signals import KEEP_AND_GO, SHOW_AND_GO, Stop
+from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL, Stop
 
 log = structlog.get_logger()
 
@@ -116,7 +116,7 @@ class TrainingProcess:
 
         With a video, where the job will not go on.
         """
-        self._signal_leader(KEEP_AND_GO if why is Stop.DRAIN else SHOW_AND_GO)
+        self._signal_leader(DRAIN_SIGNAL if why is Stop.DRAIN else STOP_SIGNAL)
 
     def kill(self) -> None:
         """End it and everything it started, and see that nothing is left."""

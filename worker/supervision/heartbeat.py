@@ -6,7 +6,7 @@ from typing import Self
 import structlog
 
 from core.errors import LeaseLost, Unavailable
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus
 from core.settings import WorkerSettings
 
@@ -16,7 +16,7 @@ log = structlog.get_logger()
 class Heartbeat:
     """A thread that renews the lease. An outage of the store is waited out: the token decides afterwards."""
 
-    def __init__(self, holding: Holding, settings: WorkerSettings) -> None:
+    def __init__(self, holding: Claim, settings: WorkerSettings) -> None:
         self.cancelled = threading.Event()
         self.lost = threading.Event()
         self._holding = holding

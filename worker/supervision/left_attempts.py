@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from core.documents import Stored
 from core.errors import Conflict, NotFound
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.job import Job
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
@@ -35,14 +35,14 @@ class LeftAttempt(Stored):
     message: str
 
 
-def end(holding: Holding, outcome: Outcome) -> Job:
+def end(holding: Claim, outcome: Outcome) -> Job:
     """Tell the record how the attempt ended. Raises LeaseLost, NotFound, RecordsUnavailable."""
     if outcome.status is None:
         return holding.give_back(outcome.reason, outcome.message)
     return holding.end(outcome.status, outcome.reason, outcome.message)
 
 
-def leave(data_dir: Path, holding: Holding, outcome: Outcome) -> None:
+def leave(data_dir: Path, holding: Claim, outcome: Outcome) -> None:
     """Keep the end for whoever works here next. Raises OSError."""
     folder = data_dir / LEFT
     folder.mkdir(parents=True, exist_ok=True)
@@ -64,7 +64,7 @@ def tell_left(data_dir: Path, store: JobStore, objects: ObjectStore) -> None:
     for path in sorted((data_dir / LEFT).glob("*.json")):
         try:
             left = LeftAttempt.model_validate_json(path.read_bytes())
-            holding = Holding(left.job_id, left.number, left.token, store, objects)
+            holding = Claim(left.job_id, left.number, left.token, store, objects)
             job = end(holding, Outcome(left.status, left.reason, left.message))
             log.info("left_attempt_told", job_id=job.id, status=job.status, reason=left.reason)
         except FileNotFoundError:  # Another worker on this disk was faster.

@@ -14,10 +14,10 @@ from pathlib import Path
 from threading import Thread
 
 from core.errors import StorageUnavailable
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Channel, Entry
-from core.patience import through_outages
+from core.patience import retry_while_unavailable
 from core.storage import keys
 from worker.protocol import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
 from worker.supervision.measurements import Measurements
@@ -41,7 +41,7 @@ class _Heard:
 class Outbox:
     """A thread that stores messages and log lines. An outage makes it wait, never the training."""
 
-    def __init__(self, holding: Holding, spool: Path, keep_checkpoints: int) -> None:
+    def __init__(self, holding: Claim, spool: Path, keep_checkpoints: int) -> None:
         self._failure: Exception | None = None
         self._holding = holding
         self._spool = spool
@@ -112,7 +112,7 @@ class Outbox:
     def _insist(self, step: Callable[[], None]) -> bool:
         """Do it, through any outage; whether it was possible at all."""
         try:
-            through_outages(step)
+            retry_while_unavailable(step)
         except Exception as error:  # Whatever it is, the job must not seem done.
             self._failure = error
             return False

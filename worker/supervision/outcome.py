@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from core.jobs.status import RETRIED, JobStatus, Reason
 from worker.host.memory import LESS_MEMORY
 from worker.protocol import Failed, Finished
-from worker.stop_signals import KEEP_AND_GO, Stop
+from worker.stop_signals import DRAIN_SIGNAL, Stop
 
 # How a process ends whose native code made a mistake, or found one.
 _CRASHES = frozenset(
@@ -51,7 +51,7 @@ def judge(
         return Outcome(JobStatus.SUCCEEDED, Reason.COMPLETED, "Everything asked for is done.")
     kept = (
         "The work up to then is kept."
-        if last_word is not None or exit_status == -KEEP_AND_GO
+        if last_word is not None or exit_status == -DRAIN_SIGNAL
         else "It did not stop within the grace time and was killed; its last checkpoint is kept."
     )
     match stop:

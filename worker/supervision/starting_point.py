@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import get_args
 
 from core.errors import JobFailed, NotFound, ObjectNotFound
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.checks import source_checkpoint
 from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.own_model import engines_that_cannot, model_of
@@ -21,7 +21,7 @@ _FILE = "start.msgpack"
 _READINGS = 3
 
 
-def write_task(job: Job, holding: Holding, device: str, spool: Path) -> list[str]:
+def write_task(job: Job, holding: Claim, device: str, spool: Path) -> list[str]:
     """Leave in the spool what the training process needs; sentences for people about what was wrong with it.
 
     Raises Rejected or NotFound where the checkpoint of another job has gone meanwhile; JobFailed where the
@@ -39,7 +39,7 @@ def write_task(job: Job, holding: Holding, device: str, spool: Path) -> list[str
     return notes
 
 
-def _own_checkpoint(job: Job, holding: Holding, spool: Path, notes: list[str]) -> Artifact | None:
+def _own_checkpoint(job: Job, holding: Claim, spool: Path, notes: list[str]) -> Artifact | None:
     """The newest whole one that an earlier attempt left. One that is damaged is struck from the record."""
     while (checkpoint := job.newest("checkpoint")) is not None:
         damage = _fetch(checkpoint, holding.objects, spool / _FILE)
@@ -54,7 +54,7 @@ def _own_checkpoint(job: Job, holding: Holding, spool: Path, notes: list[str]) -
     return None
 
 
-def _lent_checkpoint(job: Job, holding: Holding, spool: Path, notes: list[str]) -> Artifact | None:
+def _lent_checkpoint(job: Job, holding: Claim, spool: Path, notes: list[str]) -> Artifact | None:
     """The one that the specification names; or the newest whole one of the job that it names."""
     source = job.spec.source
     if source is None:
@@ -108,7 +108,7 @@ def _as_begun(task: Task, begun: Attempt | None) -> Task:
     return task.model_copy(update={"spec": spec, "begun_on": engine})
 
 
-def _with_model(task: Task, holding: Holding, spool: Path) -> Task:
+def _with_model(task: Task, holding: Claim, spool: Path) -> Task:
     model_id = model_of(task.spec.environment)
     if model_id is None:
         return task

@@ -11,12 +11,12 @@ from pathlib import Path
 import structlog
 
 from core.errors import JobFailed, LeaseLost, NotFound, Rejected, Unavailable
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.job import Job
 from core.jobs.own_model import model_of
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus, Reason
-from core.patience import CalledOff, through_outages
+from core.patience import CalledOff, retry_while_unavailable
 from core.settings import WorkerSettings
 from worker.compile_cache.session import Caches
 from worker.host.cgroup import memory_group
@@ -59,7 +59,7 @@ class Supervisor:
     Leaves behind: the job ended or back in the queue, no process, no spool.
     """
 
-    holding: Holding
+    holding: Claim
     settings: WorkerSettings
     device: str
     slot_names: tuple[str, ...]
@@ -100,10 +100,10 @@ class Supervisor:
 
     def _attempt(self, heartbeat: Heartbeat, caches: Caches, folder: Path, spool: Path) -> Outcome:
         leaving = self.draining.is_set
-        job = through_outages(
+        job = retry_while_unavailable(
             partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S, called_off=leaving
         )
-        notes = through_outages(
+        notes = retry_while_unavailable(
             partial(write_task, job, self.holding, self.device, spool),
             _STORAGE_PATIENCE_S,
             called_off=leaving,
@@ -119,7 +119,7 @@ class Supervisor:
             models = self.settings.models
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
             try:
-                ear = _Ear(process, outbox, caches, tracking, StallWatch(self.settings.stall))
+                ear = OutputReaders(process, outbox, caches, tracking, StallWatch(self.settings.stall))
                 memory_bytes = allowed_bytes(self.settings.memory_limit)
                 with memory_group(process.pid, memory_bytes) as group:
                     memory = MemoryWatch(memory_bytes, group=group)
@@ -142,7 +142,7 @@ class Supervisor:
     def _watch(
         self,
         process: TrainingProcess,
-        ear: "_Ear",
+        ear: "OutputReaders",
         heartbeat: Heartbeat,
         memory: MemoryWatch,
         timeout_s: float,
@@ -201,7 +201,7 @@ class Supervisor:
     def _conclude(self, outcome: Outcome) -> None:
         tell = partial(end, self.holding, outcome)
         try:
-            job = through_outages(tell, _STORAGE_PATIENCE_S, called_off=self._must_leave())
+            job = retry_while_unavailable(tell, _STORAGE_PATIENCE_S, called_off=self._must_leave())
         except CalledOff:  # PostgreSQL is away: the next worker here tells it, or the lease runs out.
             log.warning("attempt_left", job_id=self.holding.job_id, detail=outcome.message)
             with suppress(OSError):  # No room for it: the job counts as a lost worker's.
@@ -212,7 +212,7 @@ class Supervisor:
         )
 
 
-class _Ear:
+class OutputReaders:
     """Two threads that hear what the process says, so that no pipe ever fills up and halts it."""
 
     def __init__(

@@ -12,7 +12,7 @@ from typing import IO, cast
 import structlog
 
 from core.errors import GaitwayError, LeaseLost
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.job import Job
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
@@ -44,7 +44,7 @@ class Tracking:
     """
 
     job: Job
-    holding: Holding
+    holding: Claim
     spool: Path
     settings: WorkerSettings
     outbox: Outbox

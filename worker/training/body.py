@@ -25,7 +25,7 @@ from worker.training.compilations import keep_programs, keep_warp_kernels
 
 
 @dataclass(frozen=True)
-class Body:
+class BuiltEnvironment:
     """An environment, and how it came to stand on this engine. num_devices: how many share a training."""
 
     info: EnvironmentInfo
@@ -54,7 +54,7 @@ class Body:
         )
 
 
-def load_body(task: Task) -> Body:
+def load_body(task: Task) -> BuiltEnvironment:
     """Raises JobFailed("device_failed") where GPUs were promised and JAX does not find so many.
 
     And "bad_model" where the model has not got what the job randomises.
@@ -84,7 +84,7 @@ def load_body(task: Task) -> Body:
     engine, reason = choice.name, choice.reason
     if info.own_physics:
         engine, reason = info.own_physics, f"{info.id} brings its own physics."
-    return Body(info, environment, device, name, engine, reason, num_devices)
+    return BuiltEnvironment(info, environment, device, name, engine, reason, num_devices)
 
 
 def _brought_by(info: EnvironmentInfo) -> list[str]:

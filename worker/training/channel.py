@@ -8,7 +8,7 @@ from core.jobs.job import ArtifactRole
 from worker.protocol import FileReady, Message
 
 
-class Channel:
+class EventWriter:
     """Tells the supervisor what happens, and hands it whole files."""
 
     def __init__(self, spool: Path, events_fd: int) -> None:

@@ -16,7 +16,7 @@ from core.environments import trajectory
 from core.environments.trajectory import Trajectory
 from core.rendering.gl import last_line
 from worker.protocol import Noted
-from worker.training.channel import Channel
+from worker.training.channel import EventWriter
 
 _PLOTTING = (sys.executable, "-m", "worker.render.plotting")
 # Once on a machine matplotlib reads all of its fonts first, and may have to wait for a core.
@@ -28,7 +28,7 @@ _NO_MATPLOTLIB = (
 
 @contextmanager
 def kept_with_path(
-    channel: Channel, shown: Trajectory, suffix: str, step: int | None, title: str
+    channel: EventWriter, shown: Trajectory, suffix: str, step: int | None, title: str
 ) -> Generator[None]:
     """Keep a trajectory; and, when the block is over, the picture of its path that was drawn meanwhile."""
     numbers, picture = f"trajectory{suffix}.npz", f"path{suffix}.png"
@@ -49,7 +49,7 @@ def kept_with_path(
 
 @contextmanager
 def kept_with_tables(
-    channel: Channel, tables: Mapping[str, NDArray[Any]], step: int, title: str
+    channel: EventWriter, tables: Mapping[str, NDArray[Any]], step: int, title: str
 ) -> Generator[None]:
     """Keep what a trainer shows of itself as `tables.npz`; pictures of it when the block is over."""
     body = io.BytesIO()
@@ -67,7 +67,7 @@ def kept_with_tables(
 
 
 @contextmanager
-def _drawing(channel: Channel, arguments: Sequence[str]) -> Generator[list[str]]:
+def _drawing(channel: EventWriter, arguments: Sequence[str]) -> Generator[list[str]]:
     """The process runs beside the block. Gives the words that it has said once it has ended; a failure is a
     note."""
     said: list[str] = []

@@ -22,17 +22,19 @@ from core.environments.rollout import (
 from core.environments.trajectory import Episode
 from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, RolloutSpec, ZeroPolicy
 from worker.protocol import Advanced, Measured, Task
-from worker.training.body import Body
-from worker.training.channel import Channel
+from worker.training.body import BuiltEnvironment
+from worker.training.channel import EventWriter
 from worker.training.pictures import kept_with_path
 from worker.training.stopping import Stopping
-from worker.training.video import Film
+from worker.training.video import VideoRecorder
 
 # Episodes that run side by side.
 _WORLDS = 64
 
 
-def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stopping: Stopping) -> bool:
+def roll_out(
+    task: Task, spec: RolloutSpec, body: BuiltEnvironment, channel: EventWriter, stopping: Stopping
+) -> bool:
     """Act, write down, draw. Whether a stop cut it short: what there is by then is kept.
 
     There is nothing to keep for an attempt elsewhere: that one begins anew.
@@ -56,13 +58,17 @@ def roll_out(task: Task, spec: RolloutSpec, body: Body, channel: Channel, stoppi
         summary = trajectory.summary(shown)
         channel.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
         _report(summary, channel)
-        film = Film(spec, body, policy, channel)
+        film = VideoRecorder(spec, body, policy, channel)
         film.show("video", _first_seconds(episodes, spec.video.seconds, body.environment.dt), None)
     return len(episodes) < spec.num_episodes
 
 
 def _act(
-    spec: RolloutSpec, body: Body, policy: ParametricPolicy, channel: Channel, stopping: Stopping
+    spec: RolloutSpec,
+    body: BuiltEnvironment,
+    policy: ParametricPolicy,
+    channel: EventWriter,
+    stopping: Stopping,
 ) -> list[Episode]:
     """The episodes asked for; after a stop, those there are by then."""
     key = jax.random.PRNGKey(spec.seed)
@@ -80,7 +86,7 @@ def _act(
 
 
 def _policy(
-    task: Task, spec: RolloutSpec, body: Body, channel: Channel
+    task: Task, spec: RolloutSpec, body: BuiltEnvironment, channel: EventWriter
 ) -> tuple[ParametricPolicy, Environment]:
     """The policy, of no parameters, and the environment that it acts in."""
     size = body.environment.action_size
@@ -99,7 +105,7 @@ def _policy(
     return lambda _, state, key: policy(state.obs, key), body.environment
 
 
-def _report(summary: dict[str, Any], channel: Channel) -> None:
+def _report(summary: dict[str, Any], channel: EventWriter) -> None:
     steps = sum(row["num_steps"] for row in summary["episodes"])
     values = {
         "eval/episode_reward": summary["mean"]["return"],

@@ -12,14 +12,14 @@ from core.errors import GaitwayError, JobFailed
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.jobs.status import Reason
 from worker.protocol import Failed, Finished, PhaseEnded, Task
-from worker.training.channel import Channel
+from worker.training.channel import EventWriter
 from worker.training.failure import failure
 from worker.training.stopping import Stopping
 
 
 def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
     """Do the task in the spool; the process' exit status. The last message is Finished or Failed."""
-    channel, device = Channel(spool, events_fd), "cpu"
+    channel, device = EventWriter(spool, events_fd), "cpu"
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
         device = task.device
@@ -37,7 +37,7 @@ def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
     return 1
 
 
-def _dispatch(task: Task, channel: Channel, stopping: Stopping) -> bool:
+def _dispatch(task: Task, channel: EventWriter, stopping: Stopping) -> bool:
     """Whether a stop cut it short."""
     began = time.perf_counter()
     with _without_warnings_of_warp():

@@ -12,18 +12,20 @@ from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Pr
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
 from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task
-from worker.training.body import Body
-from worker.training.channel import Channel
+from worker.training.body import BuiltEnvironment
+from worker.training.channel import EventWriter
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
 from worker.training.stopping import Stopping
-from worker.training.video import Film
+from worker.training.video import VideoRecorder
 
 # A tenth of the budget lies between checkpoints where the job does not say.
 _CHECKPOINTS = 10
 
 
-def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: Stopping) -> bool:
+def train(
+    task: Task, spec: TrainSpec, body: BuiltEnvironment, channel: EventWriter, stopping: Stopping
+) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 
     Keeps a checkpoint; and where the job does not go on elsewhere, its policy and a video.
@@ -33,7 +35,7 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
     check_memory(settings.least_memory(body.info, body.num_devices), body.device)
     trainer = make_trainer(task, spec, settings, body, channel)
     report = Report(channel, trainer, spec.checkpoints.every_seconds)
-    shots = Shots(spec, body, channel, trainer)
+    shots = PolicyVideos(spec, body, channel, trainer)
     try:
         for event in trainer.events():
             if isinstance(event, Progress):
@@ -57,14 +59,16 @@ def train(task: Task, spec: TrainSpec, body: Body, channel: Channel, stopping: S
     return stopping.asked and trainer.step < trainer.total
 
 
-def _tables(trainer: Trainer, spec: TrainSpec, channel: Channel) -> AbstractContextManager[None]:
+def _tables(trainer: Trainer, spec: TrainSpec, channel: EventWriter) -> AbstractContextManager[None]:
     """Keeps what the trainer shows of itself, if it does; drawn while the block runs."""
     if not isinstance(trainer, ShowsTables):
         return nullcontext()
     return kept_with_tables(channel, trainer.tables(), trainer.step, spec.environment.id)
 
 
-def make_trainer(task: Task, spec: TrainSpec, settings: BaseSpec, body: Body, channel: Channel) -> Trainer:
+def make_trainer(
+    task: Task, spec: TrainSpec, settings: BaseSpec, body: BuiltEnvironment, channel: EventWriter
+) -> Trainer:
     """The trainer that the algorithm's kind names, set up to go on from the task's checkpoint."""
     resume = (channel.spool / task.checkpoint).read_bytes() if task.checkpoint else None
     every_steps = spec.checkpoints.every_steps or max(1, settings.budget // _CHECKPOINTS)
@@ -79,21 +83,21 @@ def make_trainer(task: Task, spec: TrainSpec, settings: BaseSpec, body: Body, ch
 
 
 @dataclass
-class Shots:
+class PolicyVideos:
     """Videos of a run's policy as it is at the time; it is compiled for the first of them."""
 
     spec: TrainSpec
-    body: Body
-    channel: Channel
+    body: BuiltEnvironment
+    channel: EventWriter
     trainer: Trainer
-    _film: Film | None = None
+    _film: VideoRecorder | None = None
 
     def take(self, name: str) -> None:
         """As `<name>.mp4`, of the present step."""
         policy = policy_from_checkpoint(self.trainer.checkpoint())
         if self._film is None:
             world, act = policy.acting(self.body.environment)
-            self._film = Film(self.spec, replace(self.body, environment=world), act, self.channel)
+            self._film = VideoRecorder(self.spec, replace(self.body, environment=world), act, self.channel)
         self._film.shoot(name, policy.parameters, self.trainer.step)
 
 
@@ -101,7 +105,7 @@ class Shots:
 class Report:
     """Turns a trainer's events into messages; remembers the newest metrics, and the last checkpoint kept."""
 
-    channel: Channel
+    channel: EventWriter
     trainer: Trainer
     checkpoint_every_s: float = float("inf")
     _metrics: dict[str, float] = field(default_factory=dict[str, float])

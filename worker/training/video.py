@@ -18,8 +18,8 @@ from core.rendering.request import RenderRequest, RenderResult
 from worker.host.disk import is_full, what_to_do
 from worker.protocol import Noted
 from worker.render.client import render
-from worker.training.body import Body
-from worker.training.channel import Channel
+from worker.training.body import BuiltEnvironment
+from worker.training.channel import EventWriter
 from worker.training.pictures import kept_with_path
 
 # A camera's picture takes a tenth of a second on the slowest software renderer seen; twice that, to be sure.
@@ -28,13 +28,13 @@ _START_UP_S = 60.0
 
 
 @dataclass(frozen=True)
-class Film:
+class VideoRecorder:
     """Makes a job's videos. The policy is compiled once, whatever its parameters."""
 
     spec: TrainSpec | RolloutSpec
-    body: Body
+    body: BuiltEnvironment
     policy: ParametricPolicy
-    channel: Channel
+    channel: EventWriter
 
     def shoot(self, name: str, parameters: Any, step: int | None) -> None:
         """A video of these parameters as `<name>.mp4`, with its poster `<name>.png`.

@@ -12,7 +12,7 @@ from core.algorithms.ppo.brax_training import Transition
 from core.environments.body_position import whereabouts
 from core.environments.environment import State
 from core.environments.wrappers.autoreset import Episodes, draw, follow
-from core.environments.wrappers.vectorized import Worlds
+from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
 
 Policy = Any  # (observations [B, obs], or several by name, key) -> (actions [B, act], extras)
@@ -49,7 +49,7 @@ class Outcome:
 
 
 def collect(
-    worlds: Worlds,
+    worlds: VectorEnv,
     policy: Policy,
     episodes: Episodes,
     keys: jax.Array,

@@ -15,13 +15,13 @@ Tree = TypeVar("Tree")
 
 
 @dataclass(frozen=True)
-class Layout:
+class Sharding:
     """How arrays lie on the devices of a mesh; None: there is one device, and nothing to say."""
 
     mesh: Mesh | None = None
 
     @classmethod
-    def over(cls, num_devices: int, settings: PPOSpec) -> "Layout":
+    def over(cls, num_devices: int, settings: PPOSpec) -> "Sharding":
         """Over JAX's first devices.
 
         Raises Rejected where there are fewer, or environments or a minibatch cannot be shared out evenly.
@@ -67,4 +67,4 @@ def _avoid_a_crash() -> None:
         jax.config.update("jax_use_shardy_partitioner", False)
 
 
-ONE_DEVICE = Layout()
+ONE_DEVICE = Sharding()

@@ -24,7 +24,7 @@ from core.environments.environment import ObservationSize
 
 
 @dataclass(frozen=True)
-class Design:
+class PolicyConfig:
     """What must be known of a policy besides its parameters; the hyperparameters of these names."""
 
     activation: str = "swish"
@@ -34,7 +34,7 @@ class Design:
     normalize_observations_max_abs_value: float | None = None
 
     @classmethod
-    def of(cls, facts: Mapping[str, Any]) -> "Design":
+    def of(cls, facts: Mapping[str, Any]) -> "PolicyConfig":
         """From more facts than these; one that is not told is as by default."""
         return cls(**{name: facts[name] for name in asdict(cls()) if name in facts})
 
@@ -49,7 +49,7 @@ class PolicyParams:
     normalizer: RunningStatisticsState
     policy: Any
     value: Any
-    design: Design = struct.field(pytree_node=False, default=Design())
+    design: PolicyConfig = struct.field(pytree_node=False, default=PolicyConfig())
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.normalizer, self.policy, self.value))

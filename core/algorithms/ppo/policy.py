@@ -14,10 +14,10 @@ from flax import serialization
 from core.algorithms.policy import Acting, TrainedPolicy
 from core.algorithms.ppo import checkpoint
 from core.algorithms.ppo.brax_training import make_inference_fn
-from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, make_networks
+from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, init_normalizer, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment, ObservationSize, State
-from core.environments.wrappers.action_hold import Holding
+from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed
 
 Inference = Callable[[Any, jax.Array], jax.Array]
@@ -68,9 +68,9 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
             return Acting(environment, lambda params, state, key: answer(params, state.obs, key))
 
         def act(params: PolicyParams, state: State, key: jax.Array) -> jax.Array:
-            return Holding.due_or_held(state, steps, answer(params, state.obs, key))
+            return ActionHold.due_or_held(state, steps, answer(params, state.obs, key))
 
-        return Acting(Holding(environment), act)
+        return Acting(ActionHold(environment), act)
 
     return TrainedPolicy(params, acting, answer)
 
@@ -80,7 +80,9 @@ def policy_from_checkpoint(content: bytes) -> PolicyParams:
     header, state = checkpoint.read(content)
     template = jax.device_get(init_normalizer(header["observation_size"]))
     normalizer: Any = serialization.from_state_dict(template, state["normalizer"])
-    return PolicyParams(normalizer, state["params"]["policy"], state["params"]["value"], Design.of(header))
+    return PolicyParams(
+        normalizer, state["params"]["policy"], state["params"]["value"], PolicyConfig.of(header)
+    )
 
 
 def write_policy(params: PolicyParams | Triple) -> bytes:
@@ -92,7 +94,7 @@ def write_policy(params: PolicyParams | Triple) -> bytes:
     pickler = _PolicyPickler(file, protocol=4)
     pickler.fast = True  # otherwise the bytes tell which equal strings are one object
     pickler.dump(jax.tree.map(np.asarray, tuple(params)))  # the map also brings dicts into one order
-    if (design := _design(params)) != Design():
+    if (design := _design(params)) != PolicyConfig():
         file.write(json.dumps(asdict(design)).encode())
     return file.getvalue()
 
@@ -106,7 +108,7 @@ def read_policy(content: bytes) -> PolicyParams:
         file = io.BytesIO(content)
         normalizer, policy, value = _PolicyUnpickler(file).load()
         rest = file.read()
-        design = Design.of(json.loads(rest)) if rest else Design()
+        design = PolicyConfig.of(json.loads(rest)) if rest else PolicyConfig()
     except Exception as error:  # whatever a decoder makes of damaged bytes
         raise JobFailed("bad_checkpoint", "This is not a policy file, or it is damaged.") from error
     return PolicyParams(normalizer, policy, value, design)
@@ -125,8 +127,8 @@ class _PolicyUnpickler(pickle.Unpickler):
         return super().find_class(module_name, global_name)
 
 
-def _design(params: PolicyParams | Triple) -> Design:
-    return params.design if isinstance(params, PolicyParams) else Design()
+def _design(params: PolicyParams | Triple) -> PolicyConfig:
+    return params.design if isinstance(params, PolicyParams) else PolicyConfig()
 
 
 def _sizes(params: PolicyParams | Triple) -> tuple[ObservationSize, int, PPOSpec]:

@@ -13,14 +13,14 @@ from core.algorithms.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.ppo.brax_training import make_inference_fn
 from core.algorithms.ppo.failure import Failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.layout import Layout
+from core.algorithms.ppo.layout import Sharding
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.wrappers.vectorized import ENVS
 
 
 @dataclass(frozen=True)
-class Programs:
+class CompiledFunctions:
     """Functions that can only run, never compile again: other shapes are an error.
 
     init: the state before the first update, from a seed. epoch: see Learner.epoch; it consumes the state
@@ -33,7 +33,7 @@ class Programs:
     evaluate: Callable[[tuple[Any, ...], jax.Array, jax.Array], EpisodeTotals]
 
 
-def trace(learner: Learner, hyperparameters: Hyperparameters) -> Callable[[], Programs]:
+def trace(learner: Learner, hyperparameters: Hyperparameters) -> Callable[[], CompiledFunctions]:
     """Trace every program; calling the result compiles them, side by side.
 
     Evaluations have few environments: the first device makes them, with a copy of the policy.
@@ -47,22 +47,22 @@ def trace(learner: Learner, hyperparameters: Hyperparameters) -> Callable[[], Pr
         jax.jit(_evaluate(learner)).lower(params, state.eval_key, count),
     )
 
-    def compile_all() -> Programs:
+    def compile_all() -> CompiledFunctions:
         with ThreadPoolExecutor() as pool:
             init, epoch, evaluate = pool.map(lambda program: program.compile(), lowered)
-        return Programs(init, epoch, learner.layout.on_the_first(evaluate))
+        return CompiledFunctions(init, epoch, learner.layout.on_the_first(evaluate))
 
     return compile_all
 
 
-def place(layout: Layout, state: TrainingState) -> TrainingState:
+def place(layout: Sharding, state: TrainingState) -> TrainingState:
     """A state's arrays on the devices that share the run."""
     if layout.mesh is None:
         return jax.tree.map(jnp.asarray, state)
     return jax.device_put(state, _shardings(layout, state))
 
 
-def _shardings(layout: Layout, state: TrainingState) -> Any:
+def _shardings(layout: Sharding, state: TrainingState) -> Any:
     """Where each array of a state lies: environments are split, all else is everywhere."""
     everywhere = jax.tree.map(lambda _: layout.sharding(), state)
     return replace(everywhere, episodes=jax.tree.map(lambda _: layout.sharding(ENVS), state.episodes))

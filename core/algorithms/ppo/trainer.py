@@ -14,10 +14,10 @@ from core.algorithms.loop import Loop
 from core.algorithms.ppo import checkpoint
 from core.algorithms.ppo.failure import QUANTITIES, Failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.layout import Layout
-from core.algorithms.ppo.networks import Design, PolicyParams
+from core.algorithms.ppo.layout import Sharding
+from core.algorithms.ppo.networks import PolicyConfig, PolicyParams
 from core.algorithms.ppo.policy import write_policy
-from core.algorithms.ppo.programs import Programs, place, trace
+from core.algorithms.ppo.programs import CompiledFunctions, place, trace
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.algorithms.schedule import Schedule
@@ -54,7 +54,7 @@ class PPOTrainer:
         epoch_s: float = 1.0,
     ) -> None:
         self._seed = jnp.uint32(seed)
-        layout = Layout.over(devices, settings)
+        layout = Sharding.over(devices, settings)
         self._learner = Learner(repeat_action(environment, settings.action_repeat), settings, layout)
         self._hyperparameters = jax.device_put(Hyperparameters.of(settings), layout.sharding())
         self._description = checkpoint.describe(environment, settings)
@@ -108,7 +108,7 @@ class PPOTrainer:
     @property
     def _params(self) -> PolicyParams:
         state = self._begun
-        design = Design.of(self._learner.settings.model_dump())
+        design = PolicyConfig.of(self._learner.settings.model_dump())
         return PolicyParams(state.normalizer, state.params.policy, state.params.value, design)
 
     def _restore(self, content: bytes) -> None:
@@ -117,7 +117,7 @@ class PPOTrainer:
         self._state = place(self._learner.layout, state)
         self._loop.resume(progress)
 
-    def _prepare(self) -> Generator[Event, None, Programs]:
+    def _prepare(self) -> Generator[Event, None, CompiledFunctions]:
         started = time.perf_counter()
         compile_all = trace(self._learner, self._hyperparameters)
         traced = time.perf_counter()
@@ -129,7 +129,7 @@ class PPOTrainer:
         yield Phase("compile", compiled - traced)
         return programs
 
-    def _train(self, programs: Programs, until: int) -> dict[str, float]:
+    def _train(self, programs: CompiledFunctions, until: int) -> dict[str, float]:
         """Train up to `until` updates; the metrics of the epoch."""
         state, sums, failure = programs.epoch(self._begun, self._hyperparameters, np.int32(until))
         self._state = state
@@ -141,7 +141,7 @@ class PPOTrainer:
             jax.device_get(sums), self._loop.updates - before, self._learner.settings.action_repeat
         )
 
-    def _evaluate(self, programs: Programs) -> dict[str, float]:
+    def _evaluate(self, programs: CompiledFunctions) -> dict[str, float]:
         totals = programs.evaluate(tuple(self._params), self._begun.eval_key, self._begun.num_updates)
         return evaluation_metrics(jax.device_get(totals), self._learner.settings.action_repeat)
 

@@ -26,14 +26,14 @@ from core.algorithms.ppo.experience import (
 )
 from core.algorithms.ppo.failure import Failure, find_failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.layout import ONE_DEVICE, Layout
+from core.algorithms.ppo.layout import ONE_DEVICE, Sharding
 from core.algorithms.ppo.learning_rate import adapt_to_kl
 from core.algorithms.ppo.loss import loss_of
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks, normalization
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
-from core.environments.wrappers.vectorized import Worlds
+from core.environments.wrappers.vectorized import VectorEnv
 
 ADAM = optax.scale_by_adam()
 
@@ -67,7 +67,7 @@ class Learner:
 
     environment: Environment
     settings: PPOSpec
-    layout: Layout = ONE_DEVICE
+    layout: Sharding = ONE_DEVICE
 
     def init(self, seed: jax.Array) -> TrainingState:
         """The state before the first update; seed: [] uint32."""
@@ -149,8 +149,8 @@ class Learner:
         return new, summarise(outcome) | metrics, failure
 
     @property
-    def _worlds(self) -> Worlds:
-        return Worlds(self.environment, self.layout.mesh)
+    def _worlds(self) -> VectorEnv:
+        return VectorEnv(self.environment, self.layout.mesh)
 
     @property
     def _adapts_to_kl(self) -> bool:

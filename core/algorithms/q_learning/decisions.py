@@ -48,7 +48,7 @@ class Tabular:
 
 
 @dataclass(frozen=True)
-class Decisions(Wrapped):
+class DiscreteEnv(Wrapped):
     """The finite decision process: `obs` is [num_readers] int32 rows, an action [num_readers] int32 columns.
 
     A step is `decision_steps` of the environment's, whose rewards add up; one that ends the episode is the

@@ -11,13 +11,13 @@ from flax import struct
 from core.algorithms.epoch import updates_until
 from core.algorithms.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.q_learning import replay as replays
-from core.algorithms.q_learning.decisions import Decisions
+from core.algorithms.q_learning.decisions import DiscreteEnv
 from core.algorithms.q_learning.exploration import Exploration, decay_length
 from core.algorithms.q_learning.spec import AgentSpec, QLearningSpec
 from core.algorithms.q_learning.table import Transitions, epsilon_greedy, greedy, learn, td_errors
 from core.environments.environment import State
 from core.environments.wrappers.autoreset import select
-from core.environments.wrappers.vectorized import Worlds
+from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
 
 # What is looked at in each round, in the order in which one spoils the next.
@@ -91,7 +91,7 @@ class _Learning(NamedTuple):
 class Learner:
     """The pure functions of a run. environment: the decision process; settings: what fixes shapes."""
 
-    environment: Decisions
+    environment: DiscreteEnv
     settings: QLearningSpec
 
     def init(self, keys: jax.Array) -> TrainingState:
@@ -128,7 +128,7 @@ class Learner:
             jax.vmap(partial(jax.random.split, num=3))(state.key), 1, 0
         )
         reset_keys = jax.vmap(partial(jax.random.split, num=settings.num_envs))(reset_key)
-        worlds = Worlds(self.environment).reset(reset_keys.reshape(-1, reset_keys.shape[-1]))
+        worlds = VectorEnv(self.environment).reset(reset_keys.reshape(-1, reset_keys.shape[-1]))
         explore = partial(
             Exploration.of(settings).epsilon,
             hyperparameters.epsilon_start,
@@ -202,7 +202,7 @@ class Learner:
         return values.reshape(self.settings.num_agents, self.settings.num_envs, *values.shape[1:])
 
     def _step(self, worlds: State, choices: jax.Array, alive: jax.Array) -> State:
-        after = Worlds(self.environment).step(worlds, choices)
+        after = VectorEnv(self.environment).step(worlds, choices)
         return select(alive, after, worlds)
 
     def _learn(

@@ -16,7 +16,7 @@ from core.algorithms.q_learning.indexers import make_indexer
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from core.environments.environment import Environment, State
-from core.environments.wrappers.action_hold import Holding
+from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed
 
 FORMAT = Format("gaitway-q_learning-1")
@@ -90,8 +90,8 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
 
         def act(table: jax.Array, state: State, key: jax.Array) -> jax.Array:
             choices = choose(table, tabular.indexer(tabular.indexer.look(state)), key)
-            return Holding.due_or_held(state, steps, tabular.mapper.act(choices))
+            return ActionHold.due_or_held(state, steps, tabular.mapper.act(choices))
 
-        return Acting(Holding(environment), act)
+        return Acting(ActionHold(environment), act)
 
     return TrainedPolicy(jnp.asarray(learnt.table), acting, answer)

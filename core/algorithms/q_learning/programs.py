@@ -14,7 +14,7 @@ from core.algorithms.q_learning.learner import Failure, Hyperparameters, Learner
 
 
 @dataclass(frozen=True)
-class Programs:
+class CompiledFunctions:
     """Functions that can only run, never compile again: other shapes are an error.
 
     init: the state before the first round, from the agents' keys. epoch: see Learner.epoch; it consumes the
@@ -26,7 +26,9 @@ class Programs:
     evaluate: Callable[[jax.Array, jax.Array, jax.Array], EpisodeTotals]
 
 
-def trace(learner: Learner, hyperparameters: Hyperparameters, keys: jax.Array) -> Callable[[], Programs]:
+def trace(
+    learner: Learner, hyperparameters: Hyperparameters, keys: jax.Array
+) -> Callable[[], CompiledFunctions]:
     """Trace every program; calling the result compiles them, side by side."""
     count = jax.ShapeDtypeStruct((), jnp.int32)
     state = jax.eval_shape(learner.init, keys)
@@ -36,8 +38,8 @@ def trace(learner: Learner, hyperparameters: Hyperparameters, keys: jax.Array) -
         jax.jit(learner.evaluate).lower(state.table, state.eval_key, count),
     )
 
-    def compile_all() -> Programs:
+    def compile_all() -> CompiledFunctions:
         with ThreadPoolExecutor() as pool:
-            return Programs(*pool.map(lambda program: program.compile(), lowered))
+            return CompiledFunctions(*pool.map(lambda program: program.compile(), lowered))
 
     return compile_all

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics
 from core.algorithms.loop import Loop
-from core.algorithms.q_learning.decisions import Decisions, Tabular
+from core.algorithms.q_learning.decisions import DiscreteEnv, Tabular
 from core.algorithms.q_learning.learner import (
     QUANTITIES,
     Failure,
@@ -25,7 +25,7 @@ from core.algorithms.q_learning.learner import (
 )
 from core.algorithms.q_learning.mappers import num_arms
 from core.algorithms.q_learning.policy import FORMAT, of_agent, policy_agent, write_policy
-from core.algorithms.q_learning.programs import Programs, trace
+from core.algorithms.q_learning.programs import CompiledFunctions, trace
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.schedule import Schedule
 from core.algorithms.trainer import Event, Phase
@@ -64,7 +64,7 @@ class QLearningTrainer:
         table = Tabular.of(settings.indexer, settings.mapper, environment)
         self._settings = settings
         self._keys = agent_keys(settings.agents, seed)
-        self._learner = Learner(Decisions(environment, table, settings.decision_steps), settings)
+        self._learner = Learner(DiscreteEnv(environment, table, settings.decision_steps), settings)
         self._hyperparameters = Hyperparameters.of(settings)
         self._description = describe(environment, settings)
         self._facts = self._description | {
@@ -140,7 +140,7 @@ class QLearningTrainer:
         self._state = jax.tree.map(jnp.asarray, state)
         self._loop.resume(progress)
 
-    def _prepare(self) -> Generator[Event, None, Programs]:
+    def _prepare(self) -> Generator[Event, None, CompiledFunctions]:
         started = time.perf_counter()
         compile_all = trace(self._learner, self._hyperparameters, self._keys)
         traced = time.perf_counter()
@@ -152,7 +152,7 @@ class QLearningTrainer:
         yield Phase("compile", compiled - traced)
         return programs
 
-    def _train(self, programs: Programs, until: int) -> dict[str, float]:
+    def _train(self, programs: CompiledFunctions, until: int) -> dict[str, float]:
         """Train up to `until` rounds; the metrics of the epoch."""
         state, sums, failure = programs.epoch(self._begun, self._hyperparameters, np.int32(until))
         self._state = state
@@ -178,7 +178,7 @@ class QLearningTrainer:
             "cells_visited": (visits > 0).mean(axis=(1, 2)),
         }
 
-    def _evaluate(self, programs: Programs) -> dict[str, float]:
+    def _evaluate(self, programs: CompiledFunctions) -> dict[str, float]:
         state = self._begun
         totals = jax.device_get(programs.evaluate(state.table, state.eval_key, state.num_updates))
         returns = totals.metrics["reward"].mean(axis=1)

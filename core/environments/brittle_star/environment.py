@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from core.environments.body import Body, scaled_to_control
+from core.environments.body import MujocoEnv, scaled_to_control
 from core.environments.brittle_star.control import controlled
 from core.environments.brittle_star.light import show
 from core.environments.brittle_star.model import star_model
@@ -49,7 +49,7 @@ def light_escape(options: LightEscapeOptions, build_engine: EngineBuilder) -> En
     return controlled(BrittleStar(options, model, task, build_engine), options)
 
 
-class BrittleStar(Body):
+class BrittleStar(MujocoEnv):
     """Reward: by how much the task's potential has grown. Ends where the task says so.
 
     Of every state, `info` has `disk_position` [3] in the world, in metres; `disk_rotation` [3], roll, pitch

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import mujoco
 
 from core.environments import rewards
-from core.environments.body import Body, noisy_start
+from core.environments.body import MujocoEnv, noisy_start
 from core.environments.environment import State
 from core.environments.locomotion.hopper.info import HopperOptions
 from core.environments.locomotion.walker2d.info import Walker2dOptions
@@ -22,7 +22,7 @@ def _always(_: PhysicsState) -> jax.Array:
     return jnp.ones((), bool)
 
 
-class PlanarWalker(Body):
+class PlanarWalker(MujocoEnv):
     """Reward: forward speed + being alive - the action's cost. Ends when the torso falls, flies or tilts.
 
     also_healthy: a further condition on the state.

@@ -9,7 +9,7 @@ import numpy as np
 from core.environments import rewards
 from core.environments.mjcf import observations
 from core.environments.mjcf.contacts import sensor_name
-from core.environments.mjcf.moment import Bound, Moment, Parts
+from core.environments.mjcf.moment import BoundTerm, ModelIndex, StepContext
 from core.environments.mjcf.vocabulary.observations import (
     Activation,
     ActuatorForces,
@@ -45,7 +45,7 @@ from core.environments.mjcf.vocabulary.terminations import (
 )
 
 
-def reward(term: RewardTerm, parts: Parts) -> Bound:  # noqa: C901 # A table.
+def reward(term: RewardTerm, parts: ModelIndex) -> BoundTerm:  # noqa: C901 # A table.
     """What the term measures in a step, [], before its weight and sign."""
     match term:
         case ForwardVelocity():
@@ -57,16 +57,16 @@ def reward(term: RewardTerm, parts: Parts) -> Bound:  # noqa: C901 # A table.
         case HeightRange():
             return _in_height_range(term, parts)
         case Alive():
-            return Bound((), lambda moment: jnp.ones(()))
+            return BoundTerm((), lambda moment: jnp.ones(()))
         case ControlCost():
-            return Bound((), lambda moment: rewards.control_cost(moment.action))
+            return BoundTerm((), lambda moment: rewards.control_cost(moment.action))
         case Energy():
-            return Bound(
+            return BoundTerm(
                 ("qfrc_actuator",),
                 lambda moment: rewards.energy(moment.after.derived["qfrc_actuator"], moment.after.qvel),
             )
         case ActionRate():
-            return Bound((), lambda moment: rewards.action_rate(moment.action, moment.previous_action))
+            return BoundTerm((), lambda moment: rewards.action_rate(moment.action, moment.previous_action))
         case Distance():
             return _distance(term, parts)
         case JointLimits():
@@ -77,41 +77,43 @@ def reward(term: RewardTerm, parts: Parts) -> Bound:  # noqa: C901 # A table.
             assert_never(term)
 
 
-def termination(term: TerminationTerm, parts: Parts) -> Bound:
+def termination(term: TerminationTerm, parts: ModelIndex) -> BoundTerm:
     """1 where the term ends the episode, otherwise 0; []."""
     match term:
         case OutsideHeightRange():
             inside = _in_height_range(term, parts)
-            return Bound(inside.derived, lambda moment: 1.0 - inside.measure(moment))
+            return BoundTerm(inside.derived, lambda moment: 1.0 - inside.measure(moment))
         case NotUpright(least=least):
             cosine = _upright(term, parts)
-            return Bound(cosine.derived, lambda moment: jnp.where(cosine.measure(moment) < least, 1.0, 0.0))
+            return BoundTerm(
+                cosine.derived, lambda moment: jnp.where(cosine.measure(moment) < least, 1.0, 0.0)
+            )
         case Touching():
             number = _num_touching(term, parts)
-            return Bound(number.derived, lambda moment: jnp.where(number.measure(moment) > 0, 1.0, 0.0))
+            return BoundTerm(number.derived, lambda moment: jnp.where(number.measure(moment) > 0, 1.0, 0.0))
         case _:
             assert_never(term)
 
 
-def observation(term: ObservationTerm, parts: Parts) -> Bound:  # noqa: C901 # A table.
+def observation(term: ObservationTerm, parts: ModelIndex) -> BoundTerm:  # noqa: C901 # A table.
     """What the term shows after a step, [n]."""
     match term:
         case Qpos():
             seen = observations.visible_positions(parts, term.root_position)
-            return Bound((), lambda moment: moment.after.qpos[seen])
+            return BoundTerm((), lambda moment: moment.after.qpos[seen])
         case Qvel():
-            return Bound((), lambda moment: moment.after.qvel)
+            return BoundTerm((), lambda moment: moment.after.qvel)
         case PreviousAction():
-            return Bound((), lambda moment: moment.action)
+            return BoundTerm((), lambda moment: moment.action)
         case Activation():
-            return Bound((), lambda moment: moment.after.act)
+            return BoundTerm((), lambda moment: moment.after.act)
         case Sensors(names=names):
             places = observations.sensor_places(parts, names)
-            return Bound(("sensordata",), lambda moment: moment.after.derived["sensordata"][places])
+            return BoundTerm(("sensordata",), lambda moment: moment.after.derived["sensordata"][places])
         case BodyPositions(bodies=names, relative=relative):
             origin = parts.root if relative else 0  # The world is at zero.
             rows = parts.bodies(names)
-            return Bound(
+            return BoundTerm(
                 ("xpos",),
                 lambda moment: observations.positions(moment.after.derived["xpos"], rows, origin),
             )
@@ -122,19 +124,19 @@ def observation(term: ObservationTerm, parts: Parts) -> Bound:  # noqa: C901 # A
         case Cinert(bodies=names):
             return _rows("cinert", parts.bodies(names))
         case ActuatorForces():
-            return Bound(("qfrc_actuator",), lambda moment: moment.after.derived["qfrc_actuator"])
+            return BoundTerm(("qfrc_actuator",), lambda moment: moment.after.derived["qfrc_actuator"])
         case _:
             assert_never(term)
 
 
-def _rows(field: str, rows: np.ndarray) -> Bound:
-    return Bound((field,), lambda moment: moment.after.derived[field][rows].ravel())
+def _rows(field: str, rows: np.ndarray) -> BoundTerm:
+    return BoundTerm((field,), lambda moment: moment.after.derived[field][rows].ravel())
 
 
-def _forward_velocity(term: ForwardVelocity, parts: Parts) -> Bound:
+def _forward_velocity(term: ForwardVelocity, parts: ModelIndex) -> BoundTerm:
     body, direction = parts.body(term.body), _unit(term.direction)
     if term.of == "centre_of_mass":
-        return Bound(
+        return BoundTerm(
             ("subtree_com",),
             lambda moment: rewards.forward_velocity(
                 moment.before.derived["subtree_com"][body],
@@ -144,7 +146,7 @@ def _forward_velocity(term: ForwardVelocity, parts: Parts) -> Bound:
             ),
         )
     derived, position = parts.position(body)
-    return Bound(
+    return BoundTerm(
         derived,
         lambda moment: rewards.forward_velocity(
             position(moment.before), position(moment.after), direction, moment.dt
@@ -152,53 +154,57 @@ def _forward_velocity(term: ForwardVelocity, parts: Parts) -> Bound:
     )
 
 
-def _velocity_tracking(term: VelocityTracking, parts: Parts) -> Bound:
+def _velocity_tracking(term: VelocityTracking, parts: ModelIndex) -> BoundTerm:
     body, wanted = parts.body(term.body), jnp.array(term.velocity, jnp.float32)
     derived, position = parts.position(body)
     turned = term.frame == "body"
 
-    def measure(moment: Moment) -> jax.Array:
+    def measure(moment: StepContext) -> jax.Array:
         velocity = rewards.velocity(position(moment.before), position(moment.after), moment.dt)
         if turned:
             velocity = moment.after.derived["xmat"][body].reshape(3, 3).T @ velocity
         return rewards.velocity_tracking(velocity[:2], wanted, term.tolerance)
 
-    return Bound((*derived, "xmat") if turned else derived, measure)
+    return BoundTerm((*derived, "xmat") if turned else derived, measure)
 
 
-def _upright(term: Upright | NotUpright, parts: Parts) -> Bound:
+def _upright(term: Upright | NotUpright, parts: ModelIndex) -> BoundTerm:
     body, axis = parts.body(term.body), _unit(term.axis)
-    return Bound(
+    return BoundTerm(
         ("xmat",), lambda moment: rewards.upright(moment.after.derived["xmat"][body].reshape(3, 3), axis)
     )
 
 
-def _in_height_range(term: HeightRange | OutsideHeightRange, parts: Parts) -> Bound:
+def _in_height_range(term: HeightRange | OutsideHeightRange, parts: ModelIndex) -> BoundTerm:
     derived, position = parts.position(parts.body(term.body))
-    return Bound(derived, lambda moment: rewards.height_range(position(moment.after)[2], term.range))
+    return BoundTerm(derived, lambda moment: rewards.height_range(position(moment.after)[2], term.range))
 
 
-def _distance(term: Distance, parts: Parts) -> Bound:
+def _distance(term: Distance, parts: ModelIndex) -> BoundTerm:
     derived, position = parts.position(parts.body(term.body))
     if term.target is None:
         point = jnp.array(term.point, jnp.float32)
-        return Bound(derived, lambda moment: rewards.distance(position(moment.after), point))
+        return BoundTerm(derived, lambda moment: rewards.distance(position(moment.after), point))
     others, target = parts.position(parts.body(term.target))
-    return Bound(
+    return BoundTerm(
         (*derived, *others), lambda moment: rewards.distance(position(moment.after), target(moment.after))
     )
 
 
-def _joint_limits(term: JointLimits, parts: Parts) -> Bound:
+def _joint_limits(term: JointLimits, parts: ModelIndex) -> BoundTerm:
     joints = observations.limited_joints(parts, term.joints)
     places = parts.model.jnt_qposadr[joints]
     low, high = jnp.asarray(parts.model.jnt_range[joints].T, jnp.float32)
-    return Bound((), lambda moment: rewards.joint_limits(moment.after.qpos[places], low, high, term.share))
+    return BoundTerm(
+        (), lambda moment: rewards.joint_limits(moment.after.qpos[places], low, high, term.share)
+    )
 
 
-def _num_touching(term: Contact | Touching, parts: Parts) -> Bound:
+def _num_touching(term: Contact | Touching, parts: ModelIndex) -> BoundTerm:
     places = parts.sensors([sensor_name(geom, term.against) for geom in term.geoms])
-    return Bound(("sensordata",), lambda moment: rewards.contact(moment.after.derived["sensordata"][places]))
+    return BoundTerm(
+        ("sensordata",), lambda moment: rewards.contact(moment.after.derived["sensordata"][places])
+    )
 
 
 def _unit(vector: tuple[float, float, float]) -> jax.Array:

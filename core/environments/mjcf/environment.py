@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from core.environments import rewards
-from core.environments.body import Body, noisy_start, scaled_to_control
+from core.environments.body import MujocoEnv, noisy_start, scaled_to_control
 from core.environments.environment import State
 from core.environments.mjcf import binding
 from core.environments.mjcf.check import problems
@@ -17,7 +17,7 @@ from core.environments.mjcf.describe import height_of, inventory, root_of
 from core.environments.mjcf.info import MjcfOptions, metric_names
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
-from core.environments.mjcf.moment import Moment, Parts
+from core.environments.mjcf.moment import ModelIndex, StepContext
 from core.environments.mjcf.vocabulary.observations import ObservationTerm, Qpos, Qvel
 from core.environments.mjcf.vocabulary.rewards import Alive, ControlCost, ForwardVelocity, RewardTerm
 from core.environments.mjcf.vocabulary.terminations import OutsideHeightRange, TerminationTerm
@@ -44,7 +44,7 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
         return Mjcf(options, original, compiled(spec, options.timestep, options.contacts), build_engine)
 
 
-class Mjcf(Body):
+class Mjcf(MujocoEnv):
     """Reward: the sum of the terms, each by its weight. Ends where one of the terminations says so.
 
     An action's ends are the ends of the controls' ranges; without a range it is the control itself.
@@ -58,7 +58,7 @@ class Mjcf(Body):
         build_engine: EngineBuilder,
     ) -> None:
         root = model.body(options.root).id if options.root else root_of(model)
-        named = Parts(model, root)
+        named = ModelIndex(model, root)
         paid = options.reward or _default_reward()
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
@@ -92,14 +92,14 @@ class Mjcf(Body):
             normal_velocity=self._reset.velocity_distribution == "normal",
         )
         nothing, zero = jnp.zeros(self.action_size), jnp.zeros(())
-        moment = Moment(physics, physics, nothing, nothing, self.dt)
+        moment = StepContext(physics, physics, nothing, nothing, self.dt)
         info = {"previous_action": nothing, "start": self._position(physics)}
         metrics = dict.fromkeys((*self._names, *_OF_THE_BODY), zero)
         return State(physics, self._observe(moment), zero, zero, metrics, info)
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
-        moment = Moment(state.physics, physics, action, state.info["previous_action"], self.dt)
+        moment = StepContext(state.physics, physics, action, state.info["previous_action"], self.dt)
         earned = [
             weight * term.measure(moment) for weight, term in zip(self._weights, self._rewards, strict=True)
         ]
@@ -109,7 +109,7 @@ class Mjcf(Body):
         info = {**state.info, "previous_action": action}
         return State(physics, self._observe(moment), sum(earned, jnp.zeros(())), done, metrics, info)
 
-    def _observe(self, moment: Moment) -> jax.Array:
+    def _observe(self, moment: StepContext) -> jax.Array:
         return jnp.concatenate([term.measure(moment) for term in self._seen])
 
     def _of_the_body(self, state: State, physics: PhysicsState) -> dict[str, jax.Array]:

@@ -11,7 +11,7 @@ from core.physics.engine import PhysicsState
 
 
 @dataclass(frozen=True)
-class Moment:
+class StepContext:
     """A step of one world.
 
     before, after: the physics on both sides of it. action, previous_action: [nu], each in [-1, 1]; the
@@ -26,15 +26,15 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Bound:
+class BoundTerm:
     """A term of one model. derived: the fields it reads. measure: its value, []; an observation's, [n]."""
 
     derived: tuple[str, ...]
-    measure: Callable[[Moment], jax.Array]
+    measure: Callable[[StepContext], jax.Array]
 
 
 @dataclass(frozen=True)
-class Parts:
+class ModelIndex:
     """The model's parts by name. root: number of the body that terms mean which name none."""
 
     model: mujoco.MjModel

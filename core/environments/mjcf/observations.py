@@ -7,10 +7,12 @@ import mujoco
 import numpy as np
 
 from core.environments.mjcf.contacts import is_ours
-from core.environments.mjcf.moment import Parts
+from core.environments.mjcf.moment import ModelIndex
 
 
-def visible_positions(parts: Parts, root_position: Literal["all", "height", "none"] | None) -> np.ndarray:
+def visible_positions(
+    parts: ModelIndex, root_position: Literal["all", "height", "none"] | None
+) -> np.ndarray:
     """Places in qpos that are seen: without the root's x and y, without its z, too, or all."""
     start = parts.free_joint(parts.root)
     if start is None or root_position == "all":
@@ -22,7 +24,7 @@ def visible_positions(parts: Parts, root_position: Literal["all", "height", "non
     return np.setdiff1d(np.arange(parts.model.nq), hidden)
 
 
-def sensor_places(parts: Parts, names: list[str] | None) -> np.ndarray:
+def sensor_places(parts: ModelIndex, names: list[str] | None) -> np.ndarray:
     """Places in sensordata: of the named sensors in their order, or of all that the model came with."""
     if names is not None:
         return parts.sensors(names)
@@ -36,7 +38,7 @@ def positions(xpos: jax.Array, bodies: np.ndarray, origin: int) -> jax.Array:
     return (xpos[bodies] - xpos[origin]).ravel()
 
 
-def limited_joints(parts: Parts, names: list[str] | None) -> np.ndarray:
+def limited_joints(parts: ModelIndex, names: list[str] | None) -> np.ndarray:
     """Numbers of these joints; without names, of all hinges and slides that have a range."""
     if names is not None:
         return np.array([parts.model.joint(name).id for name in names])

@@ -17,7 +17,7 @@ _HELD, _STEPS = "held_action", "steps_taken"
 
 
 @dataclass(frozen=True)
-class Holding(Wrapped):
+class ActionHold(Wrapped):
     """The environment step by step, which remembers the action that is held, and since when."""
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:

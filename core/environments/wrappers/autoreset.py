@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from core.environments.environment import State
-from core.environments.wrappers.vectorized import Worlds
+from core.environments.wrappers.vectorized import VectorEnv
 
 Tree = TypeVar("Tree")
 
@@ -34,7 +34,7 @@ class Episodes:
     ended_score: jax.Array
 
 
-def start_episodes(worlds: Worlds, key: jax.Array, num_envs: int, *, keep_first: bool = False) -> Episodes:
+def start_episodes(worlds: VectorEnv, key: jax.Array, num_envs: int, *, keep_first: bool = False) -> Episodes:
     """`num_envs` fresh episodes; keep_first: remember their first states, to go back to them."""
     state = fresh_states(worlds, key, num_envs)
     zeros = jnp.zeros(num_envs)
@@ -60,7 +60,7 @@ def begun_at_random(episodes: Episodes, key: jax.Array, *, episode_length: int) 
     return replace(episodes, length=length)
 
 
-def fresh_states(worlds: Worlds, key: jax.Array, num_states: int) -> State:
+def fresh_states(worlds: VectorEnv, key: jax.Array, num_states: int) -> State:
     """Initial states [num_states, ...], each from a key of its own."""
     return worlds.reset(jax.random.split(key, num_states))
 
@@ -71,7 +71,7 @@ def draw(pool: State, chosen: jax.Array) -> State:
 
 
 def step_episodes(
-    worlds: Worlds,
+    worlds: VectorEnv,
     episodes: Episodes,
     action: jax.Array,
     starts: State | None = None,

@@ -15,7 +15,7 @@ ENVS = "envs"
 
 
 @dataclass(frozen=True)
-class Worlds:
+class VectorEnv:
     """`reset` and `step` of many environments at once.
 
     mesh: devices along the axis ENVS, each of which moves its own part of the worlds and knows nothing of

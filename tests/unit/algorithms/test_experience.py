@@ -16,7 +16,7 @@ from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.environment import Environment, State
 from core.environments.probes import Probe, endless
 from core.environments.wrappers.autoreset import start_episodes
-from core.environments.wrappers.vectorized import Worlds
+from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import NOMINAL, ModelFields
 from tests.overflowing import Overflowing
 
@@ -168,7 +168,7 @@ def outcome_of_four_steps(world: Environment) -> tuple[dict[str, float], float]:
     def policy(observation: jax.Array, key: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
         return jnp.full_like(observation, -0.5), {}
 
-    worlds = Worlds(world)
+    worlds = VectorEnv(world)
     episodes = start_episodes(worlds, jax.random.PRNGKey(0), 8, keep_first=True)
     keys = jax.random.split(jax.random.PRNGKey(1), 4)
     _, (_, outcome) = collect(worlds, policy, episodes, keys, episode_length=4)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from core.algorithms.ppo.layout import ONE_DEVICE, Layout
+from core.algorithms.ppo.layout import ONE_DEVICE, Sharding
 from core.algorithms.ppo.spec import PPOSpec
 from core.errors import Rejected
 
@@ -21,16 +21,16 @@ def test_what_two_devices_cannot_share_evenly_is_refused(
 ) -> None:
     monkeypatch.setattr(jax, "local_devices", lambda: jax.devices() * 2)
     with pytest.raises(Rejected, match=sentence):
-        Layout.over(2, PPOSpec.model_validate(change))
+        Sharding.over(2, PPOSpec.model_validate(change))
 
 
 def test_more_devices_than_there_are_is_refused() -> None:
     with pytest.raises(Rejected, match="1000 devices were asked for, and JAX finds"):
-        Layout.over(1000, PPOSpec())
+        Sharding.over(1000, PPOSpec())
 
 
 def test_one_device_is_left_alone() -> None:
-    assert Layout.over(1, PPOSpec.model_validate({"num_envs": 255})) == ONE_DEVICE
+    assert Sharding.over(1, PPOSpec.model_validate({"num_envs": 255})) == ONE_DEVICE
     numbers = jnp.arange(3)
     assert ONE_DEVICE.everywhere(numbers) is ONE_DEVICE.split(numbers) is numbers
     assert ONE_DEVICE.sharding() is None

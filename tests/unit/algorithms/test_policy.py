@@ -12,7 +12,13 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.networks import make_inference_fn, make_ppo_networks
 
 from core.algorithms.ppo.checkpoint import describe, pack
-from core.algorithms.ppo.networks import Design, PolicyParams, init_normalizer, init_params, make_networks
+from core.algorithms.ppo.networks import (
+    PolicyConfig,
+    PolicyParams,
+    init_normalizer,
+    init_params,
+    make_networks,
+)
 from core.algorithms.ppo.policy import (
     load,
     make_inference,
@@ -91,7 +97,7 @@ def test_a_policy_of_another_design_keeps_it_and_brax_still_reads_the_file(tmp_p
     }
     sizes = {"observation_size": 3, "action_size": 2}
     kept = policy_from_checkpoint(pack(describe(probes.endless(), settings) | sizes, {}, state))
-    assert kept.design == Design(activation="relu", action_repeat=3)
+    assert kept.design == PolicyConfig(activation="relu", action_repeat=3)
     (path := tmp_path / "policy").write_bytes(write_policy(kept))
     assert read_policy(path.read_bytes()).design == kept.design
     with pytest.raises(JobFailed, match="not a policy file"):
@@ -107,9 +113,12 @@ def test_a_policy_that_holds_its_actions_is_shown_step_by_step() -> None:
     # Observed is the time: a new action after 0, 3 and 6 of the episode's 8 steps.
     networks = make_networks(1, 1, SETTINGS)
     trained = init_params(networks, jax.random.PRNGKey(0))
-    held = PolicyParams(init_normalizer(1), trained.policy, trained.value, Design(action_repeat=3))
+    held = PolicyParams(init_normalizer(1), trained.policy, trained.value, PolicyConfig(action_repeat=3))
     world = probes.Probe(lambda obs, time, action: (action, jnp.where(time == 7, 1.0, 0.0)), shows_time=True)
-    for params, decided in ((held, [0, 0, 0, 3, 3, 3, 6, 6]), (held.replace(design=Design()), range(8))):
+    for params, decided in (
+        (held, [0, 0, 0, 3, 3, 3, 6, 6]),
+        (held.replace(design=PolicyConfig()), range(8)),
+    ):
         policy = load(write_policy(params), is_checkpoint=False)
         shown, act = policy.acting(world)
         [episode] = Roller(shown, act).episodes(policy.parameters, KEY, num_steps=20, num_episodes=1)
@@ -150,7 +159,7 @@ def test_a_policy_looks_at_its_own_of_several_observations() -> None:
     sizes = {"eyes": 3, "state": 5}
     trained = init_params(make_networks(sizes, 2, settings), jax.random.PRNGKey(0))
     params = PolicyParams(
-        init_normalizer(sizes), trained.policy, trained.value, Design(policy_obs_key="eyes")
+        init_normalizer(sizes), trained.policy, trained.value, PolicyConfig(policy_obs_key="eyes")
     )
     back = read_policy(write_policy(params))
     alone = PolicyParams(init_normalizer(3), trained.policy, trained.value)

@@ -7,7 +7,7 @@ from typing import Any
 
 from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.attempts import Claim, claim, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.record_copy import copy_records
 from core.jobs.spec import JOB_SPEC
@@ -32,7 +32,7 @@ class PlayedWorker:
         heard = Acknowledgements(self.store.dispatched)
         return submit(spec, store=self.store, queue=self._queue, acknowledge=heard.add_at_once)
 
-    def begin(self, job: Job) -> Holding:
+    def begin(self, job: Job) -> Claim:
         """Running on a CPU."""
         holding = claim(
             job.id,
@@ -54,7 +54,7 @@ class PlayedWorker:
             self.checkpoint(holding, step)
         return self.succeed(holding)
 
-    def checkpoint(self, holding: Holding, step: int, keep: int = 5) -> Artifact:
+    def checkpoint(self, holding: Claim, step: int, keep: int = 5) -> Artifact:
         """Published, with a body of its own."""
         name = f"checkpoint-{step:012d}.msgpack"
         artifact = self.upload(holding, name, f"{holding.job_id} {step}".encode(), step)
@@ -62,7 +62,7 @@ class PlayedWorker:
         copy_records(store=self.store, objects=self.objects)
         return artifact
 
-    def upload(self, holding: Holding, name: str, body: bytes, step: int | None = None) -> Artifact:
+    def upload(self, holding: Claim, name: str, body: bytes, step: int | None = None) -> Artifact:
         """In the object store, and not in the record yet."""
         digest = hashlib.sha256(body).hexdigest()
         key = keys.artifact(holding.job_id, holding.number, digest, name)
@@ -71,14 +71,14 @@ class PlayedWorker:
             name=name, role="checkpoint", media_type="", size=len(body), sha256=digest, key=key, step=step
         )
 
-    def say(self, holding: Holding, channel: Channel, *texts: str) -> None:
+    def say(self, holding: Claim, channel: Channel, *texts: str) -> None:
         entries = [
             Entry(kind="line" if channel == "logs" else "note", time=self.store.now(), data={"text": text})
             for text in texts
         ]
         self.store.record(holding.job_id, holding.token, channel, entries, write_id=secrets.token_hex(8))
 
-    def succeed(self, holding: Holding) -> Job:
+    def succeed(self, holding: Claim) -> Job:
         job = holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")
         copy_records(store=self.store, objects=self.objects)
         return job

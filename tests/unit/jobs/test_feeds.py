@@ -14,7 +14,7 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobNotFound, ObjectNotFound, StorageUnavailable
 from core.jobs import feeds
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.deletion import delete
 from core.jobs.job import new_job_id
 from core.jobs.status import JobStatus, Reason
@@ -31,7 +31,7 @@ class Feed:
     def __init__(self, store: PostgresJobStore, objects: ObjectStore) -> None:
         self.store, self.objects = store, objects
         self.worker = PlayedWorker(store, objects)
-        self.holding: Holding = self.worker.begin(self.worker.submit())
+        self.holding: Claim = self.worker.begin(self.worker.submit())
         self.id = self.holding.job_id
 
     def say(self, *texts: str) -> None:

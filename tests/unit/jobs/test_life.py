@@ -26,7 +26,7 @@ from core.errors import (
     StorageUnavailable,
 )
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.attempts import Claim, claim, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
@@ -66,13 +66,13 @@ class Service:
         heard = Acknowledgements(self.store.dispatched).add_at_once
         return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency, acknowledge=heard)
 
-    def claim(self, job: Job) -> Holding:
+    def claim(self, job: Job) -> Claim:
         self.queue.take()
         holding = self.try_to_claim(job, self.store.get(job.id).next_attempt)
         assert holding is not None
         return holding
 
-    def try_to_claim(self, job: Job, number: int) -> Holding | None:
+    def try_to_claim(self, job: Job, number: int) -> Claim | None:
         return claim(
             job.id, number, "w", store=self.store, objects=self.objects, lease=LEASE, secret=new_secret()
         )
@@ -112,7 +112,7 @@ class Service:
     def status(self, job: Job) -> JobStatus:
         return self.store.get(job.id).status
 
-    def checkpoint(self, holding: Holding, step: int) -> Artifact:
+    def checkpoint(self, holding: Claim, step: int) -> Artifact:
         name = f"checkpoint-{step:012d}.msgpack"
         key = keys.artifact(holding.job_id, holding.number, "0" * 64, name)
         self.objects.put(key, b"state")
@@ -184,7 +184,7 @@ def test_a_dispatch_is_claimed_once(service: Service) -> None:
 def test_a_claim_whose_answer_was_lost_finds_what_it_took(service: Service) -> None:
     job, secret = service.submit(), new_secret()
 
-    def take() -> Holding | None:
+    def take() -> Claim | None:
         return claim(job.id, 1, "w", store=service.store, objects=service.objects, lease=LEASE, secret=secret)
 
     first = take()

@@ -11,7 +11,7 @@ from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobUnreadable, ModelNotFound, StaleJob
 from core.jobs import feeds
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.record_copy import copy_record, read_copy
@@ -75,9 +75,9 @@ def steps(job: Job) -> list[int | None]:
     return [artifact.step for artifact in job.artifacts]
 
 
-def holding_at(holding: Holding, store: JobStore) -> Holding:
+def holding_at(holding: Claim, store: JobStore) -> Claim:
     """The same attempt, as the database was restored beneath it."""
-    return Holding(holding.job_id, holding.number, holding.token, store, holding.objects)
+    return Claim(holding.job_id, holding.number, holding.token, store, holding.objects)
 
 
 class TestForgottenJobs:

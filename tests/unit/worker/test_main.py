@@ -12,7 +12,7 @@ from rq.exceptions import StopRequested
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import WorkerInfo
 from core.settings import WorkerSettings
@@ -83,7 +83,7 @@ def test_a_worker_tells_how_an_attempt_ended_that_was_left_on_its_disk(
     settings: WorkerSettings, job_store: PostgresJobStore
 ) -> None:
     job = held(job_store, queued_job())
-    holding = Holding(job.id, 1, job.token, job_store, MemoryObjectStore())
+    holding = Claim(job.id, 1, job.token, job_store, MemoryObjectStore())
     leave(settings.data_dir, holding, Outcome(None, Reason.WORKER_DRAINED, "Shut down."))
     (settings.data_dir / "left" / "damaged.json").write_text("{")
     GaitwayWorker(settings, "cpu", job_store).heartbeat()

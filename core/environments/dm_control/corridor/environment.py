@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.body import TRAVEL, Body, noisy_start, travel
+from core.environments.body import TRAVEL, MujocoEnv, noisy_start, travel
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
@@ -33,7 +33,7 @@ def make(options: CorridorOptions, build_engine: EngineBuilder) -> "Corridor":
     return Corridor(options, build_engine)
 
 
-class Corridor(Body):
+class Corridor(MujocoEnv):
     """Reward: forward speed + distance + being up - the action's cost. Ends in a gap or out of the range."""
 
     def __init__(self, options: CorridorOptions, build_engine: EngineBuilder) -> None:

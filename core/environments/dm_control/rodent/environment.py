@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.body import TRAVEL, Body, noisy_start, travel
+from core.environments.body import TRAVEL, MujocoEnv, noisy_start, travel
 from core.environments.dm_control.rodent.info import RodentOptions
 from core.environments.dm_control.rodent.model import rodent_model
 from core.environments.environment import State
@@ -19,7 +19,7 @@ def make(options: RodentOptions, build_engine: EngineBuilder) -> "Rodent":
     return Rodent(options, build_engine)
 
 
-class Rodent(Body):
+class Rodent(MujocoEnv):
     """Reward: forward speed + being up - the action's cost. It may end when the torso is too low or high."""
 
     def __init__(self, options: RodentOptions, build_engine: EngineBuilder) -> None:

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.body import TRAVEL, Body, noisy_start, travel
+from core.environments.body import TRAVEL, MujocoEnv, noisy_start, travel
 from core.environments.environment import State
 from core.environments.locomotion.ant.info import AntOptions
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
@@ -26,7 +26,7 @@ def make(options: AntOptions, build_engine: EngineBuilder) -> "Ant":
     return Ant(options, build_engine)
 
 
-class Ant(Body):
+class Ant(MujocoEnv):
     """Reward: forward speed + being alive - the action's cost. Ends when the torso is too low or too high."""
 
     def __init__(self, options: AntOptions, build_engine: EngineBuilder) -> None:

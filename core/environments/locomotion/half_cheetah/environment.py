@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.body import Body, noisy_start
+from core.environments.body import MujocoEnv, noisy_start
 from core.environments.environment import State
 from core.environments.locomotion.half_cheetah.info import HalfCheetahOptions
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
@@ -19,7 +19,7 @@ def make(options: HalfCheetahOptions, build_engine: EngineBuilder) -> "HalfCheet
     return HalfCheetah(options, build_engine)
 
 
-class HalfCheetah(Body):
+class HalfCheetah(MujocoEnv):
     """Reward: forward speed - the action's cost. It never terminates."""
 
     def __init__(self, options: HalfCheetahOptions, build_engine: EngineBuilder) -> None:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.environments import rewards
-from core.environments.body import TRAVEL, Body, noisy_start, scaled_to_control, travel
+from core.environments.body import TRAVEL, MujocoEnv, noisy_start, scaled_to_control, travel
 from core.environments.environment import State
 from core.environments.locomotion.humanoid.info import HumanoidOptions
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
@@ -21,7 +21,7 @@ def make(options: HumanoidOptions, build_engine: EngineBuilder) -> "Humanoid":
     return Humanoid(options, build_engine)
 
 
-class Humanoid(Body):
+class Humanoid(MujocoEnv):
     """Reward: forward speed + being alive - the control's cost. Ends when the torso falls."""
 
     def __init__(self, options: HumanoidOptions, build_engine: EngineBuilder) -> None:

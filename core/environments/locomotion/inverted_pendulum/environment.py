@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from core.environments.body import Body, noisy_start, scaled_to_control
+from core.environments.body import MujocoEnv, noisy_start, scaled_to_control
 from core.environments.environment import State
 from core.environments.info import NoOptions
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
@@ -19,7 +19,7 @@ def make(options: NoOptions, build_engine: EngineBuilder) -> "InvertedPendulum":
     return InvertedPendulum(build_engine)
 
 
-class InvertedPendulum(Body):
+class InvertedPendulum(MujocoEnv):
     """Reward: 1 for each step. Ends when the pole tilts too far."""
 
     def __init__(self, build_engine: EngineBuilder) -> None:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.environments import rewards
-from core.environments.body import Body
+from core.environments.body import MujocoEnv
 from core.environments.environment import State
 from core.environments.info import NoOptions
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
@@ -24,7 +24,7 @@ def make(options: NoOptions, build_engine: EngineBuilder) -> "Reacher":
     return Reacher(build_engine)
 
 
-class Reacher(Body):
+class Reacher(MujocoEnv):
     """Reward: minus the tip's distance to the target, minus the action's cost. It never terminates."""
 
     def __init__(self, build_engine: EngineBuilder) -> None:

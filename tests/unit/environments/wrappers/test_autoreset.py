@@ -13,11 +13,11 @@ from core.environments.wrappers.autoreset import (
     start_episodes,
     step_episodes,
 )
-from core.environments.wrappers.vectorized import Worlds
+from core.environments.wrappers.vectorized import VectorEnv
 
 # The observation is the time, the reward the action; an action above 0.9 terminates.
 WORLD = Probe(lambda obs, time, action: (action, jnp.where(action > 0.9, 1.0, 0.0)), shows_time=True)
-WORLDS = Worlds(WORLD)
+WORLDS = VectorEnv(WORLD)
 
 
 class Remembering(Probe):
@@ -33,7 +33,7 @@ class Remembering(Probe):
         return State(state.physics, count[None], action[0], jnp.zeros(()), {}, {"count": count})
 
 
-REMEMBERINGS = Worlds(Remembering(WORLD.rule))
+REMEMBERINGS = VectorEnv(Remembering(WORLD.rule))
 
 
 def act(episodes: Episodes, *actions: float) -> Episodes:

@@ -23,7 +23,7 @@ from core.adapters.redis_jobs import RedisJobStore
 from core.adapters.rq.queue import RQQueue
 from core.adapters.s3.objects import S3ObjectStore
 from core.environments.mjcf.inventory import Inventory
-from core.jobs.attempts import Holding, claim, given_back
+from core.jobs.attempts import Claim, claim, given_back
 from core.jobs.cancellation import cancel
 from core.jobs.durability import keep_record
 from core.jobs.job import Job, utc_now
@@ -69,7 +69,7 @@ class Service:
         self.ids[name] = job.id
         return job
 
-    def claim(self, job: Job) -> Holding:
+    def claim(self, job: Job) -> Claim:
         job = self.store.get(job.id)
         self.now += timedelta(minutes=1)
         holding = claim(
@@ -85,7 +85,7 @@ class Service:
         return holding
 
     @contextmanager
-    def saying(self, holding: Holding, keep: int = 2) -> Iterator[Callable[[Message | str], None]]:
+    def saying(self, holding: Claim, keep: int = 2) -> Iterator[Callable[[Message | str], None]]:
         outbox = Outbox(holding, self.spool, keep)
         yield outbox.put
         assert outbox.close(30)
@@ -94,13 +94,13 @@ class Service:
         (self.spool / name).write_bytes(body)
         return FileReady(name=name, path=name, **facts)
 
-    def start(self, holding: Holding) -> None:
+    def start(self, holding: Claim) -> None:
         with self.saying(holding) as say:
             say(Hello(pid=1234))
             say(Started(device="cpu", engine="native", details={"hyperparameters": {"num_envs": 64}}))
             say(PhaseEnded(name="compile", seconds=1.5))
 
-    def checkpoint(self, holding: Holding, step: int) -> None:
+    def checkpoint(self, holding: Claim, step: int) -> None:
         with self.saying(holding) as say:
             say(f"step {step}")
             say(Measured(step=step, values={"eval/episode_reward": step / 10, "training/loss": math.nan}))

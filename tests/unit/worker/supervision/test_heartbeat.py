@@ -9,7 +9,7 @@ import pytest
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.errors import LeaseLost, RecordsUnavailable
-from core.jobs.attempts import Holding
+from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus
 from tests.faults.bench import unused_servers, wait_until
 from worker.supervision.heartbeat import Heartbeat
@@ -34,7 +34,7 @@ class Answers:
 def beating(tmp_path: Path) -> Callable[[Answers], Heartbeat]:
     def beat(answers: Answers) -> Heartbeat:
         store: Any = answers
-        return Heartbeat(Holding("job", 1, "1-x", store, MemoryObjectStore()), unused_servers(tmp_path))
+        return Heartbeat(Claim("job", 1, "1-x", store, MemoryObjectStore()), unused_servers(tmp_path))
 
     return beat
 

@@ -13,7 +13,7 @@ from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
-from core.jobs.attempts import Holding, claim, new_secret
+from core.jobs.attempts import Claim, claim, new_secret
 from core.jobs.job import utc_now
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import Channel, Entry
@@ -25,7 +25,7 @@ A_DAY_S = 86_400.0
 
 
 @pytest.fixture
-def holding(job_store: PostgresJobStore) -> Holding:
+def holding(job_store: PostgresJobStore) -> Claim:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant"})
     job = submit(spec, store=job_store, queue=MemoryJobQueue())
     objects, lease = MemoryObjectStore(), timedelta(seconds=15)
@@ -58,17 +58,17 @@ def outage(job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch) -> Outa
 
 
 @pytest.fixture
-def outbox(holding: Holding, tmp_path: Path) -> Outbox:
+def outbox(holding: Claim, tmp_path: Path) -> Outbox:
     return Outbox(holding, tmp_path, keep_checkpoints=1)
 
 
-def read(holding: Holding, channel: Channel) -> list[Entry]:
+def read(holding: Claim, channel: Channel) -> list[Entry]:
     found = feeds.read(holding.job_id, channel, store=holding.store, objects=holding.objects, limit=10_000)
     return [entry for entry in found if entry.kind != "status"]
 
 
 def test_what_waited_through_an_outage_comes_in_order_with_the_time_at_which_it_was_said(
-    outbox: Outbox, outage: Outage, holding: Holding
+    outbox: Outbox, outage: Outage, holding: Claim
 ) -> None:
     outbox.put(Hello(pid=7))
     for step in range(200):
@@ -92,7 +92,7 @@ def test_what_waited_through_an_outage_comes_in_order_with_the_time_at_which_it_
 
 
 def test_what_is_said_before_a_file_is_stored_before_it(
-    outbox: Outbox, holding: Holding, tmp_path: Path
+    outbox: Outbox, holding: Claim, tmp_path: Path
 ) -> None:
     outbox.put(Started(device="cpu", engine="native"))
     for step in (10, 20):

@@ -6,7 +6,7 @@ import pytest
 
 from core.jobs.status import JobStatus, Reason
 from worker.protocol import Failed, Finished
-from worker.stop_signals import KEEP_AND_GO, Stop
+from worker.stop_signals import DRAIN_SIGNAL, Stop
 from worker.supervision.outcome import judge
 
 DIVERGED = Failed(reason=Reason.DIVERGED, message="The reward became non-finite.")
@@ -29,7 +29,7 @@ FULL = Failed(reason=Reason.STORAGE_UNAVAILABLE, message="The disk of the worker
         (DIVERGED, 1, Stop.DRAIN, JobStatus.FAILED, Reason.DIVERGED),
         (None, -9, Stop.CANCEL, JobStatus.CANCELLED, Reason.USER_CANCELLED),
         (None, -9, Stop.DRAIN, None, Reason.WORKER_DRAINED),
-        (None, -KEEP_AND_GO, Stop.DRAIN, None, Reason.WORKER_DRAINED),
+        (None, -DRAIN_SIGNAL, Stop.DRAIN, None, Reason.WORKER_DRAINED),
         (FULL, 1, None, None, Reason.STORAGE_UNAVAILABLE),
         (FULL, 1, Stop.CANCEL, None, Reason.STORAGE_UNAVAILABLE),
         # Another attempt would have its time anew.
@@ -69,4 +69,4 @@ def test_a_crash_beside_a_kill_for_memory_stays_a_crash() -> None:
 
 def test_who_had_nothing_new_to_keep_is_not_said_to_be_killed() -> None:
     assert "killed" in judge(None, -9, Stop.DRAIN, timeout_s=60).message
-    assert "killed" not in judge(None, -KEEP_AND_GO, Stop.DRAIN, timeout_s=60).message
+    assert "killed" not in judge(None, -DRAIN_SIGNAL, Stop.DRAIN, timeout_s=60).message

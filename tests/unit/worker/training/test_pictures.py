@@ -14,7 +14,7 @@ from core.environments import trajectory
 from core.environments.trajectory import Trajectory
 from tests.unit.rendering.conftest import rolling_ball
 from worker.training import pictures
-from worker.training.channel import Channel
+from worker.training.channel import EventWriter
 
 
 class Heard:
@@ -23,7 +23,7 @@ class Heard:
     def __init__(self, spool: Path) -> None:
         self._read, write = os.pipe()
         os.set_blocking(self._read, False)
-        self.channel = Channel(spool, write)
+        self.channel = EventWriter(spool, write)
 
     def messages(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in os.read(self._read, 65536).splitlines()]

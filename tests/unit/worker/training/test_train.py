@@ -7,13 +7,13 @@ from pathlib import Path
 from core.algorithms.trainer import Progress
 from core.environments.probes import endless
 from tests.learning.runs import small_trainer
-from worker.training.channel import Channel
+from worker.training.channel import EventWriter
 from worker.training.train import Report
 
 
 def test_contacts_that_are_lost_are_warned_of_once_and_told_each_time(tmp_path: Path) -> None:
     read, write = os.pipe()
-    channel = Channel(tmp_path, write)
+    channel = EventWriter(tmp_path, write)
     report = Report(channel, small_trainer(endless()))
     for step, lost in enumerate([0.0, 0.1, 0.2]):
         report.tell(Progress(step, 3, {"training/physics_overflow": lost}))
