@@ -34,7 +34,7 @@ class Server(uvicorn.Server):
 
     def run(self, sockets: list[socket.socket] | None = None) -> None:
         """Serve until SIGTERM or SIGINT."""
-        # What is loaded stays. A collection that looks through it all lets nobody be answered for 0.1 s.
+        # Loaded modules stay in memory. A full garbage collection over them blocks all requests for 0.1 s.
         gc.collect()
         gc.freeze()
         super().run(sockets)

@@ -22,7 +22,7 @@ _PREFIX = "GAITWAY_"
 # Workers are threads of a few processes: more would wait for each other in Python.
 _WORKERS_OF_A_PROCESS = 10
 _TRAINING_S = 2.0
-# Workers and readers begin so long before the submissions, and end so long after them.
+# Workers and readers start this long before the submissions and stop this long after them.
 _MARGIN_S = 5.0
 
 

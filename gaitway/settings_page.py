@@ -8,7 +8,8 @@ from typing import Any
 from pydantic import SecretStr
 from pydantic.fields import FieldInfo
 
-from core.configuration import PROCESSES, SECRETS_DIR, variable
+from core.configuration import PROCESSES, SECRETS_DIR
+from core.variables import variable
 
 _HEAD = """# Settings
 

@@ -57,8 +57,9 @@ def _read(kind: type[AnySettings]) -> AnySettings | None:
 
 def _problems() -> list[str]:
     """A sentence for each way in which a process would refuse to start."""
-    from core.configuration import PROCESSES, read, variable
+    from core.configuration import PROCESSES, read
     from core.settings import StoreSettings, WorkerSettings
+    from core.variables import variable
 
     is_workers = bool(os.environ.get(variable("data_dir")))
     kinds = [kind for kind in PROCESSES.values() if is_workers or kind is not WorkerSettings]

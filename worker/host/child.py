@@ -15,8 +15,8 @@ from typing import IO, cast
 import structlog
 from pydantic import ValidationError
 
-from core.configuration import variable
 from core.settings import Confinement
+from core.variables import variable
 from worker.host.memory import sacrifice
 from worker.protocol import MESSAGE, Message
 from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL, Stop

@@ -7,8 +7,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from core.configuration import variable
 from core.errors import Misconfigured
+from core.variables import variable
 
 # Below this not even a small job's first files fit.
 _LEAST_FREE_BYTES = 2**24

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from core.configuration import variable
+from core.variables import variable
 from worker.host.cgroup import NO_GROUP, TrainingGroup
 from worker.host.processes import processes
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import structlog
 
-from core.configuration import variable
 from core.jobs.job import utc_now
 from core.previews import library
 from core.previews.record import PreviewRequest
@@ -19,6 +18,7 @@ from core.rendering.request import RenderFailure
 from core.settings import Confinement
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.variables import variable
 from worker.host.child import environment
 
 # Playground's environments compile a reset on MJX, which takes a busy machine a minute.
