@@ -15,6 +15,7 @@ from typing import Any
 import rq
 import structlog
 from redis.exceptions import RedisError
+from rq.exceptions import StopRequested
 from rq.serializers import JSONSerializer
 
 from core.adapters.connect import connect_redis, job_store, object_store
@@ -49,6 +50,8 @@ _ANNOUNCE_EVERY_S = 10
 _PAUSE_S = 1.0
 # Between two looks at a device that is being tested.
 _GLANCE_S = 0.1
+# How long the worker waits for a message before it looks whether it has to go.
+_LOOK_EVERY_S = 5
 
 
 class GaitwayWorker(rq.Worker):
@@ -64,7 +67,6 @@ class GaitwayWorker(rq.Worker):
         self._data_dir = settings.data_dir
         self._horse_is_stopped = False
         self._is_announcing = False
-        self._stopped_by: tuple[Any, Any] | None = None
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
         now = utc_now()
         self._info = WorkerInfo(
@@ -85,22 +87,20 @@ class GaitwayWorker(rq.Worker):
             connection=connect_redis(settings.redis_url.get_secret_value()),
             serializer=JSONSerializer,
             job_class=NamedJob,
-            worker_ttl=3 * _ANNOUNCE_EVERY_S + 15,
+            worker_ttl=15 + _LOOK_EVERY_S,  # RQ waits 15 s less than this.
             job_monitoring_interval=_ANNOUNCE_EVERY_S,
         )
 
     def heartbeat(self, *args: Any, **kwargs: Any) -> None:
+        """Show a sign of life. Raises StopRequested where the worker has to go."""
+        self._go_if_told()
         self._end_stopped_horse()
         self._clear_up()
         super().heartbeat(*args, **kwargs)
         self.announce()
 
     def dequeue_job_and_maintain_ttl(self, *args: Any, **kwargs: Any) -> Any:
-        """The next job, once the device is known to work; None where the worker has to go."""
-        # RQ only notes a stop that comes before this, and would not look again before the next job.
-        self._state = rq.worker.WorkerStatus.IDLE
-        if self._stop_requested:
-            return None
+        """The next job, once the device is known to work. Raises StopRequested where the worker has to go."""
         self._wait_for_device()
         return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
 
@@ -108,6 +108,7 @@ class GaitwayWorker(rq.Worker):
         shown, shown_at = "", 0.0
         try:
             while not self._health.is_fit():
+                self._go_if_told()
                 if shown != self._health.state or time.monotonic() - shown_at > _ANNOUNCE_EVERY_S:
                     shown, shown_at = self._health.state, time.monotonic()
                     self._show_idle()
@@ -167,19 +168,29 @@ class GaitwayWorker(rq.Worker):
             log.warning("announcement_missed", error=error.detail)
         finally:
             self._is_announcing = False
-        stopped_by, self._stopped_by = self._stopped_by, None
-        if stopped_by is not None:
-            super().request_stop(*stopped_by)  # pyright: ignore[reportUnknownMemberType]
+        self._go_if_told()
 
     def request_stop(self, signum: Any, frame: Any) -> None:
-        """First SIGTERM or SIGINT: the job drains, then the worker goes. RQ itself would only wait."""
+        """First SIGTERM or SIGINT: the job drains, then the worker goes. RQ itself would only wait.
+
+        What the exception interrupts may swallow it, as redis-py does where it counts commands; so it is
+        only the fast way, and every heartbeat looks again.
+        """
+        self._stop_requested = True
+        signal.signal(signal.SIGINT, self.request_force_stop)
+        signal.signal(signal.SIGTERM, self.request_force_stop)
+        # A database's driver may take an exception for a failure of its own.
+        if not self._is_announcing:
+            self._go_if_told()
+
+    def _go_if_told(self) -> None:
+        if not self._stop_requested:
+            return
+        if self.get_state() != rq.worker.WorkerStatus.BUSY:
+            raise StopRequested
         if self.horse_pid:
-            os.kill(self.horse_pid, signal.SIGTERM)
-        if self._is_announcing:
-            # RQ stops by an exception, and a database's driver may take that for a failure of its own.
-            self._stopped_by = (signum, frame)
-        else:
-            super().request_stop(signum, frame)  # pyright: ignore[reportUnknownMemberType]
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.horse_pid, signal.SIGTERM)
 
 
 def health_of(device: str, settings: WorkerSettings) -> DeviceHealth:

@@ -100,6 +100,7 @@ def bench(tmp_path: Path, postgres: Outages, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("PROBE_WAITS_FOR", str(tmp_path / "go"))
     bench = Disturbed(tmp_path, postgres, monkeypatch)
     yield bench
+    wait_until(lambda: "outbox" not in {thread.name for thread in threading.enumerate()})
     bench.close()
 
 

@@ -43,6 +43,7 @@ class Outbox:
 
     def __init__(self, holding: Claim, spool: Path, keep_checkpoints: int) -> None:
         self._failure: Exception | None = None
+        self._is_abandoned = False
         self._holding = holding
         self._spool = spool
         self._keep_checkpoints = keep_checkpoints
@@ -72,6 +73,11 @@ class Outbox:
             self._thread.join(min(_GLANCE_S, patience_s))
         self.check()
         return not self._thread.is_alive()
+
+    def abandon(self) -> None:
+        """Wait no longer for a store that is away: what is not stored yet is lost."""
+        self._is_abandoned = True
+        self._waiting.put(None)
 
     def check(self) -> None:
         """Raises what ended the storing before its time: LeaseLost, where the attempt's job is not ours."""
@@ -112,7 +118,7 @@ class Outbox:
     def _insist(self, step: Callable[[], None]) -> bool:
         """Do it, through any outage; whether it was possible at all."""
         try:
-            retry_while_unavailable(step)
+            retry_while_unavailable(step, called_off=lambda: self._is_abandoned)
         except Exception as error:  # Whatever it is, the job must not seem done.
             self._failure = error
             return False

@@ -126,6 +126,7 @@ class Supervisor:
                     outcome = self._watch(process, ear, heartbeat, memory, job.spec.timeout_s)
             except BaseException:
                 tracking.abandon()
+                outbox.abandon()
                 raise
             finally:
                 process.kill()
@@ -135,6 +136,7 @@ class Supervisor:
         else:
             tracking.finish(outcome.status)
         if not outbox.close(_STORAGE_PATIENCE_S, self._must_leave(_LAST_S)):
+            outbox.abandon()
             return _not_stored(leaving())
         tracking.write_up(outcome.status, leaving)
         return outcome

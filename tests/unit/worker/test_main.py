@@ -1,13 +1,16 @@
 """The worker that RQ knows, in this process."""
 
+import contextlib
 import os
 import signal
+import subprocess
 from collections.abc import Iterator
 from datetime import timedelta
 from typing import Any
 
 import pytest
 from rq.exceptions import StopRequested
+from rq.worker import WorkerStatus
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
@@ -56,6 +59,30 @@ def test_a_worker_that_waits_for_a_job_goes_at_once(settings: WorkerSettings) ->
     signal.signal(signal.SIGTERM, worker.request_stop)
     with pytest.raises(StopRequested):
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_a_worker_goes_at_its_next_heartbeat_where_something_swallowed_the_stop(
+    settings: WorkerSettings, job_store: PostgresJobStore
+) -> None:
+    worker = GaitwayWorker(settings, "cpu", job_store)
+    signal.signal(signal.SIGTERM, worker.request_stop)
+    with contextlib.suppress(Exception):
+        os.kill(os.getpid(), signal.SIGTERM)
+    with pytest.raises(StopRequested):
+        worker.heartbeat()
+
+
+def test_a_work_horse_that_missed_the_stop_is_told_again(
+    settings: WorkerSettings, job_store: PostgresJobStore
+) -> None:
+    worker = GaitwayWorker(settings, "cpu", job_store)
+    worker.set_state(WorkerStatus.BUSY)
+    signal.signal(signal.SIGTERM, worker.request_stop)
+    os.kill(os.getpid(), signal.SIGTERM)
+    with subprocess.Popen(["sleep", "60"]) as horse:
+        worker._horse_pid = horse.pid
+        worker.heartbeat()
+        assert horse.wait() == -signal.SIGTERM
 
 
 def test_what_a_killed_work_horse_has_left_on_the_disk_is_removed(

@@ -18,6 +18,7 @@ from core.jobs.job import utc_now
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import Channel, Entry
 from core.jobs.submission import submit
+from tests.faults.bench import wait_until
 from worker.protocol import Advanced, FileReady, Hello, Measured, Noted, PhaseEnded, Started
 from worker.supervision.outbox import Outbox
 
@@ -122,3 +123,11 @@ def test_a_wait_for_the_stores_can_be_called_off(outbox: Outbox, outage: Outage)
     assert 0.2 <= time.monotonic() - began < 3
     outage.is_over = True
     assert outbox.close(30)
+
+
+def test_an_abandoned_outbox_waits_no_longer(outbox: Outbox, outage: Outage) -> None:
+    outbox.put("a line")
+    assert not outbox.close(0.2)
+    outbox.abandon()
+    wait_until(lambda: "outbox" not in {thread.name for thread in threading.enumerate()})
+    assert outage.writes == []
