@@ -18,7 +18,7 @@ from bench.open_loop import post_at_rate
 from core.adapters.connect import connect_redis, job_store, object_store
 from core.configuration import read
 from core.errors import Conflict
-from core.jobs.attempts import claim, new_secret
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Progress
 from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus, Reason
@@ -147,18 +147,18 @@ def _work(
             job_id, number = message.args
             message.delete(remove_from_queue=False)
             before = time.perf_counter()
-            holding = claim(
+            claim = claim_attempt(
                 job_id, number, "bench", store=store, objects=objects, lease=_LEASE, secret=new_secret()
             )
             seconds = time.perf_counter() - before
-            if holding is None:
+            if claim is None:
                 continue
             job = store.get(job_id)
             done.append((seconds, job_id, (job.attempts[-1].started_at - job.created_at).total_seconds()))
             with suppress(Conflict):
-                holding.start(device=DEVICE, engine="none", details={})
-                _train(store, job_id, holding.token, request["training_s"])
-                holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Nothing was trained.")
+                claim.start(device=DEVICE, engine="none", details={})
+                _train(store, job_id, claim.token, request["training_s"])
+                claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Nothing was trained.")
     return done
 
 

@@ -22,7 +22,7 @@ from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.spec import PPOSpec, resolve
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments import catalog
-from core.environments.body import MujocoEnv
+from core.environments.mujoco_env import MujocoEnv
 from core.environments.wrappers.autoreset import Episodes, draw, fresh_states, step_episodes
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.choose import engine_builder

@@ -76,7 +76,7 @@ def _steered(environment: Any, settings: Any, table: Any, episodes: int) -> dict
     import jax.numpy as jnp
 
     from core.algorithms.evaluation import run_episodes
-    from core.algorithms.q_learning.decisions import DiscreteEnv, Tabular
+    from core.algorithms.q_learning.discrete_env import DiscreteEnv, Tabular
     from core.algorithms.q_learning.table import greedy
 
     tabular = Tabular.of(settings.indexer, settings.mapper, environment)

@@ -11,12 +11,12 @@ import structlog
 from core.adapters.connect import job_store, object_store
 from core.configuration import read
 from core.errors import JobUnreadable, Misconfigured, NotFound
-from core.jobs.attempts import claim, new_secret
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.needs import packages_here
 from core.jobs.store import JobStore
 from core.jobs.waiting import why_left_to_others
-from core.patience import CalledOff, pause, retry_while_unavailable
 from core.previews.record import PreviewRequest
+from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings
 from worker.host import device_health
 from worker.host.device import device_of
@@ -56,7 +56,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
     store = job_store(settings)
     look = partial(_why_left_to_others, job_id, store)
     take = partial(
-        claim,
+        claim_attempt,
         job_id,
         attempt,
         f"{socket.gethostname()}:{device}",
@@ -70,15 +70,15 @@ def run_attempt(job_id: str, attempt: int) -> None:
             # The reconciler dispatches it again at the second look that misses it.
             log.info("left_to_others", detail=reason)
             return
-        holding = retry_while_unavailable(take, called_off=draining.is_set)
+        claim = retry_while_unavailable(take, called_off=draining.is_set)
     except (CalledOff, NotFound, JobUnreadable) as error:
         log.info("dispatch_ignored", error=str(error))
         return
-    if holding is None:
+    if claim is None:
         log.info("dispatch_ignored")
         return
     test = device_health.command_for(device)
-    Supervisor(holding, settings, device, places, draining=draining, device_test=test).run()
+    Supervisor(claim, settings, device, places, draining=draining, device_test=test).run()
 
 
 def validate_model(model_id: str) -> None:

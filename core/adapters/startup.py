@@ -23,7 +23,7 @@ from core.errors import (
     StorageUnavailable,
     Unavailable,
 )
-from core.patience import retry_while_unavailable
+from core.retry import retry_while_unavailable
 from core.settings import StoreSettings
 
 log = structlog.get_logger()

@@ -12,7 +12,7 @@ from core.physics.engine import PhysicsState
 _Position = Callable[[PhysicsState], jax.Array]
 
 
-def whereabouts(model: mujoco.MjModel, body: int) -> Callable[[PhysicsState], Mapping[str, jax.Array]]:
+def body_position(model: mujoco.MjModel, body: int) -> Callable[[PhysicsState], Mapping[str, jax.Array]]:
     """How to read the body's `height` and `distance_from_origin`, [] each, in metres.
 
     The distance is that in space, as in Brax. There is nothing to read of a body that does not travel by

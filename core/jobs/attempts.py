@@ -99,7 +99,7 @@ def new_secret() -> str:
     return secrets.token_hex(8)
 
 
-def claim(  # noqa: PLR0913 # Who, what, and where it is written.
+def claim_attempt(  # noqa: PLR0913 # Who, what, and where it is written.
     job_id: str,
     number: int,
     worker: str,

@@ -30,7 +30,7 @@ class NativeEngine:
     name = "native"
 
     def __init__(self, model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> None:
-        self._worlds = _Worlds(model)
+        self._batches = _Batches(model)
         self._num_substeps = num_substeps
         self._num_act, self._num_ctrl = model.na, model.nu
         self._fingerprint = _fingerprint(model, num_substeps, derived)
@@ -77,7 +77,7 @@ class NativeEngine:
         inputs.update({name: values for name, values in state.model.items() if values.size})
 
         def on_the_host(*arrays: Floats) -> tuple[Floats, ...]:
-            return self._worlds.move(move, dict(zip(inputs, arrays, strict=True)), wanted)
+            return self._batches.move(move, dict(zip(inputs, arrays, strict=True)), wanted)
 
         name = f"{self._fingerprint} {move.__name__} {','.join(inputs)} to {','.join(wanted)}"
         shapes = [self._shapes[field] for field in wanted]
@@ -85,7 +85,7 @@ class NativeEngine:
         return dict(zip(wanted, values, strict=True))
 
 
-class _Worlds:
+class _Batches:
     """The host's side: a `Batch` for each number of worlds, and each set of fields that they differ in."""
 
     def __init__(self, model: mujoco.MjModel) -> None:

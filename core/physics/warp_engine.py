@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, OVERFLOW, ModelFields, PhysicsState, check_model_fields
 from core.physics.model import model_field
-from core.physics.warp_worlds import LOST, Move, Worlds, program
+from core.physics.warp_buffers import LOST, Move, WarpBuffers, program
 
 _LEAST_ITERATIONS = 2
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
@@ -44,7 +44,7 @@ class WarpEngine:
         inputs = {name: values.size for name, values in given.items() if values.size}
         outputs = {name: size for name, shape in self._shapes.items() if (size := int(np.prod(shape)))}
         try:
-            self._worlds = Worlds(model, num_substeps, inputs, outputs, derived)
+            self._buffers = WarpBuffers(model, num_substeps, inputs, outputs, derived)
         except (NotImplementedError, ValueError) as error:
             raise JobFailed("bad_model", f"MuJoCo Warp cannot run this model: {error}") from error
         self._num_outputs = sum(outputs.values())
@@ -100,7 +100,7 @@ class WarpEngine:
     def _program(self, move: Move, own: tuple[str, ...]) -> Callable[..., Any]:
         """The move, for worlds that differ in these fields of the model."""
         if (move, own) not in self._programs:
-            self._programs[move, own] = program(self._worlds, move, own)
+            self._programs[move, own] = program(self._buffers, move, own)
         return self._programs[move, own]
 
     def _blank_with(self, own: tuple[str, ...]) -> NDArray[np.float32]:

@@ -23,7 +23,7 @@ from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Unavailable
-from core.jobs.attempts import claim, new_secret
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
@@ -167,7 +167,7 @@ class Attempt:
         self._stack = stack
         if is_new:
             stack.store.add(job)
-        claimed = claim(
+        claimed = claim_attempt(
             job.id,
             1,
             "worker-1",
@@ -178,9 +178,9 @@ class Attempt:
         )
         if claimed is None:
             raise JobFinished(f"Job {job.id} has been cancelled.")
-        self.holding = claimed
+        self.claim = claimed
         self.id = job.id
-        self.holding.start(device="cpu", engine="native", details={"cores": 2})
+        self.claim.start(device="cpu", engine="native", details={"cores": 2})
 
     def say(self, kind: str, **data: Any) -> None:
         self._record("events", Entry(kind=kind, time=NOON, data=data))
@@ -190,7 +190,7 @@ class Attempt:
         self._record("logs", *(Entry(kind="line", time=NOON, data={"text": line}) for line in lines))
 
     def _record(self, channel: Channel, *entries: Entry) -> None:
-        self._stack.store.record(self.id, self.holding.token, channel, entries, write_id=secrets.token_hex(8))
+        self._stack.store.record(self.id, self.claim.token, channel, entries, write_id=secrets.token_hex(8))
 
     def keep(self, name: str, body: bytes = ARTIFACT, **facts: Any) -> Artifact:
         """Publish a file as the supervisor does."""
@@ -203,8 +203,8 @@ class Attempt:
             **{"role": "video", "media_type": "video/mp4", **facts},
         )
         self._stack.objects.put(artifact.key, body, media_type=artifact.media_type)
-        self.holding.publish((artifact,), keep_checkpoints=5)
+        self.claim.publish((artifact,), keep_checkpoints=5)
         return artifact
 
     def end(self, status: JobStatus = JobStatus.SUCCEEDED, reason: Reason = Reason.COMPLETED) -> None:
-        self.holding.end(status, reason, "It came to its end.")
+        self.claim.end(status, reason, "It came to its end.")

@@ -198,7 +198,7 @@ def test_a_file_is_closed_when_the_client_leaves_half_way(
 
     kept = attempt.keep("long.mp4", b"x", step=1)
     long = kept.model_copy(update={"name": "longer.mp4", "size": 10**6 * 2**20})
-    attempt.holding.publish((long,), keep_checkpoints=5)
+    attempt.claim.publish((long,), keep_checkpoints=5)
     monkeypatch.setattr(stack.objects, "open", endless)
     with stack.http.stream("GET", f"/jobs/{attempt.id}/artifacts/longer.mp4") as answer:
         assert len(next(answer.iter_bytes())) > 0

@@ -74,7 +74,7 @@ def test_an_attempt_is_shown_without_its_lease_token(stack: Stack) -> None:
     answer = stack.http.get(f"/jobs/{attempt.id}")
     shown = answer.json()["attempts"][0]
     assert (shown["worker"], shown["device"], shown["engine"]) == ("worker-1", "cpu", "native")
-    assert attempt.holding.token not in answer.text
+    assert attempt.claim.token not in answer.text
     assert "token" not in shown
 
 
@@ -183,7 +183,7 @@ def test_cancelling_what_has_ended_is_a_conflict(stack: Stack) -> None:
 
 def test_a_job_may_end_with_words_that_no_database_stores(stack: Stack) -> None:
     attempt = Attempt(stack, job())
-    attempt.holding.end(JobStatus.FAILED, Reason.TRAINING_CRASHED, "It last said: \0\0.")
+    attempt.claim.end(JobStatus.FAILED, Reason.TRAINING_CRASHED, "It last said: \0\0.")
     view = stack.http.get(f"/jobs/{attempt.id}").json()
     assert (view["message"], view["attempts"][0]["message"]) == ("It last said: \ufffd\ufffd.",) * 2
 

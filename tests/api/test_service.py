@@ -26,7 +26,7 @@ from core.adapters.connect import object_store
 from core.algorithms.catalog import ALGORITHMS
 from core.environments.catalog import ENVIRONMENTS
 from core.errors import GaitwayError, Rejected
-from core.jobs.attempts import claim, new_secret
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import WorkerInfo
@@ -291,7 +291,7 @@ def test_the_service_works_over_the_real_stores(settings: WorkerSettings) -> Non
         job_id = ids.pop()
         store, objects = app.state.service.store, object_store(settings)
         lease, secret = timedelta(minutes=1), new_secret()
-        held = claim(job_id, 1, "w", store=store, objects=objects, lease=lease, secret=secret)
+        held = claim_attempt(job_id, 1, "w", store=store, objects=objects, lease=lease, secret=secret)
         assert held is not None
         digest = hashlib.sha256(ARTIFACT).hexdigest()
         video = Artifact(

@@ -18,7 +18,7 @@ from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobFinished, JobNotFinished, JobNotFound, LeaseLost
 from core.jobs import feeds
-from core.jobs.attempts import Claim, claim, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
@@ -37,7 +37,7 @@ class Known:
     """What an observer outside remembers of a job."""
 
     job: Job
-    holdings: list[Claim] = field(default_factory=list[Claim])
+    claims: list[Claim] = field(default_factory=list[Claim])
     published: set[str] = field(default_factory=set[str])
     said: int = 0
     deleted: bool = False
@@ -85,7 +85,7 @@ class Life(RuleBasedStateMachine):
         secret = new_secret()
         for _ in range(2):  # The answer to the first is lost.
             try:
-                holding = claim(
+                claim = claim_attempt(
                     known.job.id,
                     number,
                     "worker",
@@ -98,38 +98,38 @@ class Life(RuleBasedStateMachine):
                 assert known.deleted
                 return
             expected = known.job.status is JobStatus.QUEUED and known.job.next_attempt == number
-            assert (holding is not None) == expected
-        if holding is not None:
-            known.holdings.append(holding)
+            assert (claim is not None) == expected
+        if claim is not None:
+            known.claims.append(claim)
 
     @rule(known=jobs, data=strategies.data())
     def a_worker_reports(self, known: Known, data: strategies.DataObject) -> None:
-        for holding in self._one_of(known, data):
+        for claim in self._one_of(known, data):
             entry = Entry(kind="line", time=self.store.now(), data={"text": str(known.said)})
             try:
                 for _ in range(2):
                     self.store.record(
-                        holding.job_id, holding.token, "logs", [entry], write_id=f"write {known.said}"
+                        claim.job_id, claim.token, "logs", [entry], write_id=f"write {known.said}"
                     )
             except LeaseLost:
-                assert not self._holds(known, holding)
+                assert not self._holds(known, claim)
             else:
-                assert self._holds(known, holding)
+                assert self._holds(known, claim)
                 known.said += 1
 
     @rule(known=jobs, data=strategies.data())
     def a_worker_publishes(self, known: Known, data: strategies.DataObject) -> None:
-        for holding in self._one_of(known, data):
-            name = f"file-{holding.number}-{len(known.published)}"
+        for claim in self._one_of(known, data):
+            name = f"file-{claim.number}-{len(known.published)}"
             artifact = Artifact(
                 name=name, role="picture", media_type="image/png", size=1, sha256="0" * 64, key=name
             )
             try:
-                holding.publish((artifact,), 5)
+                claim.publish((artifact,), 5)
             except (LeaseLost, JobNotFound):
-                assert not self._holds(known, holding)
+                assert not self._holds(known, claim)
             else:
-                assert self._holds(known, holding)
+                assert self._holds(known, claim)
                 known.published.add(name)
 
     @rule(
@@ -139,11 +139,11 @@ class Life(RuleBasedStateMachine):
     )
     def a_worker_ends_its_attempt(self, known: Known, data: strategies.DataObject, reason: Reason) -> None:
         status = JobStatus.SUCCEEDED if reason is Reason.COMPLETED else JobStatus.FAILED
-        for holding in self._one_of(known, data):
-            held, before = self._holds(known, holding), known.job
+        for claim in self._one_of(known, data):
+            held, before = self._holds(known, claim), known.job
             try:
                 for _ in range(2):
-                    job = holding.end(status, reason, "")
+                    job = claim.end(status, reason, "")
             except (LeaseLost, JobNotFound):
                 assert not held
             else:
@@ -156,11 +156,11 @@ class Life(RuleBasedStateMachine):
         reason=strategies.sampled_from((Reason.WORKER_DRAINED, Reason.TRAINING_KILLED)),
     )
     def a_worker_gives_its_job_back(self, known: Known, data: strategies.DataObject, reason: Reason) -> None:
-        for holding in self._one_of(known, data):
-            held, before = self._holds(known, holding), known.job
+        for claim in self._one_of(known, data):
+            held, before = self._holds(known, claim), known.job
             try:
                 for _ in range(2):
-                    job = holding.give_back(reason, "")
+                    job = claim.give_back(reason, "")
             except (LeaseLost, JobNotFound):
                 assert not held
             else:
@@ -221,10 +221,10 @@ class Life(RuleBasedStateMachine):
 
     def _one_of(self, known: Known, data: strategies.DataObject) -> list[Claim]:
         """An attempt at the job that a worker once had; nothing where nobody ever had one."""
-        return [data.draw(strategies.sampled_from(known.holdings))] if known.holdings else []
+        return [data.draw(strategies.sampled_from(known.claims))] if known.claims else []
 
-    def _holds(self, known: Known, holding: Claim) -> bool:
-        return not known.deleted and known.job.token == holding.token
+    def _holds(self, known: Known, claim: Claim) -> bool:
+        return not known.deleted and known.job.token == claim.token
 
 
 def _is_reachable(start: JobStatus, end: JobStatus) -> bool:

@@ -13,7 +13,7 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobExists, JobNotFound, LeaseLost, RecordsUnavailable, StaleJob
-from core.jobs.attempts import Claim, claim
+from core.jobs.attempts import Claim, claim_attempt
 from core.jobs.job import Job, Progress
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Dispatch, Idempotency, JobQuery
@@ -262,7 +262,7 @@ class TestAttempts:
         return MemoryObjectStore()
 
     @pytest.fixture
-    def holding(self, jobs: PostgresJobStore, job: Job, objects: MemoryObjectStore) -> Claim:
+    def claim(self, jobs: PostgresJobStore, job: Job, objects: MemoryObjectStore) -> Claim:
         return Claim(job.id, 1, job.token, jobs, objects)
 
     def test_a_claim_sent_again_finds_what_it_took(
@@ -270,23 +270,23 @@ class TestAttempts:
     ) -> None:
         job = queued_job()
         jobs.add(job)
-        take = partial(claim, job.id, 1, "w", store=jobs, objects=objects, lease=LEASE)
+        take = partial(claim_attempt, job.id, 1, "w", store=jobs, objects=objects, lease=LEASE)
         with unsure.losing_answer():
             take(secret="mine")
         claimed = jobs.get(job.id)
         assert claimed.status == JobStatus.STARTING
         assert take(secret="another's") is None
-        holding = take(secret="mine")
-        assert holding is not None
+        claim = take(secret="mine")
+        assert claim is not None
         assert jobs.get(job.id) == claimed
-        assert jobs.renew(job.id, holding.token, LEASE) == JobStatus.STARTING
+        assert jobs.renew(job.id, claim.token, LEASE) == JobStatus.STARTING
 
     def test_a_claim_that_broke_off_is_open_to_all(
         self, unsure: Unsure, jobs: PostgresJobStore, objects: MemoryObjectStore
     ) -> None:
         job = queued_job()
         jobs.add(job)
-        take = partial(claim, job.id, 1, "w", store=jobs, objects=objects, lease=LEASE)
+        take = partial(claim_attempt, job.id, 1, "w", store=jobs, objects=objects, lease=LEASE)
         with unsure.losing_request():
             take(secret="mine")
         assert jobs.get(job.id) == job
@@ -294,58 +294,58 @@ class TestAttempts:
         assert take(secret="mine") is None
 
     def test_a_start_sent_again_leaves_the_job_running(
-        self, unsure: Unsure, jobs: PostgresJobStore, holding: Claim
+        self, unsure: Unsure, jobs: PostgresJobStore, claim: Claim
     ) -> None:
         with unsure.losing_answer():
-            holding.start(device="cpu")
-        holding.start(device="cpu")
-        job = jobs.get(holding.job_id)
+            claim.start(device="cpu")
+        claim.start(device="cpu")
+        job = jobs.get(claim.job_id)
         assert (job.status, job.attempts[0].device) == (JobStatus.RUNNING, "cpu")
         assert [entry.data["status"] for entry in statuses(jobs, job)] == ["starting", "running"]
 
     def test_a_publication_sent_again_names_the_same_files_and_drops_none_of_them(
-        self, unsure: Unsure, jobs: PostgresJobStore, holding: Claim
+        self, unsure: Unsure, jobs: PostgresJobStore, claim: Claim
     ) -> None:
         kept, newer = (artifact(f"checkpoint-{step}", role="checkpoint", step=step) for step in (10, 20))
-        holding.publish((kept,), 1)
+        claim.publish((kept,), 1)
         with unsure.losing_answer():
-            holding.publish((newer,), 1)
-        job, dropped = holding.publish((newer,), 1)
+            claim.publish((newer,), 1)
+        job, dropped = claim.publish((newer,), 1)
         assert job.artifacts == jobs.get(job.id).artifacts == (newer,)
         assert newer.key not in dropped
 
     @pytest.mark.parametrize("reason", [Reason.DIVERGED, Reason.WORKER_LOST])
     def test_an_end_sent_again_is_the_same_end(
-        self, unsure: Unsure, jobs: PostgresJobStore, holding: Claim, reason: Reason
+        self, unsure: Unsure, jobs: PostgresJobStore, claim: Claim, reason: Reason
     ) -> None:
-        end = partial(holding.end, JobStatus.FAILED, reason, "NaN at 7")
+        end = partial(claim.end, JobStatus.FAILED, reason, "NaN at 7")
         with unsure.losing_answer():
             end()
-        ended = jobs.get(holding.job_id)
-        assert end() == jobs.get(holding.job_id) == ended
+        ended = jobs.get(claim.job_id)
+        assert end() == jobs.get(claim.job_id) == ended
         assert ended.status == JobStatus.FAILED
 
     @pytest.mark.parametrize("reason", [Reason.WORKER_DRAINED, Reason.TRAINING_KILLED, Reason.WORKER_LOST])
     def test_a_job_given_back_again_stays_whosever_it_is_by_then(
-        self, unsure: Unsure, jobs: PostgresJobStore, holding: Claim, reason: Reason
+        self, unsure: Unsure, jobs: PostgresJobStore, claim: Claim, reason: Reason
     ) -> None:
-        give_back = partial(holding.give_back, reason, "Bye.")
+        give_back = partial(claim.give_back, reason, "Bye.")
         with unsure.losing_answer():
             give_back()
-        queued = jobs.get(holding.job_id)
+        queued = jobs.get(claim.job_id)
         assert give_back() == queued
         jobs.save(claimed := queued.claimed("worker-2", NOW), lease=LEASE)
         assert give_back() == claimed
         assert jobs.get(claimed.id) == claimed
 
     def test_an_attempt_whose_job_was_taken_back_is_told_so(
-        self, jobs: PostgresJobStore, job: Job, holding: Claim
+        self, jobs: PostgresJobStore, job: Job, claim: Claim
     ) -> None:
         jobs.save(taken := taken_back(job))
         for leave in (
-            partial(holding.end, JobStatus.SUCCEEDED, Reason.COMPLETED, "Done."),
-            partial(holding.give_back, Reason.WORKER_DRAINED, "Bye."),
-            partial(holding.give_back, Reason.WORKER_LOST, "Its slot was taken."),
+            partial(claim.end, JobStatus.SUCCEEDED, Reason.COMPLETED, "Done."),
+            partial(claim.give_back, Reason.WORKER_DRAINED, "Bye."),
+            partial(claim.give_back, Reason.WORKER_LOST, "Its slot was taken."),
         ):
             with pytest.raises(LeaseLost):
                 leave()

@@ -14,7 +14,7 @@ from pydantic import SecretStr
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs import feeds
-from core.jobs.attempts import claim, new_secret
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC
@@ -71,7 +71,7 @@ class Bench:
         return submit(spec, store=self.store, queue=self.queue)
 
     def supervisor(self, job: Job, behaviour: str) -> Supervisor:
-        holding = claim(
+        claim = claim_attempt(
             job.id,
             self.store.get(job.id).next_attempt,
             "w",
@@ -80,8 +80,8 @@ class Bench:
             lease=self.settings.lease,
             secret=new_secret(),
         )
-        assert holding is not None
-        return Supervisor(holding, self.settings, "cpu", ("slot",), (sys.executable, str(PROBE), behaviour))
+        assert claim is not None
+        return Supervisor(claim, self.settings, "cpu", ("slot",), (sys.executable, str(PROBE), behaviour))
 
     def run(self, behaviour: str, **fields: Any) -> Job:
         job = self.submit(**fields)

@@ -19,7 +19,7 @@ from core.adapters.postgres.connection import connect_postgres
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import Unavailable
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import claim, new_secret
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue, queue_names
 from core.jobs.reconciliation import Reconciler
@@ -97,7 +97,7 @@ class NullWorker:
                 signal.signal(number, handler)
 
     def _attempt(self, job_id: str, attempt: int) -> None:
-        holding = claim(
+        claim = claim_attempt(
             job_id,
             attempt,
             "null",
@@ -106,10 +106,10 @@ class NullWorker:
             lease=timedelta(seconds=15),
             secret=new_secret(),
         )
-        if holding is not None:
+        if claim is not None:
             self.claimed[job_id] += 1
-            holding.start()
-            holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Everything asked for is done.")
+            claim.start()
+            claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Everything asked for is done.")
 
 
 class Watch:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import jax
 
-from core.algorithms.ppo.layout import Sharding
+from core.algorithms.ppo.sharding import Sharding
 from core.algorithms.ppo.spec import PPOSpec
 from worker.training.__main__ import main
 
@@ -20,9 +20,9 @@ def devices() -> list[SimpleNamespace]:
 
 
 def over(num_devices: int, settings: PPOSpec) -> Sharding:
-    layout = _over(num_devices, settings)
-    print(f"laid out over {layout.mesh.size if layout.mesh else 1}", flush=True)
-    return layout
+    sharding = _over(num_devices, settings)
+    print(f"laid out over {sharding.mesh.size if sharding.mesh else 1}", flush=True)
+    return sharding
 
 
 if __name__ == "__main__":

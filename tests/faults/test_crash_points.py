@@ -23,7 +23,7 @@ from core.adapters.s3.objects import S3ObjectStore
 from core.errors import JobNotFound, LeaseLost, Unavailable
 from core.jobs import feeds, orphans
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import Claim, claim, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
@@ -135,16 +135,16 @@ class Service:
         through = partial(_through_outages, crash=crash)
         secret = new_secret()
         try:
-            holding = through(lambda: _claim(it, dispatch, secret))
-            if holding is None:
+            claim = through(lambda: _claim(it, dispatch, secret))
+            if claim is None:
                 return
-            through(lambda: holding.start(device="cpu"))
+            through(lambda: claim.start(device="cpu"))
             newest = it.store.get(dispatch.job_id).newest("checkpoint")
             for step in STEPS[0 if newest is None else newest.step :]:
-                through(partial(_say, holding, step, secrets.token_hex(8)))
-                through(partial(_publish, holding, step))
-                through(lambda: holding.store.renew(holding.job_id, holding.token, LEASE))
-            end(self, holding, through)
+                through(partial(_say, claim, step, secrets.token_hex(8)))
+                through(partial(_publish, claim, step))
+                through(lambda: claim.store.renew(claim.job_id, claim.token, LEASE))
+            end(self, claim, through)
         except Died:  # Its lease runs out; somebody starts another one.
             self.processes["worker"] = self.real
         finally:
@@ -166,7 +166,7 @@ def _through_outages(step: Callable[[], Any], crash: Crash) -> Any:
 
 
 def _claim(it: Process, dispatch: Dispatch, secret: str) -> Claim | None:
-    return claim(
+    return claim_attempt(
         dispatch.job_id,
         dispatch.attempt,
         "worker",
@@ -177,18 +177,18 @@ def _claim(it: Process, dispatch: Dispatch, secret: str) -> Claim | None:
     )
 
 
-def _say(holding: Claim, step: int, write_id: str) -> None:
-    said = {"text": f"attempt {holding.number} step {step}"}
-    entry = Entry(kind="line", time=holding.store.now(), data=said)
-    holding.store.record(holding.job_id, holding.token, "logs", [entry], write_id=write_id)
+def _say(claim: Claim, step: int, write_id: str) -> None:
+    said = {"text": f"attempt {claim.number} step {step}"}
+    entry = Entry(kind="line", time=claim.store.now(), data=said)
+    claim.store.record(claim.job_id, claim.token, "logs", [entry], write_id=write_id)
 
 
-def _publish(holding: Claim, step: int) -> None:
+def _publish(claim: Claim, step: int) -> None:
     body = f"checkpoint {step}".encode()
     digest = hashlib.sha256(body).hexdigest()
     name = f"checkpoint-{step}"
-    key = keys.artifact(holding.job_id, holding.number, digest, name)
-    holding.objects.put(key, body)
+    key = keys.artifact(claim.job_id, claim.number, digest, name)
+    claim.objects.put(key, body)
     artifact = Artifact(
         name=name,
         role="checkpoint",
@@ -198,9 +198,9 @@ def _publish(holding: Claim, step: int) -> None:
         key=key,
         step=step,
     )
-    _, dropped = holding.publish((artifact,), 1)
+    _, dropped = claim.publish((artifact,), 1)
     for old in dropped:
-        holding.objects.delete_prefix(old)
+        claim.objects.delete_prefix(old)
 
 
 # ---- how an attempt ends ----------------------------------------------------------------------------
@@ -208,25 +208,25 @@ def _publish(holding: Claim, step: int) -> None:
 End = Callable[[Service, Claim, Callable[[Callable[[], Any]], Any]], None]
 
 
-def completes(service: Service, holding: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
-    through(lambda: holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done."))
+def completes(service: Service, claim: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
+    through(lambda: claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done."))
 
 
-def is_cancelled(service: Service, holding: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
-    service.cancel(holding.job_id)
-    through(lambda: holding.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "Cancelled while it ran."))
+def is_cancelled(service: Service, claim: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
+    service.cancel(claim.job_id)
+    through(lambda: claim.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "Cancelled while it ran."))
 
 
-def drains_at_first(service: Service, holding: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
-    if holding.number == 1:
-        through(lambda: holding.give_back(Reason.WORKER_DRAINED, "The worker was shut down."))
+def drains_at_first(service: Service, claim: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
+    if claim.number == 1:
+        through(lambda: claim.give_back(Reason.WORKER_DRAINED, "The worker was shut down."))
     else:
-        completes(service, holding, through)
+        completes(service, claim, through)
 
 
-def is_silent_at_first(service: Service, holding: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
-    if holding.number > 1:
-        completes(service, holding, through)
+def is_silent_at_first(service: Service, claim: Claim, through: Callable[[Callable[[], Any]], Any]) -> None:
+    if claim.number > 1:
+        completes(service, claim, through)
 
 
 # ---- lives ------------------------------------------------------------------------------------------

@@ -138,14 +138,14 @@ def test_a_database_restored_to_an_older_moment_gets_back_what_the_bucket_knows(
 ) -> None:
     ended = worker.run(steps=2)
     compact(worker)
-    holding = worker.begin(worker.submit())
-    worker.checkpoint(holding, 1)
+    claim = worker.begin(worker.submit())
+    worker.checkpoint(claim, 1)
     queued = worker.submit()
     backups.save_database()
     # What happens from here on, the restored database does not know.
-    worker.checkpoint(holding, 2)
-    worker.say(holding, "logs", "the end is near")
-    later_ended = worker.succeed(holding)
+    worker.checkpoint(claim, 2)
+    worker.say(claim, "logs", "the end is near")
+    later_ended = worker.succeed(claim)
     later = worker.begin(queued)
     worker.checkpoint(later, 5)
     new = worker.begin(worker.submit(name="new"))
@@ -203,16 +203,16 @@ def test_a_bucket_restored_to_an_older_moment_is_told_to_those_who_read(
 ) -> None:
     store = worker.store
     ended = worker.run(steps=2)
-    holding = worker.begin(worker.submit())
-    worker.say(holding, "logs", *(f"line {number}" for number in range(1, 901)))
-    worker.checkpoint(holding, 1)
+    claim = worker.begin(worker.submit())
+    worker.say(claim, "logs", *(f"line {number}" for number in range(1, 901)))
+    worker.checkpoint(claim, 1)
     compact(worker)
     backups.save_bucket()
-    worker.checkpoint(holding, 2, keep=1)  # The first one leaves the record.
+    worker.checkpoint(claim, 2, keep=1)  # The first one leaves the record.
     with monkeypatch.context() as patch:
         patch.setattr(feeds, "MAX_AGE", timedelta(0))  # Or it would take ten minutes.
         compact(worker)
-    worker.say(holding, "logs", "line 901")
+    worker.say(claim, "logs", "line 901")
     new = worker.run(steps=1)
     compact(worker)
     backups.restore_bucket()
@@ -223,8 +223,8 @@ def test_a_bucket_restored_to_an_older_moment_is_told_to_those_who_read(
     new_name, lost_name, older_name = (f"checkpoint-{step:012d}.msgpack" for step in (1, 2, 1))
     num_events = store.marks([new.id])[new.id].num_events
     assert f"Job {new.id}: the bucket has lost {new_name}, events 1 to {num_events}." in said
-    assert f"Job {holding.job_id}: the bucket has lost {lost_name}, events 1 to 2, logs 1 to 900." in said
-    assert f"Job {holding.job_id}: an older copy of its record has {older_name}." in said
+    assert f"Job {claim.job_id}: the bucket has lost {lost_name}, events 1 to 2, logs 1 to 900." in said
+    assert f"Job {claim.job_id}: an older copy of its record has {older_name}." in said
     assert ended.id not in said
 
     assert recover(backups.url, "--mark")[0] == 1  # The older checkpoint is left to adopt.
@@ -235,13 +235,13 @@ def test_a_bucket_restored_to_an_older_moment_is_told_to_those_who_read(
     assert steps(store.get(new.id)) == []
     assert f"struck from the record: {new_name}." in texts(new, store, backups.objects, "events")[-1]
     # The job goes on from what there is, under the same attempt.
-    assert steps(store.get(holding.job_id)) == [1]
-    worker.checkpoint(holding, 3)
-    worker.say(holding, "logs", "line 902")
-    lines = texts(store.get(holding.job_id), store, backups.objects)
+    assert steps(store.get(claim.job_id)) == [1]
+    worker.checkpoint(claim, 3)
+    worker.say(claim, "logs", "line 902")
+    lines = texts(store.get(claim.job_id), store, backups.objects)
     gap = "Entries 1 to 900 of this feed were lost from the object store."
     assert lines == [gap, "line 901", "line 902"]
-    [first, *_] = feeds.read(holding.job_id, "logs", store=store, objects=backups.objects, after=500, limit=1)
+    [first, *_] = feeds.read(claim.job_id, "logs", store=store, objects=backups.objects, after=500, limit=1)
     assert (first.id, first.kind) == ("900", "note")
 
 
@@ -249,12 +249,12 @@ def test_both_restored_to_one_moment_need_no_recovery(
     backups: Backups, worker: PlayedWorker, recover: Recover, opened: Callable[[str], PostgresJobStore]
 ) -> None:
     ended = worker.run()
-    holding = worker.begin(worker.submit())
-    worker.checkpoint(holding, 1)
+    claim = worker.begin(worker.submit())
+    worker.checkpoint(claim, 1)
     compact(worker)
     backups.save_bucket()
     backups.save_database()
-    worker.checkpoint(holding, 2)
+    worker.checkpoint(claim, 2)
     worker.run()
     backups.restore_bucket()
     url = backups.restored_database()
@@ -267,10 +267,10 @@ def test_both_restored_to_one_moment_need_no_recovery(
         database = Database(connection)
         database.pass_time(timedelta(days=1))
         reconciler.look()  # The silence was too long to blame a worker for it.
-        assert store.get(holding.job_id).token == holding.token
+        assert store.get(claim.job_id).token == claim.token
         watch(store, database)
         reconciler.look()
-    job = store.get(holding.job_id)
+    job = store.get(claim.job_id)
     assert job.status == JobStatus.QUEUED
     assert steps(job) == [1]
     assert PlayedWorker(store, backups.objects).begin(job).number == 2
@@ -302,9 +302,9 @@ def test_a_service_at_work_has_nothing_to_recover(
 ) -> None:
     worker.run()
     worker.submit()
-    holding = worker.begin(worker.submit())
-    worker.checkpoint(holding, 1)
-    worker.upload(holding, "later", b"not published yet")
+    claim = worker.begin(worker.submit())
+    worker.checkpoint(claim, 1)
+    worker.upload(claim, "later", b"not published yet")
     assert recover(backups.url, "--adopt", "--mark") == (0, NOTHING_LEFT)
 
 

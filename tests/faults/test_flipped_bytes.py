@@ -177,10 +177,10 @@ def test_a_checkpoint_that_is_whole_at_the_store_is_read_again(
 ) -> None:
     objects = FlipsOnce()
     job = held(job_store, queued_job())
-    holding = Claim(job.id, 1, job.token, job_store, objects)
+    claim = Claim(job.id, 1, job.token, job_store, objects)
     objects.put("checkpoint", BODY)
     facts = {"role": "checkpoint", "step": 5, "size": len(BODY), "sha256": hashlib.sha256(BODY).hexdigest()}
-    saved, _ = holding.publish((artifact("checkpoint", key="checkpoint", **facts),), 1)
-    assert write_task(saved, holding, "cpu", tmp_path) == []
+    saved, _ = claim.publish((artifact("checkpoint", key="checkpoint", **facts),), 1)
+    assert write_task(saved, claim, "cpu", tmp_path) == []
     assert (tmp_path / "start.msgpack").read_bytes() == BODY
     assert job_store.get(job.id) == saved

@@ -12,7 +12,7 @@ from pathlib import Path
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.jobs.attempts import Claim, claim, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.status import JobStatus, Reason
 from core.settings import WorkerSettings
 from gaitway.embedded.weed import Weed
@@ -36,11 +36,11 @@ def silence(weed: Weed) -> Iterator[None]:
 
 def held(store: PostgresJobStore, lease: timedelta) -> Claim:
     job = submitted(store, MemoryJobQueue())
-    holding = claim(
+    claim = claim_attempt(
         job.id, 1, "w", store=store, objects=MemoryObjectStore(), lease=lease, secret=new_secret()
     )
-    assert holding is not None
-    return holding
+    assert claim is not None
+    return claim
 
 
 def test_a_reconciler_whose_chores_wait_for_the_object_store_takes_jobs_back_in_time(

@@ -20,7 +20,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobNotFound, RecordsUnavailable
 from core.jobs import feeds
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import Claim, claim, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job, utc_now
@@ -29,7 +29,7 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Entry, Idempotency, JobQuery
 from core.jobs.submission import submit
-from core.patience import retry_while_unavailable
+from core.retry import retry_while_unavailable
 from tests.contract.recording import Database, watch
 from tests.faults.bench import unused_servers, wait_until
 from tests.faults.outages import Outages, Watch, pooled, submitted
@@ -54,8 +54,8 @@ class Fleet:
         self.queue, self.objects = MemoryJobQueue(), MemoryObjectStore()
         self._watches = [Watch(self._connected(url), self.queue, lease, every_s=0.2) for _ in range(2)]
         settings = unused_servers(data_dir).model_copy(update={"lease": lease, "heartbeat": self.heartbeat})
-        self.holdings = [self._hold() for _ in range(NUM_JOBS)]
-        self._hearts = {holding.job_id: Heartbeat(holding, settings) for holding in self.holdings}
+        self.claims = [self._hold() for _ in range(NUM_JOBS)]
+        self._hearts = {claim.job_id: Heartbeat(claim, settings) for claim in self.claims}
 
     def __enter__(self) -> "Fleet":
         self._stack.callback(self._end_hearts)
@@ -70,9 +70,9 @@ class Fleet:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def kill(self, holding: Claim) -> None:
+    def kill(self, claim: Claim) -> None:
         """Its heart beats no more."""
-        self._hearts.pop(holding.job_id).__exit__()
+        self._hearts.pop(claim.job_id).__exit__()
 
     def pass_time(self, span: timedelta) -> None:
         """As an outage of this length does."""
@@ -90,9 +90,9 @@ class Fleet:
             database.change("UPDATE pulse SET quiet_until = now() - interval '1 s'")
         self._after_looks()
 
-    def attempts(self, holdings: list[Claim]) -> list[list[Reason | None]]:
+    def attempts(self, claims: list[Claim]) -> list[list[Reason | None]]:
         """How the attempts at these jobs ended; None for one that goes on."""
-        found = [retry_while_unavailable(partial(self.store.get, holding.job_id)) for holding in holdings]
+        found = [retry_while_unavailable(partial(self.store.get, claim.job_id)) for claim in claims]
         return [[attempt.reason for attempt in job.attempts] for job in found]
 
     def _after_looks(self) -> None:
@@ -118,7 +118,7 @@ class Fleet:
         submitted(self.store, self.queue)
         dispatch = self.queue.take()
         assert dispatch is not None
-        holding = claim(
+        claim = claim_attempt(
             dispatch.job_id,
             dispatch.attempt,
             "w",
@@ -127,8 +127,8 @@ class Fleet:
             lease=self.lease,
             secret=new_secret(),
         )
-        assert holding is not None
-        return holding
+        assert claim is not None
+        return claim
 
 
 @pytest.mark.parametrize("rounds", [3, pytest.param(30, marks=[pytest.mark.slow, pytest.mark.timeout(400)])])
@@ -143,7 +143,7 @@ def test_who_works_keeps_the_job_through_an_outage_longer_than_its_lease(
             with getattr(postgres, outage)():
                 time.sleep(chance.uniform(0.3, 0.8))
             fleet.watch_on()
-            assert fleet.attempts(fleet.holdings) == [[None]] * NUM_JOBS
+            assert fleet.attempts(fleet.claims) == [[None]] * NUM_JOBS
 
 
 def test_who_works_keeps_the_job_through_a_silence_in_which_every_call_gives_up(
@@ -155,7 +155,7 @@ def test_who_works_keeps_the_job_through_a_silence_in_which_every_call_gives_up(
         with postgres.silence():
             time.sleep(3.5)
         fleet.watch_on()
-        assert fleet.attempts(fleet.holdings) == [[None]] * NUM_JOBS
+        assert fleet.attempts(fleet.claims) == [[None]] * NUM_JOBS
 
 
 @pytest.mark.parametrize("outage", ["silence", "absence"])
@@ -163,7 +163,7 @@ def test_who_died_before_an_outage_loses_the_job_once_and_a_lease_after_it(
     outage: str, postgres: Outages, tmp_path: Path
 ) -> None:
     with Fleet(postgres.fresh(), tmp_path, SHORT) as fleet:
-        dead, *alive = fleet.holdings
+        dead, *alive = fleet.claims
         fleet.kill(dead)
         fleet.pass_time(1.2 * fleet.lease)
         with getattr(postgres, outage)():
@@ -195,12 +195,12 @@ def test_a_silence_between_a_pulse_and_the_look_at_the_leases_costs_nobody_a_job
     url: str, store: PostgresJobStore, postgres: Outages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = Service(store)
-    holding = service.claim(service.submit(), SHORT)
+    claim = service.claim(service.submit(), SHORT)
     reconciler = Reconciler(store, service.queue, SHORT)
     reconciler.look()
     with psycopg.connect(url, autocommit=True) as connection:
         watch(store, Database(connection))
-    store.renew(holding.job_id, holding.token, SHORT)
+    store.renew(claim.job_id, claim.token, SHORT)
     expired = store.expired
 
     def after_a_silence() -> Any:
@@ -210,7 +210,7 @@ def test_a_silence_between_a_pulse_and_the_look_at_the_leases_costs_nobody_a_job
 
     monkeypatch.setattr(store, "expired", after_a_silence)
     reconciler.look()
-    assert store.renew(holding.job_id, holding.token, SHORT) == JobStatus.STARTING
+    assert store.renew(claim.job_id, claim.token, SHORT) == JobStatus.STARTING
 
 
 class Service:
@@ -225,9 +225,11 @@ class Service:
         return submit(spec, store=self.store, queue=self.queue, idempotency=idempotency, acknowledge=heard)
 
     def claim(self, job: Job, lease: timedelta = LONG, secret: str = "mine") -> Claim:  # noqa: S107
-        holding = claim(job.id, 1, "w", store=self.store, objects=self.objects, lease=lease, secret=secret)
-        assert holding is not None
-        return holding
+        claim = claim_attempt(
+            job.id, 1, "w", store=self.store, objects=self.objects, lease=lease, secret=secret
+        )
+        assert claim is not None
+        return claim
 
     def cancel(self, job: Job) -> Job:
         return cancel(job.id, store=self.store, queue=self.queue)
@@ -286,11 +288,11 @@ class TestLostAnswers:
     def test_a_claim_is_found_again_by_the_same_secret(self, service: Service, lost: LostAnswers) -> None:
         job = service.submit()
         lost.next()
-        holding = retry_while_unavailable(lambda: service.claim(job, secret="mine"))
+        claim = retry_while_unavailable(lambda: service.claim(job, secret="mine"))
         found = service.store.get(job.id)
-        assert (holding.token, found.token, len(found.attempts)) == ("1-mine", "1-mine", 1)
+        assert (claim.token, found.token, len(found.attempts)) == ("1-mine", "1-mine", 1)
         assert service.statuses(job) == ["starting"]
-        others = claim(
+        others = claim_attempt(
             job.id, 1, "w", store=service.store, objects=service.objects, lease=LONG, secret="others"
         )
         assert others is None
@@ -298,15 +300,15 @@ class TestLostAnswers:
     @pytest.mark.parametrize(
         ("do", "status", "statuses"),
         [
-            (lambda holding: holding.start(device="cpu"), "running", ["running"]),
-            (lambda holding: holding.publish((CHECKPOINT,), 1), "starting", []),
+            (lambda claim: claim.start(device="cpu"), "running", ["running"]),
+            (lambda claim: claim.publish((CHECKPOINT,), 1), "starting", []),
             (
-                lambda holding: holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done."),
+                lambda claim: claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done."),
                 "succeeded",
                 ["succeeded"],
             ),
             (
-                lambda holding: holding.give_back(Reason.WORKER_DRAINED, "Shut down."),
+                lambda claim: claim.give_back(Reason.WORKER_DRAINED, "Shut down."),
                 "queued",
                 ["queued"],
             ),
@@ -322,23 +324,23 @@ class TestLostAnswers:
         lost: LostAnswers,
     ) -> None:
         job = service.submit()
-        holding = service.claim(job)
+        claim = service.claim(job)
         lost.next()
-        retry_while_unavailable(lambda: do(holding))
+        retry_while_unavailable(lambda: do(claim))
         found = service.store.get(job.id)
         assert (found.status, len(found.attempts)) == (status, 1)
         assert service.statuses(job) == ["starting", *statuses]
 
     def test_entries_of_a_feed_are_there_once_each(self, service: Service, lost: LostAnswers) -> None:
         job = service.submit()
-        holding = service.claim(job)
+        claim = service.claim(job)
         now = service.store.now()
         for number in range(3):
             lines = [Entry(kind="line", time=now, data={"text": f"{number}{letter}"}) for letter in "ab"]
             lost.next()
             retry_while_unavailable(
                 lambda lines=lines, number=number: service.store.record(
-                    job.id, holding.token, "logs", lines, write_id=str(number)
+                    job.id, claim.token, "logs", lines, write_id=str(number)
                 )
             )
         entries = feeds.read(job.id, "logs", store=service.store, objects=service.objects)

@@ -18,7 +18,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
-from core.jobs.attempts import Claim, claim, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
@@ -47,11 +47,11 @@ class Service:
         return submitted(self.store, self.queue)
 
     def claim(self, job: Job) -> Claim:
-        holding = claim(
+        claim = claim_attempt(
             job.id, 1, "w", store=self.store, objects=self.objects, lease=LEASE, secret=new_secret()
         )
-        assert holding is not None
-        return holding
+        assert claim is not None
+        return claim
 
     def look(self, times: int = 2) -> int:
         """How much was set right; what the queue forgot is handed over at the second look that misses it."""
@@ -161,12 +161,12 @@ def test_nothing_changes_but_the_dispatch(service: Service) -> None:
         name: service.submit()
         for name in ("queued", "running", "succeeded", "failed", "cancelled", "cancelling", "given back")
     }
-    holdings = {name: service.claim(job) for name, job in jobs.items() if name not in ("queued", "cancelled")}
-    for holding in holdings.values():
-        holding.start()
-    holdings["succeeded"].end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done.")
-    holdings["failed"].end(JobStatus.FAILED, Reason.DIVERGED, "The reward became non-finite.")
-    holdings["given back"].give_back(Reason.WORKER_DRAINED, "The worker was shut down.")
+    claims = {name: service.claim(job) for name, job in jobs.items() if name not in ("queued", "cancelled")}
+    for claim in claims.values():
+        claim.start()
+    claims["succeeded"].end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done.")
+    claims["failed"].end(JobStatus.FAILED, Reason.DIVERGED, "The reward became non-finite.")
+    claims["given back"].give_back(Reason.WORKER_DRAINED, "The worker was shut down.")
     for name in ("cancelled", "cancelling"):
         cancel(jobs[name].id, store=service.store, queue=service.queue)
     service.look()
@@ -178,10 +178,10 @@ def test_nothing_changes_but_the_dispatch(service: Service) -> None:
     assert {name: (service.store.get(job.id), service.events(job)) for name, job in jobs.items()} == before
     # The attempts that hold their jobs do not even notice.
     for name in ("running", "cancelling"):
-        holding = holdings[name]
-        assert service.store.renew(holding.job_id, holding.token, LEASE) == name
-    assert holdings["running"].end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done.").status == "succeeded"
-    assert holdings["cancelling"].give_back(Reason.WORKER_DRAINED, "Shut down.").status == "cancelled"
+        claim = claims[name]
+        assert service.store.renew(claim.job_id, claim.token, LEASE) == name
+    assert claims["running"].end(JobStatus.SUCCEEDED, Reason.COMPLETED, "Done.").status == "succeeded"
+    assert claims["cancelling"].give_back(Reason.WORKER_DRAINED, "Shut down.").status == "cancelled"
 
 
 def test_a_restart_of_redis_loses_no_job(job_store: PostgresJobStore, own_valkey: Valkey) -> None:

@@ -5,7 +5,7 @@ import redis
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
-from core.jobs.attempts import claim, new_secret
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
 from core.jobs.submission import submit
@@ -19,7 +19,7 @@ def test_the_message_goes_when_its_attempt_is_taken_back(
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant"})
     job = submit(spec, store=job_store, queue=queue)
     assert redis_client.lpop("rq:queue:gaitway-any-normal") == f"{job.id}_1".encode()
-    assert claim(
+    assert claim_attempt(
         job.id,
         1,
         "worker",

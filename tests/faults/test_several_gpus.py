@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.jobs.attempts import claim, new_secret
+from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.status import JobStatus, Reason
 from tests.compiling import compiling_quickly
 from tests.faults.bench import SPEC, Bench
@@ -38,11 +38,11 @@ def test_two_gpus_share_a_job_that_asks_for_two(bench: Bench) -> None:
     dispatch = bench.queue.take("gpu:0,1")
     assert dispatch is not None
     stores = {"store": bench.store, "objects": bench.objects}
-    holding = claim(
+    claim = claim_attempt(
         dispatch.job_id, dispatch.attempt, "w", **stores, lease=bench.settings.lease, secret=new_secret()
     )
-    assert holding is not None
-    Supervisor(holding, bench.settings, "gpu:0,1", ("nvidia0", "nvidia1"), _PRETENDED).run()
+    assert claim is not None
+    Supervisor(claim, bench.settings, "gpu:0,1", ("nvidia0", "nvidia1"), _PRETENDED).run()
     done = bench.store.get(job.id)
     assert (done.status, done.reason) == (JobStatus.SUCCEEDED, Reason.COMPLETED), done.message
     assert (done.attempts[0].device, done.attempts[0].engine) == ("2 × Pretended", "native")

@@ -15,7 +15,7 @@ from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import Job
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
-from core.patience import retry_while_unavailable
+from core.retry import retry_while_unavailable
 from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import Outages, Watch, pooled
 from worker.supervision import supervisor as supervisor_module

@@ -160,5 +160,5 @@ def test_the_policy_acts_on_its_own_observation_alone() -> None:
     assert blind["eval/episode_reward"] == pytest.approx(-0.25, abs=0.05)
     seeing = small_trainer(world, policy_obs_key="privileged_state", **budget)
     assert last_evaluation(seeing.events())["eval/episode_reward"] > -0.05
-    assert policy_from_checkpoint(seeing.checkpoint()).design.policy_obs_key == "privileged_state"
+    assert policy_from_checkpoint(seeing.checkpoint()).config.policy_obs_key == "privileged_state"
     assert np.asarray(read(seeing.checkpoint())[1]["normalizer"]["mean"]["state"]).shape == (1,)

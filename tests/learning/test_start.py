@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from core.algorithms.ppo.compiled_functions import trace
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.programs import trace
 from core.algorithms.ppo.update import Learner
 from core.environments import probes
 from tests.compiling import compiling_quickly

@@ -12,7 +12,7 @@ from threading import Thread
 import structlog
 
 from core.jobs.job import utc_now
-from core.patience import CalledOff
+from core.retry import CalledOff
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
 from worker.compile_cache.fingerprint import fingerprint

@@ -18,7 +18,7 @@ import structlog
 from core.devices import gpu_indices
 from core.jobs.status import Reason
 from core.jobs.store import WorkerState
-from core.patience import CalledOff, pause
+from core.retry import CalledOff, pause
 from worker.host.child import environment
 from worker.host.device_lock import SlotTaken, slots
 

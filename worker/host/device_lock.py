@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from core.patience import pause
+from core.retry import pause
 from worker.host import file_lock
 from worker.host.device import DEV, gpu_files
 

@@ -12,7 +12,7 @@ from core.rendering.frames import MujocoRenderer
 from core.rendering.mp4 import write_png
 from core.rendering.scene import following_view
 from worker.protocol import Task
-from worker.training.body import load_body
+from worker.training.built_environment import build_environment
 
 
 def draw(request: PreviewRequest, folder: Path) -> None:
@@ -25,7 +25,9 @@ def draw(request: PreviewRequest, folder: Path) -> None:
         environment=EnvironmentSpec(id=request.environment, options=request.options), policy=ZeroPolicy()
     )
     model = str(folder / "model") if request.model else None
-    environment = load_body(Task(job_id="", attempt=0, spec=spec, device="cpu", model=model)).environment
+    environment = build_environment(
+        Task(job_id="", attempt=0, spec=spec, device="cpu", model=model)
+    ).environment
     qpos, target = initial_positions(environment, spec.seed)
     view = following_view(environment.model, qpos, environment.tracked_body)
     names = camera_names(environment.model)

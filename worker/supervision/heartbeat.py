@@ -16,10 +16,10 @@ log = structlog.get_logger()
 class Heartbeat:
     """A thread that renews the lease. An outage of the store is waited out: the token decides afterwards."""
 
-    def __init__(self, holding: Claim, settings: WorkerSettings) -> None:
+    def __init__(self, claim: Claim, settings: WorkerSettings) -> None:
         self.cancelled = threading.Event()
         self.lost = threading.Event()
-        self._holding = holding
+        self._holding = claim
         self._settings = settings
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)

@@ -35,26 +35,26 @@ class LeftAttempt(Stored):
     message: str
 
 
-def end(holding: Claim, outcome: Outcome) -> Job:
+def end(claim: Claim, outcome: Outcome) -> Job:
     """Tell the record how the attempt ended. Raises LeaseLost, NotFound, RecordsUnavailable."""
     if outcome.status is None:
-        return holding.give_back(outcome.reason, outcome.message)
-    return holding.end(outcome.status, outcome.reason, outcome.message)
+        return claim.give_back(outcome.reason, outcome.message)
+    return claim.end(outcome.status, outcome.reason, outcome.message)
 
 
-def leave(data_dir: Path, holding: Claim, outcome: Outcome) -> None:
+def leave(data_dir: Path, claim: Claim, outcome: Outcome) -> None:
     """Keep the end for whoever works here next. Raises OSError."""
     folder = data_dir / LEFT
     folder.mkdir(parents=True, exist_ok=True)
     left = LeftAttempt(
-        job_id=holding.job_id,
-        number=holding.number,
-        token=holding.token,
+        job_id=claim.job_id,
+        number=claim.number,
+        token=claim.token,
         status=outcome.status,
         reason=outcome.reason,
         message=outcome.message,
     )
-    part = folder / f"{holding.job_id}.{holding.number}.part"
+    part = folder / f"{claim.job_id}.{claim.number}.part"
     part.write_text(left.model_dump_json())
     os.replace(part, part.with_suffix(".json"))
 
@@ -64,8 +64,8 @@ def tell_left(data_dir: Path, store: JobStore, objects: ObjectStore) -> None:
     for path in sorted((data_dir / LEFT).glob("*.json")):
         try:
             left = LeftAttempt.model_validate_json(path.read_bytes())
-            holding = Claim(left.job_id, left.number, left.token, store, objects)
-            job = end(holding, Outcome(left.status, left.reason, left.message))
+            claim = Claim(left.job_id, left.number, left.token, store, objects)
+            job = end(claim, Outcome(left.status, left.reason, left.message))
             log.info("left_attempt_told", job_id=job.id, status=job.status, reason=left.reason)
         except FileNotFoundError:  # Another worker on this disk was faster.
             continue

@@ -17,7 +17,7 @@ from core.errors import StorageUnavailable
 from core.jobs.attempts import Claim
 from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Channel, Entry
-from core.patience import retry_while_unavailable
+from core.retry import retry_while_unavailable
 from core.storage import keys
 from worker.protocol import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
 from worker.supervision.measurements import Measurements
@@ -41,13 +41,13 @@ class _Heard:
 class Outbox:
     """A thread that stores messages and log lines. An outage makes it wait, never the training."""
 
-    def __init__(self, holding: Claim, spool: Path, keep_checkpoints: int) -> None:
+    def __init__(self, claim: Claim, spool: Path, keep_checkpoints: int) -> None:
         self._failure: Exception | None = None
         self._is_abandoned = False
-        self._holding = holding
+        self._holding = claim
         self._spool = spool
         self._keep_checkpoints = keep_checkpoints
-        self._measurements = Measurements(holding.job_id, holding.store, holding.objects)
+        self._measurements = Measurements(claim.job_id, claim.store, claim.objects)
         self._dropped: list[tuple[float, str]] = []
         self._waiting: queue.SimpleQueue[_Heard | None] = queue.SimpleQueue()
         self._thread = Thread(target=self._work, name="outbox", daemon=True)

@@ -5,7 +5,7 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from core.patience import pause
+from core.retry import pause
 from worker.host import file_lock
 
 # The folder of all attempts' spools, in GAITWAY_DATA_DIR.

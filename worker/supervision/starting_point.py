@@ -21,51 +21,51 @@ _FILE = "start.msgpack"
 _READINGS = 3
 
 
-def write_task(job: Job, holding: Claim, device: str, spool: Path) -> list[str]:
+def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     """Leave in the spool what the training process needs; sentences for people about what was wrong with it.
 
     Raises Rejected or NotFound where the checkpoint of another job has gone meanwhile; JobFailed where the
     model has ("bad_model"), or where no checkpoint of another job is whole ("bad_checkpoint").
     """
     notes: list[str] = []
-    checkpoint = _own_checkpoint(job, holding, spool, notes)
+    checkpoint = _own_checkpoint(job, claim, spool, notes)
     if checkpoint is None:
-        checkpoint = _lent_checkpoint(job, holding, spool, notes)
-    task = _as_begun(Task(job_id=job.id, attempt=holding.number, spec=job.spec, device=device), job.begun)
+        checkpoint = _lent_checkpoint(job, claim, spool, notes)
+    task = _as_begun(Task(job_id=job.id, attempt=claim.number, spec=job.spec, device=device), job.begun)
     if checkpoint is not None:
         task = task.model_copy(update={"checkpoint": _FILE, "checkpoint_step": checkpoint.step or 0})
-    task = _with_model(task, holding, spool)
+    task = _with_model(task, claim, spool)
     (spool / "task.json").write_text(task.model_dump_json())
     return notes
 
 
-def _own_checkpoint(job: Job, holding: Claim, spool: Path, notes: list[str]) -> Artifact | None:
+def _own_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> Artifact | None:
     """The newest whole one that an earlier attempt left. One that is damaged is struck from the record."""
     while (checkpoint := job.newest("checkpoint")) is not None:
-        damage = _fetch(checkpoint, holding.objects, spool / _FILE)
+        damage = _fetch(checkpoint, claim.objects, spool / _FILE)
         if damage is None:
             if notes:
                 notes.append(f"The run resumes from step {checkpoint.step}.")
             return checkpoint
         notes.append(damage)
-        job = holding.strike(checkpoint)
+        job = claim.strike(checkpoint)
     if notes:
         notes.append("No checkpoint of this job is whole: the run starts again.")
     return None
 
 
-def _lent_checkpoint(job: Job, holding: Claim, spool: Path, notes: list[str]) -> Artifact | None:
+def _lent_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> Artifact | None:
     """The one that the specification names; or the newest whole one of the job that it names."""
     source = job.spec.source
     if source is None:
         return None
-    get = holding.store.get
+    get = claim.store.get
     checkpoint = source_checkpoint(job.spec, source.job, source.step, source.pointer, get)
     others = [a for a in get(source.job).artifacts if a.role == "checkpoint"] if source.step is None else []
     others.sort(key=lambda artifact: artifact.step or 0, reverse=True)
     damages: list[str] = []
     for candidate in [checkpoint, *(other for other in others if other != checkpoint)]:
-        damage = _fetch(candidate, holding.objects, spool / _FILE)
+        damage = _fetch(candidate, claim.objects, spool / _FILE)
         if damage is None:
             if damages:
                 notes += [*damages, f"Step {candidate.step} of job {source.job} is taken instead."]
@@ -108,13 +108,13 @@ def _as_begun(task: Task, begun: Attempt | None) -> Task:
     return task.model_copy(update={"spec": spec, "begun_on": engine})
 
 
-def _with_model(task: Task, holding: Claim, spool: Path) -> Task:
+def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
     model_id = model_of(task.spec.environment)
     if model_id is None:
         return task
     try:
-        record = library.find(model_id, holding.store)
-        model = (keys.model_source(model_id), holding.objects, spool / "model")
+        record = library.find(model_id, claim.store)
+        model = (keys.model_source(model_id), claim.objects, spool / "model")
         if all(f"sha256:{_load(*model)}" != model_id for _ in range(_READINGS)):
             raise JobFailed("bad_model", f"The model {model_id} is damaged: its bytes are not those sent.")
     except NotFound:

@@ -16,7 +16,7 @@ from core.jobs.job import Job
 from core.jobs.own_model import model_of
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus, Reason
-from core.patience import CalledOff, retry_while_unavailable
+from core.retry import CalledOff, retry_while_unavailable
 from core.settings import WorkerSettings
 from worker.compile_cache.session import Caches
 from worker.host.cgroup import memory_group
@@ -59,7 +59,7 @@ class Supervisor:
     Leaves behind: the job ended or back in the queue, no process, no spool.
     """
 
-    holding: Claim
+    claim: Claim
     settings: WorkerSettings
     device: str
     slot_names: tuple[str, ...]
@@ -69,13 +69,13 @@ class Supervisor:
 
     def run(self) -> None:
         folder = self.settings.data_dir.absolute()  # The training process stands elsewhere.
-        own = folder / SPOOLS / f"{self.holding.job_id}.{self.holding.number}"
-        caches = Caches(self.holding.objects, self.settings, self.device, own)
+        own = folder / SPOOLS / f"{self.claim.job_id}.{self.claim.number}"
+        caches = Caches(self.claim.objects, self.settings, self.device, own)
         try:
-            with Heartbeat(self.holding, self.settings) as heartbeat:
+            with Heartbeat(self.claim, self.settings) as heartbeat:
                 self._conclude(self._outcome(heartbeat, caches, folder, own))
         except LeaseLost:
-            log.warning("attempt_abandoned", job_id=self.holding.job_id, attempt=self.holding.number)
+            log.warning("attempt_abandoned", job_id=self.claim.job_id, attempt=self.claim.number)
         caches.close(self.draining.is_set)  # The job has ended: nobody waits for this.
 
     def _outcome(self, heartbeat: Heartbeat, caches: Caches, folder: Path, own: Path) -> Outcome:
@@ -101,20 +101,20 @@ class Supervisor:
     def _attempt(self, heartbeat: Heartbeat, caches: Caches, folder: Path, spool: Path) -> Outcome:
         leaving = self.draining.is_set
         job = retry_while_unavailable(
-            partial(self.holding.store.get, self.holding.job_id), _STORAGE_PATIENCE_S, called_off=leaving
+            partial(self.claim.store.get, self.claim.job_id), _STORAGE_PATIENCE_S, called_off=leaving
         )
         notes = retry_while_unavailable(
-            partial(write_task, job, self.holding, self.device, spool),
+            partial(write_task, job, self.claim, self.device, spool),
             _STORAGE_PATIENCE_S,
             called_off=leaving,
         )
         locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
         with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
             caches.open(_cached_as(job), leaving)
-            outbox = Outbox(self.holding, spool, _checkpoints_kept(job))
+            outbox = Outbox(self.claim, spool, _checkpoints_kept(job))
             for note in notes:
                 outbox.put(Noted(text=note))
-            tracking = Tracking(job, self.holding, spool, self.settings, outbox)
+            tracking = Tracking(job, self.claim, spool, self.settings, outbox)
             tracking.begin()
             models = self.settings.models
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
@@ -154,10 +154,10 @@ class Supervisor:
         kill_at = float("inf")
         while (status := process.poll(_GLANCE_S)) is None:
             if heartbeat.lost.is_set():
-                raise LeaseLost(self.holding.job_id)
+                raise LeaseLost(self.claim.job_id)
             ear.outbox.check()
             if stop is None and (stop := self._wanted(heartbeat, deadline)) is not None:
-                log.info("training_stops", job_id=self.holding.job_id, why=stop)
+                log.info("training_stops", job_id=self.claim.job_id, why=stop)
                 process.stop(stop)
                 kill_at = time.monotonic() + self.settings.grace.total_seconds()
             elif stop is Stop.DRAIN:
@@ -166,7 +166,7 @@ class Supervisor:
                 process.kill()
             for watch, reason in ((ear.stall, Reason.TRAINING_STALLED), (memory, Reason.OUT_OF_HOST_MEMORY)):
                 if (problem := watch.what_is_wrong(process.pid)) is not None:
-                    log.warning(reason.value, job_id=self.holding.job_id, detail=problem)
+                    log.warning(reason.value, job_id=self.claim.job_id, detail=problem)
                     process.kill()
                     ear.join()
                     return Outcome(None, reason, problem)
@@ -201,13 +201,13 @@ class Supervisor:
         return lambda: self.draining.for_s() >= grace_s and time.monotonic() >= not_before
 
     def _conclude(self, outcome: Outcome) -> None:
-        tell = partial(end, self.holding, outcome)
+        tell = partial(end, self.claim, outcome)
         try:
             job = retry_while_unavailable(tell, _STORAGE_PATIENCE_S, called_off=self._must_leave())
         except CalledOff:  # PostgreSQL is away: the next worker here tells it, or the lease runs out.
-            log.warning("attempt_left", job_id=self.holding.job_id, detail=outcome.message)
+            log.warning("attempt_left", job_id=self.claim.job_id, detail=outcome.message)
             with suppress(OSError):  # No room for it: the job counts as a lost worker's.
-                leave(self.settings.data_dir, self.holding, outcome)
+                leave(self.settings.data_dir, self.claim, outcome)
             return
         log.info(
             "attempt_ended", job_id=job.id, status=job.status, reason=outcome.reason, detail=outcome.message

@@ -44,7 +44,7 @@ class Tracking:
     """
 
     job: Job
-    holding: Claim
+    claim: Claim
     spool: Path
     settings: WorkerSettings
     outbox: Outbox
@@ -101,7 +101,7 @@ class Tracking:
 
     def _write_up(self, spec: TrainSpec, exit_code: int, called_off: Callable[[], bool]) -> None:
         folder = self.spool / _FOLDER
-        rows = Measurements(self.job.id, self.holding.store, self.holding.objects).documents()
+        rows = Measurements(self.job.id, self.claim.store, self.claim.objects).documents()
         if not rows or called_off():
             return
         (folder / "measurements.jsonl").write_text("".join(f"{row}\n" for row in rows))
@@ -123,7 +123,7 @@ class Tracking:
         self._keep(said, spec.checkpoints.keep, called_off)
 
     def _with_archive(self, task: WriteUp, about: About, exit_code: int) -> WriteUp:
-        job = self.holding.store.get(self.job.id)
+        job = self.claim.store.get(self.job.id)
         last = job.attempts[-1]
         config = {**about.config, **configured(last.device, last.engine, last.details).values}
         films, kept = list[Film](), about.folder / "kept"
@@ -131,7 +131,7 @@ class Tracking:
         for artifact in sorted(job.artifacts, key=lambda artifact: artifact.step or 0):
             if artifact.role == "video":
                 path = kept / artifact.name
-                with self.holding.objects.open(artifact.key) as pieces, path.open("wb") as file:
+                with self.claim.objects.open(artifact.key) as pieces, path.open("wb") as file:
                     file.writelines(pieces)
                 films.append(Film(step=artifact.step or 0, path=path))
         return task.model_copy(
@@ -145,7 +145,7 @@ class Tracking:
 
     def _keep(self, notes: list[str], keep_checkpoints: int, called_off: Callable[[], bool]) -> None:
         """Store what was written; through an outage, if it is a short one."""
-        later = Outbox(self.holding, self.spool, keep_checkpoints)
+        later = Outbox(self.claim, self.spool, keep_checkpoints)
         for note in notes:
             later.put(Noted(text=note))
         for file in (

@@ -16,7 +16,7 @@ from core.environments import trajectory
 from core.environments.trajectory import Trajectory
 from core.rendering.gl import last_line
 from worker.protocol import Noted
-from worker.training.channel import EventWriter
+from worker.training.event_writer import EventWriter
 
 _PLOTTING = (sys.executable, "-m", "worker.render.plotting")
 # Once on a machine matplotlib reads all of its fonts first, and may have to wait for a core.
@@ -28,51 +28,51 @@ _NO_MATPLOTLIB = (
 
 @contextmanager
 def kept_with_path(
-    channel: EventWriter, shown: Trajectory, suffix: str, step: int | None, title: str
+    events: EventWriter, shown: Trajectory, suffix: str, step: int | None, title: str
 ) -> Generator[None]:
     """Keep a trajectory; and, when the block is over, the picture of its path that was drawn meanwhile."""
     numbers, picture = f"trajectory{suffix}.npz", f"path{suffix}.png"
-    trajectory.save(channel.spool / numbers, shown)
+    trajectory.save(events.spool / numbers, shown)
     # The supervisor takes what it is handed: the drawing has a name of its own for the same file.
-    own = channel.spool / f".{numbers}"
-    os.link(channel.spool / numbers, own)
-    channel.hand_over(numbers, "trajectory", "application/x-npz", step=step)
+    own = events.spool / f".{numbers}"
+    os.link(events.spool / numbers, own)
+    events.hand_over(numbers, "trajectory", "application/x-npz", step=step)
     try:
-        with _drawing(channel, ["path", str(own), str(channel.spool / picture), title]):
+        with _drawing(events, ["path", str(own), str(events.spool / picture), title]):
             yield
     finally:
         own.unlink()
-    if (channel.spool / picture).exists():
+    if (events.spool / picture).exists():
         facts = {"episodes": len(shown.episodes)}
-        channel.hand_over(picture, "picture", "image/png", step=step, metadata=facts)
+        events.hand_over(picture, "picture", "image/png", step=step, metadata=facts)
 
 
 @contextmanager
 def kept_with_tables(
-    channel: EventWriter, tables: Mapping[str, NDArray[Any]], step: int, title: str
+    events: EventWriter, tables: Mapping[str, NDArray[Any]], step: int, title: str
 ) -> Generator[None]:
     """Keep what a trainer shows of itself as `tables.npz`; pictures of it when the block is over."""
-    body = io.BytesIO()
-    np.savez_compressed(body, allow_pickle=False, **dict(tables))
-    own = channel.spool / ".shown-tables.npz"
-    own.write_bytes(body.getvalue())
-    channel.keep("tables.npz", body.getvalue(), "tables", "application/x-npz", step=step)
+    built = io.BytesIO()
+    np.savez_compressed(built, allow_pickle=False, **dict(tables))
+    own = events.spool / ".shown-tables.npz"
+    own.write_bytes(built.getvalue())
+    events.keep("tables.npz", built.getvalue(), "tables", "application/x-npz", step=step)
     try:
-        with _drawing(channel, ["tables", str(own), str(channel.spool), title]) as drawn:
+        with _drawing(events, ["tables", str(own), str(events.spool), title]) as drawn:
             yield
     finally:
         own.unlink()
     for name in drawn:
-        channel.hand_over(name, "picture", "image/png", step=step)
+        events.hand_over(name, "picture", "image/png", step=step)
 
 
 @contextmanager
-def _drawing(channel: EventWriter, arguments: Sequence[str]) -> Generator[list[str]]:
+def _drawing(events: EventWriter, arguments: Sequence[str]) -> Generator[list[str]]:
     """The process runs beside the block. Gives the words that it has said once it has ended; a failure is a
     note."""
     said: list[str] = []
     if find_spec("matplotlib") is None:
-        channel.send(Noted(text=_NO_MATPLOTLIB))
+        events.send(Noted(text=_NO_MATPLOTLIB))
         yield said
         return
     process = subprocess.Popen(
@@ -95,4 +95,4 @@ def _drawing(channel: EventWriter, arguments: Sequence[str]) -> Generator[list[s
             raise
     said += words.split()
     if process.returncode != 0:
-        channel.send(Noted(text=f"There is no picture of the {arguments[0]}: {last_line(errors)}"))
+        events.send(Noted(text=f"There is no picture of the {arguments[0]}: {last_line(errors)}"))

@@ -22,8 +22,8 @@ from core.environments.rollout import (
 from core.environments.trajectory import Episode
 from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, RolloutSpec, ZeroPolicy
 from worker.protocol import Advanced, Measured, Task
-from worker.training.body import BuiltEnvironment
-from worker.training.channel import EventWriter
+from worker.training.built_environment import BuiltEnvironment
+from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
 from worker.training.stopping import Stopping
 from worker.training.video import VideoRecorder
@@ -33,68 +33,68 @@ _WORLDS = 64
 
 
 def roll_out(
-    task: Task, spec: RolloutSpec, body: BuiltEnvironment, channel: EventWriter, stopping: Stopping
+    task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter, stopping: Stopping
 ) -> bool:
     """Act, write down, draw. Whether a stop cut it short: what there is by then is kept.
 
     There is nothing to keep for an attempt elsewhere: that one begins anew.
     """
-    channel.send(body.started(policy=spec.policy.model_dump()))
-    policy, world = _policy(task, spec, body, channel)
-    body = replace(body, environment=world)
-    episodes = _act(spec, body, policy, channel, stopping)
+    events.send(built.started(policy=spec.policy.model_dump()))
+    policy, world = _policy(task, spec, built, events)
+    built = replace(built, environment=world)
+    episodes = _act(spec, built, policy, events, stopping)
     differs = (
         {"randomization": [rule.model_dump() for rule in spec.randomization]} if spec.randomization else {}
     )
     shown = trajectory_of(
-        body.environment,
+        built.environment,
         episodes,
         environment=spec.environment.model_dump(),
         policy=spec.policy.model_dump(),
         seed=spec.seed,
         **differs,
     )
-    with kept_with_path(channel, shown, "", None, f"{spec.environment.id}: path from above"):
+    with kept_with_path(events, shown, "", None, f"{spec.environment.id}: path from above"):
         summary = trajectory.summary(shown)
-        channel.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
-        _report(summary, channel)
-        film = VideoRecorder(spec, body, policy, channel)
-        film.show("video", _first_seconds(episodes, spec.video.seconds, body.environment.dt), None)
+        events.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
+        _report(summary, events)
+        film = VideoRecorder(spec, built, policy, events)
+        film.show("video", _first_seconds(episodes, spec.video.seconds, built.environment.dt), None)
     return len(episodes) < spec.num_episodes
 
 
 def _act(
     spec: RolloutSpec,
-    body: BuiltEnvironment,
+    built: BuiltEnvironment,
     policy: ParametricPolicy,
-    channel: EventWriter,
+    events: EventWriter,
     stopping: Stopping,
 ) -> list[Episode]:
     """The episodes asked for; after a stop, those there are by then."""
     key = jax.random.PRNGKey(spec.seed)
     worlds = min(spec.num_episodes, _WORLDS)
-    roller = Roller(body.environment, policy, num_worlds=worlds)
+    roller = Roller(built.environment, policy, num_worlds=worlds)
     episodes = list[Episode]()
     for episode in roller.episodes(None, key, num_steps=spec.num_steps, num_episodes=spec.num_episodes):
         episodes.append(episode)
         if len(episodes) % worlds == 0:
             steps = sum(episode.num_steps for episode in episodes)
-            channel.send(Advanced(step=steps, total=spec.num_steps * spec.num_episodes))
+            events.send(Advanced(step=steps, total=spec.num_steps * spec.num_episodes))
         if stopping.asked:
             break
     return episodes
 
 
 def _policy(
-    task: Task, spec: RolloutSpec, body: BuiltEnvironment, channel: EventWriter
+    task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter
 ) -> tuple[ParametricPolicy, Environment]:
     """The policy, of no parameters, and the environment that it acts in."""
-    size = body.environment.action_size
+    size = built.environment.action_size
     match spec.policy:
         case CheckpointPolicy():
-            content = (channel.spool / str(task.checkpoint)).read_bytes()
+            content = (events.spool / str(task.checkpoint)).read_bytes()
             trained = policy_from_checkpoint(content, deterministic=spec.deterministic)
-            world, act = trained.acting(body.environment)
+            world, act = trained.acting(built.environment)
             return lambda _, state, key: act(trained.parameters, state, key), world
         case RandomPolicy():
             policy = random_policy(size)
@@ -102,10 +102,10 @@ def _policy(
             policy = zero_policy(size)
         case ConstantPolicy(action=action):
             policy = constant_policy(action)
-    return lambda _, state, key: policy(state.obs, key), body.environment
+    return lambda _, state, key: policy(state.obs, key), built.environment
 
 
-def _report(summary: dict[str, Any], channel: EventWriter) -> None:
+def _report(summary: dict[str, Any], events: EventWriter) -> None:
     steps = sum(row["num_steps"] for row in summary["episodes"])
     values = {
         "eval/episode_reward": summary["mean"]["return"],
@@ -113,8 +113,8 @@ def _report(summary: dict[str, Any], channel: EventWriter) -> None:
         "eval/avg_episode_length": summary["mean"]["num_steps"],
         "eval/forward_speed": summary["mean"]["forward_speed_m_s"],
     }
-    channel.send(Measured(step=steps, values=values))
-    channel.send(Advanced(step=steps, total=steps, eta_s=0.0, metrics=values))
+    events.send(Measured(step=steps, values=values))
+    events.send(Advanced(step=steps, total=steps, eta_s=0.0, metrics=values))
 
 
 def _first_seconds(episodes: Sequence[Episode], seconds: float, dt: float) -> list[Episode]:

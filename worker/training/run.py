@@ -12,46 +12,46 @@ from core.errors import GaitwayError, JobFailed
 from core.jobs.spec import RolloutSpec, TrainSpec
 from core.jobs.status import Reason
 from worker.protocol import Failed, Finished, PhaseEnded, Task
-from worker.training.channel import EventWriter
+from worker.training.event_writer import EventWriter
 from worker.training.failure import failure
 from worker.training.stopping import Stopping
 
 
 def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
     """Do the task in the spool; the process' exit status. The last message is Finished or Failed."""
-    channel, device = EventWriter(spool, events_fd), "cpu"
+    events, device = EventWriter(spool, events_fd), "cpu"
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
         device = task.device
-        stopped = _dispatch(task, channel, stopping)
+        stopped = _dispatch(task, events, stopping)
     except JobFailed as error:
-        channel.send(Failed(reason=Reason(error.reason), message=error.detail))
+        events.send(Failed(reason=Reason(error.reason), message=error.detail))
     except GaitwayError as error:
-        channel.send(Failed(reason=Reason.TRAINING_CRASHED, message=error.detail))
+        events.send(Failed(reason=Reason.TRAINING_CRASHED, message=error.detail))
     except Exception as error:  # Every way to end must reach the job's record.
         traceback.print_exc()
-        channel.send(failure(error, device))
+        events.send(failure(error, device))
     else:
-        channel.send(Finished(stopped=stopped))
+        events.send(Finished(stopped=stopped))
         return 0
     return 1
 
 
-def _dispatch(task: Task, channel: EventWriter, stopping: Stopping) -> bool:
+def _dispatch(task: Task, events: EventWriter, stopping: Stopping) -> bool:
     """Whether a stop cut it short."""
     began = time.perf_counter()
     with _without_warnings_of_warp():
-        from worker.training.body import load_body
+        from worker.training.built_environment import build_environment
         from worker.training.roll_out import roll_out
         from worker.training.train import train
 
-    channel.send(PhaseEnded(name="import", seconds=time.perf_counter() - began))
-    body = load_body(task)
+    events.send(PhaseEnded(name="import", seconds=time.perf_counter() - began))
+    built = build_environment(task)
     match task.spec:
         case TrainSpec():
-            return train(task, task.spec, body, channel, stopping)
+            return train(task, task.spec, built, events, stopping)
         case RolloutSpec():
-            return roll_out(task, task.spec, body, channel, stopping)
+            return roll_out(task, task.spec, built, events, stopping)
 
 
 @contextmanager

@@ -12,8 +12,8 @@ from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Pr
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
 from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task
-from worker.training.body import BuiltEnvironment
-from worker.training.channel import EventWriter
+from worker.training.built_environment import BuiltEnvironment
+from worker.training.event_writer import EventWriter
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
 from worker.training.stopping import Stopping
@@ -24,18 +24,18 @@ _CHECKPOINTS = 10
 
 
 def train(
-    task: Task, spec: TrainSpec, body: BuiltEnvironment, channel: EventWriter, stopping: Stopping
+    task: Task, spec: TrainSpec, built: BuiltEnvironment, events: EventWriter, stopping: Stopping
 ) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 
     Keeps a checkpoint; and where the job does not go on elsewhere, its policy and a video.
     """
-    settings = resolve(spec.algorithm, body.info, body.device)
-    channel.send(body.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
-    check_memory(settings.least_memory(body.info, body.num_devices), body.device)
-    trainer = make_trainer(task, spec, settings, body, channel)
-    report = Report(channel, trainer, spec.checkpoints.every_seconds)
-    shots = PolicyVideos(spec, body, channel, trainer)
+    settings = resolve(spec.algorithm, built.info, built.device)
+    events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
+    check_memory(settings.least_memory(built.info, built.num_devices), built.device)
+    trainer = make_trainer(task, spec, settings, built, events)
+    report = Report(events, trainer, spec.checkpoints.every_seconds)
+    videos = PolicyVideos(spec, built, events, trainer)
     try:
         for event in trainer.events():
             if isinstance(event, Progress):
@@ -47,38 +47,38 @@ def train(
                 report.keep_checkpoint_if_due()
             if isinstance(event, CheckpointReady) and spec.video.every_checkpoint:
                 with stopping.nothing_to_keep():
-                    shots.take(f"video-{event.step:012d}")
+                    videos.take(f"video-{event.step:012d}")
     except JobFailed:
         report.keep_checkpoint()  # The last good one.
         raise
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
-        channel.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
-        with _tables(trainer, spec, channel):
-            shots.take("video")
+        events.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
+        with _tables(trainer, spec, events):
+            videos.take("video")
     return stopping.asked and trainer.step < trainer.total
 
 
-def _tables(trainer: Trainer, spec: TrainSpec, channel: EventWriter) -> AbstractContextManager[None]:
+def _tables(trainer: Trainer, spec: TrainSpec, events: EventWriter) -> AbstractContextManager[None]:
     """Keeps what the trainer shows of itself, if it does; drawn while the block runs."""
     if not isinstance(trainer, ShowsTables):
         return nullcontext()
-    return kept_with_tables(channel, trainer.tables(), trainer.step, spec.environment.id)
+    return kept_with_tables(events, trainer.tables(), trainer.step, spec.environment.id)
 
 
 def make_trainer(
-    task: Task, spec: TrainSpec, settings: BaseSpec, body: BuiltEnvironment, channel: EventWriter
+    task: Task, spec: TrainSpec, settings: BaseSpec, built: BuiltEnvironment, events: EventWriter
 ) -> Trainer:
     """The trainer that the algorithm's kind names, set up to go on from the task's checkpoint."""
-    resume = (channel.spool / task.checkpoint).read_bytes() if task.checkpoint else None
+    resume = (events.spool / task.checkpoint).read_bytes() if task.checkpoint else None
     every_steps = spec.checkpoints.every_steps or max(1, settings.budget // _CHECKPOINTS)
     return loaded(ALGORITHMS[settings.algorithm()].trainer)(
-        body.environment,
+        built.environment,
         settings,
         seed=spec.seed,
         checkpoint_every_steps=every_steps,
         resume=resume,
-        devices=body.num_devices,
+        devices=built.num_devices,
     )
 
 
@@ -87,8 +87,8 @@ class PolicyVideos:
     """Videos of a run's policy as it is at the time; it is compiled for the first of them."""
 
     spec: TrainSpec
-    body: BuiltEnvironment
-    channel: EventWriter
+    built: BuiltEnvironment
+    events: EventWriter
     trainer: Trainer
     _film: VideoRecorder | None = None
 
@@ -96,8 +96,8 @@ class PolicyVideos:
         """As `<name>.mp4`, of the present step."""
         policy = policy_from_checkpoint(self.trainer.checkpoint())
         if self._film is None:
-            world, act = policy.acting(self.body.environment)
-            self._film = VideoRecorder(self.spec, replace(self.body, environment=world), act, self.channel)
+            world, act = policy.acting(self.built.environment)
+            self._film = VideoRecorder(self.spec, replace(self.built, environment=world), act, self.events)
         self._film.shoot(name, policy.parameters, self.trainer.step)
 
 
@@ -105,7 +105,7 @@ class PolicyVideos:
 class Report:
     """Turns a trainer's events into messages; remembers the newest metrics, and the last checkpoint kept."""
 
-    channel: EventWriter
+    events: EventWriter
     trainer: Trainer
     checkpoint_every_s: float = float("inf")
     _metrics: dict[str, float] = field(default_factory=dict[str, float])
@@ -117,16 +117,16 @@ class Report:
     def tell(self, event: Event) -> None:
         match event:
             case Phase(name=name, seconds=seconds):
-                self.channel.send(PhaseEnded(name=name, seconds=seconds))
+                self.events.send(PhaseEnded(name=name, seconds=seconds))
             case Progress(step=step, total=total, metrics=metrics):
                 self._metrics.update(metrics)
                 self._warn_of_overflow(step, metrics)
-                self.channel.send(Measured(step=step, values=dict(metrics)))
-                self.channel.send(self._advanced(step, total))
+                self.events.send(Measured(step=step, values=dict(metrics)))
+                self.events.send(self._advanced(step, total))
             case Evaluated(step=step, metrics=metrics):
                 self._metrics.update(metrics)
-                self.channel.send(Measured(step=step, values=dict(metrics)))
-                self.channel.send(self._advanced(step, self.trainer.total))
+                self.events.send(Measured(step=step, values=dict(metrics)))
+                self.events.send(self._advanced(step, self.trainer.total))
             case CheckpointReady():
                 self.keep_checkpoint()
 
@@ -135,7 +135,7 @@ class Report:
         step = self.trainer.step
         if step != self._kept_step:
             name = f"checkpoint-{step:012d}.msgpack"
-            self.channel.keep(name, self.trainer.checkpoint(), "checkpoint", "application/msgpack", step=step)
+            self.events.keep(name, self.trainer.checkpoint(), "checkpoint", "application/msgpack", step=step)
             self._kept_step = step
         self._kept_at = time.monotonic()
 
@@ -148,7 +148,7 @@ class Report:
         """Once; how often it happens from then on is a metric."""
         if metrics.get("training/physics_overflow", 0.0) > 0 and not self._warned:
             self._warned = True
-            self.channel.send(
+            self.events.send(
                 Noted(
                     text=f"By step {step}, the engine's buffers were too small for some worlds, and contacts "
                     "were lost (training/physics_overflow is the share of steps). Ask for another engine "

@@ -18,8 +18,8 @@ from core.rendering.request import RenderRequest, RenderResult
 from worker.host.disk import is_full, what_to_do
 from worker.protocol import Noted
 from worker.render.client import render
-from worker.training.body import BuiltEnvironment
-from worker.training.channel import EventWriter
+from worker.training.built_environment import BuiltEnvironment
+from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
 
 # A camera's picture takes a tenth of a second on the slowest software renderer seen; twice that, to be sure.
@@ -32,9 +32,9 @@ class VideoRecorder:
     """Makes a job's videos. The policy is compiled once, whatever its parameters."""
 
     spec: TrainSpec | RolloutSpec
-    body: BuiltEnvironment
+    built: BuiltEnvironment
     policy: ParametricPolicy
-    channel: EventWriter
+    events: EventWriter
 
     def shoot(self, name: str, parameters: Any, step: int | None) -> None:
         """A video of these parameters as `<name>.mp4`, with its poster `<name>.png`.
@@ -43,31 +43,31 @@ class VideoRecorder:
         """
         key = jax.random.PRNGKey(self.spec.seed)
         seconds = self.spec.video.seconds
-        episodes = footage(self._roller, parameters, key, dt=self.body.environment.dt, seconds=seconds)
+        episodes = footage(self._roller, parameters, key, dt=self.built.environment.dt, seconds=seconds)
         chosen = self.spec.environment
         shown = trajectory_of(
-            self.body.environment, episodes, environment=chosen.model_dump(), seed=self.spec.seed
+            self.built.environment, episodes, environment=chosen.model_dump(), seed=self.spec.seed
         )
         suffix = name.removeprefix("video")
-        with kept_with_path(self.channel, shown, suffix, step, f"{chosen.id}: path from above"):
+        with kept_with_path(self.events, shown, suffix, step, f"{chosen.id}: path from above"):
             self.show(name, episodes, step)
 
     def show(self, name: str, episodes: Sequence[Episode], step: int | None) -> None:
         """A video of these episodes. Where nothing can draw, the job goes on without one, and says why."""
-        shown = trajectory_of(self.body.environment, episodes, environment=self.body.info.id)
+        shown = trajectory_of(self.built.environment, episodes, environment=self.built.info.id)
         try:
             result = self._drawn(name, shown)
         except RenderingFailed as error:
-            self.channel.send(Noted(text=f"There is no video: {error.detail}"))
+            self.events.send(Noted(text=f"There is no video: {error.detail}"))
             return
         speed = trajectory.summary(shown)["mean"]["forward_speed_m_s"]
         facts = {**result.model_dump(), "forward_speed_m_s": speed, "episodes": len(episodes)}
-        self.channel.hand_over(f"{name}.mp4", "video", "video/mp4", step=step, metadata=facts)
-        self.channel.hand_over(f"{name}.png", "poster", "image/png", step=step, metadata=facts)
+        self.events.hand_over(f"{name}.mp4", "video", "video/mp4", step=step, metadata=facts)
+        self.events.hand_over(f"{name}.png", "poster", "image/png", step=step, metadata=facts)
 
     def _drawn(self, name: str, shown: Trajectory) -> RenderResult:
-        spool, video = self.channel.spool, self.spec.video
-        model = self.body.environment.model
+        spool, video = self.events.spool, self.spec.video
+        model = self.built.environment.model
         compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
         mujoco.mj_saveModel(model, None, compiled)
         try:
@@ -77,7 +77,7 @@ class VideoRecorder:
             request = RenderRequest(
                 trajectory=spool / "shown.npz",
                 model=spool / "model.mjb",
-                tracked_body=self.body.environment.tracked_body,
+                tracked_body=self.built.environment.tracked_body,
                 video=spool / f"{name}.mp4",
                 poster=spool / f"{name}.png",
                 cameras=video.shown,
@@ -92,4 +92,4 @@ class VideoRecorder:
 
     @cached_property
     def _roller(self) -> Roller:
-        return Roller(self.body.environment, self.policy)
+        return Roller(self.built.environment, self.policy)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from core.algorithms.ppo.brax_training import Transition
-from core.environments.body_position import whereabouts
+from core.environments.body_position import body_position
 from core.environments.environment import State
 from core.environments.wrappers.autoreset import Episodes, draw, follow
 from core.environments.wrappers.vectorized import VectorEnv
@@ -61,7 +61,7 @@ def collect(
 
     starts: None where every environment goes back to its own first state, which `episodes` then holds.
     """
-    where = jax.vmap(whereabouts(worlds.environment.model, worlds.environment.tracked_body))
+    where = jax.vmap(body_position(worlds.environment.model, worlds.environment.tracked_body))
 
     def act(episodes: Episodes, given: Any) -> tuple[Episodes, tuple[Transition, Outcome]]:
         key, chosen = given

@@ -49,7 +49,7 @@ class PolicyParams:
     normalizer: RunningStatisticsState
     policy: Any
     value: Any
-    design: PolicyConfig = struct.field(pytree_node=False, default=PolicyConfig())
+    config: PolicyConfig = struct.field(pytree_node=False, default=PolicyConfig())
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.normalizer, self.policy, self.value))

@@ -12,12 +12,12 @@ import numpy as np
 from core.algorithms.evaluation import evaluation_metrics
 from core.algorithms.loop import Loop
 from core.algorithms.ppo import checkpoint
+from core.algorithms.ppo.compiled_functions import CompiledFunctions, place, trace
 from core.algorithms.ppo.failure import QUANTITIES, Failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.layout import Sharding
 from core.algorithms.ppo.networks import PolicyConfig, PolicyParams
 from core.algorithms.ppo.policy import write_policy
-from core.algorithms.ppo.programs import CompiledFunctions, place, trace
+from core.algorithms.ppo.sharding import Sharding
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.algorithms.schedule import Schedule
@@ -54,9 +54,9 @@ class PPOTrainer:
         epoch_s: float = 1.0,
     ) -> None:
         self._seed = jnp.uint32(seed)
-        layout = Sharding.over(devices, settings)
-        self._learner = Learner(repeat_action(environment, settings.action_repeat), settings, layout)
-        self._hyperparameters = jax.device_put(Hyperparameters.of(settings), layout.sharding())
+        sharding = Sharding.over(devices, settings)
+        self._learner = Learner(repeat_action(environment, settings.action_repeat), settings, sharding)
+        self._hyperparameters = jax.device_put(Hyperparameters.of(settings), sharding.of_axes())
         self._description = checkpoint.describe(environment, settings)
         self._loop = Loop(
             Schedule(
@@ -108,13 +108,13 @@ class PPOTrainer:
     @property
     def _params(self) -> PolicyParams:
         state = self._begun
-        design = PolicyConfig.of(self._learner.settings.model_dump())
-        return PolicyParams(state.normalizer, state.params.policy, state.params.value, design)
+        config = PolicyConfig.of(self._learner.settings.model_dump())
+        return PolicyParams(state.normalizer, state.params.policy, state.params.value, config)
 
     def _restore(self, content: bytes) -> None:
         template = jax.eval_shape(self._learner.init, self._seed)
         progress, state = checkpoint.unpack(content, self._description, template)
-        self._state = place(self._learner.layout, state)
+        self._state = place(self._learner.sharding, state)
         self._loop.resume(progress)
 
     def _prepare(self) -> Generator[Event, None, CompiledFunctions]:

@@ -26,10 +26,10 @@ from core.algorithms.ppo.experience import (
 )
 from core.algorithms.ppo.failure import Failure, find_failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.layout import ONE_DEVICE, Sharding
 from core.algorithms.ppo.learning_rate import adapt_to_kl
 from core.algorithms.ppo.loss import loss_of
 from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks, normalization
+from core.algorithms.ppo.sharding import ONE_DEVICE, Sharding
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
@@ -61,13 +61,13 @@ class TrainingState:
 class Learner:
     """The pure functions of a run, for one environment and the settings that fix shapes.
 
-    layout: the devices that share it. What a run computes does not depend on them but for rounding: random
+    sharding: the devices that share it. What a run computes does not depend on them but for rounding: random
     numbers and minibatches are drawn for all environments at once, and then shared out.
     """
 
     environment: Environment
     settings: PPOSpec
-    layout: Sharding = ONE_DEVICE
+    sharding: Sharding = ONE_DEVICE
 
     def init(self, seed: jax.Array) -> TrainingState:
         """The state before the first update; seed: [] uint32."""
@@ -131,7 +131,7 @@ class Learner:
                 observation=normalize(batch.observation, seen_by),
                 next_observation=normalize(batch.next_observation, seen_by),
             )
-        batch = self.layout.everywhere(batch)  # so that any device can take any part of a minibatch
+        batch = self.sharding.everywhere(batch)  # so that any device can take any part of a minibatch
         (params, optimizer, learning_rate), metrics = self._learn(state, batch, hyperparameters, learn_key)
         new = TrainingState(
             params=params,
@@ -150,7 +150,7 @@ class Learner:
 
     @property
     def _worlds(self) -> VectorEnv:
-        return VectorEnv(self.environment, self.layout.mesh)
+        return VectorEnv(self.environment, self.sharding.mesh)
 
     @property
     def _adapts_to_kl(self) -> bool:
@@ -175,8 +175,8 @@ class Learner:
         pool_key, choose_key = jax.random.split(key)
         shape = (settings.actions_per_update, settings.num_envs)
         return Starts(
-            pool=self.layout.everywhere(fresh_states(self._worlds, pool_key, settings.reset_pool_size)),
-            chosen=self.layout.split(
+            pool=self.sharding.everywhere(fresh_states(self._worlds, pool_key, settings.reset_pool_size)),
+            chosen=self.sharding.split(
                 jax.random.randint(choose_key, shape, 0, settings.reset_pool_size), axis=1
             ),
         )
@@ -200,7 +200,7 @@ class Learner:
         def learn_minibatch(carry: Any, given: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
             params, optimizer, learning_rate = carry
             chosen, key = given
-            minibatch = self.layout.split(jax.tree.map(lambda x: jnp.take(x, chosen, axis=0), batch))
+            minibatch = self.sharding.split(jax.tree.map(lambda x: jnp.take(x, chosen, axis=0), batch))
             gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch, key)
             norm = optax.tree.norm(gradient)
             bound = hyperparameters.max_grad_norm

@@ -11,7 +11,7 @@ from flax import struct
 from core.algorithms.epoch import updates_until
 from core.algorithms.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.q_learning import replay as replays
-from core.algorithms.q_learning.decisions import DiscreteEnv
+from core.algorithms.q_learning.discrete_env import DiscreteEnv
 from core.algorithms.q_learning.exploration import Exploration, decay_length
 from core.algorithms.q_learning.spec import AgentSpec, QLearningSpec
 from core.algorithms.q_learning.table import Transitions, epsilon_greedy, greedy, learn, td_errors

@@ -11,9 +11,9 @@ from pydantic import TypeAdapter
 
 from core.algorithms.checkpoint import Format
 from core.algorithms.policy import Acting, TrainedPolicy
-from core.algorithms.q_learning.decisions import Tabular
-from core.algorithms.q_learning.indexers import make_indexer
+from core.algorithms.q_learning.discrete_env import Tabular
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
+from core.algorithms.q_learning.state_discretizers import make_indexer
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_hold import ActionHold

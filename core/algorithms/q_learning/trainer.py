@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics
 from core.algorithms.loop import Loop
-from core.algorithms.q_learning.decisions import DiscreteEnv, Tabular
+from core.algorithms.q_learning.action_sets import num_arms
+from core.algorithms.q_learning.compiled_functions import CompiledFunctions, trace
+from core.algorithms.q_learning.discrete_env import DiscreteEnv, Tabular
 from core.algorithms.q_learning.learner import (
     QUANTITIES,
     Failure,
@@ -23,9 +25,7 @@ from core.algorithms.q_learning.learner import (
     TrainingState,
     agent_keys,
 )
-from core.algorithms.q_learning.mappers import num_arms
 from core.algorithms.q_learning.policy import FORMAT, of_agent, policy_agent, write_policy
-from core.algorithms.q_learning.programs import CompiledFunctions, trace
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.schedule import Schedule
 from core.algorithms.trainer import Event, Phase

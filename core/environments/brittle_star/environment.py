@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from core.environments.body import MujocoEnv, scaled_to_control
 from core.environments.brittle_star.control import controlled
 from core.environments.brittle_star.light import show
 from core.environments.brittle_star.model import star_model
@@ -28,6 +27,7 @@ from core.environments.brittle_star.options import (
 )
 from core.environments.brittle_star.tasks import Directed, LightEscape, Measured, Task, Undirected
 from core.environments.environment import Environment, State
+from core.environments.mujoco_env import MujocoEnv, scaled_to_control
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import mujoco
 
 from core.environments import rewards
-from core.environments.body import MujocoEnv, noisy_start
 from core.environments.environment import State
 from core.environments.locomotion.hopper.info import HopperOptions
 from core.environments.locomotion.walker2d.info import Walker2dOptions
+from core.environments.mujoco_env import MujocoEnv, noisy_start
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 
 _NUM_SUBSTEPS = 4

@@ -9,7 +9,7 @@ import numpy as np
 from core.environments import rewards
 from core.environments.mjcf import observations
 from core.environments.mjcf.contacts import sensor_name
-from core.environments.mjcf.moment import BoundTerm, ModelIndex, StepContext
+from core.environments.mjcf.step_context import BoundTerm, ModelIndex, StepContext
 from core.environments.mjcf.vocabulary.observations import (
     Activation,
     ActuatorForces,
@@ -57,16 +57,16 @@ def reward(term: RewardTerm, parts: ModelIndex) -> BoundTerm:  # noqa: C901 # A 
         case HeightRange():
             return _in_height_range(term, parts)
         case Alive():
-            return BoundTerm((), lambda moment: jnp.ones(()))
+            return BoundTerm((), lambda context: jnp.ones(()))
         case ControlCost():
-            return BoundTerm((), lambda moment: rewards.control_cost(moment.action))
+            return BoundTerm((), lambda context: rewards.control_cost(context.action))
         case Energy():
             return BoundTerm(
                 ("qfrc_actuator",),
-                lambda moment: rewards.energy(moment.after.derived["qfrc_actuator"], moment.after.qvel),
+                lambda context: rewards.energy(context.after.derived["qfrc_actuator"], context.after.qvel),
             )
         case ActionRate():
-            return BoundTerm((), lambda moment: rewards.action_rate(moment.action, moment.previous_action))
+            return BoundTerm((), lambda context: rewards.action_rate(context.action, context.previous_action))
         case Distance():
             return _distance(term, parts)
         case JointLimits():
@@ -82,15 +82,15 @@ def termination(term: TerminationTerm, parts: ModelIndex) -> BoundTerm:
     match term:
         case OutsideHeightRange():
             inside = _in_height_range(term, parts)
-            return BoundTerm(inside.derived, lambda moment: 1.0 - inside.measure(moment))
+            return BoundTerm(inside.derived, lambda context: 1.0 - inside.measure(context))
         case NotUpright(least=least):
             cosine = _upright(term, parts)
             return BoundTerm(
-                cosine.derived, lambda moment: jnp.where(cosine.measure(moment) < least, 1.0, 0.0)
+                cosine.derived, lambda context: jnp.where(cosine.measure(context) < least, 1.0, 0.0)
             )
         case Touching():
             number = _num_touching(term, parts)
-            return BoundTerm(number.derived, lambda moment: jnp.where(number.measure(moment) > 0, 1.0, 0.0))
+            return BoundTerm(number.derived, lambda context: jnp.where(number.measure(context) > 0, 1.0, 0.0))
         case _:
             assert_never(term)
 
@@ -100,22 +100,22 @@ def observation(term: ObservationTerm, parts: ModelIndex) -> BoundTerm:  # noqa:
     match term:
         case Qpos():
             seen = observations.visible_positions(parts, term.root_position)
-            return BoundTerm((), lambda moment: moment.after.qpos[seen])
+            return BoundTerm((), lambda context: context.after.qpos[seen])
         case Qvel():
-            return BoundTerm((), lambda moment: moment.after.qvel)
+            return BoundTerm((), lambda context: context.after.qvel)
         case PreviousAction():
-            return BoundTerm((), lambda moment: moment.action)
+            return BoundTerm((), lambda context: context.action)
         case Activation():
-            return BoundTerm((), lambda moment: moment.after.act)
+            return BoundTerm((), lambda context: context.after.act)
         case Sensors(names=names):
             places = observations.sensor_places(parts, names)
-            return BoundTerm(("sensordata",), lambda moment: moment.after.derived["sensordata"][places])
+            return BoundTerm(("sensordata",), lambda context: context.after.derived["sensordata"][places])
         case BodyPositions(bodies=names, relative=relative):
             origin = parts.root if relative else 0  # The world is at zero.
             rows = parts.bodies(names)
             return BoundTerm(
                 ("xpos",),
-                lambda moment: observations.positions(moment.after.derived["xpos"], rows, origin),
+                lambda context: observations.positions(context.after.derived["xpos"], rows, origin),
             )
         case BodyOrientations(bodies=names):
             return _rows("xmat", parts.bodies(names))
@@ -124,13 +124,13 @@ def observation(term: ObservationTerm, parts: ModelIndex) -> BoundTerm:  # noqa:
         case Cinert(bodies=names):
             return _rows("cinert", parts.bodies(names))
         case ActuatorForces():
-            return BoundTerm(("qfrc_actuator",), lambda moment: moment.after.derived["qfrc_actuator"])
+            return BoundTerm(("qfrc_actuator",), lambda context: context.after.derived["qfrc_actuator"])
         case _:
             assert_never(term)
 
 
 def _rows(field: str, rows: np.ndarray) -> BoundTerm:
-    return BoundTerm((field,), lambda moment: moment.after.derived[field][rows].ravel())
+    return BoundTerm((field,), lambda context: context.after.derived[field][rows].ravel())
 
 
 def _forward_velocity(term: ForwardVelocity, parts: ModelIndex) -> BoundTerm:
@@ -138,18 +138,18 @@ def _forward_velocity(term: ForwardVelocity, parts: ModelIndex) -> BoundTerm:
     if term.of == "centre_of_mass":
         return BoundTerm(
             ("subtree_com",),
-            lambda moment: rewards.forward_velocity(
-                moment.before.derived["subtree_com"][body],
-                moment.after.derived["subtree_com"][body],
+            lambda context: rewards.forward_velocity(
+                context.before.derived["subtree_com"][body],
+                context.after.derived["subtree_com"][body],
                 direction,
-                moment.dt,
+                context.dt,
             ),
         )
     derived, position = parts.position(body)
     return BoundTerm(
         derived,
-        lambda moment: rewards.forward_velocity(
-            position(moment.before), position(moment.after), direction, moment.dt
+        lambda context: rewards.forward_velocity(
+            position(context.before), position(context.after), direction, context.dt
         ),
     )
 
@@ -159,10 +159,10 @@ def _velocity_tracking(term: VelocityTracking, parts: ModelIndex) -> BoundTerm:
     derived, position = parts.position(body)
     turned = term.frame == "body"
 
-    def measure(moment: StepContext) -> jax.Array:
-        velocity = rewards.velocity(position(moment.before), position(moment.after), moment.dt)
+    def measure(context: StepContext) -> jax.Array:
+        velocity = rewards.velocity(position(context.before), position(context.after), context.dt)
         if turned:
-            velocity = moment.after.derived["xmat"][body].reshape(3, 3).T @ velocity
+            velocity = context.after.derived["xmat"][body].reshape(3, 3).T @ velocity
         return rewards.velocity_tracking(velocity[:2], wanted, term.tolerance)
 
     return BoundTerm((*derived, "xmat") if turned else derived, measure)
@@ -171,23 +171,23 @@ def _velocity_tracking(term: VelocityTracking, parts: ModelIndex) -> BoundTerm:
 def _upright(term: Upright | NotUpright, parts: ModelIndex) -> BoundTerm:
     body, axis = parts.body(term.body), _unit(term.axis)
     return BoundTerm(
-        ("xmat",), lambda moment: rewards.upright(moment.after.derived["xmat"][body].reshape(3, 3), axis)
+        ("xmat",), lambda context: rewards.upright(context.after.derived["xmat"][body].reshape(3, 3), axis)
     )
 
 
 def _in_height_range(term: HeightRange | OutsideHeightRange, parts: ModelIndex) -> BoundTerm:
     derived, position = parts.position(parts.body(term.body))
-    return BoundTerm(derived, lambda moment: rewards.height_range(position(moment.after)[2], term.range))
+    return BoundTerm(derived, lambda context: rewards.height_range(position(context.after)[2], term.range))
 
 
 def _distance(term: Distance, parts: ModelIndex) -> BoundTerm:
     derived, position = parts.position(parts.body(term.body))
     if term.target is None:
         point = jnp.array(term.point, jnp.float32)
-        return BoundTerm(derived, lambda moment: rewards.distance(position(moment.after), point))
+        return BoundTerm(derived, lambda context: rewards.distance(position(context.after), point))
     others, target = parts.position(parts.body(term.target))
     return BoundTerm(
-        (*derived, *others), lambda moment: rewards.distance(position(moment.after), target(moment.after))
+        (*derived, *others), lambda context: rewards.distance(position(context.after), target(context.after))
     )
 
 
@@ -196,14 +196,14 @@ def _joint_limits(term: JointLimits, parts: ModelIndex) -> BoundTerm:
     places = parts.model.jnt_qposadr[joints]
     low, high = jnp.asarray(parts.model.jnt_range[joints].T, jnp.float32)
     return BoundTerm(
-        (), lambda moment: rewards.joint_limits(moment.after.qpos[places], low, high, term.share)
+        (), lambda context: rewards.joint_limits(context.after.qpos[places], low, high, term.share)
     )
 
 
 def _num_touching(term: Contact | Touching, parts: ModelIndex) -> BoundTerm:
     places = parts.sensors([sensor_name(geom, term.against) for geom in term.geoms])
     return BoundTerm(
-        ("sensordata",), lambda moment: rewards.contact(moment.after.derived["sensordata"][places])
+        ("sensordata",), lambda context: rewards.contact(context.after.derived["sensordata"][places])
     )
 
 

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 
 from core.environments import rewards
-from core.environments.body import MujocoEnv, noisy_start, scaled_to_control
 from core.environments.environment import State
 from core.environments.mjcf import binding
 from core.environments.mjcf.check import problems
@@ -17,10 +16,11 @@ from core.environments.mjcf.describe import height_of, inventory, root_of
 from core.environments.mjcf.info import MjcfOptions, metric_names
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
-from core.environments.mjcf.moment import ModelIndex, StepContext
+from core.environments.mjcf.step_context import ModelIndex, StepContext
 from core.environments.mjcf.vocabulary.observations import ObservationTerm, Qpos, Qvel
 from core.environments.mjcf.vocabulary.rewards import Alive, ControlCost, ForwardVelocity, RewardTerm
 from core.environments.mjcf.vocabulary.terminations import OutsideHeightRange, TerminationTerm
+from core.environments.mujoco_env import MujocoEnv, noisy_start, scaled_to_control
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import initial_qpos
@@ -92,25 +92,25 @@ class Mjcf(MujocoEnv):
             normal_velocity=self._reset.velocity_distribution == "normal",
         )
         nothing, zero = jnp.zeros(self.action_size), jnp.zeros(())
-        moment = StepContext(physics, physics, nothing, nothing, self.dt)
+        context = StepContext(physics, physics, nothing, nothing, self.dt)
         info = {"previous_action": nothing, "start": self._position(physics)}
         metrics = dict.fromkeys((*self._names, *_OF_THE_BODY), zero)
-        return State(physics, self._observe(moment), zero, zero, metrics, info)
+        return State(physics, self._observe(context), zero, zero, metrics, info)
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
-        moment = StepContext(state.physics, physics, action, state.info["previous_action"], self.dt)
+        context = StepContext(state.physics, physics, action, state.info["previous_action"], self.dt)
         earned = [
-            weight * term.measure(moment) for weight, term in zip(self._weights, self._rewards, strict=True)
+            weight * term.measure(context) for weight, term in zip(self._weights, self._rewards, strict=True)
         ]
         metrics = dict(zip(self._names, earned, strict=True)) | self._of_the_body(state, physics)
-        ended = [term.measure(moment) for term in self._ends]
+        ended = [term.measure(context) for term in self._ends]
         done = jnp.max(jnp.stack(ended)) if ended else jnp.zeros(())
         info = {**state.info, "previous_action": action}
-        return State(physics, self._observe(moment), sum(earned, jnp.zeros(())), done, metrics, info)
+        return State(physics, self._observe(context), sum(earned, jnp.zeros(())), done, metrics, info)
 
-    def _observe(self, moment: StepContext) -> jax.Array:
-        return jnp.concatenate([term.measure(moment) for term in self._seen])
+    def _observe(self, context: StepContext) -> jax.Array:
+        return jnp.concatenate([term.measure(context) for term in self._seen])
 
     def _of_the_body(self, state: State, physics: PhysicsState) -> dict[str, jax.Array]:
         """Where the root is and how fast it goes: m, m/s."""

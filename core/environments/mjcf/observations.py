@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from core.environments.mjcf.contacts import is_ours
-from core.environments.mjcf.moment import ModelIndex
+from core.environments.mjcf.step_context import ModelIndex
 
 
 def visible_positions(

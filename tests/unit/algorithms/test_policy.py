@@ -1,7 +1,10 @@
+import io
 import os
 import pickle
+from enum import Enum
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +23,7 @@ from core.algorithms.ppo.networks import (
     make_networks,
 )
 from core.algorithms.ppo.policy import (
+    _PolicyPickler,
     load,
     make_inference,
     policy_from_checkpoint,
@@ -68,6 +72,21 @@ def test_equal_policies_give_equal_files(params: PolicyParams) -> None:
     assert write_policy(params) == write_policy(jax.tree.map(jnp.array, params))
 
 
+def test_a_file_written_under_python_3_11_2_is_read(params: PolicyParams) -> None:
+    # There, a member of an enumeration is written as `getattr` of its class and its name.
+    class Pickler(_PolicyPickler):
+        def reducer_override(self, obj: Any, /) -> Any:
+            if isinstance(obj, Enum):
+                return getattr, (type(obj), obj.name)
+            return super().reducer_override(obj)
+
+    file = io.BytesIO()
+    Pickler(file, protocol=4).dump(jax.tree.map(np.asarray, tuple(params)))
+    assert b"getattr" in file.getvalue()
+    assert b"getattr" not in write_policy(params)
+    assert write_policy(read_policy(file.getvalue())) == write_policy(params)
+
+
 def test_a_policy_comes_out_of_a_checkpoint_as_it_went_in(params: PolicyParams) -> None:
     normalizer, policy, value = params
     description = describe(probes.endless(), SETTINGS) | {"observation_size": 3, "action_size": 2}
@@ -97,9 +116,9 @@ def test_a_policy_of_another_design_keeps_it_and_brax_still_reads_the_file(tmp_p
     }
     sizes = {"observation_size": 3, "action_size": 2}
     kept = policy_from_checkpoint(pack(describe(probes.endless(), settings) | sizes, {}, state))
-    assert kept.design == PolicyConfig(activation="relu", action_repeat=3)
+    assert kept.config == PolicyConfig(activation="relu", action_repeat=3)
     (path := tmp_path / "policy").write_bytes(write_policy(kept))
-    assert read_policy(path.read_bytes()).design == kept.design
+    assert read_policy(path.read_bytes()).config == kept.config
     with pytest.raises(JobFailed, match="not a policy file"):
         read_policy(path.read_bytes()[:-1])
 
@@ -117,7 +136,7 @@ def test_a_policy_that_holds_its_actions_is_shown_step_by_step() -> None:
     world = probes.Probe(lambda obs, time, action: (action, jnp.where(time == 7, 1.0, 0.0)), shows_time=True)
     for params, decided in (
         (held, [0, 0, 0, 3, 3, 3, 6, 6]),
-        (held.replace(design=PolicyConfig()), range(8)),
+        (held.replace(config=PolicyConfig()), range(8)),
     ):
         policy = load(write_policy(params), is_checkpoint=False)
         shown, act = policy.acting(world)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
-from core.environments.body_position import whereabouts
+from core.environments.body_position import body_position
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo
 from core.physics.choose import engine_builder
@@ -90,7 +90,7 @@ def test_a_body_on_its_way_says_how_fast_it_goes(case: Case) -> None:
 def test_of_a_body_that_travels_height_and_distance_are_measured(case: Case) -> None:
     state = case.step(fresh(case), some_actions(case))
     model, body = case.environment.model, case.environment.tracked_body
-    found = jax.vmap(whereabouts(model, body))(state.physics)
+    found = jax.vmap(body_position(model, body))(state.physics)
     wanted = {"height", "distance_from_origin"} if case.info.id in WALKERS | STARS else set()
     if case.info.id == "inverted_pendulum":  # The cart stays level.
         wanted = {"distance_from_origin"}

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import mujoco
 import pytest
 
-from core.environments.body_position import whereabouts
+from core.environments.body_position import body_position
 from core.physics.engine import PhysicsState
 
 
@@ -15,7 +15,7 @@ def read(body: str, qpos: list[float], name: str = "b") -> dict[str, float]:
     )
     nothing, zero = jnp.zeros(0), jnp.zeros(())
     physics = PhysicsState(jnp.array(qpos), nothing, nothing, nothing, zero, {}, {})
-    found = whereabouts(model, model.body(name).id)(physics)
+    found = body_position(model, model.body(name).id)(physics)
     return {name: float(value) for name, value in found.items()}
 
 

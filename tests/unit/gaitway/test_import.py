@@ -23,7 +23,7 @@ from core.adapters.s3.objects import S3ObjectStore
 from core.configuration import variable
 from core.errors import IdempotencyKeyReused, ModelNotFound
 from core.jobs import feeds
-from core.jobs.attempts import claim
+from core.jobs.attempts import claim_attempt
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job, Progress
 from core.jobs.reconciliation import Reconciler
@@ -181,11 +181,11 @@ class TestJobs:
         waiting = {"running": 3, "queued": 1, "rollout": 1, "starting": 2}
         assert sorted(queue.known()) == sorted((IDS[name], number) for name, number in waiting.items())
         assert job_store.undispatched() == []
-        holding = claim(
+        claim = claim_attempt(
             IDS["running"], 3, "w", store=job_store, objects=old.objects, lease=LEASE, secret="secret"
         )
-        assert holding is not None
-        holding.start(device="cpu")
+        assert claim is not None
+        claim.start(device="cpu")
         assert job_store.get(IDS["running"]).status == JobStatus.RUNNING
 
     def test_a_job_that_needs_another_ones_checkpoint_comes_after_it(

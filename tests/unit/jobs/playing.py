@@ -7,7 +7,7 @@ from typing import Any
 
 from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import Claim, claim, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.record_copy import copy_records
 from core.jobs.spec import JOB_SPEC
@@ -34,7 +34,7 @@ class PlayedWorker:
 
     def begin(self, job: Job) -> Claim:
         """Running on a CPU."""
-        holding = claim(
+        claim = claim_attempt(
             job.id,
             self.store.get(job.id).next_attempt,
             "worker-1",
@@ -43,42 +43,42 @@ class PlayedWorker:
             lease=LEASE,
             secret=new_secret(),
         )
-        assert holding is not None
-        holding.start(device="cpu", engine="native")
-        return holding
+        assert claim is not None
+        claim.start(device="cpu", engine="native")
+        return claim
 
     def run(self, steps: int = 1, **fields: Any) -> Job:
         """A job that has succeeded, with so many checkpoints."""
-        holding = self.begin(self.submit(**fields))
+        claim = self.begin(self.submit(**fields))
         for step in range(1, steps + 1):
-            self.checkpoint(holding, step)
-        return self.succeed(holding)
+            self.checkpoint(claim, step)
+        return self.succeed(claim)
 
-    def checkpoint(self, holding: Claim, step: int, keep: int = 5) -> Artifact:
+    def checkpoint(self, claim: Claim, step: int, keep: int = 5) -> Artifact:
         """Published, with a body of its own."""
         name = f"checkpoint-{step:012d}.msgpack"
-        artifact = self.upload(holding, name, f"{holding.job_id} {step}".encode(), step)
-        holding.publish((artifact,), keep)
+        artifact = self.upload(claim, name, f"{claim.job_id} {step}".encode(), step)
+        claim.publish((artifact,), keep)
         copy_records(store=self.store, objects=self.objects)
         return artifact
 
-    def upload(self, holding: Claim, name: str, body: bytes, step: int | None = None) -> Artifact:
+    def upload(self, claim: Claim, name: str, body: bytes, step: int | None = None) -> Artifact:
         """In the object store, and not in the record yet."""
         digest = hashlib.sha256(body).hexdigest()
-        key = keys.artifact(holding.job_id, holding.number, digest, name)
+        key = keys.artifact(claim.job_id, claim.number, digest, name)
         self.objects.put(key, body)
         return Artifact(
             name=name, role="checkpoint", media_type="", size=len(body), sha256=digest, key=key, step=step
         )
 
-    def say(self, holding: Claim, channel: Channel, *texts: str) -> None:
+    def say(self, claim: Claim, channel: Channel, *texts: str) -> None:
         entries = [
             Entry(kind="line" if channel == "logs" else "note", time=self.store.now(), data={"text": text})
             for text in texts
         ]
-        self.store.record(holding.job_id, holding.token, channel, entries, write_id=secrets.token_hex(8))
+        self.store.record(claim.job_id, claim.token, channel, entries, write_id=secrets.token_hex(8))
 
-    def succeed(self, holding: Claim) -> Job:
-        job = holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")
+    def succeed(self, claim: Claim) -> Job:
+        job = claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "It came to its end.")
         copy_records(store=self.store, objects=self.objects)
         return job

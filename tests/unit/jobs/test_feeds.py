@@ -31,14 +31,14 @@ class Feed:
     def __init__(self, store: PostgresJobStore, objects: ObjectStore) -> None:
         self.store, self.objects = store, objects
         self.worker = PlayedWorker(store, objects)
-        self.holding: Claim = self.worker.begin(self.worker.submit())
-        self.id = self.holding.job_id
+        self.claim: Claim = self.worker.begin(self.worker.submit())
+        self.id = self.claim.job_id
 
     def say(self, *texts: str) -> None:
-        self.worker.say(self.holding, "logs", *texts)
+        self.worker.say(self.claim, "logs", *texts)
 
     def tell(self, *entries: Entry, write_id: str = "w") -> None:
-        self.store.record(self.id, self.holding.token, "events", entries, write_id=write_id)
+        self.store.record(self.id, self.claim.token, "events", entries, write_id=write_id)
 
     def read(self, channel: Channel = "logs", **asked: Any) -> Sequence[Entry]:
         return feeds.read(self.id, channel, store=self.store, objects=self.objects, **asked)
@@ -179,7 +179,7 @@ class TestCompacting:
 
     def test_a_job_deleted_while_its_chunk_is_made_keeps_no_other_from_theirs(self, feed: Feed) -> None:
         feed.say("a")
-        job = feed.holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+        job = feed.claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
         other = Feed(feed.store, feed.objects)
         other.say("b")
         interrupt(feed, lambda: delete(job.id, store=feed.store, objects=feed.objects))
@@ -244,7 +244,7 @@ def test_a_feed_waits_for_its_size_its_age_or_its_jobs_end(job_store: PostgresJo
         feed.say("a")
     long.say("x" * feeds.MAX_BYTES)
     old.tell(Entry(kind="note", time=datetime.now(UTC) - feeds.MAX_AGE))
-    ended.holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    ended.claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
     feeds.compact(store=job_store, objects=objects)
     made = [
         [channel for channel in ("events", "logs") if each.chunks(channel)]

@@ -26,7 +26,7 @@ from core.errors import (
     StorageUnavailable,
 )
 from core.jobs.acknowledgements import Acknowledgements
-from core.jobs.attempts import Claim, claim, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
@@ -68,12 +68,12 @@ class Service:
 
     def claim(self, job: Job) -> Claim:
         self.queue.take()
-        holding = self.try_to_claim(job, self.store.get(job.id).next_attempt)
-        assert holding is not None
-        return holding
+        claim = self.try_to_claim(job, self.store.get(job.id).next_attempt)
+        assert claim is not None
+        return claim
 
     def try_to_claim(self, job: Job, number: int) -> Claim | None:
-        return claim(
+        return claim_attempt(
             job.id, number, "w", store=self.store, objects=self.objects, lease=LEASE, secret=new_secret()
         )
 
@@ -112,9 +112,9 @@ class Service:
     def status(self, job: Job) -> JobStatus:
         return self.store.get(job.id).status
 
-    def checkpoint(self, holding: Claim, step: int) -> Artifact:
+    def checkpoint(self, claim: Claim, step: int) -> Artifact:
         name = f"checkpoint-{step:012d}.msgpack"
-        key = keys.artifact(holding.job_id, holding.number, "0" * 64, name)
+        key = keys.artifact(claim.job_id, claim.number, "0" * 64, name)
         self.objects.put(key, b"state")
         return Artifact(name=name, role="checkpoint", media_type="", size=5, sha256="", key=key, step=step)
 
@@ -185,7 +185,9 @@ def test_a_claim_whose_answer_was_lost_finds_what_it_took(service: Service) -> N
     job, secret = service.submit(), new_secret()
 
     def take() -> Claim | None:
-        return claim(job.id, 1, "w", store=service.store, objects=service.objects, lease=LEASE, secret=secret)
+        return claim_attempt(
+            job.id, 1, "w", store=service.store, objects=service.objects, lease=LEASE, secret=secret
+        )
 
     first = take()
     assert first is not None
@@ -197,11 +199,11 @@ def test_a_queued_job_is_cancelled_at_once_and_a_running_one_is_asked(service: S
     queued, running = service.submit(), service.submit()
     assert service.cancel(queued).status == JobStatus.CANCELLED
     assert not service.queue.contains(queued.id, 1)
-    holding = service.claim(running)
-    holding.start(device="cpu")
+    claim = service.claim(running)
+    claim.start(device="cpu")
     assert service.cancel(running).status == JobStatus.CANCELLING
     assert service.cancel(running).status == JobStatus.CANCELLING
-    holding.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "")
+    claim.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "")
     assert service.cancel(running).reason == Reason.USER_CANCELLED
 
 
@@ -214,9 +216,9 @@ def test_what_has_succeeded_cannot_be_cancelled(service: Service) -> None:
 
 def test_a_cancel_that_comes_before_the_start_is_not_lost(service: Service) -> None:
     job = service.submit()
-    holding = service.claim(job)
+    claim = service.claim(job)
     service.cancel(job)
-    assert holding.start(device="cpu").status == JobStatus.CANCELLING
+    assert claim.start(device="cpu").status == JobStatus.CANCELLING
 
 
 def test_a_job_that_the_queue_forgot_is_dispatched_again(service: Service) -> None:
@@ -231,7 +233,7 @@ def test_a_job_that_the_queue_forgot_is_dispatched_again(service: Service) -> No
 
 def test_a_silent_worker_loses_its_job_and_its_late_writes_change_nothing(service: Service) -> None:
     job = service.submit()
-    holding = service.claim(job)
+    claim = service.claim(job)
     service.wait(9)
     assert service.reconcile() == 0
     service.wait(2)
@@ -239,7 +241,7 @@ def test_a_silent_worker_loses_its_job_and_its_late_writes_change_nothing(servic
     taken = service.store.get(job.id)
     assert (taken.status, taken.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_LOST)
     with pytest.raises(LeaseLost):
-        holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+        claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
     assert service.store.get(job.id) == taken
 
 
@@ -270,21 +272,21 @@ def test_a_worker_lost_while_cancelling_leaves_a_cancelled_job(service: Service)
 
 
 def test_only_the_newest_checkpoints_are_kept_and_the_others_may_be_removed(service: Service) -> None:
-    holding = service.claim(service.submit())
+    claim = service.claim(service.submit())
     for step in (10, 20, 30):
-        job, dropped = holding.publish((service.checkpoint(holding, step),), keep_checkpoints=2)
+        job, dropped = claim.publish((service.checkpoint(claim, step),), keep_checkpoints=2)
     assert [a.step for a in job.artifacts] == [20, 30]
     assert [key.rpartition("/")[2] for key in dropped] == ["checkpoint-000000000010.msgpack"]
 
 
 def test_a_checkpoint_that_a_queued_job_was_promised_is_kept(service: Service) -> None:
     source = service.submit()
-    holding = service.claim(source)
-    holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=1)
+    claim = service.claim(source)
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=1)
     borrower = service.submit(resume_from={"job": source.id, "step": 10})
-    job, dropped = holding.publish((service.checkpoint(holding, 20),), keep_checkpoints=1)
+    job, dropped = claim.publish((service.checkpoint(claim, 20),), keep_checkpoints=1)
     assert ([a.step for a in job.artifacts], dropped) == ([10, 20], [])
-    holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
     with pytest.raises(JobInUse, match=borrower.id):
         service.delete(source)
     service.cancel(borrower)
@@ -327,8 +329,8 @@ def test_a_rollout_needs_a_job_with_a_checkpoint_in_the_same_environment(service
 
     with pytest.raises(Rejected, match="no checkpoint"):
         roll_out("ant")
-    holding = service.claim(job)
-    holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+    claim = service.claim(job)
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
     assert roll_out("ant").spec.kind == "rollout"
     with pytest.raises(Rejected, match="must be the same"):
         roll_out("hopper")
@@ -397,9 +399,9 @@ def test_a_job_for_two_gpus_waits_for_them_however_often_it_is_dispatched(servic
 
 def test_a_job_of_another_shape_cannot_go_on_from_a_checkpoint(service: Service) -> None:
     job = service.submit()
-    holding = service.claim(job)
-    holding.start(device="cpu", details={"hyperparameters": {"kind": "ppo", "num_envs": 64}})
-    holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+    claim = service.claim(job)
+    claim.start(device="cpu", details={"hyperparameters": {"kind": "ppo", "num_envs": 64}})
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
     with pytest.raises(Rejected, match="made with num_envs = 64; this job has 256") as caught:
         service.submit(resume_from={"job": job.id}, resources={"accelerator": "cpu"})
     assert "/algorithm/num_envs" in [problem.pointer for problem in caught.value.problems]
@@ -410,9 +412,9 @@ def test_a_job_cannot_go_on_from_worlds_of_warp_on_another_engine_nor_the_other_
 ) -> None:
     for had, has in (("warp", "mjx"), ("native", "warp")):
         job = service.submit()
-        holding = service.claim(job)
-        holding.start(device="NVIDIA H200", engine=had, details={})
-        holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+        claim = service.claim(job)
+        claim.start(device="NVIDIA H200", engine=had, details={})
+        claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
         with pytest.raises(Rejected, match=f"worlds of the engine {had}, and a run on {has}") as caught:
             service.submit(resume_from={"job": job.id}, physics=has)
         assert [problem.pointer for problem in caught.value.problems] == ["/physics"]
@@ -423,8 +425,8 @@ def test_a_job_cannot_go_on_from_worlds_of_warp_on_another_engine_nor_the_other_
 def test_a_job_goes_on_in_worlds_that_differ_further_but_in_nothing_else(service: Service) -> None:
     friction = {"field": "geom_friction", "range": [0.8, 1.2]}
     job = service.submit(randomization=[friction])
-    holding = service.claim(job)
-    holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+    claim = service.claim(job)
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
     further = friction | {"range": [0.4, 1.6]}
     assert service.submit(resume_from={"job": job.id}, randomization=[further, further])
     with pytest.raises(Rejected, match="differ in geom_friction, this job's in nothing") as caught:
@@ -455,14 +457,14 @@ def test_a_job_goes_on_where_its_checkpoint_fits(
 
 def test_after_a_silence_of_the_reconciler_an_attempt_has_a_lease_to_speak(service: Service) -> None:
     job = service.submit()
-    holding = service.claim(job)
+    claim = service.claim(job)
     service.wait(100)
     # Nobody looked meanwhile, or the record was away: the attempt could not have renewed its lease.
     service.fall_silent(LEASE)
     assert service.reconciler.look() == 0
-    holding.store.renew(job.id, holding.token, LEASE)
+    claim.store.renew(job.id, claim.token, LEASE)
     assert service.reconcile() == 0
-    assert holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "").status == JobStatus.SUCCEEDED
+    assert claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "").status == JobStatus.SUCCEEDED
 
 
 def test_two_reconcilers_at_once_take_a_job_back_once(service: Service) -> None:
@@ -555,13 +557,13 @@ def test_a_copy_of_a_begun_job_follows_its_record_through_an_outage_of_the_objec
             raise StorageUnavailable("away")
 
     waits, job = service.submit(), service.submit()
-    holding = service.claim(job)
-    published, _ = holding.publish((service.checkpoint(holding, 10),), keep_checkpoints=2)
+    claim = service.claim(job)
+    published, _ = claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
     assert copy_records(store=service.store, objects=service.objects) == 1
     assert read_copy(job.id, service.objects) == published
     assert read_copy(waits.id, service.objects) is None
     assert copy_records(store=service.store, objects=service.objects) == 0
-    ended = holding.end(JobStatus.FAILED, Reason.DIVERGED, "NaN")
+    ended = claim.end(JobStatus.FAILED, Reason.DIVERGED, "NaN")
     with pytest.raises(StorageUnavailable):
         copy_records(store=service.store, objects=Frail())
     assert copy_records(store=service.store, objects=service.objects) == 1

@@ -59,23 +59,23 @@ def sweep_all(jobs: JobStore, objects: MemoryObjectStore) -> list[EventDict]:
 def test_an_object_that_no_record_names_is_removed_after_a_day(
     jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
 ) -> None:
-    holding = worker.begin(worker.submit())
-    worker.say(holding, "logs", "a line")
-    kept = worker.checkpoint(holding, 2, keep=1)
-    worker.upload(holding, "dropped", b"never published")
-    objects.put(f"{keys.job(holding.job_id)}logs/000000000001-0123456789abcdef.jsonl", b"{}")
-    worker.succeed(holding)
+    claim = worker.begin(worker.submit())
+    worker.say(claim, "logs", "a line")
+    kept = worker.checkpoint(claim, 2, keep=1)
+    worker.upload(claim, "dropped", b"never published")
+    objects.put(f"{keys.job(claim.job_id)}logs/000000000001-0123456789abcdef.jsonl", b"{}")
+    worker.succeed(claim)
     while feeds.compact(store=jobs, objects=objects):
         pass
     objects.age = timedelta(hours=23)
-    young = worker.upload(holding, "young", b"not published yet")
-    chunks = [chunk.key for chunk in jobs.chunks([holding.job_id])[holding.job_id]]
+    young = worker.upload(claim, "young", b"not published yet")
+    chunks = [chunk.key for chunk in jobs.chunks([claim.job_id])[claim.job_id]]
     assert len(chunks) == 2  # of the events, and of the logs
     assert len(objects.keys()) == 7
 
     said = sweep_all(jobs, objects)
 
-    assert objects.keys() == sorted([kept.key, young.key, keys.record(holding.job_id), *chunks])
+    assert objects.keys() == sorted([kept.key, young.key, keys.record(claim.job_id), *chunks])
     assert said == [{"event": "orphans_removed", "num_objects": 2, "log_level": "info"}]
     assert sweep_all(jobs, objects) == []
 
@@ -109,11 +109,11 @@ def test_what_an_older_copy_names_is_left_too(
     jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
 ) -> None:
     # As after the restore of an older bucket: the record has gone on to other checkpoints.
-    holding = worker.begin(worker.submit())
-    worker.checkpoint(holding, 1)
-    older = objects.get(keys.record(holding.job_id))
-    worker.checkpoint(holding, 2, keep=1)
-    objects.put(keys.record(holding.job_id), older)
+    claim = worker.begin(worker.submit())
+    worker.checkpoint(claim, 1)
+    older = objects.get(keys.record(claim.job_id))
+    worker.checkpoint(claim, 2, keep=1)
+    objects.put(keys.record(claim.job_id), older)
     before = objects.keys()
     assert sweep_all(jobs, objects) == []
     assert objects.keys() == before
@@ -122,9 +122,9 @@ def test_what_an_older_copy_names_is_left_too(
 def test_a_copy_that_cannot_be_read_protects_its_job(
     jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
 ) -> None:
-    holding = worker.begin(worker.submit())
-    worker.upload(holding, "dropped", b"never published")
-    objects.put(keys.record(holding.job_id), b"{}")
+    claim = worker.begin(worker.submit())
+    worker.upload(claim, "dropped", b"never published")
+    objects.put(keys.record(claim.job_id), b"{}")
     before = objects.keys()
     sweep_all(jobs, objects)
     assert objects.keys() == before
@@ -150,11 +150,11 @@ def test_nothing_of_a_job_at_work_is_removed(
     jobs: JobStore, objects: AgingObjects, worker: PlayedWorker
 ) -> None:
     # However long it takes: all that is read for it is named.
-    holding = worker.begin(worker.submit())
-    artifact = worker.checkpoint(holding, 1)
+    claim = worker.begin(worker.submit())
+    artifact = worker.checkpoint(claim, 1)
     sweep_all(jobs, objects)
-    assert jobs.get(holding.job_id).status == JobStatus.RUNNING
-    assert objects.keys() == [artifact.key, keys.record(holding.job_id)]
+    assert jobs.get(claim.job_id).status == JobStatus.RUNNING
+    assert objects.keys() == [artifact.key, keys.record(claim.job_id)]
 
 
 class TestModels:

@@ -75,9 +75,9 @@ def steps(job: Job) -> list[int | None]:
     return [artifact.step for artifact in job.artifacts]
 
 
-def holding_at(holding: Claim, store: JobStore) -> Claim:
+def holding_at(claim: Claim, store: JobStore) -> Claim:
     """The same attempt, as the database was restored beneath it."""
-    return Claim(holding.job_id, holding.number, holding.token, store, holding.objects)
+    return Claim(claim.job_id, claim.number, claim.token, store, claim.objects)
 
 
 class TestForgottenJobs:
@@ -90,23 +90,23 @@ class TestForgottenJobs:
         assert jobs.get(job.id) == job.model_copy(update={"artifacts": job.artifacts[:1]})
 
     def test_a_job_that_was_being_cancelled_is_cancelled(self, jobs: JobStore, worker: PlayedWorker) -> None:
-        holding = worker.begin(worker.submit())
-        cancelling = cancel(holding.job_id, store=jobs, queue=MemoryJobQueue())
-        worker.checkpoint(holding, 1)
-        jobs.delete(holding.job_id, cancelling.version + 1)
+        claim = worker.begin(worker.submit())
+        cancelling = cancel(claim.job_id, store=jobs, queue=MemoryJobQueue())
+        worker.checkpoint(claim, 1)
+        jobs.delete(claim.job_id, cancelling.version + 1)
         recover(jobs, worker.objects)
-        job = jobs.get(holding.job_id)
+        job = jobs.get(claim.job_id)
         assert (job.status, job.reason) == (JobStatus.CANCELLED, Reason.USER_CANCELLED)
         assert job.attempts[-1].ended_at is not None
 
     def test_the_last_attempt_is_not_used_up_by_the_disaster(
         self, jobs: JobStore, worker: PlayedWorker
     ) -> None:
-        holding = worker.begin(worker.submit(max_attempts=1))
-        worker.checkpoint(holding, 1)
-        jobs.delete(holding.job_id, jobs.get(holding.job_id).version)
+        claim = worker.begin(worker.submit(max_attempts=1))
+        worker.checkpoint(claim, 1)
+        jobs.delete(claim.job_id, jobs.get(claim.job_id).version)
         recover(jobs, worker.objects)
-        assert jobs.get(holding.job_id).status == JobStatus.QUEUED
+        assert jobs.get(claim.job_id).status == JobStatus.QUEUED
 
     def test_what_a_deletion_left_is_told_and_not_adopted(self, jobs: JobStore, worker: PlayedWorker) -> None:
         job = worker.run()
@@ -148,15 +148,15 @@ class TestOlderRecords:
     def test_an_attempt_that_still_holds_its_job_keeps_it(
         self, worker: PlayedWorker, saved: Callable[[], PostgresJobStore]
     ) -> None:
-        holding = worker.begin(worker.submit())
+        claim = worker.begin(worker.submit())
         older = saved()
-        worker.checkpoint(holding, 1)
+        worker.checkpoint(claim, 1)
         recover(older, worker.objects)
-        job = older.get(holding.job_id)
+        job = older.get(claim.job_id)
         assert (job.status, steps(job)) == (JobStatus.RUNNING, [1])
         # It goes on where it is, without a break.
-        assert older.renew(job.id, holding.token, LEASE) == JobStatus.RUNNING
-        again = holding_at(holding, older)
+        assert older.renew(job.id, claim.token, LEASE) == JobStatus.RUNNING
+        again = holding_at(claim, older)
         PlayedWorker(older, worker.objects).checkpoint(again, 2)
         assert steps(older.get(job.id)) == [1, 2]
         assert found(older, worker.objects) == []
@@ -164,13 +164,13 @@ class TestOlderRecords:
     def test_a_cancel_since_then_stays(
         self, worker: PlayedWorker, saved: Callable[[], PostgresJobStore]
     ) -> None:
-        holding = worker.begin(worker.submit())
+        claim = worker.begin(worker.submit())
         older = saved()
-        worker.checkpoint(holding, 1)
-        worker.checkpoint(holding, 2)
-        cancel(holding.job_id, store=older, queue=MemoryJobQueue())
+        worker.checkpoint(claim, 1)
+        worker.checkpoint(claim, 2)
+        cancel(claim.job_id, store=older, queue=MemoryJobQueue())
         recover(older, worker.objects)
-        job = older.get(holding.job_id)
+        job = older.get(claim.job_id)
         assert (job.status, steps(job)) == (JobStatus.CANCELLING, [1, 2])
 
     def test_another_life_since_then_stays_and_takes_the_files(
@@ -193,9 +193,9 @@ class TestOlderRecords:
     ) -> None:
         job = worker.submit()
         older = saved()
-        holding = worker.begin(job)
-        worker.checkpoint(holding, 1)
-        worker.succeed(holding)
+        claim = worker.begin(job)
+        worker.checkpoint(claim, 1)
+        worker.succeed(claim)
         cancel(job.id, store=older, queue=MemoryJobQueue())
         recover(older, worker.objects)
         assert (older.get(job.id).status, steps(older.get(job.id))) == (JobStatus.CANCELLED, [1])
@@ -203,31 +203,31 @@ class TestOlderRecords:
     def test_a_feed_goes_on_with_what_the_bucket_has(
         self, worker: PlayedWorker, saved: Callable[[], PostgresJobStore]
     ) -> None:
-        holding = worker.begin(worker.submit())
-        worker.say(holding, "logs", "1", "2")
+        claim = worker.begin(worker.submit())
+        worker.say(claim, "logs", "1", "2")
         older = saved()
-        worker.say(holding, "logs", "3")
-        worker.succeed(holding)
+        worker.say(claim, "logs", "3")
+        worker.succeed(claim)
         while feeds.compact(store=worker.store, objects=worker.objects):
             pass
         recover(older, worker.objects)
-        assert lines(older, worker.objects, holding.job_id) == ["1", "2", "3"]
-        assert older.oldest_entries(holding.job_id, "logs", limit=10) == []
+        assert lines(older, worker.objects, claim.job_id) == ["1", "2", "3"]
+        assert older.oldest_entries(claim.job_id, "logs", limit=10) == []
 
     def test_a_feed_that_went_on_otherwise_keeps_its_own_entries(
         self, worker: PlayedWorker, saved: Callable[[], PostgresJobStore]
     ) -> None:
-        holding = worker.begin(worker.submit())
-        worker.say(holding, "logs", "1", "2")
+        claim = worker.begin(worker.submit())
+        worker.say(claim, "logs", "1", "2")
         older = saved()
-        worker.say(holding, "logs", "3", "4")
-        worker.succeed(holding)
+        worker.say(claim, "logs", "3", "4")
+        worker.succeed(claim)
         while feeds.compact(store=worker.store, objects=worker.objects):
             pass
-        PlayedWorker(older, worker.objects).say(holding_at(holding, older), "logs", "other")
+        PlayedWorker(older, worker.objects).say(holding_at(claim, older), "logs", "other")
         recover(older, worker.objects)
-        assert older.get(holding.job_id).status == JobStatus.SUCCEEDED
-        assert lines(older, worker.objects, holding.job_id) == ["1", "2", "other"]
+        assert older.get(claim.job_id).status == JobStatus.SUCCEEDED
+        assert lines(older, worker.objects, claim.job_id) == ["1", "2", "other"]
 
     def test_what_has_changed_since_it_was_found_is_not_overwritten(
         self, worker: PlayedWorker, saved: Callable[[], PostgresJobStore]
@@ -254,23 +254,23 @@ class TestLosses:
     def test_a_damaged_checkpoint_that_was_struck_is_not_taken_again(
         self, jobs: JobStore, worker: PlayedWorker
     ) -> None:
-        holding = worker.begin(worker.submit())
-        worker.checkpoint(holding, 1)
-        damaged = worker.checkpoint(holding, 2)
+        claim = worker.begin(worker.submit())
+        worker.checkpoint(claim, 1)
+        damaged = worker.checkpoint(claim, 2)
         worker.objects.put(damaged.key, b"x" * damaged.size)
-        holding.strike(damaged)
+        claim.strike(damaged)
         assert found(jobs, worker.objects) == []
 
     def test_a_single_entry_that_was_lost_is_named_as_one(self, jobs: JobStore, worker: PlayedWorker) -> None:
-        holding = worker.begin(worker.submit())
-        worker.say(holding, "logs", "the only line")
-        worker.succeed(holding)
+        claim = worker.begin(worker.submit())
+        worker.say(claim, "logs", "the only line")
+        worker.succeed(claim)
         while feeds.compact(store=jobs, objects=worker.objects):
             pass
-        for info in worker.objects.list(f"{keys.job(holding.job_id)}logs/"):
+        for info in worker.objects.list(f"{keys.job(claim.job_id)}logs/"):
             worker.objects.delete_prefix(info.key)
         recover(jobs, worker.objects)
-        assert lines(jobs, worker.objects, holding.job_id) == [
+        assert lines(jobs, worker.objects, claim.job_id) == [
             "Entry 1 of this feed was lost from the object store."
         ]
 

@@ -110,8 +110,8 @@ def test_a_worker_tells_how_an_attempt_ended_that_was_left_on_its_disk(
     settings: WorkerSettings, job_store: PostgresJobStore
 ) -> None:
     job = held(job_store, queued_job())
-    holding = Claim(job.id, 1, job.token, job_store, MemoryObjectStore())
-    leave(settings.data_dir, holding, Outcome(None, Reason.WORKER_DRAINED, "Shut down."))
+    claim = Claim(job.id, 1, job.token, job_store, MemoryObjectStore())
+    leave(settings.data_dir, claim, Outcome(None, Reason.WORKER_DRAINED, "Shut down."))
     (settings.data_dir / "left" / "damaged.json").write_text("{")
     GaitwayWorker(settings, "cpu", job_store).heartbeat()
     told = job_store.get(job.id)

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.body import TRAVEL, MujocoEnv, noisy_start, travel
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
+from core.environments.mujoco_env import TRAVEL, MujocoEnv, noisy_start, travel
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("subtree_com", "xpos")

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.body import TRAVEL, MujocoEnv, noisy_start, travel
 from core.environments.dm_control.rodent.info import RodentOptions
 from core.environments.dm_control.rodent.model import rodent_model
 from core.environments.environment import State
+from core.environments.mujoco_env import TRAVEL, MujocoEnv, noisy_start, travel
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")

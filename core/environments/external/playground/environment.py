@@ -111,7 +111,7 @@ class Playground:
         data = theirs.data
         derived = {name: getattr(data, name) for name in self._mocap}
         if self._implementation == "warp":
-            from core.physics.warp_worlds import LOST
+            from core.physics.warp_buffers import LOST
 
             derived[OVERFLOW] = as_float((data._impl.overflow & LOST) != 0)
         physics = PhysicsState(

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.body import TRAVEL, MujocoEnv, noisy_start, travel
 from core.environments.environment import State
 from core.environments.locomotion.ant.info import AntOptions
+from core.environments.mujoco_env import TRAVEL, MujocoEnv, noisy_start, travel
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import brax_model
 

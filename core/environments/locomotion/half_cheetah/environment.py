@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.body import MujocoEnv, noisy_start
 from core.environments.environment import State
 from core.environments.locomotion.half_cheetah.info import HalfCheetahOptions
+from core.environments.mujoco_env import MujocoEnv, noisy_start
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 

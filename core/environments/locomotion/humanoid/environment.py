@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.environments import rewards
-from core.environments.body import TRAVEL, MujocoEnv, noisy_start, scaled_to_control, travel
 from core.environments.environment import State
 from core.environments.locomotion.humanoid.info import HumanoidOptions
+from core.environments.mujoco_env import TRAVEL, MujocoEnv, noisy_start, scaled_to_control, travel
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import brax_model
 

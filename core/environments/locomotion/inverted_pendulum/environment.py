@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from core.environments.body import MujocoEnv, noisy_start, scaled_to_control
 from core.environments.environment import State
 from core.environments.info import NoOptions
+from core.environments.mujoco_env import MujocoEnv, noisy_start, scaled_to_control
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 

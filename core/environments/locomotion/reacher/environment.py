@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.environments import rewards
-from core.environments.body import MujocoEnv
 from core.environments.environment import State
 from core.environments.info import NoOptions
+from core.environments.mujoco_env import MujocoEnv
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 

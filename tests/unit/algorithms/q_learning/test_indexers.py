@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from core.algorithms.q_learning.decisions import Tabular
-from core.algorithms.q_learning.indexers import Indexer, make_indexer
-from core.algorithms.q_learning.mappers import make_mapper
+from core.algorithms.q_learning.action_sets import make_mapper
+from core.algorithms.q_learning.discrete_env import Tabular
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
+from core.algorithms.q_learning.state_discretizers import Indexer, make_indexer
 from core.environments import probes
 from core.environments.wrappers.domain_randomization import RandomizedEnvironment
 from core.errors import JobFailed

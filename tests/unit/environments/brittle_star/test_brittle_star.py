@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.q_learning.mappers import num_arms
+from core.algorithms.q_learning.action_sets import num_arms
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.spec import resolve
 from core.environments import catalog

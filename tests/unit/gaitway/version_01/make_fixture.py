@@ -23,7 +23,7 @@ from core.adapters.redis_jobs import RedisJobStore
 from core.adapters.rq.queue import RQQueue
 from core.adapters.s3.objects import S3ObjectStore
 from core.environments.mjcf.inventory import Inventory
-from core.jobs.attempts import Claim, claim, given_back
+from core.jobs.attempts import Claim, claim_attempt, given_back
 from core.jobs.cancellation import cancel
 from core.jobs.durability import keep_record
 from core.jobs.job import Job, utc_now
@@ -72,7 +72,7 @@ class Service:
     def claim(self, job: Job) -> Claim:
         job = self.store.get(job.id)
         self.now += timedelta(minutes=1)
-        holding = claim(
+        claim = claim_attempt(
             job.id,
             job.next_attempt,
             "host:cpu",
@@ -81,12 +81,12 @@ class Service:
             lease=LEASE,
             now=self.now,
         )
-        assert holding is not None
-        return holding
+        assert claim is not None
+        return claim
 
     @contextmanager
-    def saying(self, holding: Claim, keep: int = 2) -> Iterator[Callable[[Message | str], None]]:
-        outbox = Outbox(holding, self.spool, keep)
+    def saying(self, claim: Claim, keep: int = 2) -> Iterator[Callable[[Message | str], None]]:
+        outbox = Outbox(claim, self.spool, keep)
         yield outbox.put
         assert outbox.close(30)
 
@@ -94,14 +94,14 @@ class Service:
         (self.spool / name).write_bytes(body)
         return FileReady(name=name, path=name, **facts)
 
-    def start(self, holding: Claim) -> None:
-        with self.saying(holding) as say:
+    def start(self, claim: Claim) -> None:
+        with self.saying(claim) as say:
             say(Hello(pid=1234))
             say(Started(device="cpu", engine="native", details={"hyperparameters": {"num_envs": 64}}))
             say(PhaseEnded(name="compile", seconds=1.5))
 
-    def checkpoint(self, holding: Claim, step: int) -> None:
-        with self.saying(holding) as say:
+    def checkpoint(self, claim: Claim, step: int) -> None:
+        with self.saying(claim) as say:
             say(f"step {step}")
             say(Measured(step=step, values={"eval/episode_reward": step / 10, "training/loss": math.nan}))
             say(Advanced(step=step, total=1000, steps_per_second=50.0, eta_s=2.0, metrics={"reward": 1.0}))
@@ -119,11 +119,11 @@ class Service:
 
 def succeed(service: Service) -> Job:
     job = service.submit("succeeded", labels={"team": "walkers"}, checkpoints={"keep": 2})
-    holding = service.claim(job)
-    service.start(holding)
+    claim = service.claim(job)
+    service.start(claim)
     for step in (100, 200, 300):
-        service.checkpoint(holding, step)
-    with service.saying(holding) as say:
+        service.checkpoint(claim, step)
+    with service.saying(claim) as say:
         say("a null \0, a snowman ☃ and a 🤖")
         say(Noted(text="Contacts were lost."))
         say(service.file("video.mp4", b"moving", role="video", media_type="video/mp4", step=300))
@@ -133,7 +133,7 @@ def succeed(service: Service) -> Job:
             )
         )
     service.now += timedelta(minutes=5)
-    holding.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All 1,000 steps are done.", service.now)
+    claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All 1,000 steps are done.", service.now)
     return job
 
 
@@ -169,9 +169,9 @@ def others(service: Service, succeeded: Job) -> None:
     service.start(service.claim(job))
     cancel(job.id, store=service.store, queue=service.queue, objects=service.objects, now=service.now)
     job = service.submit("failed")
-    holding = service.claim(job)
-    service.start(holding)
-    holding.end(JobStatus.FAILED, Reason.DIVERGED, "The loss is not finite.", service.now)
+    claim = service.claim(job)
+    service.start(claim)
+    claim.end(JobStatus.FAILED, Reason.DIVERGED, "The loss is not finite.", service.now)
     service.claim(service.submit("starting", max_attempts=1))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from core.errors import Misconfigured
-from core.patience import CalledOff
+from core.retry import CalledOff
 from worker.host.device_lock import SlotTaken, slot, slot_names, slots
 from worker.host.drain_flag import Draining
 

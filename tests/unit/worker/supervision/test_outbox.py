@@ -13,7 +13,7 @@ from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
-from core.jobs.attempts import Claim, claim, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import utc_now
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import Channel, Entry
@@ -26,13 +26,13 @@ A_DAY_S = 86_400.0
 
 
 @pytest.fixture
-def holding(job_store: PostgresJobStore) -> Claim:
+def claim(job_store: PostgresJobStore) -> Claim:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant"})
     job = submit(spec, store=job_store, queue=MemoryJobQueue())
     objects, lease = MemoryObjectStore(), timedelta(seconds=15)
-    holding = claim(job.id, 1, "w", store=job_store, objects=objects, lease=lease, secret=new_secret())
-    assert holding is not None
-    return holding
+    claim = claim_attempt(job.id, 1, "w", store=job_store, objects=objects, lease=lease, secret=new_secret())
+    assert claim is not None
+    return claim
 
 
 class Outage:
@@ -59,17 +59,17 @@ def outage(job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch) -> Outa
 
 
 @pytest.fixture
-def outbox(holding: Claim, tmp_path: Path) -> Outbox:
-    return Outbox(holding, tmp_path, keep_checkpoints=1)
+def outbox(claim: Claim, tmp_path: Path) -> Outbox:
+    return Outbox(claim, tmp_path, keep_checkpoints=1)
 
 
-def read(holding: Claim, channel: Channel) -> list[Entry]:
-    found = feeds.read(holding.job_id, channel, store=holding.store, objects=holding.objects, limit=10_000)
+def read(claim: Claim, channel: Channel) -> list[Entry]:
+    found = feeds.read(claim.job_id, channel, store=claim.store, objects=claim.objects, limit=10_000)
     return [entry for entry in found if entry.kind != "status"]
 
 
 def test_what_waited_through_an_outage_comes_in_order_with_the_time_at_which_it_was_said(
-    outbox: Outbox, outage: Outage, holding: Claim
+    outbox: Outbox, outage: Outage, claim: Claim
 ) -> None:
     outbox.put(Hello(pid=7))
     for step in range(200):
@@ -79,12 +79,12 @@ def test_what_waited_through_an_outage_comes_in_order_with_the_time_at_which_it_
     said_by = utc_now()
     outage.is_over = True
     assert outbox.close(30)
-    events, lines = read(holding, "events"), read(holding, "logs")
+    events, lines = read(claim, "events"), read(claim, "logs")
     assert [event.data["step"] for event in events if event.kind == "metrics"] == list(range(200))
     assert [event.kind for event in events] == ["phase", *["metrics", "progress"] * 200]
     assert [line.data["text"] for line in lines] == [f"line {step}" for step in range(200)]
     assert max(entry.time for entry in (*events, *lines)) <= said_by
-    assert holding.store.get(holding.job_id).progress.step == 199
+    assert claim.store.get(claim.job_id).progress.step == 199
     # 401 entries were said: far fewer writes than that, and none that would take long.
     counts = [count for channel, count in outage.writes if channel == "events"]
     assert sum(counts) == 401
@@ -92,9 +92,7 @@ def test_what_waited_through_an_outage_comes_in_order_with_the_time_at_which_it_
     assert len(counts) < 20
 
 
-def test_what_is_said_before_a_file_is_stored_before_it(
-    outbox: Outbox, holding: Claim, tmp_path: Path
-) -> None:
+def test_what_is_said_before_a_file_is_stored_before_it(outbox: Outbox, claim: Claim, tmp_path: Path) -> None:
     outbox.put(Started(device="cpu", engine="native"))
     for step in (10, 20):
         outbox.put(Measured(step=step, values={"reward": 1.0}))
@@ -104,14 +102,14 @@ def test_what_is_said_before_a_file_is_stored_before_it(
         outbox.put(FileReady(name=name, path=name, role="checkpoint", media_type="", step=step))
     outbox.put(Noted(text="The end."))
     assert outbox.close(30)
-    assert [entry.kind for entry in read(holding, "events")] == [
+    assert [entry.kind for entry in read(claim, "events")] == [
         *("metrics", "phase", "artifact"),
         *("metrics", "phase", "artifact"),
         "note",
     ]
-    metrics = holding.store.get(holding.job_id).newest("metrics")
+    metrics = claim.store.get(claim.job_id).newest("metrics")
     assert metrics is not None
-    assert len(holding.objects.get(metrics.key).splitlines()) == 2
+    assert len(claim.objects.get(metrics.key).splitlines()) == 2
 
 
 def test_a_wait_for_the_stores_can_be_called_off(outbox: Outbox, outage: Outage) -> None:

@@ -7,17 +7,17 @@ from pathlib import Path
 from core.algorithms.trainer import Progress
 from core.environments.probes import endless
 from tests.learning.runs import small_trainer
-from worker.training.channel import EventWriter
+from worker.training.event_writer import EventWriter
 from worker.training.train import Report
 
 
 def test_contacts_that_are_lost_are_warned_of_once_and_told_each_time(tmp_path: Path) -> None:
     read, write = os.pipe()
-    channel = EventWriter(tmp_path, write)
-    report = Report(channel, small_trainer(endless()))
+    events = EventWriter(tmp_path, write)
+    report = Report(events, small_trainer(endless()))
     for step, lost in enumerate([0.0, 0.1, 0.2]):
         report.tell(Progress(step, 3, {"training/physics_overflow": lost}))
-    channel._pipe.close()
+    events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
         said = [json.loads(line) for line in pipe]
     notes = [message["text"] for message in said if message["type"] == "note"]

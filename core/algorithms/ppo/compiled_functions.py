@@ -13,8 +13,8 @@ from core.algorithms.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.ppo.brax_training import make_inference_fn
 from core.algorithms.ppo.failure import Failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.layout import Sharding
 from core.algorithms.ppo.networks import make_networks
+from core.algorithms.ppo.sharding import Sharding
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.wrappers.vectorized import ENVS
 
@@ -50,34 +50,34 @@ def trace(learner: Learner, hyperparameters: Hyperparameters) -> Callable[[], Co
     def compile_all() -> CompiledFunctions:
         with ThreadPoolExecutor() as pool:
             init, epoch, evaluate = pool.map(lambda program: program.compile(), lowered)
-        return CompiledFunctions(init, epoch, learner.layout.on_the_first(evaluate))
+        return CompiledFunctions(init, epoch, learner.sharding.on_the_first(evaluate))
 
     return compile_all
 
 
-def place(layout: Sharding, state: TrainingState) -> TrainingState:
+def place(sharding: Sharding, state: TrainingState) -> TrainingState:
     """A state's arrays on the devices that share the run."""
-    if layout.mesh is None:
+    if sharding.mesh is None:
         return jax.tree.map(jnp.asarray, state)
-    return jax.device_put(state, _shardings(layout, state))
+    return jax.device_put(state, _shardings(sharding, state))
 
 
-def _shardings(layout: Sharding, state: TrainingState) -> Any:
+def _shardings(sharding: Sharding, state: TrainingState) -> Any:
     """Where each array of a state lies: environments are split, all else is everywhere."""
-    everywhere = jax.tree.map(lambda _: layout.sharding(), state)
-    return replace(everywhere, episodes=jax.tree.map(lambda _: layout.sharding(ENVS), state.episodes))
+    everywhere = jax.tree.map(lambda _: sharding.of_axes(), state)
+    return replace(everywhere, episodes=jax.tree.map(lambda _: sharding.of_axes(ENVS), state.episodes))
 
 
 def _init(learner: Learner, state: TrainingState) -> Any:
-    if learner.layout.mesh is None:
+    if learner.sharding.mesh is None:
         return jax.jit(learner.init)
-    return jax.jit(learner.init, out_shardings=_shardings(learner.layout, state))
+    return jax.jit(learner.init, out_shardings=_shardings(learner.sharding, state))
 
 
 def _epoch(learner: Learner, state: TrainingState) -> Any:
-    if learner.layout.mesh is None:
+    if learner.sharding.mesh is None:
         return jax.jit(learner.epoch, donate_argnums=0)
-    shardings, everywhere = _shardings(learner.layout, state), learner.layout.sharding()
+    shardings, everywhere = _shardings(learner.sharding, state), learner.sharding.of_axes()
     return jax.jit(
         learner.epoch,
         donate_argnums=0,

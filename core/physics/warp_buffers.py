@@ -27,7 +27,7 @@ _NOT_LOST = mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS
 LOST = int(mjw.OverflowType.ALL & ~_NOT_LOST)
 
 
-class Worlds:
+class WarpBuffers:
     """Buffers for each device, each number of worlds, and each set of fields that the worlds differ in.
 
     inputs, outputs: the fields that a call brings and fetches, by MuJoCo's names, with their sizes; fields
@@ -172,7 +172,7 @@ class _Batch:
         return pairs
 
 
-def program(worlds: Worlds, move: Move, own: tuple[str, ...]) -> Callable[..., Any]:
+def program(buffers: WarpBuffers, move: Move, own: tuple[str, ...]) -> Callable[..., Any]:
     """The move as a function of JAX arrays: [1, inputs] to ([1, outputs], [1] int32); `vmap` makes 1 many.
 
     own: the fields of the model that the worlds differ in, and bring.
@@ -181,7 +181,7 @@ def program(worlds: Worlds, move: Move, own: tuple[str, ...]) -> Callable[..., A
     def call(
         given: wp.array2d[wp.float32], after: wp.array2d[wp.float32], overflow: wp.array[wp.int32]
     ) -> None:
-        worlds.move(move, own, given, after, overflow)
+        buffers.move(move, own, given, after, overflow)
 
     # Graphs are ours: Warp's own would be captured anew for each pair of buffers that JAX comes with.
     return wp.jax_callable(

@@ -6,9 +6,9 @@ import time
 import pytest
 from structlog.testing import capture_logs
 
-from core import patience
+from core import retry
 from core.errors import RecordsUnavailable, StorageUnavailable, Unavailable
-from core.patience import CalledOff, pause, retry_while_unavailable
+from core.retry import CalledOff, pause, retry_while_unavailable
 
 
 class Store:
@@ -25,8 +25,8 @@ class Store:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "_FIRST_PAUSE_S", 0.001)
-    monkeypatch.setattr(patience, "_LONGEST_PAUSE_S", 0.001)
+    monkeypatch.setattr(retry, "_FIRST_PAUSE_S", 0.001)
+    monkeypatch.setattr(retry, "_LONGEST_PAUSE_S", 0.001)
 
 
 def test_an_outage_is_waited_out() -> None:
@@ -46,7 +46,7 @@ def test_the_log_says_a_sentence_once_and_another_one_when_it_changes() -> None:
 
 
 def test_the_log_says_the_same_sentence_again_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "_SAY_AGAIN_AFTER_S", 0)
+    monkeypatch.setattr(retry, "_SAY_AGAIN_AFTER_S", 0)
     with capture_logs() as said:
         retry_while_unavailable(Store(*[RecordsUnavailable("away")] * 3).get)
     assert [line["error"] for line in said] == ["away"] * 3
@@ -58,7 +58,7 @@ def test_what_gives_up_gives_up_at_once() -> None:
 
 
 def test_who_waits_hears_that_it_is_called_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "_FIRST_PAUSE_S", 1000)
+    monkeypatch.setattr(retry, "_FIRST_PAUSE_S", 1000)
     over = threading.Event()
     threading.Timer(0.05, over.set).start()
     with pytest.raises(CalledOff):

@@ -8,7 +8,7 @@ import pytest
 from core.errors import JobFailed
 from core.jobs.spec import JOB_SPEC
 from worker.protocol import Task
-from worker.training.body import load_body
+from worker.training.built_environment import build_environment
 
 
 def task(device: str) -> Task:
@@ -28,14 +28,14 @@ def pretend(monkeypatch: pytest.MonkeyPatch, *kinds: str) -> None:
 
 def test_it_calls_its_gpus_by_number_and_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, *["NVIDIA H200"] * 2)
-    body = load_body(task("gpu:2,3"))
-    assert (body.num_devices, body.device_name, body.device) == (2, "2 × NVIDIA H200", "gpu")
+    built = build_environment(task("gpu:2,3"))
+    assert (built.num_devices, built.device_name, built.device) == (2, "2 × NVIDIA H200", "gpu")
 
 
 def test_a_gpu_alone_is_called_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, "NVIDIA H200")
-    body = load_body(task("gpu:2"))
-    assert (body.num_devices, body.device_name) == (1, "NVIDIA H200")
+    built = build_environment(task("gpu:2"))
+    assert (built.num_devices, built.device_name) == (1, "NVIDIA H200")
 
 
 def test_fewer_gpus_than_the_worker_serves_end_the_job_with_what_there_is(
@@ -43,7 +43,7 @@ def test_fewer_gpus_than_the_worker_serves_end_the_job_with_what_there_is(
 ) -> None:
     pretend(monkeypatch, "NVIDIA H200", "NVIDIA A2")
     with pytest.raises(JobFailed) as failure:
-        load_body(task("gpu:0,1,2"))
+        build_environment(task("gpu:0,1,2"))
     assert failure.value.reason == "device_failed"
     assert failure.value.detail == ("The worker serves gpu:0,1,2, but JAX finds only NVIDIA H200, NVIDIA A2.")
 
@@ -51,6 +51,6 @@ def test_fewer_gpus_than_the_worker_serves_end_the_job_with_what_there_is(
 def test_a_job_that_goes_on_takes_the_engine_of_its_checkpoint_where_the_choice_is_left_to_auto() -> None:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "inverted_pendulum"})
     begun = Task(job_id="j", attempt=2, spec=spec, device="cpu", begun_on="mjx")
-    assert load_body(begun).engine == "mjx"
+    assert build_environment(begun).engine == "mjx"
     asked_for = spec.model_copy(update={"physics": "native"})
-    assert load_body(begun.model_copy(update={"spec": asked_for})).engine == "native"
+    assert build_environment(begun.model_copy(update={"spec": asked_for})).engine == "native"

@@ -43,7 +43,7 @@ class Sharding:
         """Inside a program: the same arrays, each device with its part of an axis."""
         return self._constrained(tree, PartitionSpec(*[None] * axis, ENVS))
 
-    def sharding(self, *axes: str | None) -> NamedSharding | None:
+    def of_axes(self, *axes: str | None) -> NamedSharding | None:
         """For the inputs and outputs of programs; no axes: whole on every device."""
         return None if self.mesh is None else NamedSharding(self.mesh, PartitionSpec(*axes))
 

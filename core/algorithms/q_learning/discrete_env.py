@@ -6,9 +6,9 @@ from typing import Any
 
 import jax
 
-from core.algorithms.q_learning.indexers import Indexer, make_indexer
-from core.algorithms.q_learning.mappers import Mapper, make_mapper, num_arms
+from core.algorithms.q_learning.action_sets import Mapper, make_mapper, num_arms
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions, ObservationGrid
+from core.algorithms.q_learning.state_discretizers import Indexer, make_indexer
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.base import Wrapped

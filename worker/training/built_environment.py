@@ -54,7 +54,7 @@ class BuiltEnvironment:
         )
 
 
-def load_body(task: Task) -> BuiltEnvironment:
+def build_environment(task: Task) -> BuiltEnvironment:
     """Raises JobFailed("device_failed") where GPUs were promised and JAX does not find so many.
 
     And "bad_model" where the model has not got what the job randomises.

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from core.algorithms.ppo.layout import ONE_DEVICE, Sharding
+from core.algorithms.ppo.sharding import ONE_DEVICE, Sharding
 from core.algorithms.ppo.spec import PPOSpec
 from core.errors import Rejected
 
@@ -33,4 +33,4 @@ def test_one_device_is_left_alone() -> None:
     assert Sharding.over(1, PPOSpec.model_validate({"num_envs": 255})) == ONE_DEVICE
     numbers = jnp.arange(3)
     assert ONE_DEVICE.everywhere(numbers) is ONE_DEVICE.split(numbers) is numbers
-    assert ONE_DEVICE.sharding() is None
+    assert ONE_DEVICE.of_axes() is None
