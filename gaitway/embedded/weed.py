@@ -90,8 +90,9 @@ class Weed(Server):
         # What it acknowledged is in files by then; it would wait half a minute for idle connections.
         self.process.stop(grace_s=2)
         for port in self._ports:
-            for left in Path("/tmp").glob(f"seaweedfs-*-{port}.sock"):  # noqa: S108
-                left.unlink(missing_ok=True)
+            for left in _sockets(port):
+                with suppress(PermissionError):
+                    left.unlink(missing_ok=True)
 
     def environment(self) -> dict[str, str]:
         """The settings under which a process of the service finds it."""
@@ -136,11 +137,12 @@ class Weed(Server):
 
     def _choose_ports(self) -> list[int]:
         path = self._folder / "ports.json"
-        ports = remembered(path, lambda: free_ports(2 * len(_LISTENERS)))
-        if are_free(ports):
+        avoided = _ports_of_others()
+        ports = remembered(path, lambda: _free_ports(avoided))
+        if are_free(ports) and avoided.isdisjoint(ports):
             return ports
         path.unlink()
-        return remembered(path, lambda: free_ports(2 * len(_LISTENERS)))
+        return remembered(path, lambda: _free_ports(avoided))
 
     def _process_environment(self) -> dict[str, str]:
         """Nothing of the user's own AWS or SeaweedFS settings; keys that no list of processes shows."""
@@ -164,6 +166,29 @@ class Weed(Server):
             write_private(key, made.key)
             write_private(certificate, made.certificate)
         return certificate, key
+
+
+def _sockets(port: int | str = "*") -> list[Path]:
+    """weed makes one in /tmp for each of its ports, and leaves them there where it is killed."""
+    return list(Path("/tmp").glob(f"seaweedfs-*-{port}.sock"))  # noqa: S108
+
+
+def _ports_of_others() -> set[int]:
+    """Ports whose socket another user has left: weed could not replace it, and would not start."""
+    found: set[int] = set()
+    for socket in _sockets():
+        with suppress(FileNotFoundError, ValueError):
+            if socket.lstat().st_uid != os.getuid():
+                found.add(int(socket.stem.rpartition("-")[2]))
+    return found
+
+
+def _free_ports(avoided: set[int]) -> list[int]:
+    """One for each listener and one for its gRPC."""
+    wanted = 2 * len(_LISTENERS)
+    while not avoided.isdisjoint(ports := free_ports(wanted)):
+        pass
+    return ports
 
 
 def _binary() -> str:

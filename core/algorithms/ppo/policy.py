@@ -5,6 +5,7 @@ import json
 import pickle
 from collections.abc import Callable
 from dataclasses import asdict
+from enum import Enum
 from typing import Any, cast
 
 import jax
@@ -63,7 +64,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
         return make_inference(params, deterministic=deterministic)(observation, key)
 
     def acting(environment: Environment) -> Acting:
-        steps = params.design.action_repeat
+        steps = params.config.action_repeat
         if steps == 1:
             return Acting(environment, lambda params, state, key: answer(params, state.obs, key))
 
@@ -94,8 +95,8 @@ def write_policy(params: PolicyParams | Triple) -> bytes:
     pickler = _PolicyPickler(file, protocol=4)
     pickler.fast = True  # otherwise the bytes tell which equal strings are one object
     pickler.dump(jax.tree.map(np.asarray, tuple(params)))  # the map also brings dicts into one order
-    if (design := _design(params)) != PolicyConfig():
-        file.write(json.dumps(asdict(design)).encode())
+    if (config := _config(params)) != PolicyConfig():
+        file.write(json.dumps(asdict(config)).encode())
     return file.getvalue()
 
 
@@ -108,27 +109,39 @@ def read_policy(content: bytes) -> PolicyParams:
         file = io.BytesIO(content)
         normalizer, policy, value = _PolicyUnpickler(file).load()
         rest = file.read()
-        design = PolicyConfig.of(json.loads(rest)) if rest else PolicyConfig()
+        config = PolicyConfig.of(json.loads(rest)) if rest else PolicyConfig()
     except Exception as error:  # whatever a decoder makes of damaged bytes
         raise JobFailed("bad_checkpoint", "This is not a policy file, or it is damaged.") from error
-    return PolicyParams(normalizer, policy, value, design)
+    return PolicyParams(normalizer, policy, value, config)
 
 
 class _PolicyPickler(pickle.Pickler):
     def reducer_override(self, obj: Any, /) -> Any:
         # JAX's arrays would be written with private names of the JAX at hand.
-        return np.asarray(obj).__reduce__() if isinstance(obj, jax.Array) else NotImplemented
+        if isinstance(obj, jax.Array):
+            return np.asarray(obj).__reduce__()
+        # Python 3.11.0 to 3.11.3 would write `getattr`, and others the value.
+        return (type(obj), (obj.value,)) if isinstance(obj, Enum) else NotImplemented
 
 
 class _PolicyUnpickler(pickle.Unpickler):
     def find_class(self, module_name: str, global_name: str, /) -> Any:
+        if (module_name, global_name) == ("builtins", "getattr"):
+            return _member
         if (module_name.replace("numpy.core", "numpy._core"), global_name) not in _ALLOWED:
             raise pickle.UnpicklingError(f"{module_name}.{global_name} does not belong in a policy")
         return super().find_class(module_name, global_name)
 
 
-def _design(params: PolicyParams | Triple) -> PolicyConfig:
-    return params.design if isinstance(params, PolicyParams) else PolicyConfig()
+def _member(kind: object, name: str) -> Enum:
+    """What Python 3.11.0 to 3.11.3 means where it writes a member of an enumeration."""
+    if not (isinstance(kind, type) and issubclass(kind, Enum)):
+        raise pickle.UnpicklingError(f"{kind}.{name} does not belong in a policy")
+    return kind[name]
+
+
+def _config(params: PolicyParams | Triple) -> PolicyConfig:
+    return params.config if isinstance(params, PolicyParams) else PolicyConfig()
 
 
 def _sizes(params: PolicyParams | Triple) -> tuple[ObservationSize, int, PPOSpec]:
@@ -139,7 +152,7 @@ def _sizes(params: PolicyParams | Triple) -> tuple[ObservationSize, int, PPOSpec
         "policy_hidden_layer_sizes": policy_layers[1:-1],
         "value_hidden_layer_sizes": value_layers[1:-1],
     }
-    settings = PPOSpec.model_validate(hidden | asdict(_design(params)))
+    settings = PPOSpec.model_validate(hidden | asdict(_config(params)))
     sizes: Any = jax.tree.map(lambda mean: mean.shape[-1], normalizer.mean)
     # The last layer gives a location and a scale for each component of an action.
     return sizes, policy_layers[-1] // 2, settings
