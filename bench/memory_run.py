@@ -23,8 +23,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
     from bench.device_memory import peak_bytes
     from core.algorithms.catalog import ALGORITHMS, AlgorithmSpec, loaded
+    from core.algorithms.events import Phase, Progress
     from core.algorithms.spec import resolve
-    from core.algorithms.trainer import Phase, Progress
     from core.environments import catalog
     from core.physics.choose import choose, engine_builder
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from bench.child import answer
 from bench.limits import gradient_step
-from core.algorithms.ppo.experience import Starts, collect, cut_into_unrolls
+from core.algorithms.epoch import updates_until
+from core.algorithms.experience import Starts, collect, cut_into_unrolls
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.spec import PPOSpec, resolve
@@ -65,6 +66,10 @@ class Pieces:
     def learner(self) -> Learner:
         return Learner(self.body, self.settings)
 
+    def epoch(self, state: TrainingState, hyperparameters: Hyperparameters, until: Any) -> Any:
+        """Updates until so many are made, as in a run."""
+        return updates_until(self.learner.update, state, hyperparameters, until)
+
     @property
     def hyperparameters(self) -> Hyperparameters:
         return Hyperparameters.of(self.settings)
@@ -76,7 +81,7 @@ class Pieces:
     def trained(self, seed: int, updates: int) -> TrainingState:
         """The state after a few updates, where bodies have fallen and begun anew."""
         state = jax.jit(self.learner.init)(jnp.uint32(seed))
-        state, _, failure = jax.jit(self.learner.epoch)(state, self.hyperparameters, np.int32(updates))
+        state, _, failure = jax.jit(self.epoch)(state, self.hyperparameters, np.int32(updates))
         if np.any(failure.quantities):
             raise RuntimeError("The run diverged before it could be timed.")
         return state
@@ -92,7 +97,7 @@ class Pieces:
         )
         until = jnp.int32(int(state.num_updates) + _UPDATES_PER_EPOCH)
         hyperparameters = self.hyperparameters
-        epochs = self._timed(self.learner.epoch, state, hyperparameters, until)
+        epochs = self._timed(self.epoch, state, hyperparameters, until)
         return {
             "epoch": [seconds / _UPDATES_PER_EPOCH for seconds in epochs],
             "update": self._timed(self.learner.update, state, hyperparameters),

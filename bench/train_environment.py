@@ -15,9 +15,9 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
     """environment, device (`cpu`, `gpu`), and what to change in the tuned settings."""
     import jax
 
+    from core.algorithms.events import Evaluated, Phase, Progress
     from core.algorithms.ppo.spec import PPOSpec, resolve
-    from core.algorithms.ppo.trainer import PPOTrainer
-    from core.algorithms.trainer import Evaluated, Phase, Progress
+    from core.algorithms.run import make_run
     from core.environments import catalog
     from core.physics.choose import choose, engine_builder
 
@@ -28,7 +28,7 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
     settings = resolve(PPOSpec(**request.get("settings", {})), info, request["device"])
     choice = choose("auto", request["device"], info.id, settings.num_envs, info.cannot_run)
     environment = catalog.make(info, options, engine_builder(choice.name))
-    trainer = PPOTrainer(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
+    trainer = make_run(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
     curve: list[dict[str, float]] = []
     rates: list[float] = []
     phases: dict[str, float] = {}

@@ -25,9 +25,9 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
     from bench.device_memory import peak_bytes
     from bench.turn import Turn
+    from core.algorithms.events import CheckpointReady
     from core.algorithms.ppo.spec import PPOSpec, resolve
-    from core.algorithms.ppo.trainer import PPOTrainer
-    from core.algorithms.trainer import CheckpointReady
+    from core.algorithms.run import make_run
     from core.environments import catalog
     from core.physics.choose import engine_builder
     from core.physics.kernels import keep_kernels
@@ -41,7 +41,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     environment = catalog.make(info, catalog.parse_options(info, {}), build)
     settings = resolve(PPOSpec.model_validate(request["settings"]), info, request.get("device", "cpu"))
     began = time.perf_counter()
-    trainer = PPOTrainer(
+    trainer = make_run(
         environment,
         settings,
         seed=request["seed"],
@@ -79,7 +79,7 @@ class _Seen:
     overflow: float = 0.0
 
     def take(self, event: Any) -> None:
-        from core.algorithms.trainer import Evaluated, Phase, Progress
+        from core.algorithms.events import Evaluated, Phase, Progress
 
         match event:
             case Phase(name=name, seconds=seconds):

@@ -23,11 +23,11 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     which the target was reached; arrived_s: the mean of what those took."""
     import jax
 
+    from core.algorithms.events import Evaluated, Phase, Progress
     from core.algorithms.q_learning.policy import read_policy
     from core.algorithms.q_learning.spec import QLearningSpec
-    from core.algorithms.q_learning.trainer import QLearningTrainer
+    from core.algorithms.run import make_run
     from core.algorithms.spec import resolve
-    from core.algorithms.trainer import Evaluated, Phase, Progress
     from core.environments import catalog
     from core.physics.choose import engine_builder
     from core.physics.kernels import keep_kernels
@@ -42,7 +42,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     environment = catalog.make(row, options, engine_builder(request["engine"]))
     spec = QLearningSpec.model_validate(request["settings"])
     settings = resolve(spec, row.under(options), request["device"])
-    trainer = QLearningTrainer(environment, settings, seed=request["seed"], checkpoint_every_steps=None)
+    trainer = make_run(environment, settings, seed=request["seed"], checkpoint_every_steps=None)
     training, rewards, phases, evaluation_s = [], [], {}, 0.0
     for event in trainer.events():
         match event:

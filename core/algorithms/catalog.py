@@ -29,24 +29,24 @@ AlgorithmSpec = Annotated[
 class AlgorithmInfo:
     """One row: what is known of an algorithm without loading it.
 
-    trainer: `module:name`, called as `trainer(environment, settings, seed=, checkpoint_every_steps=, resume=,
-    devices=)`; it is a `core.algorithms.trainer.Trainer`. policy: `module:name`, called as
-    `policy(content, is_checkpoint=, deterministic=)`, a `core.algorithms.policy.TrainedPolicy` out of one of
-    its checkpoints or policy files.
+    algorithm: `module:name`, called as `algorithm(environment, settings, seed=, devices=)`; it returns a
+    `core.algorithms.algorithm.Algorithm`. policy: `module:name`, called as `policy(content, is_checkpoint=,
+    deterministic=)`; it returns a `core.algorithms.policy.TrainedPolicy` from one of its checkpoints or
+    policy files.
     """
 
     spec: type[BaseSpec]
-    trainer: str
+    algorithm: str
     policy: str
 
 
 ALGORITHMS: dict[str, AlgorithmInfo] = {
     row.spec.algorithm(): row
     for row in (
-        AlgorithmInfo(PPOSpec, "core.algorithms.ppo.trainer:PPOTrainer", "core.algorithms.ppo.policy:load"),
+        AlgorithmInfo(PPOSpec, "core.algorithms.ppo.algorithm:PPO", "core.algorithms.ppo.policy:load"),
         AlgorithmInfo(
             QLearningSpec,
-            "core.algorithms.q_learning.trainer:QLearningTrainer",
+            "core.algorithms.q_learning.algorithm:QLearning",
             "core.algorithms.q_learning.policy:load",
         ),
     )

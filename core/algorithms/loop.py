@@ -4,8 +4,8 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 
+from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.schedule import Schedule
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.errors import JobFailed
 
 

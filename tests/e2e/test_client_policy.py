@@ -5,13 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.ppo.checkpoint import describe, pack
-from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
+from core.algorithms.checkpoint import describe
+from core.algorithms.normalizer import init_normalizer
+from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.policy import make_inference, write_policy
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments import probes
 from gaitway import Client, NotFound
 from tests.api.conftest import Attempt, Stack, job, quiet, server, stack
+from tests.unit.algorithms.checkpoints import pack
 
 __all__ = ["quiet", "server", "stack"]  # fixtures
 

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from core.algorithms.ppo.checkpoint import read
+from core.algorithms.ppo.checkpoint import FORMAT
 from core.environments import catalog, probes
 from core.environments.environment import Environment
 from core.physics.choose import engine_builder
@@ -29,8 +29,9 @@ def made(name: str, engine: str) -> Environment:
 
 def distance(one: bytes, other: bytes) -> float:
     """The largest difference between two checkpoints' arrays, relative to the larger number, or to 1."""
-    assert read(one)[0] == read(other)[0]
-    states: list[Any] = [{part: read(content)[1][part] for part in _COMPARED} for content in (one, other)]
+    assert FORMAT.read(one)[0] == FORMAT.read(other)[0]
+    read = [FORMAT.read(content)[1] for content in (one, other)]
+    states: list[Any] = [{part: state[part] for part in _COMPARED} for state in read]
     for state in states:
         state["episodes"]["state"]["physics"].pop("qacc_warmstart")  # an acceleration: a start for a solver
 

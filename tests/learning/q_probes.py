@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.q_learning.trainer import QLearningTrainer
+from core.algorithms.run import Run, make_run
 from core.environments.environment import Environment, State
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState
 
@@ -165,8 +165,8 @@ def q_trainer(
     checkpoint_every_steps: int | None = None,
     resume: bytes | None = None,
     epoch_s: float = 1.0,
-) -> QLearningTrainer:
-    return QLearningTrainer(
+) -> Run[Any]:
+    return make_run(
         environment,
         settings,
         seed=seed,

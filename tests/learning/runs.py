@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from typing import Any
 
+from core.algorithms.events import CheckpointReady, Evaluated, Event
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.trainer import PPOTrainer
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Trainer
+from core.algorithms.run import Run, make_run
 from core.environments.environment import Environment
 
 # 32 environments of 4 steps, in 4 minibatches of 32 unrolls: 512 environment steps in an update.
@@ -43,8 +43,8 @@ def small_trainer(
     devices: int = 1,
     epoch_s: float = 1.0,
     **changes: Any,
-) -> PPOTrainer:
-    return PPOTrainer(
+) -> Run[Any]:
+    return make_run(
         environment,
         small_settings(**changes),
         seed=seed,
@@ -61,7 +61,7 @@ def last_evaluation(events: Iterator[Event]) -> dict[str, float]:
     return dict(evaluations[-1].metrics)
 
 
-def checkpoints(trainer: Trainer) -> dict[int, bytes]:
+def checkpoints(trainer: Run[Any]) -> dict[int, bytes]:
     """Every checkpoint that a run asks for, by its step."""
     return {
         event.step: trainer.checkpoint() for event in trainer.events() if isinstance(event, CheckpointReady)

@@ -1,24 +1,25 @@
 """Options of PPO, each where it makes a difference that is known."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.ppo.checkpoint import read
+from core.algorithms.events import Progress
+from core.algorithms.ppo.checkpoint import FORMAT
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.policy import policy_from_checkpoint
-from core.algorithms.ppo.trainer import PPOTrainer
-from core.algorithms.trainer import Progress
+from core.algorithms.run import Run
 from core.environments import probes
 from core.environments.environment import State
 from core.environments.probes import Probe
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, last_evaluation, small_settings, small_trainer
 
 
-def value(trainer: PPOTrainer, observation: object, observation_size: object = 1, **changes: object) -> float:
+def value(trainer: Run[Any], observation: object, observation_size: object = 1, **changes: object) -> float:
     """What the trained value network says of an observation."""
     normalizer, _, parameters = policy_from_checkpoint(trainer.checkpoint())
     network = make_networks(observation_size, 1, small_settings(**changes)).value_network
@@ -42,7 +43,7 @@ def test_begun_episodes_are_bootstrapped_like_others_and_change_nothing_that_is_
     trainer = small_trainer(probes.unending_reward(), episode_length=4, epoch_s=0.0, **options)
     events = list(trainer.events())
     assert value(trainer, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
-    assert len(np.unique(read(trainer.checkpoint())[1]["episodes"]["length"])) == 4
+    assert len(np.unique(FORMAT.read(trainer.checkpoint())[1]["episodes"]["length"])) == 4
     # Ends of episodes that had begun before the run are not told; all others have four rewards of 1.
     told = [event.metrics for event in events if isinstance(event, Progress)]
     for name in ("training/episode_reward", "training/episode_length"):
@@ -69,7 +70,7 @@ def learning_rates(**changes: object) -> list[float]:
         **changes,
     )
     events = [event for event in trainer.events() if isinstance(event, Progress)]
-    assert float(read(trainer.checkpoint())[1]["learning_rate"]) > 0
+    assert float(FORMAT.read(trainer.checkpoint())[1]["learning_rate"]) > 0
     return [event.metrics["training/learning_rate"] for event in events]
 
 
@@ -115,7 +116,7 @@ def test_lengths_and_budgets_count_steps_of_the_world_however_long_an_action_is_
     events = list(trainer.events())
     progress = [event for event in events if isinstance(event, Progress)][-1]
     assert (progress.step, trainer.step) == (4 * STEPS_PER_UPDATE, 4 * STEPS_PER_UPDATE)
-    assert int(read(trainer.checkpoint())[1]["num_updates"]) == 2
+    assert int(FORMAT.read(trainer.checkpoint())[1]["num_updates"]) == 2
     assert progress.metrics["training/episode_length"] == 8.0
     evaluation = last_evaluation(iter(events))
     assert evaluation["eval/avg_episode_length"] == 8.0
@@ -161,4 +162,4 @@ def test_the_policy_acts_on_its_own_observation_alone() -> None:
     seeing = small_trainer(world, policy_obs_key="privileged_state", **budget)
     assert last_evaluation(seeing.events())["eval/episode_reward"] > -0.05
     assert policy_from_checkpoint(seeing.checkpoint()).config.policy_obs_key == "privileged_state"
-    assert np.asarray(read(seeing.checkpoint())[1]["normalizer"]["mean"]["state"]).shape == (1,)
+    assert np.asarray(FORMAT.read(seeing.checkpoint())[1]["normalizer"]["mean"]["state"]).shape == (1,)

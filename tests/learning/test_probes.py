@@ -1,16 +1,18 @@
 """Each probe isolates one thing that a learner must do; the right answers are known."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import pytest
 
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.policy import policy_from_checkpoint
-from core.algorithms.ppo.trainer import PPOTrainer
+from core.algorithms.run import Run
 from core.environments import probes
 from tests.learning.runs import last_evaluation, small_settings, small_trainer
 
 
-def value(trainer: PPOTrainer, observation: float) -> float:
+def value(trainer: Run[Any], observation: float) -> float:
     """What the trained value network says of an observation."""
     normalizer, _, parameters = policy_from_checkpoint(trainer.checkpoint())
     network = make_networks(1, 1, small_settings()).value_network

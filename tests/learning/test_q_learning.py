@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.policy import load_policy, policy_from_checkpoint
 from core.algorithms.q_learning.policy import FORMAT, LearntTable, read_policy, table_from_checkpoint
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.environments.environment import Environment
 from core.environments.rollout import Roller
 from core.errors import JobFailed

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from core.algorithms.ppo.checkpoint import read
-from core.algorithms.trainer import Progress
+from core.algorithms.events import Progress
+from core.algorithms.ppo.checkpoint import FORMAT
 from core.environments import catalog, probes
 from core.environments.environment import Environment
 from core.environments.randomization import Randomization
@@ -35,7 +35,7 @@ def pendulum() -> Environment:
 
 def gravities(checkpoint: bytes) -> Any:
     """Of every world, downwards."""
-    state = read(checkpoint)[1]["episodes"]["state"]
+    state = FORMAT.read(checkpoint)[1]["episodes"]["state"]
     return state["physics"]["model"]["opt.gravity"][:, 2]
 
 
@@ -86,6 +86,6 @@ def test_worlds_that_do_not_differ_leave_nothing_in_a_checkpoint() -> None:
     trainer = small_trainer(probes.endless(), **BUDGET)
     next(event for event in trainer.events() if isinstance(event, Progress))
     plain = trainer.checkpoint()
-    assert "model" not in read(plain)[1]["episodes"]["state"]["physics"]
+    assert "model" not in FORMAT.read(plain)[1]["episodes"]["state"]["physics"]
     with pytest.raises(JobFailed, match=r"model\.opt\.gravity is missing in the checkpoint"):
         small_trainer(probe(), resume=plain, **BUDGET)

@@ -6,8 +6,9 @@ from typing import Any
 import jax.numpy as jnp
 import pytest
 
-from core.algorithms.ppo.checkpoint import read
-from core.algorithms.trainer import Progress, Trainer
+from core.algorithms.events import Progress
+from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.run import Run
 from core.environments import catalog, probes
 from core.environments.environment import Environment
 from core.errors import JobFailed
@@ -28,7 +29,7 @@ def ant() -> Environment:
 
 
 # Six updates of so many steps, with two evaluations, of each algorithm.
-Begin = Callable[..., Trainer]
+Begin = Callable[..., Run[Any]]
 
 
 def ppo(environment: Callable[[], Environment]) -> tuple[Begin, int]:
@@ -85,8 +86,8 @@ def test_a_checkpoint_holds_first_states_only_where_a_run_goes_back_to_them() ->
     budget = {"num_timesteps": STEPS_PER_UPDATE, "num_evals": 0}
     drawn = checkpoints(small_trainer(probe(), **budget))[STEPS_PER_UPDATE]
     kept = checkpoints(small_trainer(probe(), reset_pool_size=0, **budget))[STEPS_PER_UPDATE]
-    assert read(drawn)[1]["episodes"]["first"] is None
-    assert read(kept)[1]["episodes"]["first"]["obs"].shape == (32, 1)
+    assert FORMAT.read(drawn)[1]["episodes"]["first"] is None
+    assert FORMAT.read(kept)[1]["episodes"]["first"]["obs"].shape == (32, 1)
     with pytest.raises(JobFailed, match="returns_to_first_state is True in the checkpoint and False"):
         small_trainer(probe(), resume=kept, **budget)
 

@@ -4,12 +4,11 @@ from typing import Any
 
 import pytest
 
+from core.algorithms.events import CheckpointReady, Evaluated
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.trainer import PPOTrainer
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.q_learning.trainer import QLearningTrainer
+from core.algorithms.run import Run, make_run
 from core.algorithms.spec import resolve
-from core.algorithms.trainer import CheckpointReady, Evaluated
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import EnvironmentInfo
@@ -30,8 +29,8 @@ def test_a_resumed_table_equals_an_uninterrupted_one_on_the_real_star() -> None:
     wanted = QLearningSpec(num_episodes=16, num_envs=4, num_eval_envs=2, replay=None)
     settings = resolve(wanted, row, "cpu")
 
-    def run(resume: bytes | None = None) -> QLearningTrainer:
-        return QLearningTrainer(
+    def run(resume: bytes | None = None) -> Run[Any]:
+        return make_run(
             environment, settings, seed=3, checkpoint_every_steps=settings.env_steps_per_update, resume=resume
         )
 
@@ -64,7 +63,7 @@ def test_ppo_learns_to_go_to_a_target(control: str, num_segments: int, settings:
         simulation_time=4.0,
     )
     resolved = resolve(PPOSpec(**settings, num_evals=3, num_eval_envs=8), row, "cpu")
-    trainer = PPOTrainer(environment, resolved, seed=0, checkpoint_every_steps=None)
+    trainer = make_run(environment, resolved, seed=0, checkpoint_every_steps=None)
     returns = [
         event.metrics["eval/episode_reward"] for event in trainer.events() if isinstance(event, Evaluated)
     ]

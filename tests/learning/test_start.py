@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from core.algorithms.ppo.compiled_functions import trace
-from core.algorithms.ppo.hyperparameters import Hyperparameters
+from core.algorithms.compiled_functions import trace
+from core.algorithms.ppo.algorithm import PPO
 from core.algorithms.ppo.update import Learner
 from core.environments import probes
 from tests.compiling import compiling_quickly
@@ -29,7 +29,7 @@ def test_an_update_is_traced_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Learner, "update", counted)
     settings = small_settings()
-    trace(Learner(probes.endless(), settings), Hyperparameters.of(settings))
+    trace(PPO(probes.endless(), settings, seed=0))
     assert times == 1
 
 

@@ -3,8 +3,8 @@
 import jax
 import pytest
 
-from core.algorithms.ppo.checkpoint import read
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.ppo.checkpoint import FORMAT
 from core.environments import probes
 from core.errors import JobFailed
 from tests.learning.runs import STEPS_PER_UPDATE, small_trainer
@@ -40,7 +40,7 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
         if isinstance(event, Phase) and event.name == "compile":
             compiled_at_start = len(compilations)
         if isinstance(event, CheckpointReady):
-            assert read(trainer.checkpoint())[0]["progress"]["step"] == event.step
+            assert FORMAT.read(trainer.checkpoint())[0]["progress"]["step"] == event.step
         events.append(event)
     assert names(events) == [
         "phase trace",
@@ -86,7 +86,7 @@ def test_a_run_that_diverges_names_step_and_quantity_and_keeps_the_last_good_sta
     assert failure.value.reason == "diverged"
     assert failure.value.facts == {"step": 1280, "quantity": "reward"}
     assert trainer.step == 2 * STEPS_PER_UPDATE
-    header, state = read(trainer.checkpoint())
+    header, state = FORMAT.read(trainer.checkpoint())
     assert header["progress"]["step"] == 2 * STEPS_PER_UPDATE
     assert all(jax.numpy.isfinite(leaf).all() for leaf in jax.tree.leaves(state["params"]))
 

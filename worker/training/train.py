@@ -1,14 +1,15 @@
-"""A training job: the trainer's events become messages and files."""
+"""A training job: the events of a run become messages and files."""
 
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from typing import Any
 
-from core.algorithms.catalog import ALGORITHMS, loaded
+from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.policy import policy_from_checkpoint
+from core.algorithms.run import Run, make_run
 from core.algorithms.spec import BaseSpec, resolve
-from core.algorithms.trainer import CheckpointReady, Evaluated, Event, Phase, Progress, ShowsTables, Trainer
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
 from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task
@@ -33,11 +34,11 @@ def train(
     settings = resolve(spec.algorithm, built.info, built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     check_memory(settings.least_memory(built.info, built.num_devices), built.device)
-    trainer = make_trainer(task, spec, settings, built, events)
-    report = Report(events, trainer, spec.checkpoints.every_seconds)
-    videos = PolicyVideos(spec, built, events, trainer)
+    run = begin_or_resume(task, spec, settings, built, events)
+    report = Report(events, run, spec.checkpoints.every_seconds)
+    videos = PolicyVideos(spec, built, events, run)
     try:
-        for event in trainer.events():
+        for event in run.events():
             if isinstance(event, Progress):
                 stopping.keep_before_leaving()
             report.tell(event)
@@ -53,26 +54,25 @@ def train(
         raise
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
-        events.keep("policy", trainer.policy(), "policy", "application/octet-stream", step=trainer.step)
-        with _tables(trainer, spec, events):
+        events.keep("policy", run.policy(), "policy", "application/octet-stream", step=run.step)
+        with _tables(run, spec, events):
             videos.take("video")
-    return stopping.asked and trainer.step < trainer.total
+    return stopping.asked and run.step < run.total
 
 
-def _tables(trainer: Trainer, spec: TrainSpec, events: EventWriter) -> AbstractContextManager[None]:
-    """Keeps what the trainer shows of itself, if it does; drawn while the block runs."""
-    if not isinstance(trainer, ShowsTables):
-        return nullcontext()
-    return kept_with_tables(events, trainer.tables(), trainer.step, spec.environment.id)
+def _tables(run: Run[Any], spec: TrainSpec, events: EventWriter) -> AbstractContextManager[None]:
+    """Keeps the tables that the run shows, if it does; they are drawn while the block runs."""
+    tables = run.tables()
+    return kept_with_tables(events, tables, run.step, spec.environment.id) if tables else nullcontext()
 
 
-def make_trainer(
+def begin_or_resume(
     task: Task, spec: TrainSpec, settings: BaseSpec, built: BuiltEnvironment, events: EventWriter
-) -> Trainer:
-    """The trainer that the algorithm's kind names, set up to go on from the task's checkpoint."""
+) -> Run[Any]:
+    """A run of the algorithm that the settings name; it resumes from the task's checkpoint, if it has one."""
     resume = (events.spool / task.checkpoint).read_bytes() if task.checkpoint else None
     every_steps = spec.checkpoints.every_steps or max(1, settings.budget // _CHECKPOINTS)
-    return loaded(ALGORITHMS[settings.algorithm()].trainer)(
+    return make_run(
         built.environment,
         settings,
         seed=spec.seed,
@@ -89,24 +89,24 @@ class PolicyVideos:
     spec: TrainSpec
     built: BuiltEnvironment
     events: EventWriter
-    trainer: Trainer
+    run: Run[Any]
     _film: VideoRecorder | None = None
 
     def take(self, name: str) -> None:
         """As `<name>.mp4`, of the present step."""
-        policy = policy_from_checkpoint(self.trainer.checkpoint())
+        policy = policy_from_checkpoint(self.run.checkpoint())
         if self._film is None:
             world, act = policy.acting(self.built.environment)
             self._film = VideoRecorder(self.spec, replace(self.built, environment=world), act, self.events)
-        self._film.shoot(name, policy.parameters, self.trainer.step)
+        self._film.shoot(name, policy.parameters, self.run.step)
 
 
 @dataclass
 class Report:
-    """Turns a trainer's events into messages; remembers the newest metrics, and the last checkpoint kept."""
+    """Turns a run's events into messages; remembers the newest metrics, and the last checkpoint kept."""
 
     events: EventWriter
-    trainer: Trainer
+    run: Run[Any]
     checkpoint_every_s: float = float("inf")
     _metrics: dict[str, float] = field(default_factory=dict[str, float])
     _kept_step: int | None = None
@@ -126,16 +126,16 @@ class Report:
             case Evaluated(step=step, metrics=metrics):
                 self._metrics.update(metrics)
                 self.events.send(Measured(step=step, values=dict(metrics)))
-                self.events.send(self._advanced(step, self.trainer.total))
+                self.events.send(self._advanced(step, self.run.total))
             case CheckpointReady():
                 self.keep_checkpoint()
 
     def keep_checkpoint(self) -> None:
         """Of the present state, once."""
-        step = self.trainer.step
+        step = self.run.step
         if step != self._kept_step:
             name = f"checkpoint-{step:012d}.msgpack"
-            self.events.keep(name, self.trainer.checkpoint(), "checkpoint", "application/msgpack", step=step)
+            self.events.keep(name, self.run.checkpoint(), "checkpoint", "application/msgpack", step=step)
             self._kept_step = step
         self._kept_at = time.monotonic()
 

@@ -1,12 +1,11 @@
 """Whether an update brought a value that is not finite, and where."""
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 
-from core.algorithms.ppo.brax_training import PPONetworkParams, Transition
-from core.algorithms.ppo.experience import Outcome
+from core.algorithms.algorithm import Failure
+from core.algorithms.brax_training import PPONetworkParams, Transition
+from core.algorithms.experience import Outcome
 
 # What is looked at after each update, in the order in which one spoils the next.
 QUANTITIES = (
@@ -18,17 +17,6 @@ QUANTITIES = (
     "gradient",
     "parameters",
 )
-
-
-class Failure(NamedTuple):
-    """Which of QUANTITIES were not finite in an update, and at which of its time steps, if it was there.
-
-    quantities: [len(QUANTITIES)] bool. time_step: [] int32, the first at which an observation or reward
-    was not finite; the number of time steps if none was.
-    """
-
-    quantities: jax.Array
-    time_step: jax.Array
 
 
 def find_failure(

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 
-from core.algorithms.ppo.brax_training import (
+from core.algorithms.brax_training import (
     PPONetworkParams,
     RunningStatisticsState,
     Transition,

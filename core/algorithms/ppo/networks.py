@@ -1,24 +1,21 @@
 """Brax's networks for this project's settings."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any, cast
 
 import jax
-import jax.numpy as jnp
 from flax import struct
 
-from core.algorithms.ppo.brax_training import (
+from core.algorithms.brax_training import (
     PPONetworkParams,
     PPONetworks,
     RunningStatisticsState,
     identity_observation_preprocessor,
     make_ppo_networks,
-    running_statistics,
-    specs,
 )
-from core.algorithms.ppo.brax_training import networks as brax_networks
+from core.algorithms.brax_training import networks as brax_networks
+from core.algorithms.normalizer import normalization
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import ObservationSize
 
@@ -62,7 +59,9 @@ def make_networks(
 
     Raises ValueError where the observations have names, and none is the one the settings speak of.
     """
-    preprocess: Any = normalization(settings) if normalize else identity_observation_preprocessor
+    preprocess: Any = identity_observation_preprocessor
+    if normalize:
+        preprocess = normalization(settings.normalize_observations_max_abs_value)
     if isinstance(observation_size, Mapping):
         for key in (settings.policy_obs_key, settings.value_obs_key):
             if key not in observation_size:
@@ -79,11 +78,6 @@ def make_networks(
     )
 
 
-def normalization(settings: PPOSpec) -> Callable[[Any, RunningStatisticsState], Any]:
-    """(observations, normaliser) -> deviations from the mean, within the settings' bound if they have one."""
-    return partial(running_statistics.normalize, max_abs_value=settings.normalize_observations_max_abs_value)
-
-
 def init_params(networks: PPONetworks, key: jax.Array) -> PPONetworkParams:
     """Random parameters."""
     policy_key, value_key = jax.random.split(key)
@@ -91,11 +85,3 @@ def init_params(networks: PPONetworks, key: jax.Array) -> PPONetworkParams:
     return parameters(
         policy=networks.policy_network.init(policy_key), value=networks.value_network.init(value_key)
     )
-
-
-def init_normalizer(observation_size: ObservationSize) -> RunningStatisticsState:
-    """Mean 0 and deviation 1: the identity, until it is updated."""
-    sizes = dict(observation_size) if isinstance(observation_size, Mapping) else observation_size
-    shapes: Any = jax.tree.map(lambda size: specs.Array((size,), jnp.dtype("float32")), sizes)
-    state = running_statistics.init_state(shapes)
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, getattr(leaf, "dtype", jnp.float32)), state)

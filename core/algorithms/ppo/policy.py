@@ -12,10 +12,11 @@ import jax
 import numpy as np
 from flax import serialization
 
+from core.algorithms.brax_training import make_inference_fn
+from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy import Acting, TrainedPolicy
-from core.algorithms.ppo import checkpoint
-from core.algorithms.ppo.brax_training import make_inference_fn
-from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, init_normalizer, make_networks
+from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment, ObservationSize, State
 from core.environments.wrappers.action_hold import ActionHold
@@ -78,7 +79,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
 
 def policy_from_checkpoint(content: bytes) -> PolicyParams:
     """The policy of a checkpoint, arrays on the host. Raises JobFailed if it is damaged."""
-    header, state = checkpoint.read(content)
+    header, state = FORMAT.read(content)
     template = jax.device_get(init_normalizer(header["observation_size"]))
     normalizer: Any = serialization.from_state_dict(template, state["normalizer"])
     return PolicyParams(

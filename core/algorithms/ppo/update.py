@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from core.algorithms.epoch import updates_until
-from core.algorithms.ppo.brax_training import (
+from core.algorithms.algorithm import Failure
+from core.algorithms.brax_training import (
     PPONetworkParams,
     RunningStatisticsState,
     Transition,
     make_inference_fn,
     running_statistics,
 )
-from core.algorithms.ppo.experience import (
+from core.algorithms.experience import (
     Starts,
     bootstrap_timeouts,
     collect,
@@ -24,13 +24,14 @@ from core.algorithms.ppo.experience import (
     of_whole_episodes,
     summarise,
 )
-from core.algorithms.ppo.failure import Failure, find_failure
+from core.algorithms.normalizer import init_normalizer, normalization
+from core.algorithms.ppo.failure import find_failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.learning_rate import adapt_to_kl
 from core.algorithms.ppo.loss import loss_of
-from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks, normalization
-from core.algorithms.ppo.sharding import ONE_DEVICE, Sharding
+from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
 from core.environments.wrappers.vectorized import VectorEnv
@@ -91,12 +92,6 @@ class Learner:
             num_updates=jnp.int32(0),
         )
 
-    def epoch(
-        self, state: TrainingState, hyperparameters: Hyperparameters, until: jax.Array
-    ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
-        """Updates until `until` [] int32 are made, as `updates_until` has it."""
-        return updates_until(self.update, state, hyperparameters, until)
-
     def update(
         self, state: TrainingState, hyperparameters: Hyperparameters
     ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
@@ -126,7 +121,7 @@ class Learner:
             normalizer = running_statistics.update(normalizer, batch.observation)
             # What the policy said is comparable with what it says now only under the same normaliser.
             seen_by = state.normalizer if self._adapts_to_kl else normalizer
-            normalize = normalization(settings)
+            normalize = normalization(settings.normalize_observations_max_abs_value)
             batch = batch._replace(
                 observation=normalize(batch.observation, seen_by),
                 next_observation=normalize(batch.next_observation, seen_by),

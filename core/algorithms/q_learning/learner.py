@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from core.algorithms.epoch import updates_until
+from core.algorithms.algorithm import Failure
 from core.algorithms.evaluation import EpisodeTotals, run_episodes
 from core.algorithms.q_learning import replay as replays
 from core.algorithms.q_learning.discrete_env import DiscreteEnv
@@ -71,14 +71,6 @@ class TrainingState:
     num_updates: jax.Array
 
 
-class Failure(NamedTuple):
-    """Which of QUANTITIES were not finite in a round, [len(QUANTITIES)] bool, and at the end of which of its
-    decisions, [] int32; the number of decisions if none was."""
-
-    quantities: jax.Array
-    decision: jax.Array
-
-
 class _Learning(NamedTuple):
     """What one agent carries from decision to decision."""
 
@@ -109,12 +101,6 @@ class Learner:
             eval_return=jnp.zeros(agents),
             num_updates=jnp.int32(0),
         )
-
-    def epoch(
-        self, state: TrainingState, hyperparameters: Hyperparameters, until: jax.Array
-    ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
-        """Rounds until `until` [] int32 are made, as `updates_until` has it; metrics are [agents] each."""
-        return updates_until(self.update, state, hyperparameters, until)
 
     def update(
         self, state: TrainingState, hyperparameters: Hyperparameters
@@ -272,7 +258,8 @@ def _transitions(
 
 
 def _failure(unseen: jax.Array, score: jax.Array, table: jax.Array) -> Failure:
-    """unseen: [decisions] bool, where a row could not be read; score: [decisions, agents]."""
+    """A time step is a decision. unseen: [decisions] bool, where a row could not be read; score:
+    [decisions, agents]."""
     bad_score = ~jnp.all(jnp.isfinite(score), axis=1)
     bad_table = ~jnp.all(jnp.isfinite(table))
     bad = unseen | bad_score

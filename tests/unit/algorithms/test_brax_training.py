@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from core.algorithms.ppo.brax_training import put_off
+from core.algorithms.brax_training import put_off
 
 PACKAGE = """
 import os

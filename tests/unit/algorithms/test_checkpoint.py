@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from flax import serialization
 
-from core.algorithms.ppo.checkpoint import describe, pack, read, unpack
+from core.algorithms.checkpoint import describe
+from core.algorithms.ppo.checkpoint import FORMAT
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments import probes
 from core.errors import JobFailed
+from tests.unit.algorithms.checkpoints import pack
 
 STATE = {"weights": np.arange(6, dtype=np.float32).reshape(2, 3), "key": np.array([1, 2], np.uint32)}
 PROGRESS = {"step": 512, "updates": 1, "evaluated": 0}
@@ -20,13 +22,13 @@ def description(**changes: Any) -> dict[str, Any]:
 def refusal(content: bytes, wanted: dict[str, Any], template: Any = STATE) -> str:
     """The sentence with which a checkpoint is refused."""
     with pytest.raises(JobFailed) as failure:
-        unpack(content, wanted, template)
+        FORMAT.unpack(content, wanted, template)
     assert failure.value.reason == "bad_checkpoint"
     return failure.value.detail
 
 
 def test_what_is_packed_is_unpacked() -> None:
-    progress, state = unpack(pack(description(), PROGRESS, STATE), description(), STATE)
+    progress, state = FORMAT.unpack(pack(description(), PROGRESS, STATE), description(), STATE)
     assert progress == PROGRESS
     np.testing.assert_array_equal(state["weights"], STATE["weights"])
     assert state["key"].dtype == np.uint32
@@ -78,7 +80,7 @@ def test_a_run_of_another_shape_is_told_what_differs(change: dict[str, Any], sen
 
 def test_a_longer_budget_and_another_learning_rate_go_on_from_a_checkpoint() -> None:
     wanted = description(num_timesteps=10**9, learning_rate=1e-5, entropy_cost=0.1)
-    assert unpack(pack(description(), PROGRESS, STATE), wanted, STATE)[0] == PROGRESS
+    assert FORMAT.unpack(pack(description(), PROGRESS, STATE), wanted, STATE)[0] == PROGRESS
 
 
 def test_a_state_of_another_shape_is_told_where() -> None:
@@ -89,7 +91,7 @@ def test_a_state_of_another_shape_is_told_where() -> None:
 
 
 def test_the_header_says_what_was_trained() -> None:
-    header, state = read(pack(description(), PROGRESS, STATE))
+    header, state = FORMAT.read(pack(description(), PROGRESS, STATE))
     assert header["format"] == "gaitway-ppo-2"
     assert header["observation_size"] == 1
     assert sorted(state) == ["key", "weights"]

@@ -8,9 +8,10 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import compute_ppo_loss
 from brax.training.types import Transition
 
-from core.algorithms.ppo.experience import Outcome, collect, cut_into_unrolls, of_whole_episodes, summarise
+from core.algorithms.experience import Outcome, collect, cut_into_unrolls, of_whole_episodes, summarise
+from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.networks import init_normalizer, init_params, make_networks
+from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.environment import Environment, State

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from brax.training.types import Transition
 
-from core.algorithms.ppo.experience import bootstrap_timeouts
+from core.algorithms.experience import bootstrap_timeouts
+from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.loss import loss_of
-from core.algorithms.ppo.networks import init_normalizer
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner
 from core.environments import probes

@@ -14,11 +14,11 @@ from brax.io import model
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo.networks import make_inference_fn, make_ppo_networks
 
-from core.algorithms.ppo.checkpoint import describe, pack
+from core.algorithms.checkpoint import describe
+from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.networks import (
     PolicyConfig,
     PolicyParams,
-    init_normalizer,
     init_params,
     make_networks,
 )
@@ -34,6 +34,7 @@ from core.algorithms.ppo.spec import PPOSpec
 from core.environments import probes
 from core.environments.rollout import Roller
 from core.errors import JobFailed
+from tests.unit.algorithms.checkpoints import pack
 
 SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]})
 OBSERVATIONS = jnp.array([[1.0, -2.0, 0.5], [0.0, 3.0, -1.0]])

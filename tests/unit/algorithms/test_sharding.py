@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from core.algorithms.ppo.sharding import ONE_DEVICE, Sharding
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.errors import Rejected
 
 

@@ -4,7 +4,7 @@ import json
 import os
 from pathlib import Path
 
-from core.algorithms.trainer import Progress
+from core.algorithms.events import Progress
 from core.environments.probes import endless
 from tests.learning.runs import small_trainer
 from worker.training.event_writer import EventWriter

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from core.algorithms.ppo.brax_training import Transition
+from core.algorithms.brax_training import Transition
 from core.environments.body_position import body_position
 from core.environments.environment import State
 from core.environments.wrappers.autoreset import Episodes, draw, follow

@@ -1,0 +1,81 @@
+"""The compiled functions of a run: traced and compiled once, before the first step."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any, Generic, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from core.algorithms.algorithm import Algorithm, Failure, S
+from core.algorithms.epoch import updates_until
+from core.algorithms.evaluation import EpisodeTotals
+from core.environments.wrappers.vectorized import ENVS
+
+
+@dataclass(frozen=True)
+class CompiledFunctions(Generic[S]):
+    """Functions that can only run, never compile again: other shapes are an error.
+
+    init: the state before the first update, from a seed. epoch: updates until so many are made, see
+    `updates_until`; it consumes the state it is given. evaluate: see `Algorithm.evaluate`.
+    """
+
+    init: Callable[[Any], S]
+    epoch: Callable[[S, Any, np.int32], tuple[S, Any, Failure]]
+    evaluate: Callable[[Any, jax.Array, jax.Array], EpisodeTotals]
+
+
+def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
+    """Trace every function; calling the result compiles them, side by side.
+
+    Evaluations have few environments: the first device makes them, with a copy of what they need.
+    """
+
+    def epoch(state: S, hyperparameters: Any, until: jax.Array) -> tuple[S, dict[str, jax.Array], Failure]:
+        return updates_until(algorithm.update, state, hyperparameters, until)
+
+    count = jax.ShapeDtypeStruct((), jnp.int32)
+    state = jax.eval_shape(algorithm.init, algorithm.seed)
+    init_options, epoch_options = _where(algorithm, state)
+    lowered = (
+        jax.jit(algorithm.init, **init_options).lower(algorithm.seed),
+        jax.jit(epoch, donate_argnums=0, **epoch_options).lower(state, algorithm.hyperparameters, count),
+        jax.jit(algorithm.evaluate).lower(algorithm.evaluated(state), state.eval_key, count),
+    )
+
+    def compile_all() -> CompiledFunctions[S]:
+        with ThreadPoolExecutor() as pool:
+            init, epoch, evaluate = pool.map(lambda function: function.compile(), lowered)
+        return CompiledFunctions(init, epoch, algorithm.sharding.on_the_first(evaluate))
+
+    return compile_all
+
+
+def place(algorithm: Algorithm[S], state: S) -> S:
+    """A state's arrays on the devices that share the run."""
+    if algorithm.sharding.mesh is None:
+        return jax.tree.map(jnp.asarray, state)
+    return jax.device_put(state, _shardings(algorithm, state))
+
+
+def _where(algorithm: Algorithm[S], state: S) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Options of `jax.jit` for `init` and for an epoch: where their inputs and outputs lie."""
+    if algorithm.sharding.mesh is None:
+        return {}, {}
+    shardings, everywhere = _shardings(algorithm, state), algorithm.sharding.of_axes()
+    both = (shardings, everywhere, everywhere)
+    return {"out_shardings": shardings}, {"in_shardings": both, "out_shardings": both}
+
+
+def _shardings(algorithm: Algorithm[S], state: S) -> Any:
+    """Where each array of a state lies: environments are split, all else is everywhere."""
+    sharding = algorithm.sharding
+    everywhere: Any = jax.tree.map(lambda _: sharding.of_axes(), cast("Any", state))
+    split = {
+        name: jax.tree.map(lambda _: sharding.of_axes(ENVS), getattr(state, name))
+        for name in algorithm.split_fields
+    }
+    return replace(everywhere, **split)

@@ -1,0 +1,165 @@
+"""One run of an algorithm, whichever it is: begin or resume, train, evaluate, keep.
+
+The caller keeps control: it pulls events, and between two of them it may store, stop (by not asking for
+more), or ask for a checkpoint of the present state.
+"""
+
+import time
+from collections.abc import Generator, Iterator, Mapping
+from functools import partial
+from typing import Any, Generic
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from core.algorithms.algorithm import Algorithm, Failure, S
+from core.algorithms.catalog import ALGORITHMS, loaded
+from core.algorithms.compiled_functions import CompiledFunctions, place, trace
+from core.algorithms.events import Event, Phase
+from core.algorithms.loop import Loop
+from core.algorithms.schedule import Schedule
+from core.algorithms.spec import BaseSpec
+from core.environments.environment import Environment
+from core.errors import JobFailed
+
+
+def make_run(  # noqa: PLR0913 - all of them are named
+    environment: Environment,
+    settings: BaseSpec,
+    *,
+    seed: int,
+    checkpoint_every_steps: int | None,
+    resume: bytes | None = None,
+    devices: int = 1,
+    epoch_s: float = 1.0,
+) -> "Run[Any]":
+    """A run of the algorithm that the settings belong to.
+
+    environment: one environment; the algorithm steps copies of it side by side. settings: resolved, see
+    `core.algorithms.spec.resolve`. seed: not used where the run resumes. devices: how many of JAX's share the
+    run; the result is that of one device but for rounding. The others: see `Run`.
+
+    Raises Rejected where the settings, the environment or the devices do not go together;
+    JobFailed("bad_model") where the environment lacks what they need, and what `Run` raises.
+    """
+    algorithm = loaded(ALGORITHMS[settings.algorithm()].algorithm)(
+        environment, settings, seed=seed, devices=devices
+    )
+    return Run(algorithm, checkpoint_every_steps=checkpoint_every_steps, resume=resume, epoch_s=epoch_s)
+
+
+class Run(Generic[S]):
+    """A run from its beginning, or from a checkpoint, to the end of its budget.
+
+    checkpoint_every_steps: environment steps, over all environments, between CheckpointReady events; the last
+    is at the end in any case. resume: a checkpoint; the run resumes from it, with its random keys. epoch_s:
+    seconds that an epoch aims at; it changes how often Progress comes, and nothing else.
+
+    Raises JobFailed("bad_checkpoint") when `resume` is damaged or belongs to a run of another shape.
+    """
+
+    def __init__(
+        self,
+        algorithm: Algorithm[S],
+        *,
+        checkpoint_every_steps: int | None,
+        resume: bytes | None = None,
+        epoch_s: float = 1.0,
+    ) -> None:
+        settings = algorithm.settings
+        self._algorithm = algorithm
+        self._hyperparameters = jax.device_put(algorithm.hyperparameters, algorithm.sharding.of_axes())
+        schedule = Schedule(
+            settings.num_updates, settings.env_steps_per_update, settings.num_evals, checkpoint_every_steps
+        )
+        self._loop = Loop(schedule, epoch_s)
+        self._state: S | None = None
+        if resume is not None:
+            self._restore(resume)
+
+    @property
+    def step(self) -> int:
+        """Environment steps taken so far, over all environments, those before a resumption included."""
+        return self._loop.step
+
+    @property
+    def total(self) -> int:
+        """Environment steps at the end of the run: the budget, rounded up to whole updates."""
+        return self._loop.total
+
+    def events(self) -> Iterator[Event]:
+        """Train to the end of the budget: Phase trace and compile, then what `Loop.events` says.
+
+        Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state before
+        the update that brought it.
+        """
+        functions = yield from self._prepare()
+        yield from self._loop.events(partial(self._train, functions), partial(self._evaluate, functions))
+
+    def checkpoint(self) -> bytes:
+        """The whole state of the run: equal states give equal bytes. Valid between two events."""
+        return self._algorithm.format.pack(self._algorithm.header, self._loop.progress, self._begun)
+
+    def policy(self) -> bytes:
+        """What inference needs, and nothing else, in the algorithm's own file format."""
+        return self._algorithm.policy(self._begun)
+
+    def tables(self) -> Mapping[str, NDArray[Any]]:
+        """Arrays that are kept beside the policy, with pictures: see `Algorithm.tables`."""
+        return self._algorithm.tables(self._begun)
+
+    @property
+    def _begun(self) -> S:
+        if self._state is None:
+            raise RuntimeError("The run has no state before its first event.")
+        return self._state
+
+    def _restore(self, content: bytes) -> None:
+        algorithm = self._algorithm
+        template = jax.eval_shape(algorithm.init, algorithm.seed)
+        progress, state = algorithm.format.unpack(content, algorithm.description, template)
+        self._state = place(algorithm, state)
+        self._loop.resume(progress)
+
+    def _prepare(self) -> Generator[Event, None, CompiledFunctions[S]]:
+        started = time.perf_counter()
+        compile_all = trace(self._algorithm)
+        traced = time.perf_counter()
+        functions = compile_all()
+        compiled = time.perf_counter()
+        if self._state is None:
+            self._state = functions.init(self._algorithm.seed)
+        yield Phase("trace", traced - started)
+        yield Phase("compile", compiled - traced)
+        return functions
+
+    def _train(self, functions: CompiledFunctions[S], until: int) -> dict[str, float]:
+        """Train up to `until` updates; the metrics of the epoch."""
+        state, sums, failure = functions.epoch(self._begun, self._hyperparameters, np.int32(until))
+        self._state = state
+        failure = jax.device_get(failure)
+        before, self._loop.updates = self._loop.updates, int(state.num_updates)
+        if failure.quantities.any():
+            raise self._diverged(failure)
+        return self._algorithm.training_metrics(state, jax.device_get(sums), self._loop.updates - before)
+
+    def _evaluate(self, functions: CompiledFunctions[S]) -> dict[str, float]:
+        state = self._begun
+        totals = functions.evaluate(self._algorithm.evaluated(state), state.eval_key, state.num_updates)
+        self._state, metrics = self._algorithm.after_evaluation(state, jax.device_get(totals))
+        return metrics
+
+    def _diverged(self, failure: Failure) -> JobFailed:
+        """The error for a failure in the update that follows the present state."""
+        algorithm = self._algorithm
+        quantity = algorithm.quantities[int(np.argmax(failure.quantities))]
+        within = int(failure.time_step) * algorithm.env_steps_per_time_step
+        step = self.step + min(within, algorithm.settings.env_steps_per_update)
+        return JobFailed(
+            "diverged",
+            f"The {quantity} became non-finite at environment step {step}; the last good state is that of "
+            f"step {self.step}.",
+            step=step,
+            quantity=quantity,
+        )
