@@ -34,17 +34,19 @@ class BaseSpec(Strict):
     def budget(self) -> int:
         """Environment steps that the run was asked to take; a last update may pass it."""
 
-    @abstractmethod
     def refusal(self, environment: EnvironmentInfo, device: Device) -> Rejected | None:
         """Why these values do not go together, or not with this environment; None where they do."""
+        return None
 
-    @abstractmethod
     def least_memory(self, environment: EnvironmentInfo, num_devices: int) -> Memory:
-        """What a run under these resolved values needs on each of its devices in any case."""
+        """What a run under these resolved values certainly needs on each of its devices."""
+        return Memory([])
 
-    @abstractmethod
     def check_sharing(self, num_devices: int) -> None:
-        """Raises Rejected where so many devices cannot share the run."""
+        """Raises Rejected where `num_devices` devices cannot share the run: by default, more than one."""
+        if num_devices > 1:
+            detail = f"{self.algorithm()} runs on one device, and {num_devices} GPUs are asked for."
+            raise Rejected(detail, [Problem("/resources/gpus", detail)])
 
 
 AnySpec = TypeVar("AnySpec", bound=BaseSpec)

@@ -10,7 +10,7 @@ from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.policy import make_inference, write_policy
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments import probes
+from tests import probes
 from gaitway import Client, NotFound
 from tests.api.conftest import Attempt, Stack, job, quiet, server, stack
 from tests.unit.algorithms.checkpoints import pack

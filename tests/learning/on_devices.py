@@ -11,9 +11,10 @@ import jax
 import numpy as np
 
 from core.algorithms.ppo.checkpoint import FORMAT
-from core.environments import catalog, probes
+from core.environments import catalog
 from core.environments.environment import Environment
 from core.physics.choose import engine_builder
+from tests import probes
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
 
 # What learning has made, as against what was added up over a whole batch: relative to 1.

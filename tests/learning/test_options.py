@@ -13,10 +13,10 @@ from core.algorithms.ppo.checkpoint import FORMAT
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.policy import policy_from_checkpoint
 from core.algorithms.run import Run
-from core.environments import probes
 from core.environments.environment import State
-from core.environments.probes import Probe
+from tests import probes
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, last_evaluation, small_settings, small_trainer
+from tests.probes import Probe
 
 
 def value(trainer: Run[Any], observation: object, observation_size: object = 1, **changes: object) -> float:

@@ -8,7 +8,7 @@ import pytest
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.policy import policy_from_checkpoint
 from core.algorithms.run import Run
-from core.environments import probes
+from tests import probes
 from tests.learning.runs import last_evaluation, small_settings, small_trainer
 
 

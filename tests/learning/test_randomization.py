@@ -8,12 +8,13 @@ import pytest
 
 from core.algorithms.events import Progress
 from core.algorithms.ppo.checkpoint import FORMAT
-from core.environments import catalog, probes
+from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.randomization import Randomization
 from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.physics.native import NativeEngine
+from tests import probes
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
 
 FALL = Randomization(field="opt.gravity", axis=2, range=(-12.0, -8.0), operation="set")

@@ -9,10 +9,11 @@ import pytest
 from core.algorithms.events import Progress
 from core.algorithms.ppo.checkpoint import FORMAT
 from core.algorithms.run import Run
-from core.environments import catalog, probes
+from core.environments import catalog
 from core.environments.environment import Environment
 from core.errors import JobFailed
 from core.physics.native import NativeEngine
+from tests import probes
 from tests.learning.q_probes import q_settings, q_trainer, two_rooms
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
 

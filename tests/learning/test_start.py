@@ -12,7 +12,7 @@ import pytest
 from core.algorithms.compiled_functions import trace
 from core.algorithms.ppo.algorithm import PPO
 from core.algorithms.ppo.update import Learner
-from core.environments import probes
+from tests import probes
 from tests.compiling import compiling_quickly
 from tests.learning.runs import STEPS_PER_UPDATE, small_settings
 

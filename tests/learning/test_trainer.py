@@ -5,8 +5,8 @@ import pytest
 
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.ppo.checkpoint import FORMAT
-from core.environments import probes
 from core.errors import JobFailed
+from tests import probes
 from tests.learning.runs import STEPS_PER_UPDATE, small_trainer
 
 

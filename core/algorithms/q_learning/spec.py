@@ -187,11 +187,6 @@ class QLearningSpec(BaseSpec):
     def least_memory(self, environment: EnvironmentInfo, num_devices: int) -> Memory:
         return memory.least_memory(self, environment)
 
-    def check_sharing(self, num_devices: int) -> None:
-        if num_devices > 1:
-            detail = f"Q-learning runs on one device, and {num_devices} GPUs are asked for."
-            raise Rejected(detail, [Problem("/resources/gpus", detail)])
-
 
 def _of_the_table(settings: QLearningSpec, environment: EnvironmentInfo) -> list[Problem]:
     """Whether the environment can feed the indexer and be fed by the mapper, as far as its row tells."""

@@ -360,7 +360,8 @@ def test_down_and_up_keep_everything(
 # Ends with 0 where a store still lets the secrets in that its arguments name.
 OLD_SECRETS_WORK = """
 import sys
-from core.adapters.connect import connect_redis, connect_s3
+from core.adapters.connect import connect_redis
+from core.adapters.s3.connection import connect_s3
 redis_url, access_key, secret_key = sys.argv[1:]
 try:
     connect_s3("objects:8333", access_key, secret_key, secure=False, region="us-east-1").list_buckets()

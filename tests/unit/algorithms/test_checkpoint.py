@@ -7,8 +7,8 @@ from flax import serialization
 from core.algorithms.checkpoint import describe
 from core.algorithms.ppo.checkpoint import FORMAT
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments import probes
 from core.errors import JobFailed
+from tests import probes
 from tests.unit.algorithms.checkpoints import pack
 
 STATE = {"weights": np.arange(6, dtype=np.float32).reshape(2, 3), "key": np.array([1, 2], np.uint32)}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
-from core.environments.probes import Probe
+from tests.probes import Probe
 
 
 def half(observation: jax.Array, key: jax.Array) -> tuple[jax.Array, dict[str, Any]]:

@@ -15,11 +15,11 @@ from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments.environment import Environment, State
-from core.environments.probes import Probe, endless
 from core.environments.wrappers.autoreset import start_episodes
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import NOMINAL, ModelFields
 from tests.overflowing import Overflowing
+from tests.probes import Probe, endless
 
 SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8], "value_hidden_layer_sizes": [8]})
 

@@ -12,7 +12,7 @@ from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.loss import loss_of
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner
-from core.environments import probes
+from tests import probes
 
 SIZES = {
     "num_envs": 8,

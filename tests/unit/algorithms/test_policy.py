@@ -31,9 +31,9 @@ from core.algorithms.ppo.policy import (
     write_policy,
 )
 from core.algorithms.ppo.spec import PPOSpec
-from core.environments import probes
 from core.environments.rollout import Roller
 from core.errors import JobFailed
+from tests import probes
 from tests.unit.algorithms.checkpoints import pack
 
 SETTINGS = PPOSpec.model_validate({"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]})

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.environments import catalog, probes
+from core.environments import catalog
+from tests import probes
 from core.environments.environment import Environment, State
 from core.environments.rollout import (
     Roller,

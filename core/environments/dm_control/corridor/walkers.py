@@ -15,7 +15,7 @@ class WalkerInfo:
     source: `module:class` of dm_control. trunk: the body whose height counts and which the camera follows.
     num_positions, num_velocities: nq and nv, the free joint included. reach: metres from the trunk to the
     farthest tip as it stands. standing_height, healthy_z_range: metres of the trunk above the ground;
-    docs/environments.md says what was measured. settles: whether it stands when it does nothing.
+    docs/environments/corridor.md says what was measured. settles: whether it stands when it does nothing.
     has_ellipsoids: among the parts that touch the arena. cameras: in their order.
     """
 

@@ -11,9 +11,9 @@ from core.algorithms.q_learning.action_sets import make_mapper
 from core.algorithms.q_learning.discrete_env import Tabular
 from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
 from core.algorithms.q_learning.state_discretizers import Indexer, make_indexer
-from core.environments import probes
 from core.environments.wrappers.domain_randomization import RandomizedEnvironment
 from core.errors import JobFailed
+from tests import probes
 from tests.learning.q_probes import PlanarStar
 
 INDEXER: TypeAdapter[Any] = TypeAdapter(IndexerOptions)

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from core.environments.cpg.actions import CPGActions, oscillators_in, steered_by_oscillators
 from core.environments.cpg.options import CPGOptions, GaitOptions
 from core.environments.environment import State
-from core.environments.probes import Probe
+from tests.probes import Probe
 from core.errors import JobFailed
 
 PLANES = ("in_plane", "out_of_plane")

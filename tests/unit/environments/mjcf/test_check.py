@@ -150,7 +150,7 @@ def test_what_the_model_has_is_no_problem() -> None:
 
 def test_the_job_of_the_page_fits_the_model_of_the_examples() -> None:
     file = ROOT / "examples" / "quadruped.xml"
-    page = (ROOT / "docs" / "environments.md").read_text()
+    page = (ROOT / "docs" / "environments" / "mjcf.md").read_text()
     (job,) = re.findall(r"-d '(\{[^']*" + identity(file.read_bytes()) + r"[^']*\})'", page)
     spec = JOB_SPEC.validate_json(job)
     assert isinstance(spec, TrainSpec)

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import pytest
 
 from core.environments.environment import State
-from core.environments.probes import Probe
+from tests.probes import Probe
 from core.environments.wrappers.action_repeat import repeat_action
 from core.physics.engine import OVERFLOW
 from tests.overflowing import Overflowing

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.environments.environment import State
-from core.environments.probes import Probe
+from tests.probes import Probe
 from core.environments.wrappers.autoreset import (
     Episodes,
     begun_at_random,
