@@ -1,6 +1,6 @@
-"""`python -m bench [NAME ...] [--quick] [--out DIR]`; `python -m bench report` renews docs/performance.md.
+"""`python -m bench [NAME ...] [--quick] [--out DIR]`; `python -m bench report` rewrites docs/performance.md.
 
-The training benches may be spread over several calls: with `--resume`, one takes what others have made.
+The training benches may be spread over several calls: with `--resume`, a call keeps the runs of earlier ones.
 """
 
 import argparse
@@ -32,14 +32,14 @@ ON_A_GPU = (
 )
 PAGE, PICTURES = Path("docs/performance.md"), Path("docs/pictures")
 UNFINISHED = 75
-# Not among those that run when none is named.
+# These run only by name.
 LONG = ("load", "outages", "recovery", "soak", "memory")
 
 
 def main() -> int:
     """The exit status: 0 when every measurement was made, whether or not it reached its target.
 
-    75 where another call with --resume has something left to do.
+    75 if there are runs left for another call with --resume.
     """
     given = _arguments()
     if given.names == ["report"]:
@@ -47,7 +47,7 @@ def main() -> int:
     names = given.names or list(NAMES)
     if len(names) == 1:
         return _measure(names[0], given)
-    # Each in a process of its own: none finds JAX, its caches or its threads as another one left them.
+    # Each in its own process: none finds JAX, its caches or its threads as another one left them.
     flags = [*(["--quick"] if given.quick else []), *(["--fresh-clone"] if given.fresh_clone else [])]
     flags += ["--resume"] if given.resume else []
     commands = [[sys.executable, "-m", "bench", name, "--out", str(given.out), *flags] for name in names]

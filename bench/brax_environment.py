@@ -1,4 +1,4 @@
-"""This project's environments as Brax's trainer takes them."""
+"""This project's environments in the form that Brax's trainer takes."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ class BraxEnvironment(Env):
             info=state.info,
         )
         after = self._environment.step(before, action)
-        # Brax's wrappers keep their own in both mappings: metrics are renewed, not replaced.
+        # Brax's wrappers keep values of their own in both mappings: metrics are updated, not replaced.
         return state.replace(  # pyright: ignore[reportAttributeAccessIssue]
             pipeline_state=after.physics,
             obs=after.obs,

@@ -8,7 +8,7 @@ from typing import Any
 from bench.result import Bars, Panel, Picture, Result
 
 _COLOURS = ("#1f6fb2", "#d9822b", "#7a869a", "#2f9e6e", "#b5485d")
-# Others than those of the curves beside them: they do not stand for a trainer.
+# Not the colours of the curves beside them, each of which stands for a trainer.
 _BAR_COLOURS = ("#2f9e6e", "#8e6bbf", "#c3cad4", "#e0b040", "#b5485d")
 _GRID = {"color": "#e3e7eb", "linewidth": 0.8}
 
@@ -18,7 +18,7 @@ def file_name(picture: Picture) -> str:
 
 
 def draw(results: Iterable[Result], folder: Path) -> list[Path]:
-    """Every picture of every result; the paths."""
+    """Draw every picture of every result; returns the paths."""
     return [_drawn(picture, folder / file_name(picture)) for one in results for picture in one.pictures]
 
 
@@ -39,7 +39,7 @@ def _drawn(picture: Picture, path: Path) -> Path:
     for axis in axes[len(picture.panels) :]:
         axis.set_visible(False)
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Without the hour and the program's version, equal results give equal files.
+    # Without the time and the program's version, equal results give equal files.
     figure.savefig(path, dpi=130, metadata={"Software": None})
     return path
 
@@ -74,7 +74,7 @@ def _curves(axis: Any, panel: Panel) -> None:
 
 
 def _bars(axis: Any, bars: Bars) -> None:
-    """Horizontal where they are stacked, so that the names of few groups have room."""
+    """Draw bars; stacked ones are horizontal, so that the names of the groups have room."""
     if bars.stacked:
         _stacks(axis, bars)
     else:

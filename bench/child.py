@@ -1,4 +1,4 @@
-"""Measurements in a process of their own: none finds JAX, its caches or its threads as another left them."""
+"""Runs each measurement in its own process: none finds JAX, its caches or threads as another left them."""
 
 import json
 import os
@@ -23,7 +23,7 @@ class ChildFailed(RuntimeError):
 
 
 class TookTooLong(ChildFailed):
-    """It was stopped at its time limit."""
+    """The child was stopped at its time limit."""
 
 
 def run_child(
@@ -33,12 +33,12 @@ def run_child(
     timeout_s: float,
     environment: Mapping[str, str] = os.environ,
 ) -> dict[str, Any]:
-    """What `python -m module` answers to the request; began_at: the hour of its start; process_s: seconds
-    from there to its end.
+    """The answer of `python -m module` to the request, with began_at, the time of its start, and process_s,
+    the seconds from its start to its end.
 
-    It sees no GPU unless the request's `device` is one.
+    The process sees no GPU unless the request's `device` is one.
 
-    Raises ChildFailed with the end of what it printed where it fails, TookTooLong after `timeout_s`.
+    Raises ChildFailed with the end of its output if it fails, TookTooLong after `timeout_s`.
     """
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
         answer = Path(folder, _ANSWER)
@@ -68,7 +68,7 @@ def run_child(
 
 
 def answer(work: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
-    """The child's side: do the request, and leave the answer beside it."""
+    """The child's side: do what the request asks, and write the answer."""
     folder = Path(sys.argv[1])
     answered = work(json.loads((folder / _REQUEST).read_bytes()))
     (folder / _ANSWER).write_text(json.dumps(answered))

@@ -1,4 +1,4 @@
-"""What is said of training runs: rates, returns over seeds, shares of the wall, and their pictures."""
+"""Figures of training runs: rates, returns over seeds, shares of the wall time, and their pictures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,7 +14,7 @@ Row = dict[str, str | int | float | bool | None]
 def rate(training: Sequence[Sequence[float]]) -> float:
     """Steps per second over the second half of (steps, seconds so far), or since the last report but one.
 
-    Compilation is in the first report's seconds. Raises ValueError where there is no other.
+    The first report's seconds include compilation. Raises ValueError if there is no other report.
     """
     if len(training) < 2:
         raise ValueError("One point has no second half: the run reported only once.")
@@ -28,12 +28,12 @@ def last_return(run: Run) -> float:
 
 
 def returns(runs: Sequence[Run]) -> Estimate:
-    """Of the last evaluation, over runs of different seeds."""
+    """The returns of the last evaluation, over runs of different seeds."""
     return estimate([last_return(run) for run in runs])
 
 
 def versus(name: str, ours: Sequence[Run], theirs: Sequence[Run]) -> list[Figure]:
-    """How far our return is from theirs, in standard errors of the difference; nothing with one seed."""
+    """How far our return is from theirs, in standard errors of the difference; empty with one seed."""
     value = difference_in_errors(returns(ours), returns(theirs))
     if value is None:
         return []
@@ -41,14 +41,14 @@ def versus(name: str, ours: Sequence[Run], theirs: Sequence[Run]) -> list[Figure
 
 
 def evaluations_share(run: Run) -> float:
-    """Per cent of the wall that went into evaluating."""
+    """Per cent of the wall time that evaluations took."""
     return 100 * run["evaluation_s"] / run["wall_s"]
 
 
 def quotient(
     name: str, above: float | None, below: float | None, target: Target | None = None
 ) -> list[Figure]:
-    """One number over another; nothing where one of them was not measured."""
+    """One number over another; empty if one of them was not measured."""
     if above is None or below is None:
         return []
     return [Figure(name=name, value=above / below, unit="×", target=target)]
@@ -91,7 +91,7 @@ def by_wall(runs: Mapping[str, Run], title: str) -> Panel:
 
 
 def wall_parts(runs: Mapping[str, Run]) -> Bars:
-    """Where each run's wall went; runs by their label. Brax compiles within its epochs and evaluations."""
+    """How each run spent its wall time; runs by their label. Brax compiles within epochs and evaluations."""
     steady = [run["training"][-1][0] / rate(run["training"]) for run in runs.values()]
     evaluating = [run["evaluation_s"] for run in runs.values()]
     rest = [run["wall_s"] - a - b for run, a, b in zip(runs.values(), steady, evaluating, strict=True)]

@@ -12,7 +12,7 @@ _UPDATES = 4
 
 
 def measure(options: Options) -> Result:
-    """A few updates under the tuned settings, then environments alone, in a process of their own."""
+    """A few updates under the tuned settings, then environments alone, in a separate process."""
     small = {"num_envs": 8, "batch_size": 8, "num_minibatches": 2} if options.quick else {}
     given = requests.settings("cpu", _BODY, Options(out=options.out), num_evals=0, **small)
     whole = requests.whole_updates("cpu", _BODY, given, _UPDATES)

@@ -1,4 +1,4 @@
-"""The demo's job on a fresh stack; with --fresh-clone also the whole command from a clone, its venv empty."""
+"""The demo's job on a fresh stack; with --fresh-clone also the whole command from a clone without a venv."""
 
 import os
 import shutil
@@ -20,7 +20,7 @@ _CLONE_S = 1200.0
 
 
 def measure(options: Options) -> Result:
-    """What a newcomer sees: when it moves, when there is a video, and whether the ant in it walks."""
+    """Measure what a newcomer sees: when the job moves, when there is a video, and whether its ant walks."""
     machine = this_machine()
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
         began = time.time()
@@ -82,7 +82,7 @@ def _follow(client: Client, spec: dict[str, Any]) -> tuple[dict[str, float], Job
 
 
 def _moment(event: Event) -> str | None:
-    """What a newcomer would call this event, if anything."""
+    """A newcomer's name for this event, if it matters to one."""
     match event.kind:
         case "phase" if event.data["name"] == "process":
             return "the training process"
@@ -104,7 +104,7 @@ def _speed_in_video(job: JobView) -> float:
 
 
 def _fresh_clone(folder: Path) -> list[Figure]:
-    """`git clone` and `./run demo`, timed together. Raises RuntimeError with the end of what they said."""
+    """`git clone` and `./run demo`, timed together. Raises RuntimeError with the end of their output."""
     git = shutil.which("git")
     if git is None:
         raise RuntimeError("There is no git to clone with.")

@@ -2,7 +2,7 @@
 
 
 def peak_bytes() -> int | None:
-    """The most bytes that were in use at once on the first device; None where it does not count them."""
+    """The most bytes in use at once on the first device; None if the device does not count them."""
     import jax
 
     counted = jax.devices()[0].memory_stats()

@@ -1,4 +1,4 @@
-"""The campaign that tries to break the promises of docs/reliability.md, as many seeds as asked for."""
+"""The campaign that tries to break the promises of docs/reliability.md, for a number of seeds."""
 
 import os
 from collections import Counter
@@ -15,7 +15,7 @@ _SAVE_EVERY = 20
 
 
 def measure(options: Options) -> Result:
-    """Worlds side by side, one for every two cores. What was measured is saved as it comes."""
+    """Run worlds side by side, one for every two cores; their measurements are saved as they come."""
     machine = this_machine()
     seeds = range(options.first, options.first + (options.seeds or (4 if options.quick else _SEEDS)))
     worlds = options.worlds or max(1, (os.cpu_count() or 2) // 2)
@@ -60,7 +60,7 @@ def _result(outcomes: Sequence[Outcome], options: Options, machine: Machine, wor
 
 
 def _kind(fault: str) -> str:
-    """Without whom it met, and for how long."""
+    """The kind of fault, without the process it hit and its duration."""
     return " ".join(fault.split()[:2]) if fault.startswith("SIG") else fault.split()[0]
 
 

@@ -1,4 +1,4 @@
-"""Learning on a GPU: every walking body at its whole budget, by our loop and by Brax's on the same engine."""
+"""Learning on a GPU: every walking body with its whole budget, by our loop and Brax's on the same engine."""
 
 from bench import comparison, requests
 from bench.requests import Settings
@@ -17,7 +17,7 @@ _WHO = {"ours": "ours", "brax": "Brax, same engine"}
 
 
 def measure(options: Options) -> Result:
-    """One seed of each trainer and body, or as many as are asked for; the first seed of all comes first."""
+    """One seed of each trainer and body, or `seeds` of them; the first seeds of all bodies come first."""
     device, num_seeds = requests.gpu("gpu_bodies", options), options.seeds or 1
     bodies = ("inverted_pendulum",) if options.quick else _BODIES
     runs = Runs("gpu_bodies", options)
@@ -53,7 +53,7 @@ def _pair(device: Device, body: str, seed: int, options: Options) -> list[Work]:
     engine = requests.engine(device, body, given)
     ours = requests.ours(device, body, engine, given, seed=seed)
     brax = requests.brax(device, body, engine, given, seed=seed, epochs=_NUM_EVALS - 1)
-    # One cache for both: of the programs they share none, of Warp's kernels all.
+    # One cache for both: they share no programs, but all of Warp's kernels.
     return [
         Work(f"ours-{body}-{seed}", "bench.train_ours", ours, about_s=_ABOUT_S, cache="both"),
         Work(f"brax-{body}-{seed}", "bench.train_brax", brax, about_s=_ABOUT_S, cache="both"),
@@ -69,7 +69,7 @@ def _settings(device: Device, body: str, options: Options) -> Settings:
 
 
 def _figures(body: str, of_both: dict[str, list[Run]]) -> list[Figure]:
-    """What the target is about: the returns, in standard errors where there are several seeds."""
+    """The figures with targets: the returns, in standard errors if there are several seeds."""
     ours, brax = comparison.returns(of_both["ours"]), comparison.returns(of_both["brax"])
     compared = comparison.versus(
         f"{body}: our return − Brax's", of_both["ours"], of_both["brax"]

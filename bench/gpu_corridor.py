@@ -1,4 +1,4 @@
-"""The corridor on a GPU: ours on the engine `auto` takes, against dm_control's own model under MJX-JAX."""
+"""The corridor on a GPU: ours on the engine that `auto` picks, against dm_control's model under MJX-JAX."""
 
 from statistics import median
 

@@ -1,5 +1,4 @@
-"""Which engine is fastest for which body on a GPU machine: what `auto` rests on, ON_A_GPU in
-core.physics.availability."""
+"""Which engine is fastest for which body on a GPU machine: the basis of `EnvironmentInfo.on_a_gpu`."""
 
 from statistics import median
 
@@ -22,16 +21,16 @@ _MOST_TRAINING_S = 10.0
 _PHYSICS_S = 3.0
 _TIMEOUT_S = 560.0
 _AT_ONCE = 4
-# Its training compiles for many minutes; gpu_rodent has its physics.
+# Its training compiles for many minutes; gpu_rodent measures its physics.
 _LEFT_OUT = {("rodent", "mjx")}
 
 
 def measure(options: Options) -> Result:
-    """Each body and engine in a process of its own; native, which hardly competes, comes last."""
+    """Measure each body and engine in its own process; `native`, which hardly competes, comes last."""
     device = requests.gpu("gpu_engines", options)
     bodies = [body for body in _BODIES if body in catalog.ENVIRONMENTS]
     bodies = ["inverted_pendulum"] if options.quick else bodies
-    # On a CPU, where the bench is only looked at, Warp's kernels would take minutes to compile.
+    # On a CPU, where the bench is only tried out, Warp's kernels would take minutes to compile.
     on_device: list[EngineName] = ["warp", "mjx"] if device == "gpu" else ["mjx"]
     pairs: list[tuple[str, EngineName]] = [
         *(pair for body in bodies for engine in on_device if (pair := (body, engine)) not in _LEFT_OUT),
@@ -73,7 +72,7 @@ def _work(device: Device, body: str, engine: EngineName, options: Options) -> Wo
         "epoch_s": 0.25,
         "physics_s": 0.1 if options.quick else _PHYSICS_S,
     }
-    # Programs are compiled anew for each; the folder is theirs alone, but for Warp's kernels.
+    # Each compiles its programs afresh; they share only Warp's kernels in this folder.
     return Work(f"{body}-{engine}", "bench.run_engine", request, timeout_s=_TIMEOUT_S, cache=engine)
 
 
@@ -82,7 +81,7 @@ def _physics(run: Run) -> float:
 
 
 def _figures(body: str, taken: str, rates: dict[str, float]) -> list[Figure]:
-    """Whether `auto` takes what is fastest, as far as it was measured."""
+    """Whether `auto` picks the fastest of the measured engines."""
     measured = {engine: rates[f"{body}-{engine}"] for engine in _ENGINES if f"{body}-{engine}" in rates}
     if taken not in measured or len(measured) < 2:
         return []

@@ -7,6 +7,6 @@ from bench.result import Options, Result
 def measure(options: Options) -> Result:
     """20 M steps under Brax's published settings for its humanoid.
 
-    Three epochs for Brax: it compiles in the first two, and the rate is to be of one that does not.
+    Brax runs three epochs: it compiles in the first two, and the rate is taken from the third.
     """
     return compare(Plan("humanoid", num_timesteps=20_000_000, num_evals=4), options)

@@ -1,4 +1,4 @@
-"""Where an update's time goes on a GPU, and how far its learning is from what the card could do."""
+"""Where the time of an update goes on a GPU, and how far its learning is from the card's peaks."""
 
 from statistics import median
 
@@ -16,7 +16,7 @@ _PARTS = ("physics", "rest of the environments", "policy, acting", "learning", "
 
 
 def measure(options: Options) -> Result:
-    """Each body in a process of its own, under its tuned settings, on the engine that `auto` takes."""
+    """Measure each body in its own process, under its tuned settings, on the engine that `auto` picks."""
     device = requests.gpu("gpu_profile", options)
     bodies = [body for body in _BODIES if body in catalog.ENVIRONMENTS]
     bodies = ["inverted_pendulum"] if options.quick else bodies
@@ -63,7 +63,7 @@ def measure(options: Options) -> Result:
 
 
 def split(run: Run) -> dict[str, float]:
-    """Seconds of an update by its parts, which add up to it; what timing blurs is in `the rest`."""
+    """Seconds of an update by its parts, which add up to it; `the rest` holds what timing cannot separate."""
     seconds = {name: median(found) for name, found in run["seconds"].items()}
     learning = seconds["update_twice"] - seconds["update"]
     known = {

@@ -5,6 +5,7 @@ from bench.comparison import rate
 from bench.q_learning import CONTROL_STEPS
 from bench.result import Figure, Options, Result
 from bench.runs import Runs, Work
+from core.environments import catalog
 from core.physics.availability import choose
 
 _WORLDS = 4096
@@ -13,10 +14,10 @@ _FASTEST, _NATIVE = f"rate-{_WORLDS}", f"rate-{_WORLDS}-native"
 
 
 def measure(options: Options) -> Result:
-    """As on the CPU, on the engine that `auto` takes; and the rate of many worlds, there and on `native`."""
+    """As on the CPU, on the engine that `auto` picks; and the rate of many environments, also on `native`."""
     device = requests.gpu("gpu_q_learning", options)
-    engine = choose("auto", device, "brittle_star", 100).name
-    # Two decisions: the rate of a round is that of its steps, however many these are.
+    engine = choose("auto", device, 100, catalog.find("brittle_star").on_a_gpu).name
+    # Two decisions are enough: a round of any length has the same rate of steps.
     worlds = 4 if options.quick else _WORLDS
     many = {"num_envs": worlds, "num_episodes": _ROUNDS * worlds, "decisions_per_episode": 2, "num_evals": 0}
     rates = [

@@ -21,10 +21,10 @@ _TIMEOUT_S = 1500.0
 
 
 def measure(options: Options) -> Result:
-    """Ours with its physics alone, Brax on the same engine, and the physics alone of MJX-JAX."""
+    """Measure ours and its physics alone, Brax on the same engine, and MJX-JAX's physics alone."""
     device, body = requests.gpu("gpu_rodent", options), requests.body("rodent", options)
     updates = 8 if options.quick else _UPDATES
-    # The engine for a GPU; where the bench is only looked at, one that compiles fast.
+    # The engine for a GPU; an engine that compiles fast where the bench is only tried out.
     engine = _ENGINE if device == "gpu" else "native"
     given = _settings(device, body, options)
     whole = requests.whole_updates(device, body, given, updates)
@@ -88,7 +88,7 @@ def _figures(runs: Runs) -> list[Figure]:
 def _measured(
     name: str, value: float | None, unit: str, why: str | None, target: Target | None = None
 ) -> Figure | None:
-    """None where it was neither measured nor failed."""
+    """None if it was neither measured nor failed."""
     if value is None and why is None:
         return None
     return Figure(name=name, value=value, unit=unit, target=target, missing=why)

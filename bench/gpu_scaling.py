@@ -1,4 +1,4 @@
-"""PPO on several GPUs of one host: the humanoid, with a fixed number of worlds and unrolls on each."""
+"""PPO on several GPUs of one host: the humanoid, with a fixed number of environments and unrolls on each."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ _TIMEOUT_S = 240.0
 
 
 def measure(options: Options) -> Result:
-    """Some updates on 1, 2 and 4 GPUs, as far as there are so many, each in a process of its own."""
+    """Some updates on 1, 2 and 4 GPUs, as far as the host has them, each number in its own process."""
     device, body = requests.gpu("gpu_scaling", options), requests.body(_ENVIRONMENT, options)
     numbers = [n for n in (1, 2, 4) if n <= max(1, len(visible_gpus()))]
     runs = Runs("gpu_scaling", options)
@@ -48,7 +48,7 @@ def measure(options: Options) -> Result:
 
 
 def _figures(n: int, runs: Runs) -> list[Figure]:
-    """The rate, and how much more it is than one GPU's; or why there is none."""
+    """The rate and its ratio to that of one GPU; or why there is none."""
     rates = {name: rate(run["training"]) for name, run in runs.done.items()}
     value, why = rates.get(str(n)), runs.failed.get(str(n))
     if value is None and why is None:

@@ -18,7 +18,7 @@ _WHO = {"ours": "ours", "brax": "Brax", _SAME: "Brax on our engine"}
 
 @dataclass(frozen=True)
 class Plan:
-    """num_evals: of both trainers; Brax's first comes before the training."""
+    """num_evals: evaluations of both trainers; Brax makes its first before training."""
 
     environment: str
     num_timesteps: int
@@ -26,9 +26,9 @@ class Plan:
 
 
 def compare(plan: Plan, options: Options) -> Result:
-    """Each trainer in a process of its own: cold both, warm both, then the other seeds, alternating.
+    """Run each trainer in its own process: both cold, both warm, then the other seeds, alternating.
 
-    Ours on the engine that `auto` takes, Brax on MJX-JAX as its own environments are; then Brax on ours.
+    Ours runs on the engine that `auto` picks, Brax on MJX-JAX like its own environments, and then on ours.
     """
     name = f"gpu_{plan.environment}"
     device, environment = requests.gpu(name, options), requests.body(plan.environment, options)
@@ -36,7 +36,7 @@ def compare(plan: Plan, options: Options) -> Result:
     engine = requests.engine(device, environment, given)
     runs = Runs(name, options)
     seeds = range(options.seeds or (2 if options.quick else 3))
-    # As a job runs it that says nothing but the body's name, for what its evaluations cost.
+    # A job's defaults when it names only the body, to see what its evaluations cost.
     defaults = given if options.quick else {}
     runs.make(
         [
@@ -75,7 +75,7 @@ def _settings(device: Device, environment: str, plan: Plan, options: Options) ->
         environment,
         options,
         num_evals=plan.num_evals,
-        reset_pool_size=0,  # back to its own first state, as Brax's environments go
+        reset_pool_size=0,  # An episode starts again at its own first state, as in Brax.
         **({} if options.quick else {"num_eval_envs": _NUM_EVAL_ENVS}),
     )
     epochs = plan.num_evals - 1

@@ -1,4 +1,4 @@
-"""What the learning phase needs at the least, and what a card could do."""
+"""The least that the learning phase needs, and the most that a card can do."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,29 +36,29 @@ CARDS = (
 
 
 def card_of(accelerator: str | None) -> Card | None:
-    """The card by the name its driver gives it; None for one whose peaks are not written down here."""
+    """The card with this name from its driver; None for one whose peaks are not listed here."""
     return next((card for card in CARDS if accelerator and card.name in accelerator), None)
 
 
 @dataclass(frozen=True)
 class Need:
-    """Of one gradient step: operations in matrix products, and bytes that must come from or go to memory."""
+    """One gradient step's need: operations in matrix products, and bytes read from or written to memory."""
 
     flops: float
     bytes: float
 
     def least_s(self, flops: float, memory: float) -> float:
-        """Seconds on a card of these peaks, which computes and moves at once."""
+        """Seconds on a card with these peaks, which computes and moves data at the same time."""
         return max(self.flops / flops, self.bytes / memory)
 
 
 def forward_flops(layers: Sequence[int], samples: int) -> float:
-    """A dense network's products for so many inputs; layers: its widths, from the input to the output."""
+    """Operations of a dense network for a batch of inputs. layers: its widths, from input to output."""
     return 2.0 * samples * sum(a * b for a, b in pairwise(layers))
 
 
 def gradient_flops(layers: Sequence[int], samples: int) -> float:
-    """The same forward and backward: twice as much again, less the gradient by the inputs."""
+    """The same forward and backward: backward adds twice as much, less the gradient by the inputs."""
     return 3 * forward_flops(layers, samples) - 2.0 * samples * layers[0] * layers[1]
 
 
@@ -69,10 +69,10 @@ def num_parameters(layers: Sequence[int]) -> int:
 def gradient_step(
     policy: Sequence[int], value: Sequence[int], *, unrolls: int, unroll_length: int, sample_floats: int
 ) -> Need:
-    """One minibatch of PPO: both networks on every sample, the value once more where an unroll ends.
+    """One minibatch of PPO: both networks on every sample, and the value once more at the end of each unroll.
 
-    sample_floats: numbers that are kept of one step. Bytes: the batch is read once; parameters and Adam's
-    two moments are read and written. What lies between stays in the card's caches, at the best.
+    sample_floats: numbers stored per step. Bytes: the batch is read once; parameters and Adam's two moments
+    are read and written. At best, everything between stays in the card's caches.
     """
     samples = unrolls * unroll_length
     flops = gradient_flops(policy, samples) + gradient_flops(value, samples) + forward_flops(value, unrolls)

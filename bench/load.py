@@ -19,7 +19,7 @@ from core.jobs.submission import submit
 from core.settings import WorkerSettings
 
 _PREFIX = "GAITWAY_"
-# Workers are threads of a few processes: more would wait for each other in Python.
+# Workers are threads in a few processes: more in one process would wait for Python's lock.
 _WORKERS_OF_A_PROCESS = 10
 _TRAINING_S = 2.0
 # Workers and readers start this long before the submissions and stop this long after them.
@@ -27,7 +27,7 @@ _MARGIN_S = 5.0
 
 
 def measure(options: Options) -> Result:
-    """On the embedded stack's servers, with the API as this machine starts it, and the reconciler."""
+    """Measure on the embedded stack's servers, with the reconciler and the API as this machine starts it."""
     machine = this_machine()
     seconds = 60 * (options.minutes or (0.25 if options.quick else 5.0))
     queued, workers, readers, rate = (300, 10, 50, 50.0) if options.quick else (10_000, 50, 500, 200.0)
@@ -84,7 +84,7 @@ def measure(options: Options) -> Result:
 
 
 def _fill(parts: Parts, count: int) -> list[str]:
-    """Queue so many jobs, as the API does it; their ids."""
+    """Queue `count` jobs as the API does; returns their ids."""
     settings = _settings(parts)
     store, queue = job_store(settings), job_queue(settings)
     spec = JOB_SPEC.validate_python(JOB)
@@ -104,7 +104,7 @@ def _settings(parts: Parts) -> WorkerSettings:
 def _load(
     parts: Parts, jobs: list[str], workers: int, readers: int, rate: float, seconds: float
 ) -> tuple[dict[str, Any], float]:
-    """What each part measured, and the peak resident memory of an API process in MB."""
+    """What each party measured, and the peak resident memory of an API process in MB."""
     whole_s = seconds + 2 * _MARGIN_S
     common = {"url": parts.url, "seconds": whole_s}
     worker = {**common, "part": "work", "workers": _WORKERS_OF_A_PROCESS, "training_s": _TRAINING_S}
@@ -125,7 +125,7 @@ def _load(
 
 
 class _Watched:
-    """Looks at the API's processes every second."""
+    """Samples the memory of the API's processes every second."""
 
     def __init__(self, parts: Parts) -> None:
         self.most_mb = 0.0

@@ -26,7 +26,7 @@ from core.jobs.store import Entry, JobStore
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
 
-# For an accelerator that no worker of the service has: only those of this bench take them.
+# For an accelerator that no worker of the service has: only this bench's workers take them.
 JOB = {"kind": "train", "environment": "ant", "resources": {"accelerator": "gpu"}}
 DEVICE = "gpu:0"
 _LEASE = timedelta(seconds=15)
@@ -37,7 +37,7 @@ Answer = dict[str, Any]
 
 
 def post(request: Answer) -> Answer:
-    """Submissions at a rate. seconds: of each."""
+    """Submissions at a fixed rate. seconds: of each."""
     time.sleep(request["after_s"])
     count = round(request["per_second"] * request["seconds"])
     seconds, _ = asyncio.run(post_at_rate(request["url"], JOB, per_second=request["per_second"], count=count))
@@ -45,7 +45,7 @@ def post(request: Answer) -> Answer:
 
 
 def look(request: Answer) -> Answer:
-    """Listings with changing filters. seconds: of each. An urgent job a second: urgent, their ids."""
+    """Changing listings, and an urgent job a second. seconds: of each listing; urgent: the jobs' ids."""
     seconds: list[float] = []
     urgent: list[str] = []
     time.sleep(request["after_s"])
@@ -67,7 +67,7 @@ def follow(request: Answer) -> Answer:
     """Readers that each follow one job after the other.
 
     delays: seconds from each entry's time to its arrival; gaps: entries that were missed or came twice;
-    broken: streams that ended otherwise than by the job's end.
+    broken: streams that ended without the job's end.
     """
     return asyncio.run(_follow(request))
 
@@ -106,7 +106,7 @@ async def _read(client: httpx.AsyncClient, job: str, found: Answer) -> None:
                 elif name == "data":
                     said = json.loads(value)
                     last = said["data"].get("status", "")
-                    # What was there before the stream began is no measure of it.
+                    # Entries from before the stream began do not measure it.
                     if expected > 2:
                         passed = time.time() - datetime.fromisoformat(said["time"]).timestamp()
                         found["delays"].append(passed)
@@ -117,7 +117,7 @@ async def _read(client: httpx.AsyncClient, job: str, found: Answer) -> None:
 
 
 def work(request: Answer) -> Answer:
-    """Workers as threads, which take jobs from RQ, claim and end them, and train nothing in between.
+    """Workers as threads: they take jobs from RQ, claim them and end them without training.
 
     claims: seconds of each claim; picked_up: by job, seconds from its submission to its claim. training_s:
     how long a worker keeps a job.
@@ -163,7 +163,7 @@ def _work(
 
 
 def _train(store: JobStore, job_id: str, token: str, seconds: float) -> None:
-    """What a short training says: a row of metrics at a time, with its progress, and signs of life."""
+    """Record what a short training reports: rows of metrics with progress, and heartbeats."""
     for step in range(1, 5):
         time.sleep(seconds / 4 * random.uniform(0.5, 1.5))
         store.renew(job_id, token, _LEASE)

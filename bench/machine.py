@@ -1,4 +1,4 @@
-"""Where a measurement was made."""
+"""The machine of a measurement."""
 
 import os
 import platform
@@ -14,7 +14,7 @@ _PACKAGES = ("jax", "brax", "mujoco", "mujoco-mjx")
 
 
 class Machine(BaseModel):
-    """The hardware, the software, the commit and the hour."""
+    """The hardware, the software, the commit and the time."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -31,7 +31,7 @@ class Machine(BaseModel):
 
 
 def this_machine() -> Machine:
-    """As it is now. load_before: the load average of the last minute; well below 1 on a quiet machine."""
+    """This machine now. load_before: the load average of the last minute; well below 1 on a quiet machine."""
     return Machine(
         processor=_processor(),
         cores=num_cores(),
@@ -47,7 +47,7 @@ def this_machine() -> Machine:
 
 
 def _accelerator() -> str | None:
-    """The NVIDIA GPUs, as their driver calls them."""
+    """The NVIDIA GPUs, by their driver's names."""
     program = shutil.which("nvidia-smi")
     if program is None:
         return None
@@ -79,10 +79,7 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str:
-    """The commit of this tree, `+` where something in it was changed.
-
-    Where there is no clone, what BENCH_COMMIT says.
-    """
+    """The commit of this tree, with `+` if it has changes; without a clone, the value of BENCH_COMMIT."""
     if said := os.environ.get("BENCH_COMMIT"):
         return said
     git = shutil.which("git")

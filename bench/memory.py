@@ -1,4 +1,4 @@
-"""How far the estimate of a run's least memory is from what the run takes."""
+"""How far the estimate of a run's least memory is from what it takes."""
 
 from typing import Any
 
@@ -65,7 +65,7 @@ _QUICK = ("ant, few", "ant, long unrolls")
 
 
 def measure(options: Options) -> Result:
-    """Each run in a process of its own, as far as its first report of progress."""
+    """Start each run in its own process, up to its first report of progress."""
     device = "gpu" if options.gpu else "cpu"
     cases = _ON_A_GPU if options.gpu else _ON_A_CPU
     if options.quick:

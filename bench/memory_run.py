@@ -1,4 +1,4 @@
-"""The beginning of one run, and what it has of memory: `python -m bench.memory_run ANSWER REQUEST`.
+"""The beginning of one run and its memory: `python -m bench.memory_run ANSWER REQUEST`.
 
 Request: environment, options, engine (or `auto`), algorithm (as a job has it), device (`cpu` or `gpu`).
 """
@@ -16,8 +16,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     """least_bytes: the estimate; taken_bytes: what the run took until its first updates were made;
     checkpoint_bytes: of the file; engine: which it was; wall_s.
 
-    Of a GPU, taken_bytes are the most that were in use. Of a CPU, by how much the process has grown since its
-    programs were compiled, which takes more than many a run; and the state, which was there by then.
+    On a GPU, taken_bytes is the peak in use. On a CPU it is the process's growth after compilation, which
+    itself takes more memory than many runs, plus the state, which existed by then.
     """
     from pydantic import TypeAdapter
 
@@ -35,7 +35,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     settings = resolve(TypeAdapter(AlgorithmSpec).validate_python(request["algorithm"]), row, device)
     engine = request["engine"]
     if engine == "auto":
-        engine = choose("auto", device, row.id, settings.num_worlds).name
+        engine = choose("auto", device, settings.num_worlds, row.on_a_gpu).name
     began = time.perf_counter()
     environment = catalog.make(row, options, engine_builder(engine))
     trainer = loaded(ALGORITHMS[settings.algorithm()].trainer)(
@@ -59,7 +59,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Growth:
-    """How much more the process has at most than at the beginning, looked at every 10 ms."""
+    """The largest growth of the process since the beginning, sampled every 10 ms."""
 
     def __init__(self) -> None:
         self._process = psutil.Process()

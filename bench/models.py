@@ -1,4 +1,4 @@
-"""How long it takes to bring a body of one's own, from `POST /models` to what is in it, by a real worker."""
+"""How long a user's own body takes from `POST /models` to its description, with a real worker."""
 
 import statistics
 import tempfile
@@ -21,7 +21,7 @@ Row = dict[str, Any]
 
 
 def measure(options: Options) -> Result:
-    """The humanoid's XML, each time with another comment: the same bytes would be the same model."""
+    """Send the humanoid's XML, each time with another comment: the same bytes would be the same model."""
     machine = this_machine()
     body = _humanoid()
     with (
@@ -70,7 +70,7 @@ def _humanoid() -> bytes:
 
 
 def _sent(http: httpx.Client, body: bytes) -> Row:
-    """One model from its upload to the last word about it; it is removed afterwards."""
+    """One model from its upload to the end of its validation; it is deleted afterwards."""
     began = time.perf_counter()
     answer = http.post("/models", content=body, headers={"Content-Type": "application/xml"})
     described_s = time.perf_counter() - began

@@ -4,11 +4,10 @@ One brittle star in biorobot's MJX environment; a Q-table chooses its leading ar
 (Euler, one step for each control step) turns that into joint angles; the episode is one compiled program, and
 the table learns from it afterwards, step by step in another. Needs the packages biorobot and moojoco.
 
-Request: steps (control steps in a compiled episode; the notebook's are 499), time_limit_s (no episode is
-begun after so many seconds of running ones; the first two are made whatever they take), seed, device (`cpu`,
-which it is without one, or `gpu`); num_arms and num_segments_per_arm, the notebook's 5 and 5 without them;
-solver, biorobot's own [1, 5] iterations and line searches without it; cache (a folder for compiled programs,
-or null).
+Request: steps (control steps in a compiled episode; the notebook's are 499), time_limit_s (no episode starts
+after this many seconds of episodes, except the first two), seed, device (`cpu`, the default, or `gpu`);
+num_arms and num_segments_per_arm (default: the notebook's 5 and 5); solver (default: biorobot's own [1, 5]
+iterations and line searches); cache (a folder for compiled programs, or null).
 """
 
 import math
@@ -56,7 +55,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             table, reward, seconds = once(table, now)
             rewards.append(reward)
             spent.append(seconds)
-    del spent[0]  # It compiled what learns.
+    del spent[0]  # It compiled the learning program.
     return {
         "control_steps_per_second": steps * len(spent) / sum(spent),
         "episodes": len(spent),
@@ -72,7 +71,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
 def star(num_arms: int, num_segments_per_arm: int, solver: list[int]) -> Any:
     """biorobot's environment of directed locomotion under MJX, with the notebook's settings."""
-    # dm_control looks for a display otherwise.
+    # Otherwise dm_control looks for a display.
     os.environ.setdefault("MUJOCO_GL", "egl")
     from biorobot.brittle_star.environment.directed_locomotion.mjx_env import (
         BrittleStarDirectedLocomotionMJXEnvironment as Environment,
@@ -109,7 +108,7 @@ def star(num_arms: int, num_segments_per_arm: int, solver: list[int]) -> Any:
 
 
 def _episode(environment: Any, num_arms: int, steps: int) -> Any:
-    """From a key and a table to samples [steps] of sector, action, next sector and reward."""
+    """Maps a key and a table to samples [steps] of sector, action, next sector and reward."""
     import jax
     import jax.numpy as jnp
 
@@ -125,7 +124,7 @@ def _episode(environment: Any, num_arms: int, steps: int) -> Any:
     segments = environment.frozen_mj_model.nu // (2 * num_arms)
 
     def sector(observations: Any) -> Any:
-        """The arm that points at the target most nearly."""
+        """The arm that points most nearly at the target."""
         x, y = observations["unit_xy_direction_to_target"]
         angle = jnp.arctan2(y, x) - observations["disk_rotation"][-1]
         return jnp.round(angle * num_arms / (2 * jnp.pi)).astype(jnp.int32) % num_arms
@@ -167,7 +166,7 @@ def _learn(table: Any, samples: Any) -> Any:
 
 
 def _settled(state: Any) -> Any:
-    """moojoco begins with Python's numbers and goes on with arrays, which a scan does not bear."""
+    """The state as arrays: moojoco starts with Python's numbers and returns arrays, which a scan refuses."""
     import jax.numpy as jnp
 
     return state.replace(

@@ -34,7 +34,7 @@ async def post_at_rate(
         for number in range(count):
             due = began + number / per_second
             await asyncio.sleep(due - time.perf_counter())
-            # Made only now: sixty thousand waiting tasks kept the garbage collector busy for 0.1 s at a time.
+            # Created late: sixty thousand waiting tasks kept the garbage collector busy for 0.1 s at a time.
             under_way.create_task(one(number, due))
     return seconds, jobs
 

@@ -1,4 +1,4 @@
-"""The service as separate processes of this one, each of which can be looked at by its name."""
+"""The service as separate child processes, each known by its name."""
 
 import os
 import sys
@@ -20,14 +20,14 @@ _START_S = 60.0
 
 @dataclass(frozen=True)
 class Parts:
-    """A service that runs. environment: the settings that lead to its stores. processes: all, by name."""
+    """A running service. environment: the settings that lead to its stores. processes: all, by name."""
 
     url: str
     environment: dict[str, str]
     processes: dict[str, ServerProcess]
 
     def family(self, name: str) -> Iterator[psutil.Process]:
-        """A part and all that it has started. Raises RuntimeError where it has ended."""
+        """A part and all processes it has started. Raises RuntimeError if it has ended."""
         pid = self.processes[name].pid
         if pid is None:
             raise RuntimeError(f"{name} has ended.\n{self.processes[name].last_lines()}")

@@ -23,7 +23,7 @@ from core.physics.model import brax_model, initial_qpos
 
 _UNIT = "physics steps/s"
 _SUBSTEPS = 5
-_BOUND = ("time", "qpos", "qvel", "qacc_warmstart")  # what the engine carries for the ant, which has no `act`
+_BOUND = ("time", "qpos", "qvel", "qacc_warmstart")  # The engine's state of the ant, which has no `act`.
 _BRAX_SOLVER = SolverSettings(iterations=1, ls_iterations=4, implicit_damping=False)
 
 # MJX-JAX is slow on a CPU, and XLA has been seen to stop for good in its program for 512 worlds.
@@ -34,7 +34,7 @@ Rates = dict[str, list[float]]
 
 
 def measure(options: Options) -> Result:
-    """The ant under random controls; every engine takes the same ones from the same states."""
+    """Measure the ant under random controls; every engine gets the same controls and initial states."""
     machine = this_machine()
     rounds, num_worlds, num_steps = (2, 64, 10) if options.quick else (9, 512, 60)
     model = brax_model("ant")
@@ -105,7 +105,7 @@ def _controls(model: mujoco.MjModel, num_steps: int, num_worlds: int) -> Control
 
 
 def _timed(run: Callable[[], object], controls: Controls) -> Callable[[], float]:
-    """Physics steps per second of one call; the first one, which compiles and warms up, is made here."""
+    """A function that measures one call's physics steps per second, after a first call that compiles."""
     run()
     physics_steps = controls.shape[0] * controls.shape[1] * _SUBSTEPS
 

@@ -18,7 +18,7 @@ _IDENTITY = {
     "initial_table": "identity",
     "learning_rate": 0.0,
     "epsilon": {"start": 0.0, "end": 0.0},
-    "num_episodes": 1,  # Rounded up to a round.
+    "num_episodes": 1,  # Rounded up to a whole round.
 }
 _SMALLEST: Mapping[str, Any] = {
     "options": {"num_arms": 3, "num_segments_per_arm": 1, "simulation_time": 2.0, "target_distance": 0.5},
@@ -28,7 +28,7 @@ _STEERED = 100
 
 
 def measure(options: Options) -> Result:
-    """Whole runs of a hundred episodes, the notebook's loop for a while, and other numbers of worlds."""
+    """Measure whole runs of a hundred episodes, the notebook's loop, and other numbers of environments."""
     runs = Runs("q_learning", options)
     worlds = (2,) if options.quick else (1, 10, 50)
     runs.make(works(options, "cpu", "native", worlds))
@@ -36,7 +36,7 @@ def measure(options: Options) -> Result:
 
 
 def works(options: Options, device: Device, engine: str, worlds: Sequence[int]) -> list[Work]:
-    """A start with nothing compiled and with everything; tables that learn; the notebook's; other worlds."""
+    """Cold and warm starts, tables that learn, the notebook's loop, other numbers of environments."""
     seeds = range(options.seeds or (1 if options.quick else 3))
 
     def ours(name: str, settings: Mapping[str, Any], *, seed: int = 0, steered: bool = True) -> Work:
@@ -75,7 +75,7 @@ def request_of(
     seed: int = 0,
     steered: bool = True,
 ) -> dict[str, Any]:
-    """For bench.train_star."""
+    """A request for bench.train_star."""
     small = _SMALLEST if options.quick else {"options": {}, "settings": {}}
     return {
         "options": {"control": "cpg", **small["options"]},
@@ -88,7 +88,7 @@ def request_of(
 
 
 def _notebook(options: Options, device: Device) -> dict[str, Any]:
-    """Shorter episodes than the notebook's 499 control steps where these would take minutes."""
+    """A request for bench.notebook_star, with fewer than its 499 control steps where these take minutes."""
     if options.quick:
         small = {"num_arms": 3, "num_segments_per_arm": 1}
         return {**small, "steps": 2, "time_limit_s": 0.0, "seed": 0, "device": device}
@@ -97,7 +97,7 @@ def _notebook(options: Options, device: Device) -> dict[str, Any]:
 
 
 def result(name: str, title: str, runs: Runs, options: Options, most_s: float, fastest: str) -> Result:
-    """fastest: what the rate of training is called; a run of this name has it, the warm one otherwise."""
+    """fastest: the name of the training rate and of its run; if there is no such run, the warm one."""
     done = runs.done
     tables = {table: [run for key, run in done.items() if key.startswith(f"{table}-")] for table in _TABLES}
     return Result(
@@ -133,7 +133,7 @@ def _rates(runs: Runs, fastest: str) -> list[Figure]:
 
 
 def _walls(done: Mapping[str, Run], most_s: float) -> list[Figure]:
-    """Of warm runs there are several: the learning ones after the first find everything compiled, too."""
+    """Wall times. There are several warm runs: the learning ones after the first find everything compiled."""
     name = "100 episodes, the process's begin to the learnt table"
     walls = {key: run["learnt_at"] - run["began_at"] for key, run in done.items() if "learnt_at" in run}
     warm = [walls[key] for key in ("warm", "centralised-1", "centralised-2") if key in walls]
@@ -147,7 +147,7 @@ def _walls(done: Mapping[str, Run], most_s: float) -> list[Figure]:
 
 
 def _steering(done: Mapping[str, Run], tables: Mapping[str, list[Run]]) -> list[Figure]:
-    """Per cent of unseen targets that are reached; of learnt tables, over their seeds."""
+    """Per cent of unseen targets that learnt tables reach, over their seeds."""
     figures = list[Figure]()
     if run := done.get("identity"):
         figures.append(
@@ -192,7 +192,7 @@ def _pictures(name: str, tables: Mapping[str, list[Run]], worlds: Mapping[str, R
             ("Learning to steer, every seed", [(key, run) for key, of in tables.items() for run in of]),
             ("How worlds' updates are combined", list(worlds.items())),
         )
-        # Where all episodes are one round, there is a point and no curve.
+        # If all episodes are one round, there is a point and no curve.
         if (drawn := [(label, points) for label, run in lines if len(points := _by_episode(run)) > 1])
     ]
     caption = "A brittle star learns to steer: return by episodes, exploration included"

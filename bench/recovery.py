@@ -74,7 +74,7 @@ def _lost_worker(stack: Stack) -> Row:
             checkpoints={"every_steps": 20_000},
         )
         until(lambda: bool(client.checkpoints(job.id)))
-        # A worker says only every few seconds which job it has.
+        # A worker reports its job only every few seconds.
         until(lambda: bool(_pids_with(client, job.id)))
         family = psutil.Process(_pids_with(client, job.id)[0])
         killed = time.time()

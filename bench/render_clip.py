@@ -1,5 +1,5 @@
-"""One clip by the render process: `python -m bench.render_clip ANSWER REQUEST`. Small itself, so that the
-peak memory of its only child is the render process's."""
+"""One clip by the render process: `python -m bench.render_clip ANSWER REQUEST`. It is small itself, so
+that the peak memory of its only child is the render process's."""
 
 import resource
 import sys

@@ -1,4 +1,4 @@
-"""What the training benches ask their children for."""
+"""The requests of the training benches to their child processes."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from worker.host.device import visible_gpus
 
 Settings = dict[str, Any]
 
-# For a look at the bench itself: a body that compiles fast, and hardly a step to take.
+# To try out the bench itself: a body that compiles fast, and a small budget.
 _QUICK_BODY = "inverted_pendulum"
 _QUICK: Settings = {
     "num_envs": 8,
@@ -25,7 +25,7 @@ _QUICK: Settings = {
 
 
 def gpu(bench: str, options: Options) -> Device:
-    """`gpu`; `cpu` where there is none and the bench is only looked at. Exits with a sentence elsewhere."""
+    """`gpu`; without one, `cpu` if the bench is only tried out. Exits with a sentence otherwise."""
     if visible_gpus():
         return "gpu"
     if options.quick:
@@ -34,31 +34,31 @@ def gpu(bench: str, options: Options) -> Device:
 
 
 def body(wanted: str, options: Options) -> str:
-    """The environment to train; a small one where only the bench is looked at."""
+    """The environment to train; a small one if the bench is only tried out."""
     return _QUICK_BODY if options.quick else wanted
 
 
 def settings(device: Device, environment: str, options: Options, **changed: Any) -> Settings:
-    """What differs from the tuned settings of a body; looked at for a clear sentence if it cannot be."""
+    """Changes to the tuned settings of a body, checked so that a wrong one gives a clear sentence."""
     given = {**_QUICK, **changed} if options.quick else changed
     resolved(device, environment, given)
     return given
 
 
 def resolved(device: Device, environment: str, given: Settings) -> PPOSpec:
-    """Every hyperparameter that follows."""
+    """All hyperparameters after these changes."""
     return resolve(PPOSpec.model_validate(given), catalog.find(environment), device)
 
 
 def whole_updates(device: Device, environment: str, given: Settings, updates: int) -> Settings:
-    """The same with a budget of so many updates."""
+    """The same settings with a budget of this number of updates."""
     return {**given, "num_timesteps": updates * resolved(device, environment, given).env_steps_per_update}
 
 
 def equal_budget(device: Device, environment: str, given: Settings, *, epochs: int) -> Settings:
-    """The same with a budget that both trainers spend to the step.
+    """The same settings with a budget that both trainers spend exactly.
 
-    Brax rounds each of its epochs up to whole updates, this project's trainer the whole run.
+    Brax rounds each epoch up to whole updates; this project's trainer rounds the whole run.
     """
     spec = resolved(device, environment, given)
     quantum = epochs * spec.env_steps_per_update
@@ -66,12 +66,13 @@ def equal_budget(device: Device, environment: str, given: Settings, *, epochs: i
 
 
 def engine(device: Device, environment: str, given: Settings) -> EngineName:
-    """The one that `auto` takes."""
-    return choose("auto", device, environment, resolved(device, environment, given).num_envs).name
+    """The engine that `auto` picks."""
+    num_envs = resolved(device, environment, given).num_envs
+    return choose("auto", device, num_envs, catalog.find(environment).on_a_gpu).name
 
 
 def ours(device: Device, environment: str, engine: str, given: Settings, *, seed: int = 0) -> dict[str, Any]:
-    """For bench.train_ours."""
+    """A request for bench.train_ours."""
     return {
         "environment": environment,
         "engine": engine,
@@ -92,7 +93,7 @@ def brax(  # noqa: PLR0913 - as ours, and how often it reports
     epochs: int,
     evaluate: bool = True,
 ) -> dict[str, Any]:
-    """For bench.train_brax."""
+    """A request for bench.train_brax."""
     request = ours(device, environment, engine, given, seed=seed)
     del request["checkpoint_every_steps"]
     return {**request, "epochs": epochs, "evaluate": evaluate}

@@ -1,4 +1,4 @@
-"""A measurement's outcome as a value: what its table and pictures show and its JSON file holds."""
+"""A measurement's outcome as a value, which its table, its pictures and its JSON file show."""
 
 from pathlib import Path
 from typing import Literal
@@ -14,7 +14,7 @@ class _Document(BaseModel):
 
 
 class Target(_Document):
-    """What a figure has to reach."""
+    """The value that a figure has to reach."""
 
     comparison: Literal["at least", "at most", "below"]
     value: float
@@ -32,8 +32,8 @@ class Target(_Document):
 class Figure(_Document):
     """One number, or why there is none.
 
-    low, high: of the rounds it is the median of, if there were several. error: the standard error of a mean
-    over seeds. missing: why the measurement failed; a target is then missed.
+    low, high: the range of the rounds whose median it is, if there were several. error: the standard error of
+    a mean over seeds. missing: why the measurement failed; its target then counts as missed.
     """
 
     name: str
@@ -47,24 +47,24 @@ class Figure(_Document):
 
     @property
     def met(self) -> bool | None:
-        """Whether it reaches its target; None where it has none."""
+        """Whether it reaches its target; None if it has none."""
         if self.target is None:
             return None
         return self.value is not None and self.target.is_met(self.value)
 
     @classmethod
     def of(cls, name: str, rounds: Spread, unit: str, target: Target | None = None) -> "Figure":
-        """The median of some rounds, with its least and its greatest."""
+        """The median of some rounds, with their minimum and maximum."""
         return cls(name=name, value=rounds.median, unit=unit, low=rounds.low, high=rounds.high, target=target)
 
     @classmethod
     def of_mean(cls, name: str, seeds: Estimate, unit: str) -> "Figure":
-        """The mean over seeds, with its standard error where there are several."""
+        """The mean over seeds, with its standard error if there are several."""
         return cls(name=name, value=seeds.mean, unit=unit, error=seeds.error)
 
 
 class Table(_Document):
-    """What a result shows besides its figures: texts, in Markdown."""
+    """A table that a result shows besides its figures; its texts are Markdown."""
 
     headings: list[str]
     rows: list[list[str]]
@@ -88,7 +88,7 @@ class Panel(_Document):
 
 
 class Bars(_Document):
-    """For each group one bar of each series; None where it was not measured. stacked: one on the other."""
+    """One bar per group and series; None if it was not measured. stacked: the series on top of each other."""
 
     kind: Literal["bars"] = "bars"
     title: str
@@ -99,7 +99,7 @@ class Bars(_Document):
 
 
 class Picture(_Document):
-    """What `report` draws to docs/pictures/bench-<name>.png, its panels side by side."""
+    """A picture that `report` draws to docs/pictures/bench-<name>.png, its panels side by side."""
 
     name: str
     caption: str
@@ -107,10 +107,10 @@ class Picture(_Document):
 
 
 class Result(_Document):
-    """One bench's outcome. rows: every single measurement; notes: what a reader must know to believe it.
+    """One bench's outcome. rows: every single measurement; notes: what a reader must know to judge it.
 
-    quick: made by a smoke test of the bench itself; its numbers say nothing. unfinished: the runs that
-    there was no time for.
+    quick: made by a smoke test of the bench itself; its numbers mean nothing. unfinished: the runs for which
+    there was no time.
     """
 
     name: str
@@ -126,7 +126,7 @@ class Result(_Document):
     unfinished: list[str] = []
 
     def save(self, folder: Path) -> Path:
-        """Write `<name>.json`; its path."""
+        """Write `<name>.json`; returns its path."""
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / f"{self.name}.json"
         path.write_text(self.model_dump_json(indent=2) + "\n")
@@ -134,14 +134,14 @@ class Result(_Document):
 
 
 class Options(_Document):
-    """What a bench is told.
+    """The options of a bench.
 
     quick: the smallest run that shows that the bench itself works. out: where results go; the runs a bench
-    is made of are kept in `runs/` there. resume: take those that are there already. seconds: begin nothing
-    that this call has no time for. only: a pattern; of the missing runs, make those whose name fits it.
-    seeds: how many, None for as many as the bench asks for. first: of the campaign's seeds. worlds: how many
-    of the campaign's run side by side, None for one on every two cores. minutes: how long it lasts, None for
-    the bench's own time. gpu: measure the first GPU.
+    is made of are kept in `runs/` there. resume: keep the runs that exist. seconds: the time for this call,
+    which starts no run that would take longer. only: a pattern; of the missing runs, make those whose name
+    matches. seeds: how many; None: the bench's own number. first: the first seed of the campaign. worlds: how
+    many of the campaign's run side by side; None: one for every two cores. minutes: how long the bench lasts;
+    None: its own time. gpu: measure the first GPU.
     """
 
     quick: bool = False

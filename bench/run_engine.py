@@ -10,7 +10,7 @@ from bench.child import answer
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """What bench.train_ours answers, and what bench.run_physics does."""
+    """The answers of bench.train_ours and bench.run_physics."""
     return {**train_ours.work(request), **run_physics.work(request)}
 
 

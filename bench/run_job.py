@@ -1,7 +1,7 @@
 """A job without the service: its training process alone, on a machine that has no stores.
 
-`python -m bench.run_job FOLDER SPEC.json [--gpu [N]]` fills FOLDER as the job goes on, so that one that is
-cut off leaves what there was: the job's files, `metrics.jsonl`, and `job.json` with what the process said of
+`python -m bench.run_job FOLDER SPEC.json [--gpu [N]]` fills FOLDER while the job runs, so that an interrupted
+job leaves what it has so far: its files, `metrics.jsonl`, and `job.json` with what the process reported about
 itself; `curve.png` comes at the end. The video is drawn as in the service. `bench/jobs` has jobs for a GPU.
 """
 
@@ -19,7 +19,7 @@ from worker.protocol import Advanced, Failed, Finished, Measured, Message, Noted
 
 
 def main() -> None:
-    """Run it to its end. Exits with 1 where it fails."""
+    """Run the job to its end. Exits with 1 if it fails."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("spec", type=Path)
@@ -40,7 +40,7 @@ def main() -> None:
     (folder / "task.json").write_text(task.model_dump_json())
     began = time.perf_counter()
     process = TrainingProcess(TRAINING, folder, folder / "data", device, [])
-    # Read beside the messages: a full pipe would stop the process.
+    # Read in parallel to the messages: a full pipe would stop the process.
     printing = threading.Thread(target=lambda: print(*process.lines(), sep="\n"))
     printing.start()
     story = Story(folder, began)
@@ -53,7 +53,7 @@ def main() -> None:
 
 
 class Story:
-    """What the process says, printed and written down as it comes. folder: emptied of an earlier one."""
+    """Prints and stores the process's messages as they come. folder: files of an earlier job are deleted."""
 
     def __init__(self, folder: Path, began: float) -> None:
         self.rows: list[dict[str, Any]] = []
@@ -63,7 +63,7 @@ class Story:
         self._metrics.write_text("")
 
     def take(self, message: Message) -> None:
-        """Keep what a message says."""
+        """Print and store one message."""
         wall_s = round(time.perf_counter() - self._began, 2)
         match message:
             case Started(device=device, engine=engine, details=details):

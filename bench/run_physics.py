@@ -1,7 +1,7 @@
 """Physics alone of one engine under one body: `python -m bench.run_physics ANSWER REQUEST`.
 
-The request is that of bench.train_ours, and physics_s: how many seconds physics is stepped for;
-steps_per_call: control steps in a compiled call, 50 without.
+The request is that of bench.train_ours, with physics_s, how many seconds to step physics, and
+steps_per_call, the control steps in a compiled call (default 50).
 """
 
 import time
@@ -9,7 +9,7 @@ from typing import Any
 
 from bench.child import answer
 
-_POOL = 128  # fresh starts to choose from, as in training
+_POOL = 128  # Fresh starts to choose from, as in training.
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     compiled = roll.lower(episodes, pool, key).compile()
     rates, spent = list[float](), 0.0
     with Turn():
-        episodes = jax.block_until_ready(compiled(episodes, pool, key))  # lets the bodies fall
+        episodes = jax.block_until_ready(compiled(episodes, pool, key))  # Lets the bodies fall.
         while len(rates) < 2 or spent < request["physics_s"]:
             key, now = jax.random.split(key)
             began = time.perf_counter()

@@ -1,6 +1,6 @@
-"""The runs a bench is made of, each kept in a file as soon as it has ended.
+"""The runs a bench is made of, each stored in a file as soon as it has ended.
 
-So a bench may be spread over several calls, and what one of them made is not lost with another.
+So a bench may be spread over several calls, and a call that is cut off loses only its present run.
 """
 
 import json
@@ -28,11 +28,11 @@ _ALIKE = ("processor", "cores", "accelerator", "python", "packages", "commit")
 
 @dataclass(frozen=True)
 class Work:
-    """One run in a process of its own.
+    """One run in its own process.
 
-    about_s: what it takes, roughly; it is not begun with less time left. cache: a folder's name, for what is
-    compiled; cold: it is empty at the start. after: the run that filled the cache, which is made again where
-    this machine has not got it.
+    about_s: roughly how long it takes; it is not started with less time left. cache: the name of a folder for
+    compiled programs; cold: it is empty at the start. after: the run that fills the cache; it is made again
+    if this machine lacks the cache.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Work:
 
 
 class Runs:
-    """done: answers by the run's name. failed: one line for each run that failed. left: no time for these."""
+    """done: answers by the run's name. failed: one line per failed run. left: runs without time."""
 
     def __init__(self, bench: str, options: Options) -> None:
         self.done: dict[str, Run] = {}
@@ -55,7 +55,7 @@ class Runs:
         self._in_turns = False
         self.machine = this_machine()
         self._folder = options.out / "runs" / (f"{bench}-quick" if options.quick else bench)
-        # Compiled programs are large, and are of use on this machine only: they stay out of the results.
+        # Compiled programs are large and useful only on this machine: they stay out of the results.
         self._caches = Path(tempfile.gettempdir(), "gaitway-bench-caches", bench)
         self._only, self._machines = options.only, dict[str, Machine]()
         self._ends_at = time.monotonic() + options.seconds if options.seconds else float("inf")
@@ -64,21 +64,21 @@ class Runs:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def make(self, works: Iterable[Work]) -> None:
-        """Those that are missing, in their order; a failure is kept like an answer."""
+        """Make the missing runs in their order; a failure is stored like an answer."""
         for work in works:
             self._take(work, self._record(work))
 
     def make_together(self, works: Iterable[Work], at_once: int, *, in_turns: bool = False) -> None:
-        """The same, several at a time: where what is asked of them is not how long they take.
+        """Make several missing runs at a time, for runs that do not measure how long they take.
 
-        in_turns: they are compiled side by side, and what they time they time one after the other
-        (bench.turn); a run's limit in time covers its waiting.
+        in_turns: they compile side by side and time their work one after another (bench.turn); a run's time
+        limit covers its waiting.
         """
         wanted = list(works)
         self._in_turns = in_turns
         if in_turns:
             os.environ.setdefault(TURN, str(self._caches / "turn"))
-        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # One process would take the card.
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # One would take the card.
         with ThreadPoolExecutor(at_once) as pool:
             for work, record in zip(wanted, pool.map(self._record, wanted), strict=True):
                 self._take(work, record)
@@ -100,7 +100,7 @@ class Runs:
             self.done[work.name] = record["answer"]
 
     def _has_its_cache(self, work: Work) -> bool:
-        """Whether what it is to find compiled is on this machine; if not, it is made, if that may be."""
+        """Whether the cache that the run needs is on this machine; a missing one is made if time allows."""
         before = work.after
         if before is None or self._marker(before).exists():
             return True
@@ -112,7 +112,7 @@ class Runs:
         return before.name in self.done
 
     def notes(self) -> list[str]:
-        """What a reader must know of how they came to be."""
+        """What a reader must know about how the runs were made."""
         seen = [{name: getattr(machine, name) for name in _ALIKE} for machine in self._machines.values()]
         differing = [name for name in _ALIKE if any(one[name] != seen[0][name] for one in seen)]
         notes = [f"Failed: {name} ({reason})." for name, reason in self.failed.items()]
@@ -127,11 +127,11 @@ class Runs:
         return notes
 
     def where(self) -> Machine:
-        """The machine of the first run; this one where none was made."""
+        """The machine of the first run; this machine if there is none."""
         return next(iter(self._machines.values()), self.machine)
 
     def _kept(self, work: Work) -> Run | None:
-        """What an earlier call made of this very request."""
+        """The answer of an earlier call to this same request."""
         path = self._path(work)
         if not path.exists():
             return None
@@ -139,7 +139,7 @@ class Runs:
         return record if record["request"] == work.request else None
 
     def _made(self, work: Work) -> Run | None:
-        """None where this call's time is over before the run's own limit."""
+        """None if this call's time ends before the run's own limit."""
         left_s = self._ends_at - time.monotonic()
         if left_s < work.about_s:
             return None
@@ -182,5 +182,5 @@ class Runs:
         return self._folder / f"{work.name}.json"
 
     def _marker(self, work: Work) -> Path:
-        """There where the run filled a cache that is still here."""
+        """A file that exists if the run filled a cache that is still on this machine."""
         return self._caches / f"{work.name}.made"

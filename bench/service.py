@@ -1,4 +1,4 @@
-"""What the service costs: to submit, to start, to train through it; and what its API process holds."""
+"""The service's costs of a submission, a start and a training run, and the memory of its API process."""
 
 import asyncio
 import os
@@ -27,7 +27,7 @@ Row = dict[str, Any]
 
 
 def measure(options: Options) -> Result:
-    """Each part on a fresh embedded stack with one worker for the CPU."""
+    """Measure each part on a fresh embedded stack with one worker for the CPU."""
     machine = this_machine()
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
         with running_stack(Path(folder, "first")) as stack:
@@ -102,7 +102,7 @@ def _api_process(stack: Stack) -> tuple[list[Figure], Row]:
 
 
 def _mapped(process: psutil.Process) -> str | None:
-    """The files the process has mapped; None where the system does not show them."""
+    """The files that the process has mapped; None if the system does not show them."""
     path = Path(f"/proc/{process.pid}/maps")
     return path.read_text() if path.exists() else None
 
@@ -121,7 +121,7 @@ def _starts(stack: Stack, rounds: int) -> tuple[list[Figure], list[Row]]:
 
 
 def _first_line_s(client: Client) -> float:
-    """Seconds from a submission to the event `process`; the job is cancelled, and has ended afterwards."""
+    """Seconds from a submission to the event `process`; the job is then cancelled and waited for."""
     submitted = time.time()
     job = client.submit(environment="ant", video={"seconds": 0.1, "width": 16, "height": 16})
     for event in client.events(job.id):

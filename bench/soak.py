@@ -16,7 +16,7 @@ from bench.parts import Parts, running
 from bench.result import Figure, Options, Result, at_most
 from gaitway.client import Client
 
-# The fault campaign's worker: its training process trains nothing, and ends after a second.
+# The fault campaign's worker: its training process trains nothing and ends after a second.
 _WORKER = "tests.faults.campaign.worker"
 _WORKERS = 2
 _JOB_EVERY_S = 2.0

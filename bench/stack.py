@@ -20,14 +20,14 @@ _STOP_S = 90.0
 
 @dataclass(frozen=True)
 class Stack:
-    """A service that runs. pid: of its launcher."""
+    """A running service. pid: of its launcher."""
 
     url: str
     port: int
     pid: int
 
     def api_processes(self) -> list[psutil.Process]:
-        """Those that listen at the service's port. Raises RuntimeError where none does."""
+        """The processes that listen on the service's port. Raises RuntimeError if there is none."""
         launcher = psutil.Process(self.pid)
         family = (launcher, *launcher.children(recursive=True))
         if found := [process for process in family if _listens(process, self.port)]:
@@ -104,7 +104,7 @@ def _end(launcher: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         launcher.kill()
         launcher.wait()
-    # Only what this stack started, and only if it did not end by itself; psutil knows a reused id.
+    # Only processes that this stack started and that are still alive; psutil recognises a reused id.
     for process in started:
         with suppress(psutil.NoSuchProcess):
             process.kill()

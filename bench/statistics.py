@@ -1,4 +1,4 @@
-"""What is said of several rounds of one measurement."""
+"""Statistics of several rounds of one measurement."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ Measured = TypeVar("Measured")
 
 @dataclass(frozen=True)
 class Spread:
-    """The median of some rounds between the least and the greatest."""
+    """The median of some rounds, their minimum and their maximum."""
 
     median: float
     low: float
@@ -19,7 +19,7 @@ class Spread:
 
 
 def spread(values: Sequence[float]) -> Spread:
-    """Raises ValueError where there are no values."""
+    """Raises ValueError if there are no values."""
     if not values:
         raise ValueError("There is nothing to take the median of.")
     return Spread(median(values), min(values), max(values))
@@ -29,7 +29,7 @@ def spread(values: Sequence[float]) -> Spread:
 class Estimate:
     """The mean over seeds and its standard error: the seeds' deviation (n - 1) over the root of n.
 
-    error: None with one seed, which says nothing of the others.
+    error: None with one seed, which says nothing about others.
     """
 
     mean: float
@@ -37,7 +37,7 @@ class Estimate:
 
 
 def estimate(values: Sequence[float]) -> Estimate:
-    """Raises ValueError where there are no values."""
+    """Raises ValueError if there are no values."""
     if not values:
         raise ValueError("There is nothing to take the mean of.")
     error = stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
@@ -47,7 +47,7 @@ def estimate(values: Sequence[float]) -> Estimate:
 def difference_in_errors(ours: Estimate, theirs: Estimate) -> float | None:
     """(ours - theirs) in units of the standard error of that difference, the seeds being independent.
 
-    None where it has none: with one seed, or where all seeds gave the same.
+    None if that error is unknown or zero: with one seed, or if all seeds gave the same.
     """
     if ours.error is None or theirs.error is None:
         return None
@@ -56,12 +56,12 @@ def difference_in_errors(ours: Estimate, theirs: Estimate) -> float | None:
 
 
 def ratios(numerators: Sequence[float], denominators: Sequence[float]) -> Spread:
-    """Round by round, so that what slows a whole round down cancels out."""
+    """The ratio of each round, so that what slows a whole round down cancels out."""
     return spread([a / b for a, b in zip(numerators, denominators, strict=True)])
 
 
 def percentile(values: Sequence[float], percent: float) -> float:
-    """The least value that at least `percent` % of the values do not exceed (nearest rank)."""
+    """The smallest value that at least `percent` % of the values do not exceed (nearest rank)."""
     if not values:
         raise ValueError("There is nothing to take a percentile of.")
     rank = max(1, math.ceil(percent / 100 * len(values)))

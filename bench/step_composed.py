@@ -1,8 +1,8 @@
 """The corridor as dm_control composes it, under MJX-JAX: `python -m bench.step_composed ANSWER REQUEST`.
 
 Request: environment options, num_envs, steps (control steps in a call, one after the other), n_frames,
-device, cache. The composed model is left as it is but for two things that MJX refuses: the search against
-slipping, and sensors that it has not got.
+device, cache. The composed model is unchanged except for two things that MJX refuses: the noslip solver, and
+sensors that it does not support.
 """
 
 import time
@@ -14,8 +14,8 @@ _CALLS = 2
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """rates: control steps per second, call by call; contacts, rows: how many MJX makes room for;
-    compile_s: until its program is there; finite: whether positions stayed so."""
+    """rates: control steps per second, call by call; contacts, rows: how many MJX allocates; compile_s: until
+    its program is compiled; finite: whether positions stayed finite."""
     import jax
     import jax.numpy as jnp
     from mujoco import mjx

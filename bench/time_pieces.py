@@ -1,7 +1,7 @@
 """Where the time of one PPO update goes: its parts, compiled and timed one by one.
 
-`python -m bench.time_pieces ANSWER REQUEST`: the request of bench.train_ours; warm_updates, after how many
-updates to look; repeats, how often each part is timed.
+`python -m bench.time_pieces ANSWER REQUEST`: the request of bench.train_ours, with warm_updates, the number
+of updates before timing, and repeats, how often each part is timed.
 """
 
 import time
@@ -33,7 +33,7 @@ _UPDATES_PER_EPOCH = 4
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """seconds: of each part of an update, repeat by repeat; need, xla: of one gradient step, by reckoning and
+    """seconds: of each part of an update, repeat by repeat; need, xla: of one gradient step, calculated and
     by XLA's own count; gradient_steps, steps: in an update."""
     if request["cache"]:
         jax.config.update("jax_compilation_cache_dir", request["cache"])
@@ -67,7 +67,7 @@ class Pieces:
         return Learner(self.body, self.settings)
 
     def epoch(self, state: TrainingState, hyperparameters: Hyperparameters, until: Any) -> Any:
-        """Updates until so many are made, as in a run."""
+        """Updates up to the given number, as in a run."""
         return updates_until(self.learner.update, state, hyperparameters, until)
 
     @property
@@ -79,7 +79,7 @@ class Pieces:
         return VectorEnv(self.body)
 
     def trained(self, seed: int, updates: int) -> TrainingState:
-        """The state after a few updates, where bodies have fallen and begun anew."""
+        """The state after a few updates, in which bodies have fallen and started again."""
         state = jax.jit(self.learner.init)(jnp.uint32(seed))
         state, _, failure = jax.jit(self.epoch)(state, self.hyperparameters, np.int32(updates))
         if np.any(failure.quantities):
@@ -89,8 +89,8 @@ class Pieces:
     def seconds(self, state: TrainingState) -> dict[str, list[float]]:
         """epoch: an update inside the compiled loop, where it belongs. update: the same alone; update_twice:
         with twice as many passes over its batch, so that the difference is the learning. acting: policy and
-        environments; stepping: the environments alone, under the very actions; engine: of them, physics
-        alone; policy: the policy alone, on the very observations."""
+        environments; stepping: the environments alone, with the same actions; engine: of them, physics
+        alone; policy: the policy alone, on the same observations."""
         transitions, actions, starts = self._acted(state)
         twice = self.settings.model_copy(
             update={"num_updates_per_batch": 2 * self.settings.num_updates_per_batch}
@@ -109,7 +109,7 @@ class Pieces:
         }
 
     def need(self) -> dict[str, float]:
-        """By reckoning."""
+        """The need of one gradient step by calculation."""
         settings, num_obs, num_act = self.settings, int(self.body.observation_size), self.body.action_size
         need = gradient_step(
             [num_obs, *settings.policy_hidden_layer_sizes, 2 * num_act],
@@ -122,7 +122,7 @@ class Pieces:
         return {"flops": need.flops, "bytes": need.bytes}
 
     def counted(self, state: TrainingState) -> dict[str, float]:
-        """By XLA, of the gradient and Adam's step on one minibatch; empty where it does not count."""
+        """XLA's own count for the gradient and Adam's step on one minibatch; empty if it does not count."""
         import optax
         from brax.training.agents.ppo.losses import compute_ppo_loss
 
@@ -213,7 +213,7 @@ class Pieces:
         )[1]
 
     def _timed(self, function: Callable[..., Any], *arguments: Any) -> list[float]:
-        """Seconds of each of the repeats; the program is compiled and run once before."""
+        """Seconds of each repeat; the program is compiled and run once before."""
         compiled = jax.jit(function)
         jax.block_until_ready(compiled(*arguments))
         found = list[float]()

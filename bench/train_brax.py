@@ -1,8 +1,8 @@
 """One run of the peer, `brax.training.agents.ppo.train`: `python -m bench.train_brax ANSWER REQUEST`.
 
-Request: environment, engine, settings, seed; epochs (it reports after each); evaluate; device (`cpu`, which
-it is without one, or `gpu`); cache (a folder for compiled programs, or null). The engine `mjx_equal` is
-MJX-JAX with the solver settings that `native` has.
+Request: environment, engine, settings, seed; epochs (it reports after each); evaluate; device (`cpu`, the
+default, or `gpu`); cache (a folder for compiled programs, or null). The engine `mjx_equal` is MJX-JAX with
+the solver settings of `native`.
 """
 
 import inspect
@@ -13,7 +13,7 @@ from typing import Any
 
 from bench.child import answer
 
-# What Brax calls the same and has of another type or meaning; no bench changes these but the first.
+# Brax uses these names with another type or meaning; no bench changes any of them but the first.
 _LEFT_ALONE = {
     *("num_evals", "action_repeat", "bootstrap_on_timeout", "clipping_epsilon_value", "desired_kl"),
     *("learning_rate_schedule", "learning_rate_schedule_min_lr", "learning_rate_schedule_max_lr"),
@@ -23,7 +23,7 @@ _LEFT_ALONE = {
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[steps, seconds of training until then], …]; rewards: [[steps, return], …], and
     evaluated_s: for each of them the seconds from the call; wall_s: from the call to its return;
-    evaluation_s: of it, evaluating; peak_bytes: the most device memory in use, where the device counts it."""
+    evaluation_s: of it, evaluating; peak_bytes: the most device memory in use, if the device counts it."""
     import jax
 
     from bench.device_memory import peak_bytes
@@ -48,7 +48,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         if name != "mjx_equal":
             return engine_builder(name)
         mjx = engine_builder("mjx")
-        # The settings for accelerators are what makes it less accurate than `native`: leave them out.
+        # Without MJX's settings for accelerators, which make it less accurate than `native`.
         return lambda model, num_substeps, derived, *, accelerated=None: mjx(model, num_substeps, derived)
 
     info = catalog.find(request["environment"])
@@ -74,7 +74,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     if unequal:
         raise ValueError(f"Brax would run with other settings than ours: {', '.join(unequal)}.")
     known = set(inspect.signature(train.train).parameters) - _LEFT_ALONE
-    with Turn():  # Compiling has to be in it: its first epoch runs before it says anything.
+    with Turn():  # Includes compilation: Brax runs its first epoch before it reports anything.
         began = time.perf_counter()
         train.train(
             BraxEnvironment(ours),

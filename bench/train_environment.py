@@ -12,7 +12,7 @@ from bench.child import answer
 
 
 def train(request: dict[str, Any]) -> dict[str, Any]:
-    """environment, device (`cpu`, `gpu`), and what to change in the tuned settings."""
+    """Request: environment, device (`cpu`, `gpu`), and changes to the tuned settings."""
     import jax
 
     from core.algorithms.events import Evaluated, Phase, Progress
@@ -26,7 +26,7 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
     options = catalog.parse_options(info, request.get("options", {}))
     info = info.under(options)
     settings = resolve(PPOSpec(**request.get("settings", {})), info, request["device"])
-    choice = choose("auto", request["device"], info.id, settings.num_envs, info.cannot_run)
+    choice = choose("auto", request["device"], settings.num_envs, info.on_a_gpu, info.cannot_run)
     environment = catalog.make(info, options, engine_builder(choice.name))
     trainer = make_run(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
     curve: list[dict[str, float]] = []

@@ -1,9 +1,9 @@
 """One run of this project's PPO trainer, called directly: `python -m bench.train_ours ANSWER REQUEST`.
 
-Request: environment, engine, settings (hyperparameters), seed; device (`cpu`, which it is without one, or
-`gpu`), devices (how many, 1 without); cache (a folder for compiled programs, or null);
-checkpoint_every_steps (or null); most_training_s (stop after so many seconds of training, and three
-updates); epoch_s (how often it reports, every second without).
+Request: environment, engine, settings (hyperparameters), seed; device (`cpu`, the default, or `gpu`), devices
+(how many; default 1); cache (a folder for compiled programs, or null); checkpoint_every_steps (or null);
+most_training_s (stop after this many seconds of training and three updates); epoch_s (seconds between
+reports; default 1).
 """
 
 import time
@@ -18,8 +18,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[steps, seconds of training until then], …]; rewards: [[steps, return], …], and
     evaluated_s: for each of them the seconds from the call; wall_s: from the call to its return;
     evaluation_s: of it, evaluating; first_update_s: from the call to the end of the first update;
-    first_update_at, evaluated_at: the hour of that and of the last evaluation's end; overflow: the largest
-    share of steps in which the engine lost contacts; peak_bytes: the most device memory in use, where the
+    first_update_at, evaluated_at: the time of that and of the last evaluation's end; overflow: the largest
+    share of steps in which the engine lost contacts; peak_bytes: the most device memory in use, if the
     device counts it."""
     import jax
 
@@ -65,7 +65,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class _Seen:
-    """What the trainer's events told; see `work`."""
+    """What the trainer's events reported; see `work`."""
 
     began: float
     training: list[tuple[int, float]] = field(default_factory=list)
@@ -99,7 +99,7 @@ class _Seen:
 
 
 def _long_enough(training: list[tuple[int, float]], most_s: float | None) -> bool:
-    """Whether the training since the first update took as long as it may."""
+    """Whether the training since the first update has used up its time."""
     return most_s is not None and len(training) > 3 and training[-1][1] - training[0][1] > most_s
 
 

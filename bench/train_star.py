@@ -1,8 +1,8 @@
 """One run of this project's Q-learning on a brittle star: `python -m bench.train_star ANSWER REQUEST`.
 
-Request: options (of the environment `brittle_star`), settings (of the algorithm, where they are others than
+Request: options (of the environment `brittle_star`), settings (of the algorithm, if they differ from
 the tuned ones), engine, device (`cpu` or `gpu`), seed; cache (a folder for compiled programs, or null);
-steered (episodes in which the learnt table is tried afterwards, with targets that it has not seen).
+steered (episodes in which the learnt table is tried afterwards, with unseen targets).
 """
 
 import time
@@ -11,7 +11,7 @@ from typing import Any
 
 from bench.child import answer
 
-# Far from the seeds that runs are given.
+# Far from the seeds of runs.
 _UNSEEN = 1_000_003
 
 
@@ -93,7 +93,7 @@ def _steered(environment: Any, settings: Any, table: Any, episodes: int) -> dict
     )
     reached = (
         totals.metrics["target_reached"] * settings.decision_steps
-    )  # an action's are means over its steps
+    )  # Those of an action are means over its steps.
     seconds = totals.length * settings.decision_steps * environment.dt
     return {
         "reached": float(reached.mean()),

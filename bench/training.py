@@ -17,7 +17,7 @@ _TIMEOUT_S = 600.0
 
 
 def measure(options: Options) -> Result:
-    """Whole runs in processes of their own, alternating seed by seed; then short ones for what is left."""
+    """Whole runs in their own processes, alternating seed by seed; then short ones for the rest."""
     runs = Runs("training", options)
     seeds = range(options.seeds or (1 if options.quick else 3))
     given = _settings(options)
@@ -57,7 +57,7 @@ def measure(options: Options) -> Result:
 def _settings(options: Options) -> Settings:
     small = {"num_eval_envs": 2, "episode_length": 20} if options.quick else {}
     steps = _STEPS // 6 if options.quick else _STEPS
-    # Brax evaluates once before it begins; the number of evaluations is the same.
+    # Brax evaluates once before it starts; the number of evaluations is the same.
     given = {"num_timesteps": steps, "num_evals": _EPOCHS + 1, "reset_pool_size": 0, **small}
     return requests.equal_budget("cpu", _BODY, given, epochs=_EPOCHS)
 
@@ -72,7 +72,7 @@ def _pair(given: Settings, seed: int) -> list[Work]:
 
 
 def _starts(options: Options) -> list[Work]:
-    """A job's start, whose first update is all it trains: with nothing compiled, and with everything."""
+    """A job's start, which trains one update: with nothing compiled, and with everything."""
     one_update = requests.whole_updates("cpu", _BODY, {"num_evals": 0}, 1)
     request = requests.ours("cpu", _BODY, "native", one_update)
     cold = Work("start-cold", "bench.train_ours", request, _TIMEOUT_S, about_s=30, cache="start", cold=True)
@@ -124,7 +124,7 @@ def _figures(ours: list[Run], brax: list[Run], given: Settings, over_mjx: dict[s
 
 
 def _default_share(run: Run, given: Settings) -> float:
-    """Per cent of the wall that a default run would evaluate, at what rate and evaluation cost here."""
+    """Per cent of its wall time that a default run would spend in evaluation, at this rate and cost."""
     default = requests.resolved("cpu", _BODY, {})
     evaluating = default.num_evals * run["evaluation_s"] / given["num_evals"]
     return 100 * evaluating / (evaluating + default.num_timesteps / rate(run["training"]))

@@ -26,7 +26,7 @@ Run = dict[str, Any]
 
 
 def measure(options: Options) -> Result:
-    """A short and a long clip of the same ant under random actions, alternating, each in new processes."""
+    """Draw a short and a long clip of the same ant under random actions in turn, each in new processes."""
     machine = this_machine()
     short_s, long_s = (1.0, 2.0) if options.quick else (10.0, 60.0)
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as name:
@@ -70,9 +70,9 @@ def measure(options: Options) -> Result:
 
 
 def _stage(folder: Path, seconds: float) -> Run:
-    """Everything a request needs but its length, in the folder."""
+    """Write everything that a request needs except its length into the folder."""
     info = catalog.find("ant")
-    # An ant on its back goes on kicking: the film has the length that is measured.
+    # An ant on its back keeps kicking, so the video has the length that is measured.
     options = catalog.parse_options(info, {"terminate_when_unhealthy": False})
     environment = catalog.make(info, options, engine_builder("native"))
     shown = rollout(

@@ -1,11 +1,11 @@
-"""Waiting for what a service will show."""
+"""Waiting for a state of a service."""
 
 import time
 from collections.abc import Callable
 
 
 def until(holds: Callable[[], bool], timeout_s: float = 300.0) -> None:
-    """Return when it is so, looking ten times a second. Raises TimeoutError."""
+    """Return once the condition holds, checked ten times a second. Raises TimeoutError."""
     deadline = time.monotonic() + timeout_s
     while not holds():
         if time.monotonic() > deadline:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from core.documents import Strict
-from core.physics.availability import EngineName
+from core.physics.availability import EngineName, Rule
 
 Device = Literal["cpu", "gpu"]
 OUR_FAMILY = "gaitway"
@@ -28,7 +28,8 @@ class EnvironmentInfo:
     action modulates a central pattern generator instead of joints. num_arms: the body's; 1 without any.
     alike_arms: whether all of them have as many joints.
     tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
-    arguments: what the factory is told besides. cannot_run: engines that cannot run it, and why.
+    arguments: what the factory is told besides. on_a_gpu: which engine `auto` takes on a GPU; the first rule
+    that fits. cannot_run: engines that cannot run it, and why.
     package: what it loads that a worker may be without, by the name under which it is imported.
     own_physics: what moves it where none of the engines does; its worlds cannot differ.
     vary: the fields above that are others under some options, by name; the row itself has them as they are
@@ -52,6 +53,7 @@ class EnvironmentInfo:
     num_arms: int = 1
     alike_arms: bool = True
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
+    on_a_gpu: tuple[Rule, ...] = ()
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
     package: str | None = None
     own_physics: str = ""

@@ -1,4 +1,4 @@
-"""What can be known to be wrong before a job is stored: each refusal names the place and the way out."""
+"""Checks before a job is stored: each refusal names the place and the remedy."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,17 +27,17 @@ from core.rendering.camera import check_cameras, check_width, model_camera
 from core.user_models.record import Description
 from core.user_models.store import ModelStore
 
-# As much as every worker has.
+# Every worker has this much memory.
 _HARMLESS_BYTES = 2**29
 
-# A trajectory of so many steps of a humanoid takes 2 GB.
+# A humanoid's trajectory of this length takes 2 GB.
 _MOST_ROLLOUT_STEPS = 1_000_000
 
 
 def check(spec: JobSpec, store: JobStore) -> None:
-    """Raises Rejected with every problem of the first group that has one."""
+    """Raises Rejected with all problems of the first check that finds any."""
     info, _ = chosen(spec.environment, store)
-    check_physics(spec.physics, info.id, info.cannot_run)
+    check_physics(spec.physics, info.cannot_run)
     _check_worlds(spec, info)
     _check_cameras(spec, info)
     _check_gpus(spec)
@@ -49,7 +49,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
 
 
 def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[EnvironmentInfo, Strict]:
-    """The catalog's row as it is under these options, and the options themselves. Raises Rejected."""
+    """The environment's row of the catalog under these options, and the parsed options. Raises Rejected."""
     try:
         info = catalog.find(environment.id)
     except EnvironmentNotFound as error:
@@ -71,7 +71,7 @@ def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
 
 def _check_worlds(spec: JobSpec, info: EnvironmentInfo) -> None:
     if spec.randomization and info.own_physics:
-        detail = f"{info.id} is moved by Brax's own physics, which has no worlds that differ."
+        detail = f"{info.id} runs on Brax's own physics, which has no domain randomization."
         raise Rejected(detail, [Problem("/randomization", detail)])
 
 
@@ -80,17 +80,17 @@ def _check_gpus(spec: JobSpec) -> None:
         return
     problems: list[Problem] = []
     if spec.resources.accelerator == "cpu":
-        detail = f"{gpus} GPUs are asked for, and an accelerator that is a CPU."
+        detail = f"The job asks for {gpus} GPUs, but its accelerator is `cpu`."
         problems = [Problem("/resources/accelerator", detail), Problem("/resources/gpus", detail)]
     elif isinstance(spec, RolloutSpec):
-        detail = f"A rollout runs on one GPU, and {gpus} are asked for."
+        detail = f"A rollout runs on one GPU, but the job asks for {gpus}."
         problems = [Problem("/resources/gpus", detail)]
     if problems:
         raise Rejected(problems[0].detail, problems)
 
 
 def _row_of(info: EnvironmentInfo, description: Description) -> EnvironmentInfo:
-    """The catalog's row, with what depends on the model."""
+    """The catalog's row, with the values that depend on the model."""
     has = description.inventory
     return replace(
         info,
@@ -115,7 +115,7 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
 
 
 def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
-    """Refuses what cannot fit on the device of any worker there is; one that does not tell may be larger."""
+    """Refuse a job that fits on no worker's device; one that does not report its memory may have enough."""
     needs = least_memory(spec, info)
     if max(need.bytes for need in needs.values()) < _HARMLESS_BYTES:
         return
@@ -135,31 +135,34 @@ def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> No
 
 
 def _check_engine(spec: TrainSpec, source: Job) -> None:
-    """Worlds of `warp` carry a field more than those of the others; `auto` is known only where it runs."""
+    """Warp states have one extra field, so a checkpoint cannot move between warp and another engine.
+
+    `auto` is resolved on the worker and cannot be checked here.
+    """
     had = next((attempt.engine for attempt in reversed(source.attempts) if attempt.engine), None)
     if had is None or spec.physics == "auto" or not spec.algorithm.checkpoint_holds_worlds:
         return
     if (had == "warp") != (spec.physics == "warp"):
         detail = (
-            f"The checkpoint holds worlds of the engine {had}, and a run on {spec.physics} cannot go on from "
-            f"them: ask for {had}."
+            f"The checkpoint holds states of the engine {had}, and a run on {spec.physics} cannot resume "
+            f"from them: ask for {had}."
         )
         raise Rejected(detail, [Problem("/physics", detail)])
 
 
 def _check_fields(spec: TrainSpec, source: Job) -> None:
-    """A checkpoint holds the fields that its worlds differ in; how far they differ may change."""
+    """A checkpoint holds the randomized fields, so these must stay the same; their ranges may change."""
     had, has = (sorted({rule.field for rule in one.randomization}) for one in (source.spec, spec))
     if had != has:
         detail = (
-            f"The checkpoint's worlds differ in {', '.join(had) or 'nothing'}, this job's in "
-            f"{', '.join(has) or 'nothing'}; the fields must be the same, and ranges may change."
+            f"The checkpoint's job randomizes {', '.join(had) or 'nothing'}, this one "
+            f"{', '.join(has) or 'nothing'}; the fields must be the same, only their ranges may change."
         )
         raise Rejected(detail, [Problem("/randomization", detail)])
 
 
 def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
-    """Whether the job, on any device that it may get, has the shape of the source's checkpoints."""
+    """Refuse a job that cannot load the source's checkpoints on any device that it may get."""
     used = [a.details["hyperparameters"] for a in source.attempts if "hyperparameters" in a.details]
     if not used:
         return
@@ -178,8 +181,8 @@ def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
 def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) -> None:
     if (steps := spec.num_steps * spec.num_episodes) > _MOST_ROLLOUT_STEPS:
         detail = (
-            f"num_steps × num_episodes = {steps:,}, and a rollout may have {_MOST_ROLLOUT_STEPS:,} steps: "
-            f"its trajectory is held in memory. Ask for several rollouts with different seeds."
+            f"num_steps × num_episodes = {steps:,}, but a rollout may have {_MOST_ROLLOUT_STEPS:,} steps: "
+            f"its trajectory is held in memory. Submit several rollouts with different seeds."
         )
         raise Rejected(detail, [Problem("/num_steps", detail), Problem("/num_episodes", detail)])
     match spec.policy:
@@ -195,7 +198,7 @@ def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) ->
 def source_checkpoint(
     spec: JobSpec, job_id: str, step: int | None, pointer: str, get: Callable[[str], Job]
 ) -> Artifact:
-    """The checkpoint another job lends to this one; raises Rejected where it cannot."""
+    """The checkpoint of another job that this one needs. Raises Rejected if it is missing or does not fit."""
     try:
         source = get(job_id)
     except (JobNotFound, JobUnreadable) as error:

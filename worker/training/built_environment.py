@@ -26,7 +26,7 @@ from worker.training.compilations import keep_programs, keep_warp_kernels
 
 @dataclass(frozen=True)
 class BuiltEnvironment:
-    """An environment, and how it came to stand on this engine. num_devices: how many share a training."""
+    """An environment, its engine and the reason for that. num_devices: how many share a training."""
 
     info: EnvironmentInfo
     environment: Environment
@@ -55,9 +55,9 @@ class BuiltEnvironment:
 
 
 def build_environment(task: Task) -> BuiltEnvironment:
-    """Raises JobFailed("device_failed") where GPUs were promised and JAX does not find so many.
+    """Build it. Raises JobFailed("device_failed") if JAX finds fewer GPUs than the worker serves.
 
-    And "bad_model" where the model has not got what the job randomises.
+    Raises JobFailed("bad_model") if the model lacks what the job randomises.
     """
     keep_programs()
     device: Device = "cpu" if task.device == "cpu" else "gpu"
@@ -72,12 +72,12 @@ def build_environment(task: Task) -> BuiltEnvironment:
     if task.model:
         info = replace(info, cannot_run=task.engines_that_cannot)
     num_worlds = _num_worlds(task.spec, info, device) // num_devices
-    choice = choose(task.spec.physics, device, info.id, num_worlds, info.cannot_run)
+    choice = choose(task.spec.physics, device, num_worlds, info.on_a_gpu, info.cannot_run)
     if task.spec.physics == "auto" and task.begun_on is not None:
         choice = EngineChoice(task.begun_on, "The job's checkpoint was made on it.")
     if choice.name == "warp":
         keep_warp_kernels()
-    model = Path(task.model).absolute() if task.model else None  # It lies in the spool, where we stand.
+    model = Path(task.model).absolute() if task.model else None  # It is in the spool, our working directory.
     environment = catalog.make(info, options, engine_builder(choice.name), model)
     environment = randomize(environment, task.spec.randomization)
     name = _named(found[:num_devices]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
@@ -98,7 +98,7 @@ def _named(devices: Sequence[Any]) -> str:
 
 
 def _num_worlds(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
-    """How many worlds the job steps side by side for most of its time."""
+    """How many environments the job steps in parallel for most of its time."""
     match spec:
         case TrainSpec():
             return resolve(spec.algorithm, info, device).num_worlds

@@ -14,9 +14,14 @@ from core.environments.brittle_star.options import (
     observed,
 )
 from core.environments.info import EnvironmentInfo
+from core.physics.availability import Rule
 
 # MJX writes every joint out into one program: with so many, 84 s of a processor went into compiling it.
 _MOST_SEGMENTS_ON_MJX = 50
+_ON_A_GPU = (
+    Rule("warp", 1, "Measured on an H200: 243 k actions/s in training, 21 k by native on 16 cores."),
+    Rule("native", 1, "MJX steps 7.7 k a second on an H200, C MuJoCo 20 k on one core."),
+)
 
 
 def _under(options: Options) -> Mapping[str, Any]:
@@ -58,6 +63,7 @@ def _row(id: str, task: str, description: str, options: type[Options]) -> Enviro
             *(OF_THE_WAY if options is DirectedOptions else ()),
         ),
         options=options,
+        on_a_gpu=_ON_A_GPU,
         vary=_under,
         **_under(options.model_validate({})),
     )

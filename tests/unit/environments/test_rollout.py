@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
-from tests import probes
 from core.environments.environment import Environment, State
 from core.environments.rollout import (
     Roller,
@@ -25,6 +24,7 @@ from core.environments.rollout import (
 from core.environments.wrappers.base import Wrapped
 from core.physics.choose import engine_builder
 from core.physics.engine import NOMINAL, ModelFields
+from tests import probes
 
 KEY = jax.random.key(0)
 

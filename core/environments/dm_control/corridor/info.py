@@ -9,6 +9,7 @@ from core.documents import Strict
 from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.options import Range, RunnerOptions, Weight, check_survives_its_start
+from core.physics.availability import Rule
 
 # How long dm_control makes the first platform, in metres, and how far in front of the first wall it leaves.
 FIRST_PLATFORM_M = 6.0
@@ -192,6 +193,7 @@ _GPU = {
     "num_minibatches": 32,
 }
 _TUNED: Mapping[Device, Mapping[str, Any]] = {"cpu": _CPU, "gpu": _GPU}
+_MANY_PAIRS = "Platforms make many pairs of shapes, of which MJX looks at all."
 _ANT_ACTS_EVERY_S = 0.04
 
 INFO = EnvironmentInfo(
@@ -200,6 +202,7 @@ INFO = EnvironmentInfo(
     factory="core.environments.dm_control.corridor.environment:make",
     package="dm_control",
     options=CorridorOptions,
+    on_a_gpu=(Rule("warp", 1, _MANY_PAIRS), Rule("native", 1, _MANY_PAIRS)),
     vary=_under,
     **_under(CorridorOptions.model_validate({})),
 )

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from core.environments.info import EnvironmentInfo
 from core.environments.options import Range, RunnerOptions, check_survives_its_start
+from core.physics.availability import Rule
 
 STANDING_HEIGHT_M = 0.047
 
@@ -45,6 +46,10 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("back", "side", "side_alt", "top", "egocentric"),
     options=RodentOptions,
+    on_a_gpu=(
+        Rule("warp", 1, "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),
+        Rule("native", 1, "MJX compiles its training for many minutes, for 21 k steps/s on an H200."),
+    ),
     tuned={
         "ppo": {
             "cpu": {

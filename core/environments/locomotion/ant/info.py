@@ -7,6 +7,7 @@ from pydantic import Field
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
 from core.environments.options import NoiseScale, Range, Weight
+from core.physics.availability import Rule
 
 
 class AntOptions(Strict):
@@ -34,6 +35,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=AntOptions,
+    on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 1.23 M training steps/s, 0.99 M by mjx."),),
     tuned={
         "ppo": {
             "cpu": {

@@ -5,6 +5,7 @@ from pydantic import Field
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
 from core.environments.options import NoiseScale, Weight
+from core.physics.availability import Rule
 
 
 class HalfCheetahOptions(Strict):
@@ -27,6 +28,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=HalfCheetahOptions,
+    on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 597 k training steps/s, 87 k by mjx."),),
     tuned={
         "ppo": {
             "cpu": {

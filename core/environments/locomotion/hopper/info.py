@@ -5,6 +5,7 @@ from pydantic import Field
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
 from core.environments.options import NoiseScale, OpenRange, Range, Weight
+from core.physics.availability import Rule
 
 
 class HopperOptions(Strict):
@@ -34,6 +35,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=HopperOptions,
+    on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 1.04 M training steps/s, 141 k by mjx."),),
     tuned={
         "ppo": {
             "cpu": {

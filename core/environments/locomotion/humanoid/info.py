@@ -5,6 +5,7 @@ from pydantic import Field
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
 from core.environments.options import NoiseScale, Range, Weight
+from core.physics.availability import Rule
 
 
 class HumanoidOptions(Strict):
@@ -30,6 +31,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=HumanoidOptions,
+    on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 571 k training steps/s, 415 k by mjx."),),
     tuned={
         "ppo": {
             "cpu": {

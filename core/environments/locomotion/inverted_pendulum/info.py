@@ -1,6 +1,7 @@
 """The inverted pendulum's row in the catalog."""
 
 from core.environments.info import EnvironmentInfo
+from core.physics.availability import Rule
 
 INFO = EnvironmentInfo(
     id="inverted_pendulum",
@@ -11,6 +12,7 @@ INFO = EnvironmentInfo(
     dt=0.04,
     episode_length=1000,
     tracked_body="cart",
+    on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 1.54 M training steps/s, 635 k by mjx."),),
     tuned={
         "ppo": {
             "cpu": {

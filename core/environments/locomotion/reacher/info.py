@@ -1,6 +1,7 @@
 """The reacher's row in the catalog."""
 
 from core.environments.info import EnvironmentInfo
+from core.physics.availability import Rule
 
 INFO = EnvironmentInfo(
     id="reacher",
@@ -11,6 +12,7 @@ INFO = EnvironmentInfo(
     dt=0.02,
     episode_length=1000,
     tracked_body="body0",
+    on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 921 k training steps/s, 306 k by mjx."),),
     tuned={
         "ppo": {
             "cpu": {

@@ -5,6 +5,7 @@ from pydantic import Field
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
 from core.environments.options import NoiseScale, Range, Weight
+from core.physics.availability import Rule
 
 
 class Walker2dOptions(Strict):
@@ -31,6 +32,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=Walker2dOptions,
+    on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 905 k training steps/s, 114 k by mjx."),),
     tuned={
         "ppo": {
             "cpu": {

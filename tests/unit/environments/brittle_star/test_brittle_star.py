@@ -277,16 +277,16 @@ def test_mjx_is_refused_for_more_segments_than_it_compiles_in_time() -> None:
     few, many = (
         info.under(catalog.parse_options(info, {"num_segments_per_arm": number})) for number in (10, 11)
     )
-    assert choose("mjx", "gpu", info.id, 64, few.cannot_run).name == "mjx"
+    assert choose("mjx", "gpu", 64, few.on_a_gpu, few.cannot_run).name == "mjx"
     with pytest.raises(Rejected, match="55 segments, and with more than 50 MJX does not compile in time"):
-        choose("mjx", "gpu", info.id, 64, many.cannot_run)
+        choose("mjx", "gpu", 64, many.on_a_gpu, many.cannot_run)
 
 
 @pytest.mark.parametrize("task", STARS)
 def test_a_gpu_gets_warp_and_the_host_without_warp(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for is_there, engine in ((True, "warp"), (False, "native")):
         monkeypatch.setattr(availability, "has_warp", lambda found=is_there: found)
-        assert choose("auto", "gpu", task, 2048).name == engine
+        assert choose("auto", "gpu", 2048, catalog.find(task).on_a_gpu).name == engine
 
 
 @pytest.mark.parametrize("task", STARS)

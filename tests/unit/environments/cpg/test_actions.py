@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from core.environments.cpg.actions import CPGActions, oscillators_in, steered_by_oscillators
 from core.environments.cpg.options import CPGOptions, GaitOptions
 from core.environments.environment import State
-from tests.probes import Probe
 from core.errors import JobFailed
+from tests.probes import Probe
 
 PLANES = ("in_plane", "out_of_plane")
 # Three arms of two segments, their actuators in no order that a CPG could guess.

@@ -343,15 +343,15 @@ def test_mjx_is_refused_where_ellipsoids_meet_boxes() -> None:
         row = info.under(catalog.parse_options(info, {"walker": walker, "arena": arena}))
         if refused:
             with pytest.raises(Rejected, match="no contacts of ellipsoids with boxes"):
-                choose("mjx", "gpu", "corridor", 64, row.cannot_run)
+                choose("mjx", "gpu", 64, row.on_a_gpu, row.cannot_run)
         else:
-            assert choose("mjx", "gpu", "corridor", 64, row.cannot_run).name == "mjx"
+            assert choose("mjx", "gpu", 64, row.on_a_gpu, row.cannot_run).name == "mjx"
 
 
 def test_a_gpu_gets_warp_for_it_and_the_host_without_warp(monkeypatch: pytest.MonkeyPatch) -> None:
     for is_there, engine in ((True, "warp"), (False, "native")):
         monkeypatch.setattr(availability, "has_warp", lambda found=is_there: found)
-        assert choose("auto", "gpu", "corridor", 2048).name == engine
+        assert choose("auto", "gpu", 2048, catalog.find("corridor").on_a_gpu).name == engine
 
 
 def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

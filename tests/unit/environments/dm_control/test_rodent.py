@@ -167,7 +167,7 @@ def test_buffers_of_warp_hold_a_rodent_that_falls_anyhow() -> None:
 def test_a_gpu_gets_warp_for_it_and_the_host_without_warp(monkeypatch: pytest.MonkeyPatch) -> None:
     for is_there, engine in ((True, "warp"), (False, "native")):
         monkeypatch.setattr(availability, "has_warp", lambda found=is_there: found)
-        assert choose("auto", "gpu", "rodent", 2048).name == engine
+        assert choose("auto", "gpu", 2048, catalog.find("rodent").on_a_gpu).name == engine
 
 
 def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

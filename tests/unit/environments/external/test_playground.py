@@ -92,10 +92,10 @@ def test_the_table_is_what_the_installed_package_says() -> None:
 
 def test_they_run_on_mjx_wherever_c_mujoco_would_be_taken() -> None:
     info = catalog.find("playground/CheetahRun")
-    assert choose("auto", "cpu", info.id, 256, info.cannot_run).name == "mjx"
-    assert choose("auto", "gpu", info.id, 2048, info.cannot_run).name == "mjx"
+    assert choose("auto", "cpu", 256, info.on_a_gpu, info.cannot_run).name == "mjx"
+    assert choose("auto", "gpu", 2048, info.on_a_gpu, info.cannot_run).name == "mjx"
     with pytest.raises(Rejected, match="step MJX by themselves"):
-        check_physics("native", info.id, info.cannot_run)
+        check_physics("native", info.cannot_run)
 
 
 @pytest.mark.slow  # it compiles a reset with contacts

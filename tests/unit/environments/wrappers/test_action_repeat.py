@@ -3,10 +3,10 @@ import jax.numpy as jnp
 import pytest
 
 from core.environments.environment import State
-from tests.probes import Probe
 from core.environments.wrappers.action_repeat import repeat_action
 from core.physics.engine import OVERFLOW
 from tests.overflowing import Overflowing
+from tests.probes import Probe
 
 # The observation is the time and so is the reward; a step from time 4 ends the episode.
 WORLD = Probe(lambda obs, time, action: (time, jnp.where(time == 4, 1.0, 0.0)), shows_time=True)

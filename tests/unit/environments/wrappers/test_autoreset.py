@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from core.environments.environment import State
-from tests.probes import Probe
 from core.environments.wrappers.autoreset import (
     Episodes,
     begun_at_random,
@@ -14,6 +13,7 @@ from core.environments.wrappers.autoreset import (
     step_episodes,
 )
 from core.environments.wrappers.vectorized import VectorEnv
+from tests.probes import Probe
 
 # The observation is the time, the reward the action; an action above 0.9 terminates.
 WORLD = Probe(lambda obs, time, action: (action, jnp.where(action > 0.9, 1.0, 0.0)), shows_time=True)
