@@ -1,4 +1,4 @@
-"""From settings to adapters; for composition roots."""
+"""Makes adapters from settings; for composition roots."""
 
 from minio.helpers import check_bucket_name
 from redis import Redis
@@ -19,11 +19,11 @@ from core.settings import StoreSettings
 def connect_redis(url: str, *, retries: int = 1, timeout_s: float = 2.0) -> Redis:
     """A client for a redis://, rediss:// or unix:// address; it connects at its first command.
 
-    timeout_s: how long a silent server is waited for; None leaves that to RQ, whose workers block for news.
+    timeout_s: how long to wait for a silent server; None leaves that to RQ, whose workers block on a read.
     Raises Misconfigured for an address that cannot be read.
     """
     try:
-        # What RQ is told twice is the same as once.
+        # A command may be retried: what RQ receives twice has the same effect as once.
         return Redis.from_url(  # pyright: ignore[reportUnknownMemberType]
             url,
             socket_connect_timeout=2,
@@ -32,7 +32,7 @@ def connect_redis(url: str, *, retries: int = 1, timeout_s: float = 2.0) -> Redi
             retry=Retry(ExponentialBackoff(cap=0.5, base=0.05), retries),
             retry_on_error=[RedisConnectionError, RedisTimeoutError],
         )
-    except ValueError:  # Its words may be a piece of the password.
+    except ValueError:  # Its message may hold a piece of the password.
         raise Misconfigured(
             "GAITWAY_REDIS_URL cannot be read: write redis://:PASSWORD@HOST:PORT/0, the port as a number; in "
             "the password / is %2F, # is %23, ? is %3F and @ is %40."
@@ -48,7 +48,7 @@ def job_queue(settings: StoreSettings) -> RQQueue:
 
 
 def object_store(settings: StoreSettings, *, retries: int = 2, timeout_s: float = 15.0) -> S3ObjectStore:
-    """The object store; with short limits for a process whose callers wait."""
+    """The object store; a process whose callers wait passes short limits."""
     client = connect_s3(
         settings.s3_endpoint,
         settings.s3_access_key,
@@ -61,7 +61,7 @@ def object_store(settings: StoreSettings, *, retries: int = 2, timeout_s: float 
     )
     match settings.s3_style:
         case "auto":
-            pass  # As the SDK does by itself.
+            pass  # The SDK's own choice.
         case "path":
             client.disable_virtual_style_endpoint()
         case "host":

@@ -1,11 +1,11 @@
-"""What readers hand back to go on where they were; it comes from clients, so it is checked."""
+"""Cursors, with which readers continue a listing; they come from clients, so they are checked."""
 
 from core.errors import JobNotFound, Problem, Rejected
 from core.jobs.job import check_job_id
 
 
 def check_cursor(cursor: str) -> str:
-    """The id of the last job of a page; raises Rejected where it is none."""
+    """The id of the last job of a page; raises Rejected if the cursor is not a job's id."""
     try:
         return check_job_id(cursor)
     except JobNotFound:

@@ -5,7 +5,7 @@ from core.jobs.store import Entry
 
 
 def status_entry(job: Job) -> Entry:
-    """What the events say when a job has taken a step."""
+    """The event for a job's change of status."""
     attempt = job.attempts[-1].number if job.attempts else None
     said = {"status": job.status.value, "reason": job.reason, "message": job.message, "attempt": attempt}
     return Entry(kind="status", time=utc_now(), data=said)

@@ -1,4 +1,4 @@
-"""What a process makes sure of before it works: that the stores do what it will ask of them."""
+"""Checks at the start of a process that the stores do what it needs of them."""
 
 import math
 import secrets
@@ -29,20 +29,20 @@ from core.settings import StoreSettings
 log = structlog.get_logger()
 
 _PATIENCE_S = 10.0
-# A store that has only just begun may not know its bucket and its keys yet.
+# A store that has just started may not know its bucket and its keys yet.
 _BELIEVED_AFTER_S = 3.0
 _REFUSALS = (RecordsRefuse, StorageRefuses)
 
-# KEYS: a name that nobody else uses. It goes again, and would in a second if this were cut off.
+# KEYS: a name that nobody else uses. It is deleted, or expires after a second if this is cut off.
 _WRITE = "redis.call('SET', KEYS[1], '', 'PX', 1000) return redis.call('DEL', KEYS[1])"
 
 
 def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> None:
-    """Return when all stores serve, or have been away for so long: what is away may come back.
+    """Return when each store serves, or has been unavailable for `patience_s`: it may come back later.
 
-    Raises Misconfigured where one answers, and refuses for some seconds: time alone will not mend that.
+    Raises Misconfigured if a store answers and refuses for some seconds: waiting will not mend that.
     """
-    # Without tries of their own: what a first one finds is in the log at once.
+    # Without retries of their own, so that the first error is in the log at once.
     queue = connect_redis(settings.redis_url.get_secret_value(), retries=0)
     objects = object_store(settings, retries=0)
     looks = {
@@ -60,9 +60,9 @@ def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> No
 
 
 def prepare_database(settings: StoreSettings) -> None:
-    """Make the tables, or bring them up to date; waits as long as the database is away.
+    """Create or upgrade the tables; waits as long as the database is unavailable.
 
-    Raises Misconfigured where it refuses for some seconds, or is of a newer version.
+    Raises Misconfigured if the database refuses for some seconds, or its tables are of a newer version.
     """
     engine = connect_postgres(settings.database_url.get_secret_value(), pool_size=0)
     try:
@@ -74,7 +74,7 @@ def prepare_database(settings: StoreSettings) -> None:
 def _upgrade(engine: Engine) -> None:
     if revision.is_newest(engine):
         return
-    # Alembic takes a tenth of a second to load, and is needed once for each version.
+    # Alembic takes a tenth of a second to load, and is needed only once per version.
     from core.adapters.postgres import schema
 
     schema.upgrade(engine)
@@ -94,14 +94,14 @@ def exercise_queue(client: Redis) -> None:
 
 
 def exercise_objects(objects: S3ObjectStore) -> None:
-    """Use the store as the service does, and leave nothing there.
+    """Use the store as the service does, and leave nothing in it.
 
     Raises StorageUnavailable, or StorageRefuses naming what to change.
     """
     prefix, body = f"probes/{secrets.token_hex(8)}/", secrets.token_bytes(4096)
     key = f"{prefix}probe"
-    objects.list(prefix)  # First: some stores say of a put alone no more than that it is forbidden.
-    objects.delete([key])  # Before there is anything: what may not be deleted would stay.
+    objects.list(prefix)  # First: for a put, some stores say no more than that it is forbidden.
+    objects.delete([key])  # Before the put: an object that may not be deleted would stay.
     try:
         objects.put(key, body)
         wrong = _wrong_with(objects, prefix, key, body)
@@ -115,17 +115,17 @@ def exercise_objects(objects: S3ObjectStore) -> None:
     if wrong:
         raise StorageRefuses(
             f"The object store at GAITWAY_S3_ENDPOINT does not work as S3 does: {wrong}. Set it to a store "
-            "with the whole S3 interface, and with no cache before it."
+            "with the whole S3 interface, and without a cache in front of it."
         )
 
 
 def _wrong_with(objects: S3ObjectStore, prefix: str, key: str, body: bytes) -> str:
-    """What the store does wrong with an object that was put, or nothing."""
+    """What the store does wrong with an object that was put; empty if nothing."""
     if _get(objects, key) != body:
-        return "a get does not give the bytes that were put"
+        return "a get does not return the bytes that were put"
     with objects.open(key, 1000, 500) as pieces:
         if b"".join(pieces) != body[1000:1500]:
-            return "a ranged get gives other bytes than were asked for"
+            return "a ranged get does not return the bytes that were asked for"
     if [found.key for found in objects.list(prefix)] != [key]:
         return "a listing does not show what was put"
     return ""

@@ -1,4 +1,4 @@
-"""What version 0.1 kept of its jobs and models. `gaitway import` reads it; nothing here writes.
+"""The jobs and models that version 0.1 stored. `gaitway import` reads them; nothing here writes.
 
 Redis had the live records:
 
@@ -6,7 +6,7 @@ gaitway:job:<id>          hash: version, document (the job as JSON), progress, â
 gaitway:job:<id>:events   stream of entries, as is :logs
 gaitway:jobs              sorted set of every id
 gaitway:idempotency:<h>   hash: fingerprint, job; expires after a day
-gaitway:worker:<name>     what a worker says of itself; expires; gaitway:workers is the set of names
+gaitway:worker:<name>     a worker's announcement; expires; gaitway:workers is the set of names
 
 The object store had copies:
 
@@ -31,7 +31,7 @@ from pydantic import ValidationError
 from redis import Redis
 
 from core.adapters.entries import status_entry
-from core.adapters.postgres.jobs import SeenKey
+from core.adapters.postgres.submissions import SeenKey
 from core.adapters.redis.errors import reaching_redis
 from core.documents import Stored
 from core.errors import JobNotFound, JobUnreadable, ObjectNotFound
@@ -50,7 +50,7 @@ _OF_ATTEMPT = re.compile(r"jobs/[^/]+/attempts/([0-9]+)/")
 
 @dataclass(frozen=True)
 class OldJob:
-    """A job as the record is to have it, ended or queued, and what belongs to it."""
+    """A job as the record will hold it, ended or queued, with its feeds and keys."""
 
     job: Job
     events: Iterable[Entry]
@@ -60,7 +60,7 @@ class OldJob:
 
 @dataclass(frozen=True)
 class _Copy:
-    """A job as JSON. version: 0 where even that cannot be read."""
+    """A job as JSON. version: 0 if even that cannot be read."""
 
     version: int
     document: bytes
@@ -80,7 +80,7 @@ class _Measured(Stored):
 
 
 class Version01:
-    """Its data. redis: None where what it had in Redis is lost.
+    """The data of version 0.1. redis: None if its data in Redis are lost.
 
     Every method raises RecordsUnavailable and StorageUnavailable.
     """
@@ -91,7 +91,7 @@ class Version01:
 
     @reaching_redis()
     def workers(self) -> Sequence[str]:
-        """The names of workers that were at work within the last minute."""
+        """The names of workers that were active within the last minute."""
         if self._redis is None:
             return []
         names = sorted(name.decode() for name in self._redis.smembers("gaitway:workers"))
@@ -99,13 +99,13 @@ class Version01:
 
     @reaching_redis()
     def live_job_ids(self) -> Collection[str]:
-        """Of the jobs that are in Redis; some may have been deleted since."""
+        """The ids of the jobs in Redis; some may have been deleted since."""
         if self._redis is None:
             return []
         return {job_id.decode() for job_id in self._redis.zrange("gaitway:jobs", 0, -1)}
 
     def job_ids(self) -> Sequence[str]:
-        """Of all jobs that are not deleted, oldest first."""
+        """The ids of all jobs that are not deleted, oldest first."""
         found = [info.key.split("/") for info in self._objects.list(keys.jobs())]
         return sorted(parts[1] for parts in found if parts[2:] == ["spec.json"] and _is_job_id(parts[1]))
 
@@ -124,24 +124,24 @@ class Version01:
         return OldJob(left, chain(events, last), logs, self._seen_keys.get(job_id, []))
 
     def model_ids(self) -> Sequence[str]:
-        """Of all models, by their hashes."""
+        """The ids of all models, made of their hashes."""
         found = [info.key.split("/") for info in self._objects.list(keys.models())]
         return [f"sha256:{parts[1]}" for parts in found if parts[2:] == ["record.json"]]
 
     def read_model(self, model_id: str) -> ModelRecord:
-        """Raises ValueError, a sentence."""
+        """Raises ValueError, whose message is a sentence."""
         try:
             record = ModelRecord.model_validate_json(self._objects.get(f"{keys.model(model_id)}record.json"))
         except ValidationError as error:
             raise ValueError(_problem(error)) from error
         if record.id != model_id:
-            raise ValueError(f"it is that of model {record.id[:80]}")
+            raise ValueError(f"it belongs to model {record.id[:80]}")
         return record
 
     # ---- records ---------------------------------------------------------------------------------
 
     def _newest(self, job_id: str) -> Job:
-        """Of Redis' document and its copy the newer one, or the submission. An older one would be wrong."""
+        """The newer of Redis' document and its copy, or the submission: an older one would be wrong."""
         copies = [*self._in_redis(job_id), *self._in_bucket(keys.record(job_id))]
         copies = copies or [*self._in_bucket(f"{keys.job(job_id)}spec.json")]
         newest = max((copy.version for copy in copies), default=0)
@@ -173,7 +173,7 @@ class Version01:
         return [_Copy(version, document)]
 
     def _with_published(self, job: Job) -> Job:
-        """With the artifacts that only manifests name: a copy of the record may be older than its files."""
+        """The job with artifacts that only manifests name: copies of the record may be older than these."""
         sizes = {info.key: info.size for info in self._objects.list(keys.job(job.id))}
         named: list[Artifact] = []
         for attempt in job.attempts:
@@ -185,7 +185,7 @@ class Version01:
 
     @cached_property
     def _seen_keys(self) -> Mapping[str, list[SeenKey]]:
-        """Of each job, the keys of its submissions that are still remembered."""
+        """The keys of each job's submission that are still remembered."""
         found: dict[str, list[SeenKey]] = defaultdict(list)
         if self._redis is None:
             return found
@@ -202,7 +202,7 @@ class Version01:
 
     @reaching_redis()
     def _stream(self, job_id: str, channel: Channel) -> Iterable[Entry]:
-        """What Redis has of the feed; nothing where it has none."""
+        """The feed's entries in Redis; empty if there are none."""
         key = f"gaitway:job:{job_id}:{channel}"
         return self._entries(key, channel) if self._redis is not None and self._redis.exists(key) else ()
 
@@ -218,7 +218,7 @@ class Version01:
             start = f"({page[-1][0].decode()}"
 
     def _retold_events(self, job: Job) -> Sequence[Entry]:
-        """What the job has measured, and how it ended."""
+        """Entries for the job's metrics and for its end, made from its artifacts."""
         measured: list[Entry] = []
         for line in self._lines(job.newest("metrics")):
             with suppress(ValidationError):
@@ -255,7 +255,7 @@ def _job(job_id: str, copy: _Copy) -> Job:
     """Raises ValueError."""
     document = json.loads(copy.document)
     if not isinstance(document, dict):
-        raise ValueError("it is no JSON object")
+        raise ValueError("it is not a JSON object")
     said: dict[str, Any] = {**document}
     try:
         spec = read_spec(json.dumps(said.get("spec")))
@@ -264,12 +264,12 @@ def _job(job_id: str, copy: _Copy) -> Job:
     progress = json.loads(copy.progress) if copy.progress else said.get("progress")
     job = Job.model_validate({**said, "spec": spec, "progress": _progress(progress)})
     if job.id != job_id:
-        raise ValueError(f"it is that of job {job.id[:64]}")
+        raise ValueError(f"it belongs to job {job.id[:64]}")
     return job
 
 
 def _progress(said: Any) -> Progress:
-    """A measurement that was not finite was stored as null."""
+    """The progress without nulls, as which version 0.1 stored values that were not finite."""
     try:
         metrics = {name: value for name, value in said["metrics"].items() if value is not None}
         return Progress.model_validate({**said, "metrics": metrics})
@@ -280,10 +280,10 @@ def _progress(said: Any) -> Progress:
 def _published(
     recorded: Sequence[Artifact], named: Sequence[Artifact], sizes: Mapping[str, int]
 ) -> tuple[Artifact, ...]:
-    """Of each name the newest artifact whose file is there.
+    """For each name, the newest artifact whose file exists.
 
-    sizes: of every object of the job, by key. A manifest and a copy of the record also name checkpoints that
-    were removed later.
+    sizes: the size of each object of the job, by key. Manifests and copies of the record also name
+    checkpoints that were removed later.
     """
     best: dict[str, tuple[tuple[bool, int, bool], Artifact]] = {}
     for artifact in (*recorded, *named):
@@ -296,7 +296,7 @@ def _published(
 
 
 def _let_go(job: Job, now: datetime) -> Job:
-    """The job without the attempt that held it. No worker is there to end a cancelled one."""
+    """The job without the attempt that held it. A cancelling job is ended here, because no worker will."""
     if job.status == JobStatus.CANCELLING:
         return job.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, f"Cancelled. {_IMPORTED}", now)
     if job.status.is_held:
@@ -310,7 +310,7 @@ def _attempt_of(artifact: Artifact) -> int:
 
 
 def _entry(at: str, said: Mapping[bytes, bytes], channel: Channel) -> Entry:
-    """at: the id that the stream gave, which begins with the time in milliseconds."""
+    """at: the id of the entry in the stream, which begins with the time in milliseconds."""
     try:
         return Entry.model_validate_json(said.get(b"entry", b"")).model_copy(update={"id": ""})
     except ValidationError:

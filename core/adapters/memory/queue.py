@@ -18,7 +18,7 @@ class Dispatch:
 
 
 class MemoryJobQueue:
-    """A JobQueue for one process; thread-safe. What was enqueued can be looked at and taken."""
+    """A JobQueue for one process; thread-safe. Its messages can be inspected and taken."""
 
     def __init__(self) -> None:
         self._waiting: dict[Dispatch, str] = {}
@@ -66,7 +66,7 @@ class MemoryJobQueue:
             return model_id in self._models
 
     def take_model(self) -> str | None:
-        """The next model for a worker, which is done with it at once; None when none waits."""
+        """The next model for a worker, removed at once; None if none waits."""
         with self._lock:
             return self._models.pop(0) if self._models else None
 
@@ -84,17 +84,17 @@ class MemoryJobQueue:
             return len(self._previews)
 
     def take_preview(self) -> PreviewRequest | None:
-        """The next request for a worker, which is done with it at once; None when none waits."""
+        """The next request for a worker, removed at once; None if none waits."""
         with self._lock:
             return self._previews.pop(0) if self._previews else None
 
     def waiting(self) -> Sequence[Dispatch]:
-        """What no worker has taken, oldest first."""
+        """The attempts that no worker has taken, oldest first."""
         with self._lock:
             return list(self._waiting)
 
     def take(self, device: str = "cpu") -> Dispatch | None:
-        """The next attempt for a worker on this device, as a worker would get it; None when nothing waits."""
+        """The next attempt that a worker on this device would get; None if none waits."""
         with self._lock:
             for name in queue_names(device):
                 for dispatch, queue in self._waiting.items():

@@ -1,18 +1,18 @@
-"""The database's clock, without a round trip for each look at it."""
+"""The database's clock, without a round trip for every reading."""
 
 import time
 from collections.abc import Callable
 from datetime import datetime, timedelta
 
-# A slower answer is old when it comes: nothing is counted on from it.
+# An answer that took longer is too old to extrapolate from.
 _PROMPT_S = 0.05
 
 
 class Clock:
-    """Asks the database once in a while, and counts on from its answer; thread-safe.
+    """Asks the database now and then, and extrapolates from its answer; thread-safe.
 
-    ask: the database's time. max_age: how long an answer is counted on from; after that time at the latest, a
-    step of the database's clock is noticed.
+    ask: returns the database's time. max_age: how long an answer is used; a step of the database's clock is
+    noticed after that time at the latest.
     """
 
     def __init__(self, ask: Callable[[], datetime], max_age: timedelta) -> None:
@@ -22,7 +22,7 @@ class Clock:
         self._answer: tuple[datetime, float] | None = None
 
     def now(self) -> datetime:
-        """Raises what `ask` raises, where it has to be asked."""
+        """Raises what `ask` raises."""
         answer = self._answer
         if answer is not None and (passed := timedelta(seconds=time.monotonic() - answer[1])) < self._max_age:
             return answer[0] + passed

@@ -1,4 +1,4 @@
-"""Connections to PostgreSQL whose every call ends within seconds, also when the server is silent."""
+"""Connections to PostgreSQL; every call ends within seconds, even if the server is silent."""
 
 import select
 from typing import Any
@@ -12,14 +12,14 @@ from sqlalchemy.pool import ConnectionPoolEntry, NullPool, QueuePool
 
 from core.errors import Misconfigured
 
-# A call that takes longer has met a server that is stopped, cut off or overloaded.
+# If a call takes longer, the server is stopped, cut off or overloaded.
 DEADLINE_S = 2.0
-# The server gives up first: its words are better than silence.
+# The server gives up before that: its error says more than silence.
 _OPTIONS = " ".join(
     (
         "-c statement_timeout=1800",
         "-c lock_timeout=1500",
-        # A client that was stopped in the middle of a transaction lets go of its locks.
+        # Frees the locks of a client that was stopped in the middle of a transaction.
         "-c idle_in_transaction_session_timeout=5000",
         "-c timezone=UTC",
         "-c application_name=gaitway",
@@ -28,11 +28,11 @@ _OPTIONS = " ".join(
 
 
 class NoAnswer(psycopg.OperationalError):
-    """The server is there, and says nothing."""
+    """The server accepts connections and does not answer."""
 
 
 class PromptConnection(psycopg.Connection[Any]):
-    """A connection that gives up on a server that says nothing for `deadline_s`; None: never."""
+    """A connection that gives up on a server after `deadline_s` of silence; None: never."""
 
     deadline_s: float | None = DEADLINE_S
 
@@ -40,7 +40,7 @@ class PromptConnection(psycopg.Connection[Any]):
         try:
             return super().wait(gen, interval, self.deadline_s if timeout is None else timeout)
         except errors._WaitTimeout as error:  # pyright: ignore[reportPrivateUsage]
-            self.pgconn.finish()  # Nobody knows how far it got: it is of no further use.
+            self.pgconn.finish()  # It cannot be used again: nobody knows how far the call got.
             raise NoAnswer(f"no answer within {self.deadline_s:g} s") from error
 
 
@@ -75,10 +75,10 @@ def connect_postgres(url: str, *, pool_size: int = 10) -> Engine:
 
 
 def _is_readable(url: str) -> bool:
-    """Whether the parts of the address can be what they stand for.
+    """Whether host, port and database can be what they say.
 
-    A character of the password that is not encoded makes the rest of it a host, a port or a database, and
-    those are shown in error messages.
+    After an unencoded character in the password, the rest of it is read as host, port or database, which
+    error messages show.
     """
     try:
         parts = conninfo_to_dict(url)
@@ -90,10 +90,10 @@ def _is_readable(url: str) -> bool:
 
 
 def _refuse_closed(connection: PromptConnection, record: ConnectionPoolEntry, _: object) -> None:
-    """A server that was restarted has closed what the pool holds.
+    """Discard a connection that the server has closed, for example by a restart.
 
-    The end of a connection can be read from its socket without a round trip; an open one has nothing to say
-    between two statements.
+    The socket of a closed connection is readable, which is seen without a round trip; an open one has nothing
+    to read between two statements.
     """
     is_new, record.info["was_used"] = "was_used" not in record.info, True
     poll = select.poll()  # Unlike `select`, it takes descriptors beyond 1023.

@@ -14,31 +14,31 @@ from core.adapters.postgres.connection import NoAnswer
 from core.errors import RecordsRefuse, RecordsUnavailable
 
 _ADDRESS = "GAITWAY_DATABASE_URL"
-_NO_POSTGRES = f"What answers at {_ADDRESS} is no PostgreSQL: correct its host and port."
+_NO_POSTGRES = f"The server at {_ADDRESS} is not PostgreSQL: correct its host and port."
 _NO_CONNECTION = (
     f"PostgreSQL at {_ADDRESS} has no connection left: raise its max_connections, or run fewer processes."
 )
 _NOT_NOW = f"PostgreSQL at {_ADDRESS} is starting or stopping: wait for it."
-# Until somebody changes a setting. Before there is a session, a refusal is text alone.
+# These last until somebody changes a setting. Before there is a session, a refusal has no code, only text.
 _REFUSALS = {
     "password authentication failed": f"The user or the password in {_ADDRESS} is wrong: write those that "
     "PostgreSQL has, with characters such as / # @ percent-encoded.",
     "no password supplied": f"{_ADDRESS} has no password and that PostgreSQL wants one: write "
     "postgresql://USER:PASSWORD@HOST:PORT/DATABASE.",
-    "Peer authentication failed": f"PostgreSQL lets the user in {_ADDRESS} in only from the system's account "
-    "of that name: run Gaitway as it, or give that user a password.",
-    "no pg_hba.conf entry": "PostgreSQL lets nobody in from this machine as that user: add a line to its "
+    "Peer authentication failed": f"PostgreSQL admits the user in {_ADDRESS} only from the system account "
+    "of the same name: run Gaitway under that account, or give the user a password.",
+    "no pg_hba.conf entry": "PostgreSQL does not admit that user from this machine: add a line to its "
     f"pg_hba.conf; if it wants TLS, end {_ADDRESS} with ?sslmode=require.",
-    "does not support SSL": f"{_ADDRESS} asks for TLS and that PostgreSQL has none: end the address with "
-    "?sslmode=disable, or switch TLS on there (ssl=on).",
-    # To a question for TLS, and to one for a session.
+    "does not support SSL": f"{_ADDRESS} asks for TLS, which that PostgreSQL does not offer: end the address "
+    "with ?sslmode=disable, or switch TLS on there (ssl=on).",
+    # The answers of another server to a request for TLS, and to one for a session.
     "invalid response": _NO_POSTGRES,
     "expected authentication request": _NO_POSTGRES,
     "certificate": "The certificate of PostgreSQL is not trusted. Let GAITWAY_TLS_CA name a file with the "
     f"certificate of the authority that signed it; and {_ADDRESS} has to name the host as the certificate "
     "does.",
 }
-# As text too, and it may pass by itself.
+# These too have only text, and may pass without a change.
 _NOT_LET_IN = {
     "too many clients": _NO_CONNECTION,
     "too many connections": _NO_CONNECTION,
@@ -46,10 +46,11 @@ _NOT_LET_IN = {
     "the database system is": _NOT_NOW,
 }
 _NO_USER = (
-    f"PostgreSQL has no user of the name in {_ADDRESS}: make it (createuser), or write one that is there."
+    f"PostgreSQL has no user with the name in {_ADDRESS}: create it (createuser), or name one that exists."
 )
 _NO_DATABASE = (
-    f"PostgreSQL has no database of the name at the end of {_ADDRESS}: make it (createdb), or name another."
+    f"PostgreSQL has no database with the name at the end of {_ADDRESS}: create it (createdb), or name "
+    "another."
 )
 _MISSING = re.compile(r'(database|role) ".*" does not exist')
 _REFUSED_BY_CODE: dict[type[psycopg.Error], str] = {
@@ -65,9 +66,9 @@ _UNAVAILABLE_BY_CODE: dict[type[psycopg.Error], str] = {
     errors.UndefinedColumn: "The database has another version's tables: the reconciler upgrades them when it "
     "starts.",
     errors.DiskFull: f"PostgreSQL at {_ADDRESS} has no room on its disk: free or add some.",
-    # Of this process, which was stopped in the midst of a transaction.
-    errors.IdleInTransactionSessionTimeout: f"PostgreSQL at {_ADDRESS} ended a transaction that stood still "
-    "for 5 s.",
+    # This process was stopped in the middle of a transaction.
+    errors.IdleInTransactionSessionTimeout: f"PostgreSQL at {_ADDRESS} ended a transaction that was idle for "
+    "5 s.",
     errors.QueryCanceled: f"PostgreSQL at {_ADDRESS} took longer than 1.8 s; it is overloaded.",
     errors.LockNotAvailable: f"PostgreSQL at {_ADDRESS} waited for a lock for longer than 1.5 s.",
     errors.DeadlockDetected: f"PostgreSQL at {_ADDRESS} ended one of two calls that waited for each other.",
@@ -75,7 +76,7 @@ _UNAVAILABLE_BY_CODE: dict[type[psycopg.Error], str] = {
 
 
 class Breaker:
-    """Says "unavailable" at once for a second after a call met silence, so that callers do not queue up."""
+    """After a call met silence, refuses calls for a second, so that callers do not queue up."""
 
     _REST_S = 1.0
 
@@ -85,9 +86,9 @@ class Breaker:
 
     @contextmanager
     def reaching(self) -> Generator[None]:
-        """Turn outages into RecordsUnavailable, and what a setting has to change for into RecordsRefuse.
+        """Turn outages into RecordsUnavailable, and what only a changed setting mends into RecordsRefuse.
 
-        Our own mistakes pass through.
+        Errors of ours pass through.
         """
         if time.monotonic() < self._closed_at:
             raise RecordsUnavailable(self._said)
@@ -105,7 +106,7 @@ class Breaker:
 
 
 def meaning(error: Exception) -> RecordsUnavailable | None:
-    """What to raise for an error of the driver; None for a mistake of ours."""
+    """The exception to raise for an error of the driver; None for an error of ours."""
     cause = error.orig if isinstance(error, DBAPIError) else error
     for known, sentence in _REFUSED_BY_CODE.items():
         if isinstance(cause, known):
@@ -139,6 +140,6 @@ def _is_silence(error: Exception) -> bool:
 
 
 def _short(words: str) -> str:
-    """What happened, without where and without hints."""
+    """The first line of a driver's message, without address and hints."""
     first = words.strip().partition("\n")[0].rpartition(" failed: ")[2]
     return first.removeprefix("FATAL:").strip().rstrip(".") or "no reason given"

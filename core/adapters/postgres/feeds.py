@@ -1,9 +1,10 @@
-"""A job's feeds: numbered entries, whose older part lies in chunks in the object store."""
+"""A job's feeds: numbered entries; the older ones lie in chunks in the object store."""
 
 import json
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import timedelta
+from itertools import islice
 from typing import Any
 
 from pydantic_core import to_json
@@ -22,7 +23,7 @@ _INSERT = """
     FROM grown, unnest(CAST(:kinds AS text[]), CAST(:times AS timestamptz[]), CAST(:data AS text[]))
          WITH ORDINALITY AS said (kind, time, data, place)
 """
-# To write to a feed and to read it are one statement each: most of the time went into round trips.
+# Writing to a feed and reading it are one statement each: most of the time went into round trips.
 _APPEND: dict[Channel, TextClause] = {
     channel: text(f"""
         WITH grown AS (
@@ -35,7 +36,7 @@ _APPEND: dict[Channel, TextClause] = {
     """)  # noqa: S608 # Names of columns.
     for channel, counter in _NUM.items()
 }
-# PostgreSQL looks at `held`'s condition again where it has waited for the row: its holder may have changed.
+# PostgreSQL checks `held`'s condition again after waiting for the row: its holder may have changed.
 _APPEND_AS_ATTEMPT: dict[Channel, TextClause] = {
     channel: text(f"""
         WITH held AS (
@@ -63,9 +64,11 @@ _READ = text("""
         ) AS found) AS entries
     FROM jobs WHERE jobs.id = :job_id
 """)
-# A reader gets a few at a time; each is a request to the object store.
+# A reader gets a few chunks at a time; each is a request to the object store.
 _MOST_CHUNKS = 4
 _MOST_DUE = 200
+# Appending one batch takes a fraction of a call's time limit.
+_BATCH = 1000
 
 
 def append_as_attempt(  # noqa: PLR0913 # As in the seam.
@@ -77,7 +80,7 @@ def append_as_attempt(  # noqa: PLR0913 # As in the seam.
     progress: Progress | None,
     write_id: str,
 ) -> bool:
-    """Append in the name of the attempt that holds the job; whether it does. One statement."""
+    """Append for the attempt that holds the job, in one statement; False if it does not hold the job."""
     values = {
         "job_id": job_id,
         "token": token,
@@ -95,9 +98,16 @@ def append(
     said: Sequence[Entry],
     progress: Progress | None = None,
 ) -> None:
-    """Number the entries and store them, with the progress where it is given."""
+    """Number the entries and store them, with the progress if given."""
     values = {"job_id": job_id, "channel": channel, **_said(said, progress)}
     connection.execute(_APPEND[channel], values)
+
+
+def append_all(connection: Connection, job_id: str, channel: Channel, said: Iterable[Entry]) -> None:
+    """Append any number of entries, in batches."""
+    left = iter(said)
+    while batch := list(islice(left, _BATCH)):
+        append(connection, job_id, channel, batch)
 
 
 def _said(said: Sequence[Entry], progress: Progress | None) -> dict[str, Any]:
@@ -111,9 +121,9 @@ def _said(said: Sequence[Entry], progress: Progress | None) -> dict[str, Any]:
 
 
 def read(connection: Connection, job_id: str, channel: Channel, after: int, limit: int) -> FeedPart | None:
-    """The chunks that reach beyond `after`; and, where these are all, the entries behind them.
+    """The chunks that reach beyond `after`; and, if no chunk is left out, the entries after them.
 
-    None where the job is not there.
+    None if there is no such job.
     """
     asked = {"job_id": job_id, "channel": channel, "after": after, "chunks": _MOST_CHUNKS + 1, "limit": limit}
     found = connection.execute(_READ, asked).first()
@@ -167,7 +177,7 @@ def chunks_of(connection: Connection, job_ids: Collection[str]) -> Mapping[str, 
 
 
 def adopt(connection: Connection, job_id: str, found: Sequence[Chunk]) -> None:
-    """Name chunks that were made earlier; what is appended from now on is numbered behind them."""
+    """Name chunks that were made earlier; entries appended later are numbered after them."""
     for chunk in found:
         replace_by_chunk(connection, job_id, chunk)
         counter = _NUM[chunk.channel]
@@ -188,7 +198,7 @@ def _chunk_of(row: Row[Any]) -> Chunk:
 
 
 def replace_by_chunk(connection: Connection, job_id: str, chunk: Chunk) -> None:
-    """In one transaction, so that a reader finds each entry in one place."""
+    """Needs a transaction, so that a reader finds each entry in one place."""
     if not _is_there(connection, job_id):
         return
     named = connection.execute(
@@ -216,6 +226,6 @@ def replace_by_chunk(connection: Connection, job_id: str, chunk: Chunk) -> None:
 
 
 def _is_there(connection: Connection, job_id: str) -> bool:
-    """Whether the job is there, and stays until the end of the transaction."""
+    """Whether the job exists; if so, it is locked against deletion until the end of the transaction."""
     wanted = select(jobs.c.id).where(jobs.c.id == job_id).with_for_update(read=True, key_share=True)
     return connection.execute(wanted).first() is not None

@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Subquery, Table, select
 from core.adapters.postgres.tables import jobs
 from core.jobs.store import JobQuery
 
-# As many of the newest jobs are looked at one by one, in 5 ms.
+# How many of the newest jobs are checked one by one, which takes 5 ms.
 _NEAR = 20_000
 _COLUMNS = ("status", "kind", "environment", "name")
 
@@ -16,9 +16,9 @@ _COLUMNS = ("status", "kind", "environment", "name")
 def newest(connection: Connection, query: JobQuery, before: str | None, limit: int) -> Sequence[Row[Any]]:
     """The newest jobs that match, of those with ids below `before`.
 
-    One condition has an index in the order of ids. Several may be met by few jobs or none, which the planner
-    cannot know: it would walk through all jobs. So the newest are tried first. If these are not enough,
-    matches are rare, and all of them are collected from the indexes before they are sorted.
+    A single condition has an index in the order of ids. Few jobs or none may match several conditions, which
+    the planner cannot know: it would walk through all jobs. So the newest jobs are tried first. If too few of
+    them match, matches are rare, and all of them are collected from the indexes before they are sorted.
     """
     conditions = _conditions(query, jobs)
     if len(conditions) > 1 or query.labels:

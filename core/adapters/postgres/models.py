@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from sqlalchemy import Connection, Row, delete, select, update
 from sqlalchemy.dialects.postgresql import insert
 
-from core.adapters.postgres.rows import words
+from core.adapters.postgres.rows import columns, words
 from core.adapters.postgres.tables import NOW, dispatches, models
 from core.errors import ModelNotFound
 from core.jobs.store import Dispatch
@@ -76,13 +76,13 @@ def _values(record: ModelRecord) -> dict[str, Any]:
 
 
 def _record(row: Row[Any]) -> ModelRecord:
-    said = dict(row._mapping)  # pyright: ignore[reportPrivateUsage] # Public, by SQLAlchemy's documentation.
+    said = columns(row)
     found = said.pop("description")
     try:
         description = None if found is None else Description.model_validate_json(found)
         return ModelRecord.model_validate({**said, "description": description})
     except ValidationError as error:
         log.warning("model_unreadable", model=row.id, problem=str(error))
-        # Of today, so that it is not forgotten as an old refusal is: another version may understand it.
+        # Refused today, not earlier: old refusals are deleted, and another version may understand this one.
         said |= {"status": "refused", "message": _UNREADABLE, "refused_at": datetime.now(UTC)}
         return ModelRecord.model_validate({**said, "description": None})

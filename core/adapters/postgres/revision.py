@@ -1,4 +1,4 @@
-"""Whether the tables are those of this version, without Alembic, which takes a tenth of a second to load."""
+"""Whether the tables are of this version, without Alembic, which takes a tenth of a second to load."""
 
 from pathlib import Path
 
@@ -10,12 +10,12 @@ _MIGRATIONS = Path(__file__).parent / "migrations" / "versions"
 
 
 def newest() -> str:
-    """The revision that the last migration makes; its file's name begins with it."""
+    """The revision that the last migration makes; the migration's file name begins with it."""
     return max(file.name.partition("_")[0] for file in _MIGRATIONS.glob("[0-9]*.py"))
 
 
 def is_newest(engine: Engine) -> bool:
-    """Whether the tables are there and need nothing. Raises RecordsUnavailable, RecordsRefuse."""
+    """Whether the tables exist and need no migration. Raises RecordsUnavailable, RecordsRefuse."""
     with Breaker().reaching(), engine.connect() as connection:
         if connection.execute(text("SELECT to_regclass('alembic_version')")).scalar_one() is None:
             return False

@@ -1,27 +1,23 @@
-"""Between a job and its rows."""
+"""Jobs to rows, and rows to jobs."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any, cast
 
-import structlog
 from pydantic import ValidationError
 from pydantic_core import from_json
 from sqlalchemy import Row
 
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.status import JobStatus
-from core.jobs.store import WorkerInfo
 from core.jobs.stored_spec import read_spec
-
-log = structlog.get_logger()
 
 Values = dict[str, Any]
 
 
 def job_values(job: Job) -> Values:
-    """The columns of `jobs` that belong to this version; the counters and the lease belong to the store."""
+    """The columns of `jobs` that change with the version; the store adds the counters and the lease."""
     return {
         "version": job.version,
         "status": job.status.value,
@@ -36,7 +32,7 @@ def job_values(job: Job) -> Values:
 
 
 def new_job_values(job: Job) -> Values:
-    """All columns of a job that was not there before."""
+    """All columns of a new job."""
     spec = job.spec
     return {
         **job_values(job),
@@ -73,56 +69,34 @@ def artifact_values(job_id: str, position: int, artifact: Artifact) -> Values:
     return {**artifact.model_dump(), "job_id": job_id, "position": position, "metadata": facts}
 
 
-def artifact_of(row: Row[Any]) -> Artifact:
-    return Artifact(
-        name=row.name,
-        role=row.role,
-        media_type=row.media_type,
-        size=row.size,
-        sha256=row.sha256,
-        key=row.key,
-        step=row.step,
-        metadata=from_json(row.metadata),
-    )
-
-
-def _attempt_of(row: Row[Any]) -> Attempt:
-    return Attempt(
-        number=row.number,
-        token=row.token,
-        worker=row.worker,
-        device=row.device,
-        engine=row.engine,
-        details=from_json(row.details),
-        started_at=row.started_at,
-        ended_at=row.ended_at,
-        reason=row.reason,
-        message=row.message,
-    )
+def columns(row: Row[Any]) -> Values:
+    return dict(row._mapping)  # pyright: ignore[reportPrivateUsage] # Public, by SQLAlchemy's documentation.
 
 
 def read_job(
     row: Row[Any], attempts: Sequence[Row[Any]], artifacts: Sequence[Row[Any]]
 ) -> Job | UnreadableJob:
-    """The job; or what its columns tell, where the rest is of another version or damaged."""
+    """The job; an UnreadableJob if its row is damaged or another version wrote it."""
+    own = columns(row)
     try:
-        return Job(
-            id=row.id,
-            version=row.version,
-            spec=read_spec(row.spec),
-            status=row.status,
-            reason=row.reason,
-            message=row.message,
-            created_at=row.created_at,
-            started_at=row.started_at,
-            finished_at=row.finished_at,
-            not_before=row.not_before,
-            attempts=tuple(_attempt_of(attempt) for attempt in attempts),
-            artifacts=tuple(artifact_of(artifact) for artifact in artifacts),
-            progress=_progress(row.progress),
-        )
+        found = {
+            "spec": read_spec(row.spec),
+            "attempts": [_attempt_of(attempt) for attempt in attempts],
+            "artifacts": [_artifact_of(artifact) for artifact in artifacts],
+            "progress": _progress(row.progress),
+        }
+        return Job.model_validate({**own, **found})
     except ValueError as error:  # JSON's and pydantic's errors are of this kind.
-        return _unreadable(row, error)
+        found = {"status": status(row.status), "spec": _spec(row.spec), "problem": _problem(error)}
+        return UnreadableJob.model_validate({**own, **found})
+
+
+def _attempt_of(row: Row[Any]) -> Attempt:
+    return Attempt.model_validate({**columns(row), "details": from_json(row.details)})
+
+
+def _artifact_of(row: Row[Any]) -> Artifact:
+    return Artifact.model_validate({**columns(row), "metadata": from_json(row.metadata)})
 
 
 def _progress(text: str | None) -> Progress:
@@ -132,41 +106,21 @@ def _progress(text: str | None) -> Progress:
         return Progress()
 
 
-def _unreadable(row: Row[Any], error: ValueError) -> UnreadableJob:
-    first = error.errors()[0] if isinstance(error, ValidationError) else None
-    problem = f"{'/'.join(map(str, first['loc']))}: {first['msg']}" if first else str(error)
+def _spec(text: str) -> Values:
     try:
-        spec = json.loads(row.spec)
+        spec = json.loads(text)
     except ValueError:
-        spec = {}
-    return UnreadableJob(
-        id=row.id,
-        version=row.version,
-        kind=row.kind,
-        name=row.name,
-        labels=row.labels,
-        status=status(row.status),
-        created_at=row.created_at,
-        started_at=row.started_at,
-        finished_at=row.finished_at,
-        spec=cast("dict[str, Any]", spec) if isinstance(spec, dict) else {},
-        problem=problem,
-    )
+        return {}
+    return cast("Values", spec) if isinstance(spec, dict) else {}
 
 
-def read_workers(texts: Iterable[str]) -> list[WorkerInfo]:
-    """All that this version understands: one of another version hides no other."""
-    found: list[WorkerInfo] = []
-    for text in texts:
-        try:
-            found.append(WorkerInfo.model_validate_json(text))
-        except ValidationError as error:
-            log.warning("worker_unreadable", problem=str(error))
-    return found
+def _problem(error: ValueError) -> str:
+    first = error.errors()[0] if isinstance(error, ValidationError) else None
+    return f"{'/'.join(map(str, first['loc']))}: {first['msg']}" if first else str(error)
 
 
 def status(text: str) -> JobStatus:
-    """One that this version does not know is taken for `running`, so that nobody deletes the job."""
+    """A status that this version does not know becomes `running`, so that nobody deletes the job."""
     try:
         return JobStatus(text)
     except ValueError:
@@ -174,10 +128,10 @@ def status(text: str) -> JobStatus:
 
 
 def words(text: str | None) -> str | None:
-    """What a process said of its end, which may be the tail of a log; text in PostgreSQL has no U+0000."""
+    """A message, which may be the tail of a log, without U+0000: PostgreSQL does not store that as text."""
     return None if text is None else text.replace("\0", "\N{REPLACEMENT CHARACTER}")
 
 
 def interval(span: timedelta) -> timedelta:
-    """At least a millisecond: PostgreSQL would take less for nothing at all."""
+    """At least a millisecond: PostgreSQL would round less to nothing."""
     return max(span, timedelta(milliseconds=1))

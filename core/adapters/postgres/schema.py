@@ -1,4 +1,4 @@
-"""The database's tables: made, brought up to date, or taken back to an earlier version."""
+"""Creates the database's tables, upgrades them, or takes them back to an earlier version."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -19,14 +19,14 @@ from core.errors import Misconfigured
 
 log = structlog.get_logger()
 
-# Any number of ours: two processes that migrate wait for each other.
+# An arbitrary number of ours: two processes that migrate wait for each other.
 _LOCK = 0x6761697477617921
 
 
 def upgrade(engine: Engine, revision: str = "head") -> None:
-    """Bring the tables to this revision; nothing where they are there.
+    """Bring the tables to this revision; does nothing if they already are.
 
-    Raises RecordsUnavailable, RecordsRefuse; Misconfigured where a newer version of Gaitway made them.
+    Raises RecordsUnavailable, RecordsRefuse; Misconfigured if a newer version of Gaitway made them.
     """
     with _alone(engine) as (connection, config):
         now, newest = current(connection), _script(config).get_current_head()
@@ -49,13 +49,13 @@ def downgrade(engine: Engine, revision: str) -> None:
 
 
 def current(connection: Connection) -> str | None:
-    """The revision of the tables that are there; None where there are none."""
+    """The revision of the tables; None if there are none."""
     return MigrationContext.configure(connection).get_current_revision()
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What the doctor tells of a database. server: its version; newest: the revision that we make."""
+    """What the doctor reports about a database. server: its version; newest: the revision that we make."""
 
     server: str
     revision: str | None
@@ -93,7 +93,7 @@ def _alone(engine: Engine) -> Generator[tuple[Connection, Config]]:
 
 @contextmanager
 def _patient(connection: Connection) -> Generator[None]:
-    """Let the server take as long as it needs: to change a large table takes minutes."""
+    """Let the server take as long as it needs: changing a large table takes minutes."""
     driver = cast("PromptConnection", connection.connection.driver_connection)
     driver.deadline_s = None
     try:

@@ -1,17 +1,17 @@
-"""The tables of the record. Migrations make them; `tests/contract/test_migrations.py` holds the two together.
+"""The tables of the record. Migrations make them; `tests/contract/test_migrations.py` compares the two.
 
-jobs        one row a job; `token` and `lease_until` belong to the attempt that holds it
-attempts    one row a try at a job
-artifacts   the files of a job that readers may see, each named by its key and hash
+jobs        one row per job; `token` and `lease_until` belong to the attempt that holds it
+attempts    one row per attempt at a job
+artifacts   the files of a job that readers may fetch, each with its key and hash
 chunks      finished parts of a job's feeds, which lie in the object store
 entries     the newest part of each feed, until it is moved into a chunk
-dispatches  what RQ has still to be told; written in the transaction that makes it necessary
+dispatches  messages for RQ that are not sent yet; written in the transaction that makes them necessary
 models      users' own models, by the hash of their bytes
-workers     what each worker said of itself last
+workers     the last announcement of each worker
 idempotency_keys   the submissions of the last day that came with a key
 pulse       one row: when the reconciler last reached this database
 
-Documents are JSON as text: PostgreSQL's own JSON types refuse the character U+0000, which a log may hold.
+Documents are JSON stored as text: PostgreSQL's JSON types refuse the character U+0000, which a log may hold.
 """
 
 from typing import Any
@@ -43,7 +43,7 @@ def _moment(name: str, *, nullable: bool = True) -> Column[Any]:
 jobs = Table(
     "jobs",
     metadata,
-    # "C" compares bytes: ids sort by time whatever the database's language is.
+    # "C" compares bytes: ids sort by time in a database of any language.
     Column("id", String(collation="C"), primary_key=True),
     Column("version", Integer, nullable=False),
     Column("kind", Text, nullable=False),
@@ -68,15 +68,15 @@ jobs = Table(
     Column("num_events", BigInteger, nullable=False, server_default="0"),
     Column("num_logs", BigInteger, nullable=False, server_default="0"),
     Column("last_write", Text),
-    # The version that was copied into the object store.
+    # The version that was last copied into the object store.
     Column("copied_version", Integer, nullable=False, server_default="0"),
-    # Room beside each row: a renewed lease then touches no index.
+    # Free space in each page: a renewed lease then touches no index.
     postgresql_with={"fillfactor": "80"},
 )
 Index("jobs_by_status", jobs.c.status, jobs.c.id)
 Index("jobs_by_kind", jobs.c.kind, jobs.c.id)
 Index("jobs_by_environment", jobs.c.environment, jobs.c.id)
-# For several conditions at once; PostgreSQL 18 skips over a column that has none.
+# For several conditions at once; PostgreSQL 18 skips a column without a condition.
 Index("jobs_by_state", jobs.c.status, jobs.c.kind, jobs.c.environment, jobs.c.id)
 Index("jobs_by_name", jobs.c.name, jobs.c.id, postgresql_where=jobs.c.name.isnot(None))
 Index("jobs_by_label", jobs.c.labels, postgresql_using="gin", postgresql_ops={"labels": "jsonb_path_ops"})
@@ -193,7 +193,7 @@ pulse = Table(
     metadata,
     Column("id", Integer, primary_key=True),
     _moment("beat_at", nullable=False),
-    # After which attempts get time to renew their leases.
+    # After a longer silence, attempts get time to renew their leases.
     Column("longest_silence", INTERVAL, nullable=False, server_default="0"),
     _moment("quiet_until", nullable=False),
 )

@@ -1,4 +1,4 @@
-"""What Redis' errors mean here, in sentences that name the setting and the remedy."""
+"""Redis' errors as sentences that name the setting and the remedy."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -22,16 +22,16 @@ from core.errors import RecordsRefuse, RecordsUnavailable
 
 _WANTS_A_PASSWORD = ("Authentication required", "HELLO must be called")
 _HUNG_UP = ("Connection closed by server", "Connection reset by peer")
-# Refusals that the client knows only by their text; a pipeline writes its own words before it.
+# Refusals that the client recognises only by their text; a pipeline puts its own words before it.
 _REFUSALS = {
     "DENIED ": (
         RecordsRefuse,
-        "Redis at GAITWAY_REDIS_URL is in protected mode: from other machines it takes nobody as long as it "
-        "has no password. Give it one (requirepass) and write it into the address.",
+        "Redis at GAITWAY_REDIS_URL is in protected mode: without a password it accepts no other machines. "
+        "Give it one (requirepass) and write it into the address.",
     ),
     "DB index is out of range": (
         RecordsRefuse,
-        "Redis has no database of the number at the end of GAITWAY_REDIS_URL; /0 is always there.",
+        "Redis has no database with the number at the end of GAITWAY_REDIS_URL; /0 always exists.",
     ),
     "MISCONF ": (
         RecordsUnavailable,
@@ -46,18 +46,18 @@ _REFUSALS = {
     "WRONGTYPE ": (
         RecordsUnavailable,
         "Something else writes into the Redis database at GAITWAY_REDIS_URL: a key of Gaitway's queue holds "
-        "a wrong type (WRONGTYPE). Give Gaitway a database of its own, or empty this one (FLUSHDB): no job "
-        "is lost by that.",
+        "a wrong type (WRONGTYPE). Give Gaitway a database of its own, or empty this one (FLUSHDB): that "
+        "loses no job.",
     ),
-    "BUSY ": (RecordsUnavailable, "Redis at GAITWAY_REDIS_URL is busy with somebody's script."),
+    "BUSY ": (RecordsUnavailable, "Redis at GAITWAY_REDIS_URL is busy running a script."),
 }
 
 
 @contextmanager
 def reaching_redis() -> Generator[None]:
-    """Turn outages into RecordsUnavailable, and what a setting has to change for into RecordsRefuse.
+    """Turn outages into RecordsUnavailable, and what only a changed setting mends into RecordsRefuse.
 
-    Also a decorator. Our own mistakes pass through.
+    Also a decorator. Errors of ours pass through.
     """
     try:
         yield
@@ -87,7 +87,7 @@ def _meaning(error: RedisError) -> RecordsUnavailable | None:
             return RecordsUnavailable("Redis at GAITWAY_REDIS_URL is still reading its data: wait for it.")
         case InvalidResponse():
             return RecordsRefuse(
-                "What answers at GAITWAY_REDIS_URL is no Redis: correct its host and port, and begin it with "
+                "The server at GAITWAY_REDIS_URL is not Redis: correct its host and port, and begin it with "
                 "rediss:// if that Redis wants TLS."
             )
         case ConnectionError() | TimeoutError():
@@ -116,9 +116,9 @@ def _of_no_answer(error: RedisError) -> RecordsUnavailable:
         return RecordsRefuse(refusal)
     words = str(error).rstrip(".")
     if "handshake operation timed out" in reason(error):
-        remedy = f"Nobody there speaks TLS: {without}, if the Redis there has none"
+        remedy = f"The server there does not speak TLS: {without}, if it has none"
     elif any(known in words for known in _HUNG_UP):
-        remedy = "If it goes on, and that Redis wants TLS: begin the address with rediss://"
+        remedy = "If this continues and that Redis wants TLS, begin the address with rediss://"
     else:
         remedy = "Start it, or correct the setting"
     return RecordsUnavailable(f"Redis does not answer at GAITWAY_REDIS_URL: {words}. {remedy}.")
@@ -132,5 +132,5 @@ def _of_text(words: str) -> RecordsUnavailable | None:
 
 
 def _last_words(error: RedisError) -> str:
-    """What Redis said, without what a pipeline says before it."""
+    """Redis' message, without what a pipeline puts before it."""
     return str(error).rpartition("caused error: ")[2]

@@ -22,17 +22,18 @@ from core.previews.record import PreviewRequest
 TASK = "worker.tasks.run_attempt"
 MODEL_TASK = "worker.tasks.validate_model"
 PREVIEW_TASK = "worker.tasks.draw_preview"
-# What RQ thinks of an end is nobody's concern: the record says why an attempt ended.
+# Nobody needs RQ's view of a failure: the record says why an attempt ended.
 _KEEP_FAILURES = timedelta(minutes=1)
 _NO_LIMIT = -1  # the supervisor keeps the deadline
-# How RQ names its keys, and what Redis says of one without a time to live.
+# RQ's prefixes of keys, and the time to live that Redis reports for a key without one.
 _MESSAGE, _EXECUTIONS, _FOR_EVER = "rq:job:", "rq:executions:", -1
 
 
 class RQQueue:
-    """A JobQueue whose workers are RQ's; they call `TASK` with the job's id and the attempt.
+    """A JobQueue whose workers are RQ's.
 
-    And `MODEL_TASK` with a model's id, `PREVIEW_TASK` with a request as JSON.
+    They call `TASK` with a job's id and the attempt, `MODEL_TASK` with a model's id, and `PREVIEW_TASK` with
+    a request as JSON.
     """
 
     def __init__(self, client: "Redis") -> None:
@@ -56,7 +57,7 @@ class RQQueue:
 
     @reaching_redis()
     def strays(self) -> Set[str]:
-        # Those that RQ keeps for a while have a time to live.
+        # Messages that RQ keeps for a while have a time to live.
         found = [key.decode() for key in self._redis.scan_iter(f"{_MESSAGE}*", count=1000)]
         names = {key.removeprefix(_MESSAGE) for key in found} - self._held()
         with self._redis.pipeline(transaction=False) as pipeline:
@@ -95,14 +96,14 @@ class RQQueue:
         return sum(rq_id.startswith(_preview_rq_id("")) for rq_id in waiting)
 
     def _held(self) -> Set[str]:
-        """RQ's names of all that waits, or that a worker has started and prolongs."""
+        """RQ's ids of messages that wait, or that a worker has started and prolongs."""
         queues = Queue.all(connection=self._redis, serializer=JSONSerializer)  # pyright: ignore[reportUnknownMemberType]
         with self._redis.pipeline(transaction=False) as pipeline:
             for queue in queues:
                 pipeline.lrange(queue.key, 0, -1)
                 pipeline.zrangebyscore(queue.started_job_registry.key, time.time(), "+inf")
             found: list[list[bytes]] = pipeline.execute()
-        # A started one stands there with the number of its execution, behind a colon.
+        # A started message is listed with the id of its execution after a colon.
         return {name.decode(errors="replace").partition(":")[0] for names in found for name in names}
 
     def _enqueue(self, name: str, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
@@ -110,10 +111,10 @@ class RQQueue:
         try:
             _push(queue, rq_id, task, args)
         except DuplicateJobError:
-            # RQ may know one that it has lost: its worker died between taking it and starting it.
+            # RQ may still know a message that is lost: its worker died between taking and starting it.
             if not self._contains(rq_id):
                 self._remove(rq_id)
-                with suppress(DuplicateJobError):  # Of the API and the reconciler, the other was faster.
+                with suppress(DuplicateJobError):  # The API or the reconciler was faster.
                     _push(queue, rq_id, task, args)
 
     def _contains(self, rq_id: str) -> bool:
@@ -124,26 +125,26 @@ class RQQueue:
             return (
                 self._redis.lpos(Queue.redis_queue_namespace_prefix + str(found.origin), found.id) is not None
             )
-        # Started: as long as the worker that took it prolongs its entry.
+        # It is started; it counts as long as its worker prolongs its entry.
         return self._redis.zcount(found.execution_registry.key, time.time(), "+inf") > 0
 
     def _remove(self, rq_id: str) -> None:
         found = self._find(rq_id)
         if found is not None:
-            # Its worker may have just ended it: RQ then meets half of it, or of an execution.
+            # Its worker may be ending it: RQ then finds only half of it, or of an execution.
             with suppress(InvalidJobOperation, NoSuchGroupError, KeyError, ValueError):
                 found.delete()
         self.drop([rq_id])
 
     def _find(self, rq_id: str) -> RQJob | None:
-        """RQ's message; None where there is none, or a damaged one, which `_remove` deletes."""
+        """RQ's message; None if there is none, or a damaged one, which `_remove` deletes."""
         try:
             return RQJob.fetch(  # pyright: ignore[reportUnknownMemberType]
                 rq_id, connection=self._redis, serializer=JSONSerializer
             )
         except RedisError:
             raise
-        except Exception:  # RQ checks nothing that it reads: a damaged field raises whatever its parser does.
+        except Exception:  # RQ does not check what it reads: its parsers raise many kinds of errors.
             return None
 
 
@@ -160,7 +161,7 @@ def _push(queue: Queue, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
 
 
 def job_of(rq_id: str) -> str | None:
-    """The job that RQ's name for an attempt belongs to; None where it is of none."""
+    """The id of the job whose attempt has this id in RQ; None if it is not an attempt's."""
     return rq_id.rpartition("_")[0] or None
 
 

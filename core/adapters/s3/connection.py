@@ -1,4 +1,4 @@
-"""A client for S3; apart from the other stores, for a process that needs no more than this one."""
+"""A client for S3, apart from the other stores for processes that need only this one."""
 
 import base64
 import hashlib
@@ -28,8 +28,8 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
 ) -> Minio:
     """A client for the object store at host:port; it connects at its first request.
 
-    authorities: a PEM file of those to trust besides the system's. timeout_s: how long a silent store is
-    waited for. Raises Misconfigured for an address that cannot be read.
+    authorities: a PEM file of authorities to trust besides the system's. timeout_s: how long to wait for a
+    silent store. Raises Misconfigured for an address that cannot be read.
     """
     pool = PoolManager(
         maxsize=32,
@@ -40,7 +40,7 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
             read=retries // 2,  # Silence takes longer than a refusal.
             backoff_factor=0.1,
             status_forcelist=[500, 502, 503, 504],
-            raise_on_status=False,  # the last answer says more than "too many"
+            raise_on_status=False,  # The last answer says more than "too many".
         ),
     )
     try:
@@ -60,16 +60,16 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
 
 
 def trusting(authorities: Path) -> ssl.SSLContext:
-    """For a client that trusts those in the PEM file besides the system's."""
+    """A TLS context that trusts the authorities in the PEM file besides the system's."""
     context = ssl.create_default_context()
     context.load_verify_locations(authorities)
     return context
 
 
 class _ChecksummedUploads(Minio):
-    """Each upload says its MD5, and signs that: a byte flipped on the way is refused and not stored.
+    """Sends and signs the MD5 of each upload: the store refuses a body with a flipped byte.
 
-    The SDK does so over TLS alone. Without it, it signs the body's SHA-256, at which SeaweedFS does not look.
+    The SDK does so only over TLS. Without TLS it signs the body's SHA-256, which SeaweedFS does not check.
     """
 
     def _put_object(

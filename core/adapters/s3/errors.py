@@ -1,4 +1,4 @@
-"""What an S3 server's refusals mean here, in sentences that name the setting and the remedy."""
+"""An S3 server's refusals as sentences that name the setting and the remedy."""
 
 import re
 from collections.abc import Generator
@@ -16,30 +16,30 @@ _OTHER_REGION = (
     "GAITWAY_S3_REGION is not the region of bucket '{bucket}': set it to that, or leave it out where the "
     "store has no regions."
 )
-# Until a setting or something at the store is changed.
+# These last until a setting or something at the store is changed.
 _REFUSALS = {
     "InvalidAccessKeyId": "GAITWAY_S3_ACCESS_KEY is not known there: set it to the id of a key that the "
-    "store has, or make it there.",
+    "store has, or create that key there.",
     "SignatureDoesNotMatch": "GAITWAY_S3_SECRET_KEY does not belong to GAITWAY_S3_ACCESS_KEY: set both from "
     "the same key.",
     "AccessDenied": "GAITWAY_S3_ACCESS_KEY lacks a right in bucket '{bucket}': allow that key to list, read, "
     "write and delete there, or set GAITWAY_S3_BUCKET to a bucket where it may.",
-    "NoSuchBucket": "there is no bucket '{bucket}': make it (`aws s3 mb s3://{bucket}` with --endpoint-url), "
-    "or set GAITWAY_S3_BUCKET to one that exists.",
-    "InvalidBucketName": "'{bucket}' cannot be a bucket's name: set GAITWAY_S3_BUCKET to one of small "
+    "NoSuchBucket": "there is no bucket '{bucket}': create it (`aws s3 mb s3://{bucket}` with "
+    "--endpoint-url), or set GAITWAY_S3_BUCKET to one that exists.",
+    "InvalidBucketName": "'{bucket}' cannot be a bucket's name: set GAITWAY_S3_BUCKET to one of lowercase "
     "letters, digits and hyphens.",
     "AuthorizationHeaderMalformed": _OTHER_REGION,
     "PermanentRedirect": _OTHER_REGION,
-    "RequestTimeTooSkewed": "this machine's clock and the store's are more than 15 minutes apart: let both "
-    "take their time from NTP (here: `timedatectl set-ntp true`).",
+    "RequestTimeTooSkewed": "this machine's clock and the store's are more than 15 minutes apart: "
+    "synchronise both with NTP (here: `timedatectl set-ntp true`).",
 }
-# They pass when somebody makes room. SeaweedFS says InternalError for a full disk, MinIO XMinioStorageFull.
+# These pass when somebody frees space. SeaweedFS says InternalError for a full disk, MinIO XMinioStorageFull.
 _NO_ROOM = {"InternalError", "XMinioStorageFull", "InsufficientStorage"}
 
 
 @contextmanager
 def reaching_s3(bucket: str, key: str = "") -> Generator[None]:
-    """Turn the SDK's errors into ObjectNotFound of `key`, StorageRefuses, or StorageUnavailable."""
+    """Turn the SDK's errors into ObjectNotFound for `key`, StorageRefuses or StorageUnavailable."""
     try:
         yield
     except S3Error as error:
@@ -49,34 +49,34 @@ def reaching_s3(bucket: str, key: str = "") -> Generator[None]:
     except InvalidResponseError as error:
         raise _meaning_of_no_s3(str(error)) from error
     except (ValueError, ParseError) as error:
-        # Of the answer: a web server's page is no listing, and a byte that was flipped may be no text.
+        # From parsing the answer: a web server's page is no listing, and a flipped byte may be no text.
         raise no_s3("its answer cannot be read") from error
     except (MinioException, HTTPError) as error:
         raise _meaning_of_no_answer(error) from error
 
 
 def meaning(code: str | None, message: str | None, bucket: str) -> StorageUnavailable:
-    """What to raise for an S3 error code."""
+    """The exception to raise for an S3 error code."""
     if sentence := _REFUSALS.get(code or ""):
         return StorageRefuses(f"The object store refuses ({code}): {sentence.format(bucket=bucket)}")
     if code in _NO_ROOM:
         return StorageUnavailable(
-            f"The object store failed ({code}). If it was to write, it most likely has no room or no volume "
-            "to write to: free or add disk space at the store; its own log says more."
+            f"The object store failed ({code}). If this was a write, the store most likely has no room or no "
+            "volume to write to: free or add disk space at the store; its own log says more."
         )
     return StorageUnavailable(f"The object store cannot do it now ({code}): {message or 'no reason given'}.")
 
 
 def no_s3(answer: str) -> StorageRefuses:
-    """What to raise where something else answers. answer: what that was, in a word."""
+    """The exception to raise if another server answers. answer: what it answered, in a word."""
     return StorageRefuses(
-        f"What answers at GAITWAY_S3_ENDPOINT is no S3 server ({answer}): set it to the host and port of the "
-        "store's S3 interface."
+        f"The server at GAITWAY_S3_ENDPOINT is not an S3 server ({answer}): set it to the host and port of "
+        "the store's S3 interface."
     )
 
 
 def _meaning_of_no_s3(answer: str) -> StorageUnavailable:
-    """Of an answer that is not S3's XML: of some other server, or of a proxy whose server is away."""
+    """For an answer other than S3's XML: from another server, or from a proxy whose server is unavailable."""
     if "HTTPS" in answer:
         return StorageRefuses(
             "The object store at GAITWAY_S3_ENDPOINT wants TLS: set GAITWAY_S3_SECURE=true, or leave it out."
@@ -84,7 +84,7 @@ def _meaning_of_no_s3(answer: str) -> StorageUnavailable:
     found = re.search(r"Response code: (\d+)", answer)
     status = int(found[1]) if found else 0
     if status in (502, 503, 504):
-        return StorageUnavailable(f"Nobody behind GAITWAY_S3_ENDPOINT answers now (HTTP {status}).")
+        return StorageUnavailable(f"No server behind GAITWAY_S3_ENDPOINT answers now (HTTP {status}).")
     return no_s3(f"HTTP {status}")
 
 

@@ -1,4 +1,4 @@
-"""Which keys every object store at hand keeps as they are."""
+"""The keys that every supported object store keeps unchanged."""
 
 from core.errors import ObjectNotFound, Rejected
 
@@ -10,7 +10,7 @@ PIECE_BYTES = 2**20
 def is_portable(key: str) -> bool:
     """Whether S3 servers that keep objects in folders store this key unchanged.
 
-    Empty parts, `.` and `..`, long parts, and control characters are where they differ.
+    They differ in empty parts, `.` and `..`, long parts, and control characters.
     """
     if not key.isprintable() or len(key.encode()) > LONGEST_KEY_BYTES:
         return False
@@ -19,14 +19,14 @@ def is_portable(key: str) -> bool:
 
 
 def check_writable(key: str) -> str:
-    """The same key; raises Rejected where some store would not keep it."""
+    """The same key; raises Rejected if some store would not keep it."""
     if not is_portable(key):
         raise Rejected(f"{key[:100]!r} cannot be the name of an object.")
     return key
 
 
 def check_readable(key: str) -> str:
-    """The same key; raises ObjectNotFound where no object can have it."""
+    """The same key; raises ObjectNotFound if no object can have it."""
     if not is_portable(key):
         raise ObjectNotFound(key[:100])
     return key

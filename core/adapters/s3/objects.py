@@ -28,7 +28,7 @@ class S3ObjectStore:
         self._bucket = bucket
 
     def ensure_bucket(self) -> None:
-        """Make the bucket unless it is there. Raises StorageUnavailable."""
+        """Create the bucket unless it exists. Raises StorageUnavailable."""
         with self._reaching():
             if not self._client.bucket_exists(self._bucket):
                 self._make_bucket()
@@ -60,7 +60,7 @@ class S3ObjectStore:
             try:
                 response = self._client.get_object(self._bucket, key, offset=start, length=length or 0)
             except S3Error as error:
-                if error.code == "InvalidRange":  # begins at or after the end: nothing is there
+                if error.code == "InvalidRange":  # It starts at or after the end of the object.
                     return nullcontext(iter(()))
                 raise
         return _streaming(self._bucket, key, response)
@@ -71,21 +71,21 @@ class S3ObjectStore:
             with self._reaching(key):
                 found = self._client.stat_object(self._bucket, key)
         except (ObjectNotFound, StorageRefuses):
-            # The answer to a HEAD has no body, so it cannot say that there is no bucket, or what is refused.
+            # The answer to a HEAD has no body to say that the bucket is missing, or what is refused.
             self.list(key)
             raise
         return ObjectInfo(key, found.size or 0, found.content_type or _ANY, modified_at=found.last_modified)
 
     def list(self, prefix: str) -> Iterator[ObjectInfo]:
         found = _in_key_order(self._listed(prefix), prefix)
-        first = next(found, None)  # A refusal is raised here, and not where the listing is read.
+        first = next(found, None)  # So that a refusal is raised here, not where the listing is read.
         return iter(()) if first is None else chain([first], found)
 
     def delete_prefix(self, prefix: str) -> None:
         self.delete([item.key for item in self.list(prefix)])
 
     def delete(self, keys: Iterable[str]) -> None:
-        """Remove these objects; one that is not there is no error."""
+        """Remove these objects; a missing one is no error."""
         with self._reaching():
             named = [DeleteObject(key) for key in keys]
             failures = list(self._client.remove_objects(self._bucket, named))
@@ -93,7 +93,7 @@ class S3ObjectStore:
             raise meaning(failures[0].code, failures[0].message, self._bucket)
 
     def _listed(self, prefix: str) -> Generator[ObjectInfo]:
-        """In the server's order, a page of 1000 at a time."""
+        """The objects in the server's order, fetched in pages of 1000."""
         with self._reaching(prefix):
             for item in self._client.list_objects(self._bucket, prefix=prefix, recursive=True):
                 if item.object_name:
@@ -106,7 +106,7 @@ class S3ObjectStore:
         try:
             self._client.make_bucket(self._bucket)
         except S3Error as error:
-            # Somebody else was faster.
+            # Another process was faster.
             if error.code not in ("BucketAlreadyOwnedByYou", "BucketAlreadyExists"):
                 raise
 
@@ -114,8 +114,8 @@ class S3ObjectStore:
 def _in_key_order(listed: Iterable[ObjectInfo], prefix: str) -> Generator[ObjectInfo]:
     """Sorted by key, holding one child of `prefix` in memory at a time.
 
-    Servers that keep objects in folders list them folder by folder: jobs/a/1 before jobs/a-b. Such a listing
-    differs from the order of keys only among children of which the first one's name begins the others'.
+    Servers that keep objects in folders list them folder by folder: jobs/a/1 before jobs/a-b. That differs
+    from key order only among consecutive children whose names start with the name of the first.
     """
     held: list[ObjectInfo] = []
     begins = ""
