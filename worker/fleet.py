@@ -1,4 +1,4 @@
-"""One worker for each GPU of this machine: `python -m worker.fleet`; or for what is named, a worker for each:
+"""One worker for each GPU of this machine: `python -m worker.fleet`; or for each of the named devices:
 `python -m worker.fleet cpu cpu`, `python -m worker.fleet gpu:0,1 gpu:2,3`.
 """
 
@@ -20,6 +20,7 @@ from core.devices import gpu_indices
 from core.errors import EXIT_STATUS, Misconfigured
 from core.telemetry import configure_logging
 from core.variables import variable
+from worker.host.child import launch
 from worker.host.device import REMEDY, visible_gpus
 from worker.host.health import begin_fleet
 
@@ -31,9 +32,9 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 30.0
 
 @dataclass
 class Member:
-    """A worker on a device or several GPUs. The pause grows with each time that it ends soon after its start.
+    """A worker on a device or several GPUs. The pause grows each time it ends soon after its start.
 
-    alive_file: what it touches, if anybody watches. has_lived: whether it ever ran for long.
+    alive_file: the file it touches, for a health check. has_lived: whether it ever ran for long.
     """
 
     device: str
@@ -47,8 +48,8 @@ class Member:
     def look_after(self) -> None:
         """Start it if that is due.
 
-        Raises Misconfigured where it has said from the first that it cannot work. If it could, something has
-        changed, perhaps for this device alone: the others' jobs go on, and it is tried again.
+        Raises Misconfigured if it has been misconfigured from the start. If it ever worked, something has
+        changed, perhaps for this device alone: the others' jobs continue, and it is started again.
         """
         now = time.monotonic()
         if self.child is None:
@@ -67,12 +68,9 @@ class Member:
 
     def _start(self, now: float) -> None:
         self.started_at = now
-        self.child = subprocess.Popen(
-            [sys.executable, "-m", "worker.main"],
-            env={**os.environ, **self._settings(), "GAITWAY_PARENT": str(os.getpid())},
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C in a terminal is ours to pass on, once.
-        )
+        # In a session of its own: Ctrl-C in a terminal is ours to pass on, once.
+        command, variables = [sys.executable, "-m", "worker.main"], {**os.environ, **self._settings()}
+        self.child = launch(command, variables, stdout=None, stderr=None)
 
     def _settings(self) -> dict[str, str]:
         alive = {} if self.alive_file is None else {variable("alive_file"): str(self.alive_file)}
@@ -89,7 +87,7 @@ def members_on(devices: Sequence[str]) -> list[Member]:
 def serve(members: Sequence[Member]) -> None:
     """Keep them running until a SIGTERM or SIGINT, then let them drain.
 
-    Call it from the main thread: the kernel tells the workers when the thread ends that started them.
+    Call it from the main thread: the kernel signals the workers when the thread that started them ends.
     """
     told: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):

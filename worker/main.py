@@ -36,7 +36,7 @@ from worker.host.device_lock import slot_names
 from worker.host.device_memory import device_memory
 from worker.host.disk import check_folder
 from worker.host.health import show_life
-from worker.host.parent_death import die_with_parent
+from worker.host.parent_death import PARENT, die_with_parent
 from worker.named_job import NamedJob
 from worker.supervision.left_attempts import tell_left
 from worker.supervision.spool import SPOOLS, remove_left_over
@@ -46,16 +46,16 @@ log = structlog.get_logger()
 
 # Between two signs of life of an idle worker; it is shown as gone after three missed ones.
 _ANNOUNCE_EVERY_S = 10
-# Between two tries to reach a queue that is away.
+# Between two tries to reach a queue that is unavailable.
 _PAUSE_S = 1.0
-# Between two looks at a device that is being tested.
+# Between two checks of a device that is being tested.
 _GLANCE_S = 0.1
-# How long the worker waits for a message before it looks whether it has to go.
+# How long the worker waits for a message before it checks whether it must shut down.
 _LOOK_EVERY_S = 5
 
 
 class GaitwayWorker(rq.Worker):
-    """RQ's forking worker, which tells the service about itself and passes a shutdown on to its job."""
+    """RQ's forking worker, which announces itself to the service and passes a shutdown on to its job."""
 
     def __init__(
         self, settings: WorkerSettings, device: str, store: JobStore, health: DeviceHealth | None = None
@@ -92,7 +92,7 @@ class GaitwayWorker(rq.Worker):
         )
 
     def heartbeat(self, *args: Any, **kwargs: Any) -> None:
-        """Show a sign of life. Raises StopRequested where the worker has to go."""
+        """Show a sign of life. Raises StopRequested if the worker must shut down."""
         self._go_if_told()
         self._end_stopped_horse()
         self._clear_up()
@@ -100,7 +100,7 @@ class GaitwayWorker(rq.Worker):
         self.announce()
 
     def dequeue_job_and_maintain_ttl(self, *args: Any, **kwargs: Any) -> Any:
-        """The next job, once the device is known to work. Raises StopRequested where the worker has to go."""
+        """The next job, once the device works. Raises StopRequested if the worker must shut down."""
         self._wait_for_device()
         return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
 
@@ -143,14 +143,14 @@ class GaitwayWorker(rq.Worker):
         self._clear_up()
 
     def _clear_up(self) -> None:
-        """Remove what a work-horse that was killed has left on the disk."""
+        """Remove what a killed work-horse has left on the disk."""
         remove_left_over(self._data_dir / SPOOLS)
         file_lock.remove_free(self._data_dir / "locks")
 
     def announce(self) -> None:
-        """Show in `GET /workers`, and tell what the last worker here could not.
+        """Update this worker in `GET /workers`, and record what an earlier worker here could not record.
 
-        A missed one is made up for by the next.
+        A missed announcement does no harm: the next one makes up for it.
         """
         show_life(self._alive_file)
         job = self.get_current_job_id()
@@ -194,7 +194,7 @@ class GaitwayWorker(rq.Worker):
 
 
 def health_of(device: str, settings: WorkerSettings) -> DeviceHealth:
-    """Of a device that nobody has tested yet."""
+    """The health of a device that has not been tested yet."""
     names = slot_names(device, os.getpid())
     return DeviceHealth(device, settings.data_dir.absolute(), names, device_health.command_for(device))
 
@@ -203,8 +203,8 @@ def health_of(device: str, settings: WorkerSettings) -> DeviceHealth:
 def main() -> None:
     """Serve until a SIGTERM."""
     configure_logging("worker")
-    if parent := os.environ.get("GAITWAY_PARENT"):
-        die_with_parent(int(parent), signal.SIGTERM)
+    if PARENT in os.environ:
+        die_with_parent(signal.SIGTERM)
     settings = read(WorkerSettings)
     device = device_of(settings.device)
     if settings.device == "auto" and device == "cpu" and visible_gpus():

@@ -9,7 +9,7 @@ from worker import tasks
 
 
 class UnknownTask(Exception):
-    """Somebody has put into the queue what this service does not do."""
+    """The queue holds a task that this service does not have."""
 
 
 class NamedJob(Job):

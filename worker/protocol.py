@@ -1,7 +1,7 @@
-"""What a training process and its supervisor tell each other.
+"""The protocol between a training process and its supervisor.
 
-The process: one JSON document a line, over a pipe of their own. The supervisor: a task, and two signals
-(`worker/stop_signals.py`).
+The process sends one JSON document per line, over a pipe of their own. The supervisor gives it a task, and
+sends two signals (`worker/stop_signals.py`).
 """
 
 from typing import Annotated, Any, Literal
@@ -32,7 +32,7 @@ class Started(Stored):
 
 
 class PhaseEnded(Stored):
-    """A part of the start-up took so many seconds."""
+    """A part of the start-up has ended, after `seconds`."""
 
     type: Literal["phase"] = "phase"
     name: str
@@ -59,7 +59,7 @@ class Measured(Stored):
 
 
 class FileReady(Stored):
-    """A whole file lies in the spool under `path`; it will not change again."""
+    """A whole file is in the spool under `path`; it will not change again."""
 
     type: Literal["file"] = "file"
     name: str
@@ -71,7 +71,7 @@ class FileReady(Stored):
 
 
 class Noted(Stored):
-    """Something people should know, that is no failure."""
+    """Something that users should know and that is not a failure."""
 
     type: Literal["note"] = "note"
     text: str
@@ -102,10 +102,10 @@ MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)
 class Task(Stored):
     """What the supervisor leaves in the spool, as `task.json`, for the training process.
 
-    device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to go on from
-    (training), or to take the policy from (rollout). checkpoint_step: the environment step it is of. model:
-    path of the user's own model, where the job names one; engines that cannot run it, with what keeps them.
-    begun_on: the engine of the job's own checkpoint, which `auto` then takes again.
+    device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to resume
+    from (training), or to take the policy from (rollout). checkpoint_step: its environment step. model: path
+    of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with the
+    reasons. begun_on: the engine of the job's own checkpoint, which `auto` then takes again.
     """
 
     job_id: str

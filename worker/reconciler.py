@@ -1,10 +1,9 @@
-"""The reconciler as a process: every second unfinished jobs and feeds, every hour the rest. Composition root.
+"""The reconciler process: unfinished jobs and feeds every second, the rest every hour. Composition root.
 
-It also makes the database's tables when it starts, and brings them up to date.
+When it starts, it also creates the database's tables or brings them up to date.
 """
 
 import math
-import os
 import signal
 import sys
 import threading
@@ -27,19 +26,18 @@ from core.settings import ReconcilerSettings
 from core.telemetry import configure_logging
 from core.user_models import library
 from worker.host.health import show_life
-from worker.host.parent_death import die_with_parent
 
 log = structlog.get_logger()
 
 # It reads the record of every model, and nobody waits for it.
 _TIDY_EVERY_S = 3600.0
-# How long a look may spend on what takes minutes.
+# How long a pass may spend on a chore that takes minutes.
 _AT_ONCE_S = 0.2
 
 
 @dataclass
 class Chore:
-    """Something to be done again and again. An outage makes it late, and keeps no other from being done."""
+    """Something to be done repeatedly. An outage delays it, but no other chore."""
 
     name: str
     every_s: float
@@ -59,9 +57,9 @@ class Chore:
 
 @dataclass
 class LongChore:
-    """A chore that takes minutes, done a little at each look, so that nothing urgent waits for its end.
+    """A chore that takes minutes, done a little in each pass, so that nothing urgent waits for its end.
 
-    begin: what it returns does one step each time it is asked for the next.
+    begin: returns an iterator that does one step per item.
     """
 
     name: str
@@ -80,13 +78,13 @@ class LongChore:
                 next(self._steps)
         except StopIteration:
             self._steps, self.done_at = None, time.monotonic()
-        except Unavailable as error:  # It begins again at the next look.
+        except Unavailable as error:  # It begins again in the next pass.
             self._steps = None
             log.warning("reconciliation_missed", chore=self.name, error=error.detail)
 
 
 def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
-    """All that is to be done, the urgent first."""
+    """All chores, the urgent one first."""
     store, queue, objects = job_store(settings), job_queue(settings), object_store(settings)
     every_s = settings.reconcile_every.total_seconds()
     return [
@@ -104,20 +102,18 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
 def main() -> None:
     """Reconcile until a SIGTERM."""
     for number in (signal.SIGTERM, signal.SIGINT):
-        # It may be left at any point: whoever looks next does what was left.
+        # It may stop at any point: the next pass does what was left.
         signal.signal(number, lambda number, frame: sys.exit(0))
-    if parent := os.environ.get("GAITWAY_PARENT"):
-        die_with_parent(int(parent))
     configure_logging("reconciler")
     settings = read(ReconcilerSettings)
     prepare_database(settings)
     check_stores(settings)
     urgent, *others = chores(settings)
     pause_s = settings.reconcile_every.total_seconds()
-    # Apart: a silent object store holds a chore up for a minute, and leases have to be watched all the time.
+    # In a thread: a silent object store delays a chore by a minute, and leases must be watched all the time.
     patient = threading.Thread(target=_go_on, args=(others, pause_s), name="chores", daemon=True)
     patient.start()
-    while patient.is_alive():  # Otherwise it has met a mistake of ours, and its last words are in the log.
+    while patient.is_alive():  # It ends only because of a bug; the log has the traceback.
         urgent.do_if_due()
         show_life(settings.alive_file)
         time.sleep(pause_s)

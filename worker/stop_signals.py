@@ -1,6 +1,6 @@
-"""Why and by which signals a supervisor ends its training process.
+"""Why, and by which signals, a supervisor stops its training process.
 
-They are here alone because the process handles them before it loads anything that takes time.
+They have a module of their own because the process handles them before it loads anything slow.
 """
 
 import signal
@@ -8,8 +8,8 @@ from enum import StrEnum
 
 # Finish the epoch, keep the work, make the video of how far it came, and exit.
 STOP_SIGNAL = signal.SIGTERM
-# The job continues elsewhere: a checkpoint, nothing else, and exit; at once where there is nothing new to
-# keep. Said again and again until the process ends.
+# The job continues elsewhere: keep a checkpoint, nothing else, and exit; at once if there is nothing new to
+# keep. Sent repeatedly until the process ends.
 DRAIN_SIGNAL = signal.SIGUSR1
 
 

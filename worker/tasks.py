@@ -1,4 +1,4 @@
-"""What RQ calls, in a work-horse of its own for each attempt."""
+"""The functions that RQ calls, each in a work-horse of its own."""
 
 import os
 import signal
@@ -31,15 +31,15 @@ from worker.validation.confined import validate
 
 log = structlog.get_logger()
 
-# A worker that cannot begin leaves what is queued to others, before it looks again.
+# How long a worker that cannot start a job leaves the queue to others.
 _PAUSE_S = 5.0
 
 
 def run_attempt(job_id: str, attempt: int) -> None:
-    """Claim the attempt and see it to its end; a dispatch that is no longer true does nothing."""
+    """Claim the attempt and see it to its end; an outdated dispatch does nothing."""
     draining = Draining()
     signal.signal(signal.SIGTERM, draining.set)
-    # A worker that is killed takes its work-horse along, and that one drains: SIGTERM, not SIGKILL.
+    # The work-horse of a killed worker ends, too, but drains first: SIGTERM, not SIGKILL.
     die_with_parent(signal_number=signal.SIGTERM)
     structlog.contextvars.bind_contextvars(job_id=job_id, attempt=attempt)
     settings = read(WorkerSettings)
@@ -67,7 +67,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
     )
     try:
         if reason := retry_while_unavailable(look, called_off=draining.is_set):
-            # The reconciler dispatches it again at the second look that misses it.
+            # The reconciler dispatches it again after it has missed it twice.
             log.info("left_to_others", detail=reason)
             return
         claim = retry_while_unavailable(take, called_off=draining.is_set)
@@ -82,7 +82,7 @@ def run_attempt(job_id: str, attempt: int) -> None:
 
 
 def validate_model(model_id: str) -> None:
-    """Look at a model that somebody has sent; one that was deleted meanwhile is passed over."""
+    """Examine a model that somebody has sent; skip one that was deleted meanwhile."""
     die_with_parent(signal_number=signal.SIGTERM)
     settings = read(WorkerSettings)
     spools = settings.data_dir.absolute() / SPOOLS
@@ -98,7 +98,7 @@ def validate_model(model_id: str) -> None:
 
 
 def draw_preview(document: str) -> None:
-    """Draw the stills that a request asks for; of a model that was deleted meanwhile there are none."""
+    """Draw the stills that a request asks for; none if the model was deleted meanwhile."""
     die_with_parent(signal_number=signal.SIGTERM)
     request = PreviewRequest.model_validate_json(document)
     settings = read(WorkerSettings)
@@ -112,7 +112,7 @@ def _why_left_to_others(job_id: str, store: JobStore) -> str | None:
 
 
 def _leave_to_others(reason: str, draining: Draining) -> None:
-    """Claim nothing: the reconciler dispatches the job again, to whoever comes first."""
+    """Claim nothing: the reconciler dispatches the job again, to the first worker that is free."""
     log.error("no_job_begun", detail=reason)
     with suppress(CalledOff):
         pause(_PAUSE_S, draining.is_set)

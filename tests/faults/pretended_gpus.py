@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import jax
 
-from core.algorithms.ppo.sharding import Sharding
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.sharding import Sharding
 from worker.training.__main__ import main
 
 _over = Sharding.over

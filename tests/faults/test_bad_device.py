@@ -92,7 +92,7 @@ def test_a_device_that_fails_its_first_test_takes_no_job_until_it_works(fleet: F
     assert bad.problem == _SAID
     job = fleet.submit()
     told = what_it_waits_for(job, fleet.store.workers())
-    assert told == f"The device of each worker that fits was set aside: {bad.name}: {_SAID}"
+    assert told == f"The device of each suitable worker was set aside: {bad.name}: {_SAID}"
     assert fleet.queue.contains(job.id, 1)
     device.touch()
     done = fleet.wait_for(job, JobStatus.SUCCEEDED)
@@ -115,8 +115,8 @@ def test_a_card_that_breaks_under_a_job_is_set_aside_and_the_job_goes_on_elsewhe
     first, second = done.attempts
     assert (first.reason, second.reason) == (Reason.DEVICE_FAILED, Reason.COMPLETED)
     assert first.message == (
-        "Native code of the training process crashed (SIGSEGV); its log may tell where. "
-        f"It goes on from its last checkpoint. {_SAID}"
+        "Native code of the training process crashed (SIGSEGV); its log may show where. "
+        f"It resumes from its last checkpoint. {_SAID}"
     )
     assert done.lost_attempts == 0
     fleet.wait_for_states("device_failed", "ready")

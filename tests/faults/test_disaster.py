@@ -233,7 +233,7 @@ def test_a_bucket_restored_to_an_older_moment_is_told_to_those_who_read(
 
     assert store.get(ended.id) == ended
     assert steps(store.get(new.id)) == []
-    assert f"struck from the record: {new_name}." in texts(new, store, backups.objects, "events")[-1]
+    assert f"removed from the record: {new_name}." in texts(new, store, backups.objects, "events")[-1]
     # The job goes on from what there is, under the same attempt.
     assert steps(store.get(claim.job_id)) == [1]
     worker.checkpoint(claim, 3)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from core.adapters.connect import connect_s3
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import ObjectNotFound, StorageUnavailable
 from core.jobs import feeds

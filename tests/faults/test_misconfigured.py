@@ -16,7 +16,8 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from core.configuration import EXIT_STATUS, names
+from core.configuration import names
+from core.errors import EXIT_STATUS
 from gaitway.cli.main import app
 from gaitway.doctor import machine
 from gaitway.doctor.check import Check
@@ -34,11 +35,11 @@ WRONG_SETTINGS = {
         "object store",
         "GAITWAY_S3_SECRET_KEY does not belong to GAITWAY_S3_ACCESS_KEY",
     ),
-    "no bucket": ({"S3_BUCKET": "elsewhere"}, "object store", "there is no bucket 'elsewhere': make it"),
+    "no bucket": ({"S3_BUCKET": "elsewhere"}, "object store", "there is no bucket 'elsewhere': create it"),
     "no bucket, and no right to make one": (
         {"S3_BUCKET": "elsewhere", "S3_ACCESS_KEY": "writer"},
         "object store",
-        "there is no bucket 'elsewhere': make it",
+        "there is no bucket 'elsewhere': create it",
     ),
     "no right to write": (
         {"S3_ACCESS_KEY": "reader"},
@@ -49,7 +50,7 @@ WRONG_SETTINGS = {
     "TLS where there is none": (
         {"S3_SECURE": "true"},
         "object store",
-        "speaks no TLS: set GAITWAY_S3_SECURE=false",
+        "does not speak TLS: set GAITWAY_S3_SECURE=false",
     ),
     "no TLS where there is": ({"S3_ENDPOINT": "{https}"}, "object store", "GAITWAY_S3_SECURE=true"),
     "an unknown authority": (
@@ -67,7 +68,7 @@ WRONG_SETTINGS = {
         "postgresql",
         "GAITWAY_DATABASE_URL has no password and that PostgreSQL wants one",
     ),
-    "no database": ({"DATABASE_URL": "{pg_elsewhere}"}, "postgresql", "has no database of the name"),
+    "no database": ({"DATABASE_URL": "{pg_elsewhere}"}, "postgresql", "has no database with the name"),
     "a user of PostgreSQL without rights": (
         {"DATABASE_URL": "{pg_reader}"},
         "postgresql",
@@ -76,7 +77,7 @@ WRONG_SETTINGS = {
     "TLS where PostgreSQL has none": (
         {"DATABASE_URL": "{pg_tls}"},
         "postgresql",
-        "asks for TLS and that PostgreSQL has none",
+        "asks for TLS, which that PostgreSQL does not offer",
     ),
     "an unreadable address of PostgreSQL": (
         {"DATABASE_URL": f"postgresql://u:pass/{SECRET}@h/gaitway"},

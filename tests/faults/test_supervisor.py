@@ -150,7 +150,7 @@ def test_a_drain_is_heard_by_who_waits_for_the_device(bench: Bench) -> None:
         supervisor.run()
     ended = bench.store.get(job.id)
     assert (ended.status, ended.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
-    assert ended.attempts[0].message == "The worker was shut down before it had begun with the job."
+    assert ended.attempts[0].message == "The worker was shut down before it had started the job."
 
 
 def test_a_drain_is_heard_by_who_waits_for_a_store(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,9 +22,9 @@ _PACKAGES = (
 
 
 def fingerprint(device: str, dev: Path = DEV, proc: Path = Path("/proc")) -> str:
-    """Equal where what is compiled for this device runs, and different where it may not.
+    """Equal for machines that can run each other's programs for this device, different where they may not.
 
-    Programs for a CPU hold whatever instructions the one that compiled them has; another may lack some.
+    A program for a CPU uses the instructions of the CPU that compiled it; another may lack some.
     """
     kind = _instructions(proc) if device == "cpu" else _gpu_models(device, dev, proc)
     python = ".".join(platform.python_version_tuple()[:2])
@@ -40,15 +40,15 @@ def _version(package: str) -> str:
 
 
 def _instructions(proc: Path) -> str:
-    """What the CPU can do, in one order; its cores are taken to be equal."""
+    """The instruction sets of the CPU, sorted; its cores are assumed to be equal."""
     found = re.search(r"^(?:flags|Features)\s*:(.*)$", _text(proc / "cpuinfo"), re.MULTILINE)
     return " ".join(sorted(found[1].split())) if found else platform.processor()
 
 
 def _gpu_models(device: str, dev: Path, proc: Path) -> str:
-    """As the driver calls them; nothing where it does not say, as under Windows: JAX's own keys tell then.
+    """The driver's names; empty if it gives none, as under Windows: then JAX's own keys tell models apart.
 
-    Those keys also tell programs for several GPUs from those for one.
+    Those keys also tell programs for several GPUs from programs for one.
     """
     try:
         numbers = {file.removeprefix("nvidia") for file in gpu_files(device, dev)}

@@ -1,8 +1,8 @@
-"""What a machine keeps of what its jobs compiled: files that never change, under their makers' names.
+"""What a machine keeps of its jobs' compilations: files that never change, with the names JAX and Warp gave.
 
-A job works in a folder of its own, with links to all that is there. So it may write as it likes, in place
-(JAX) or half (a process that is killed): the machine's folder takes over whole files only, and only after a
-job got through its compilation.
+A job works in a folder of its own, with links to all of them. So it may write in place (JAX), or leave half a
+file when it is killed: the machine's folder takes over whole files only, and only after a job got through its
+compilation.
 """
 
 import os
@@ -28,7 +28,7 @@ def names(folder: Path) -> set[str]:
 
 
 def lend(kept: Path, own: Path) -> None:
-    """Give the job's folder everything that is kept, at no cost in space."""
+    """Link everything that is kept into the job's folder, at no cost in space."""
     own.mkdir(parents=True, exist_ok=True)
     for name in names(kept):
         with suppress(FileNotFoundError):  # Another job's supervisor made room.
@@ -36,7 +36,7 @@ def lend(kept: Path, own: Path) -> None:
 
 
 def take_over(own: Path, kept: Path) -> list[str]:
-    """Keep what a job has made; the names of what is new and whole."""
+    """Keep what a job has compiled; returns the names of new, whole files."""
     new = [name for name in sorted(names(own) - names(kept)) if not _NOT_KEPT.search(name)]
     taken: list[str] = []
     for name in new:
@@ -49,27 +49,27 @@ def take_over(own: Path, kept: Path) -> list[str]:
 
 
 def is_whole(path: Path) -> bool:
-    """False where one of JAX's programs was cut short, as by a full disk; others move their files here."""
+    """False if one of JAX's programs was cut short, as by a full disk; Warp moves whole files here."""
     if not path.name.endswith("-cache"):
         return True
     body = path.read_bytes()
     try:
         _decompress(body)
-    except Exception:  # Each library has its own words for it.
+    except Exception:  # Each library has its own exceptions.
         return False
     return True
 
 
 def write_out(path: Path) -> None:
-    """Have the disk hold all of it, before it gets a name under which a power cut would leave half."""
+    """fsync before the rename, so that a power cut cannot leave a truncated file."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
 
 
 def keep_within(folder: Path, max_bytes: int) -> None:
-    """Remove what was not used for longest, until the rest has no more than so many bytes.
+    """Remove the least recently used files until the rest has at most `max_bytes`.
 
-    Linux notes on most disks when a file is read. Where it does not (`noatime`), the oldest goes first.
+    On most disks Linux records when a file is read. Where it does not (`noatime`), the oldest goes first.
     """
     found: list[tuple[float, int, Path]] = []
     for path in _files(folder):
@@ -82,7 +82,7 @@ def keep_within(folder: Path, max_bytes: int) -> None:
             return
         path.unlink(missing_ok=True)
         excess -= size
-        with suppress(OSError):  # The last of its folder takes that along.
+        with suppress(OSError):  # The folder goes with its last file.
             path.parent.rmdir()
 
 
@@ -91,7 +91,7 @@ def _decompress(body: bytes) -> None:
         zlib.decompress(body)
     elif sys.version_info >= (3, 14):
         import_module("compression.zstd").decompress(body)
-    else:  # JAX writes so only where this package is.
+    else:  # JAX writes this format only if the package is installed.
         import_module("zstandard").decompress(body)
 
 

@@ -1,7 +1,7 @@
-"""The object store as the place where machines of one kind find what another compiled.
+"""The compile cache in the object store, which machines of one kind share.
 
-One object a file, whole or not there at all; its key tells machine, environment, and when it came. There is
-no index that two writers could spoil, and nothing here that may not be lost.
+Each file is one object, whole or not there at all; its key holds machine, environment and time. There is no
+index that two writers could spoil, and everything here may be lost.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
 from worker.compile_cache.local import is_whole, names, write_out
 
-# What one job brings at most, the newest first: a large store is no reason to fill a laptop.
+# What one job downloads at most, the newest first: a large store must not fill a laptop.
 _MOST_FETCHED_BYTES = 2**28
 # Warp makes a hundred small files for a body, and a store may be far away.
 _AT_ONCE = 8
@@ -33,7 +33,7 @@ class SharedCache:
     environment: str
 
     def fetch(self, kept: Path, room: Path) -> int:
-        """Bring into `kept` what it lacks; how many files. room: a folder of that disk to write them in."""
+        """Download what `kept` lacks and count the files. room: a folder on that disk to write them to."""
         here, left = names(kept), _MOST_FETCHED_BYTES
         lacking: list[tuple[str, ObjectInfo]] = []
         for name, info in self._newest_first().items():
@@ -42,14 +42,14 @@ class SharedCache:
 
         def fetch(number: int) -> bool:
             name, info = lacking[number]
-            # What a file is shows in the end of its name, here as there.
+            # The end of a name says what kind of file it is, so the temporary name keeps it.
             return self._fetch(info, room / f"fetched-{number}-{Path(name).name[-6:]}", kept / name)
 
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             return sum(pool.map(fetch, range(len(lacking))))
 
     def store(self, kept: Path, new: Sequence[str], now: datetime) -> int:
-        """Show others these files of `kept`, unless somebody already has; how many that were."""
+        """Upload these files of `kept`, unless they are there already; returns how many were uploaded."""
         there = self._newest_first()
 
         def store(name: str) -> bool:
@@ -64,7 +64,7 @@ class SharedCache:
             return sum(pool.map(store, [name for name in new if name not in there]))
 
     def keep_within(self, max_bytes: int) -> None:
-        """Remove the oldest, whatever it is of, until the rest has no more than so many bytes."""
+        """Remove the oldest files, of any machine and environment, until the rest has at most `max_bytes`."""
         found = sorted(self.objects.list(keys.caches()), key=lambda info: _when_and_name(info.key))
         excess = sum(info.size for info in found) - max_bytes
         for info in found:
@@ -82,7 +82,7 @@ class SharedCache:
         return {name: info for name, info in newest.items() if ".." not in Path(name).parts}
 
     def _fetch(self, info: ObjectInfo, beside: Path, target: Path) -> bool:
-        """Whether it is there now: what does not arrive whole is left out."""
+        """Download a file; returns whether it arrived whole."""
         try:
             with self.objects.open(info.key) as pieces, beside.open("wb") as file:
                 file.writelines(pieces)

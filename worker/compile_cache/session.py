@@ -1,6 +1,6 @@
-"""What was compiled before, brought to an attempt, and what it compiles itself, kept for those to come.
+"""Brings to an attempt what was compiled before, and keeps what it compiles for later ones.
 
-The training process knows of none of this: it finds a folder `cache` where it stands.
+The training process knows nothing of this: it finds a folder `cache` in its working directory.
 """
 
 import time
@@ -23,13 +23,13 @@ log = structlog.get_logger()
 
 # How long a job waits for what others compiled before it starts without it.
 _FETCH_PATIENCE_S = 10.0
-# How long a worker that is done with a job waits until others have what it compiled.
+# How long a worker waits after a job until what it compiled has been uploaded.
 _STORE_PATIENCE_S = 60.0
 _GLANCE_S = 0.05
 
 
 class Caches:
-    """Nothing that fails here fails the job: it compiles, as a first one would, and the log has a note."""
+    """No failure here fails the job: it compiles, as a first one would, and the worker's log says why."""
 
     def __init__(self, objects: ObjectStore, settings: WorkerSettings, device: str, spool: Path) -> None:
         self._objects = objects
@@ -41,7 +41,7 @@ class Caches:
         self._thread: Thread | None = None  # The last that was begun; each waits for the one before.
 
     def open(self, environment: str, called_off: Callable[[], bool]) -> None:
-        """Lay out for the job what is known here or elsewhere of its environment. Raises CalledOff."""
+        """Give the job what was compiled for its environment, here or elsewhere. Raises CalledOff."""
         if self._shared_max_bytes:
             self._shared = SharedCache(self._objects, self._machine, environment)
             self._begin("caches_not_fetched", partial(self._fetch, self._shared))
@@ -49,15 +49,15 @@ class Caches:
         _attempt("caches_not_lent", partial(lend, self._kept, self._own))
 
     def keep(self) -> None:
-        """Keep what the job has compiled by now; others will have it soon."""
+        """Keep what the job has compiled by now, and begin to upload it."""
         _attempt("caches_not_kept", self._keep)
 
     def close(self, called_off: Callable[[], bool]) -> None:
-        """Let others have the rest, but not for long; and make room."""
+        """Finish the upload, within a time limit, and keep the cache within its size."""
         try:
             self._wait(_STORE_PATIENCE_S, called_off)
         except CalledOff:
-            log.info("caches_not_shared", error="The worker goes.")
+            log.info("caches_not_shared", error="The worker shuts down.")
         _attempt("caches_not_bounded", partial(keep_within, self._all, self._max_bytes))
 
     def _fetch(self, shared: SharedCache) -> None:
@@ -96,5 +96,5 @@ class Caches:
 def _attempt(failure: str, step: Callable[[], None]) -> None:
     try:
         step()
-    except Exception as error:  # Whatever it is, no job shall fail for it.
+    except Exception as error:  # Whatever it is, no job must fail for it.
         log.warning(failure, error=str(error))

@@ -1,4 +1,4 @@
-"""A process that reads a stranger's model binds itself first. It imports nothing but Python's own library.
+"""A process that reads a stranger's model confines itself first. It imports only the standard library.
 
 Every layer holds, or the process ends before it has read a byte.
 """
@@ -28,12 +28,12 @@ class Unconfined(Exception):
 
 
 def confine(limits: Limits, folder: Path, *, strictly: bool = True) -> tuple[Layer, ...]:
-    """Bind this process and all it starts, for good, to the limits and to its folder; which layers hold.
+    """Confine this process and all it starts, for good, to the limits and its folder; returns the layers.
 
     "limits" on time, memory and files; a "user" of its own, where this is root and Python is open to all; no
     "privileges"; no "files" but its own and those of programs and libraries; no "calls" that make sockets,
     reach other processes or mount. Where the kernel has no Landlock, only a user of its own keeps it from the
-    worker's files. strictly: raises Unconfined where a layer fails, or neither of these two holds.
+    worker's files. strictly: raises Unconfined if a layer fails, or if neither of these two holds.
     """
     held = list[Layer]()
     steps: tuple[tuple[Layer, Callable[[], object]], ...] = (
@@ -60,7 +60,7 @@ def confine(limits: Limits, folder: Path, *, strictly: bool = True) -> tuple[Lay
 
 
 def _keep_to(folder: Path) -> bool:
-    """False where there is no Landlock."""
+    """False if there is no Landlock."""
     if not landlock.version():
         return False
     libraries = {

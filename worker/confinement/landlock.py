@@ -57,7 +57,7 @@ def restrict(
     free: Iterable[Path] = (),
     files_only: bool = False,
 ) -> None:
-    """Allow only these files and folders, with all below them, for good; what is not there is left out.
+    """Allow only these files and folders, with all below them, for good; missing ones are skipped.
 
     listable: folders that may be listed, all below them, too. writable: may be read as well. free: anything
     may be done there, as a device needs it.

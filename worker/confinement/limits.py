@@ -26,7 +26,7 @@ class Limits:
 
 
 def limit(limits: Limits) -> None:
-    """Bind this process and all it starts, for good. Raises OSError."""
+    """Limit this process and all it starts, for good. Raises OSError."""
     for what, most in (
         (resource.RLIMIT_CPU, limits.cpu_s),
         (resource.RLIMIT_FSIZE, limits.file_bytes),
@@ -37,5 +37,5 @@ def limit(limits: Limits) -> None:
         _, hard = resource.getrlimit(what)
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(what, (most, most))
-    # Libraries start a thread for each core that they see, and each takes room.
+    # Libraries start a thread for each core that they see, and each takes memory.
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: limits.num_cores])

@@ -1,7 +1,7 @@
 """A process that loads a user's model keeps to its own files: no secret on this machine's disks is readable.
 
-Weaker than what binds the first look at a model (`worker/confinement/confinement.py`): a training needs its
-GPUs, threads, programs and signals. It imports nothing but Python's own library.
+This is weaker than the confinement in which a model is validated (`worker/confinement/confinement.py`): a
+training needs its GPUs, threads, programs and signals. It imports only the standard library.
 """
 
 import os
@@ -34,14 +34,14 @@ _CACHES = (
     *(".cache/mesa_shader_cache", ".cache/mesa_shader_cache_db", ".cache/nvidia"),
 )
 _NAMED_CACHES = ("CUDA_CACHE_PATH", "JAX_COMPILATION_CACHE_DIR", "MPLCONFIGDIR", "WARP_CACHE_PATH")
-# Of a root's: those for files, which Landlock limits, for pinned memory and for threads' priorities. With
-# others, it could read another process' memory.
+# What root keeps: capabilities for files, which Landlock limits, for pinned memory and for threads'
+# priorities. With others, it could read another process's memory.
 _CAPABILITIES = (0, 1, 3, 4, 14, 23)
 _NAMED_LIBRARIES = ("LD_LIBRARY_PATH", "CUDA_HOME", "CUDA_PATH")
 
 
 def keep_to_own_files(folder: Path) -> bool:
-    """Bind this process and all it starts, for good; False where the kernel has no Landlock.
+    """Confine this process and all it starts, for good; False if the kernel has no Landlock.
 
     It reads programs, libraries and what describes the machine, uses devices, and writes to its folder, where
     its temporary files go from now on, and to libraries' caches. GAITWAY_MODELS=unconfined leaves it free.

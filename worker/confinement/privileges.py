@@ -1,4 +1,4 @@
-"""A process gives up what it may do more than others, for good."""
+"""A process gives up its privileges, for good."""
 
 import ctypes
 import os
@@ -6,15 +6,14 @@ import stat
 import sys
 from pathlib import Path
 
-_PR_SET_NO_NEW_PRIVS, _PR_SET_DUMPABLE = 38, 4
+_PR_SET_NO_NEW_PRIVS = 38
 _CAPABILITIES_VERSION_3 = 0x20080522
 # Users that nobody has: far above those of people and services. A process' id is never as large as this.
 _FIRST_USER, _NUM_USERS = 2_000_000_000, 2**22
 
 
 def give_up(*kept: int) -> None:
-    """No capability but these, none to be had by starting another program, and nothing to be read out of its
-    memory.
+    """Keep no capability but these, and gain none by starting another program.
 
     kept: their numbers, as in capabilities(7), where the process has them. Raises OSError.
     """
@@ -33,9 +32,9 @@ def give_up(*kept: int) -> None:
 
 
 def become_nobody(folder: Path) -> bool:
-    """Where this is root: become a user of its own, whom the folder then belongs to.
+    """If this is root, become a user of its own, who then owns the folder.
 
-    False, and nothing is changed, where this is not root, or such a user could not reach Python, these
+    False, and nothing is changed, if this is not root, or if such a user could not reach Python, these
     modules or the folder. Raises OSError.
     """
     needed = (folder, Path(__file__).parents[2], *map(Path, (sys.prefix, sys.base_prefix)))

@@ -1,6 +1,6 @@
-"""Seccomp: system calls that a reader of models has no use for are refused by the kernel.
+"""Seccomp: the kernel refuses system calls that a reader of models does not need.
 
-A program in classic BPF looks at each call's number; seccomp(2) and bpf(4) describe it.
+A program in classic BPF checks each call's number; seccomp(2) and bpf(4) describe it.
 """
 
 import ctypes
@@ -13,7 +13,7 @@ _PR_SET_SECCOMP, _MODE_FILTER = 22, 2
 _ALLOW, _REFUSE, _KILL = 0x7FFF0000, 0x00050000, 0x80000000
 # Codes of BPF: load a word; jump where equal, at least, or a bit is set; return.
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
-# Where the call's number, its processor, and its first argument stand.
+# The offsets of the call's number, its processor, and its first argument.
 _NUMBER, _PROCESSOR, _FIRST_ARGUMENT = 0, 4, 16
 # x86 has a second set of numbers for the same calls, from here on.
 _X32 = 0x40000000
@@ -59,7 +59,7 @@ _REFUSED = {
     "fsopen": (430, 430),
     "fsmount": (432, 432),
     "mount_setattr": (442, 442),
-    # Doors through which kernels have been broken.
+    # Calls through which kernels have been broken.
     "bpf": (321, 280),
     "perf_event_open": (298, 241),
     "userfaultfd": (323, 282),
@@ -70,7 +70,7 @@ _REFUSED = {
     "finit_module": (313, 273),
     "kexec_load": (246, 104),
 }
-# Allowed where the first argument is this process, or 0: a crash ends by a signal to oneself.
+# Allowed if the first argument is this process, or 0: a crashing process signals itself.
 _ONESELF = {"kill": (62, 129), "tgkill": (234, 131), "prlimit64": (302, 261)}
 _CLONE, _CLONE3 = (56, 220), 435
 
@@ -89,7 +89,10 @@ class _Program(ctypes.Structure):
 
 
 def refuse_calls() -> None:
-    """Bind this process and all it starts, for good. It must have given up new privileges. Raises OSError."""
+    """Confine this process and all it starts, for good. It must have given up new privileges.
+
+    Raises OSError.
+    """
     processor = _PROCESSORS.get(platform.machine())
     if processor is None:
         raise OSError(errno.ENOSYS, f"Seccomp: the system calls of {platform.machine()} are not known here")
@@ -103,9 +106,9 @@ def refuse_calls() -> None:
 
 
 def _program(processor: _Processor, pid: int) -> list[tuple[int, int, int, int]]:
-    """Each jump passes over so many instructions, where its test is true and where it is false."""
+    """The filter. A jump holds how many instructions to skip if its test is true, and if it is false."""
     refuse = (_RETURN, 0, 0, _REFUSE | errno.EPERM)
-    # What is not there is done without: glibc makes its threads by clone() then, whose flags can be seen.
+    # Reported as missing, so that glibc makes threads by clone(), whose flags a filter can see.
     absent = (_RETURN, 0, 0, _REFUSE | errno.ENOSYS)
     allow = (_RETURN, 0, 0, _ALLOW)
     lines = [

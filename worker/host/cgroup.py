@@ -1,8 +1,8 @@
-"""A control group of its own for a training: the kernel keeps it to its memory (cgroups(7), version 2).
+"""A control group for a training, in which the kernel enforces its memory limit (cgroups(7), version 2).
 
-It is made beside the worker's group, and not inside it: a group that holds processes can bound none below it.
-So the folder around the worker's must be the worker's to write, as `Delegate=memory` with `DelegateSubgroup=`
-in a unit of systemd makes it. In a container it seldom is; then there is no group.
+It is made beside the worker's group and not inside it: a group that holds processes cannot limit groups
+below it. So the worker must be allowed to write to the folder around its own group, as in a systemd unit with
+`Delegate=memory` and `DelegateSubgroup=`. In a container it seldom is; then there is no group.
 """
 
 import os
@@ -23,7 +23,7 @@ _PATIENCE_S, _PAUSE_S = 5.0, 0.01
 
 @dataclass(frozen=True)
 class TrainingGroup:
-    """folder: None where there is no such group."""
+    """folder: None if there is no such group."""
 
     folder: Path | None = None
 
@@ -43,15 +43,15 @@ NO_GROUP = TrainingGroup()
 
 @contextmanager
 def memory_group(pid: int, limit_bytes: int, root: Path = _ROOT) -> Generator[TrainingGroup]:
-    """The process, and all that it will start, may have so much; at the block's end none of them is left.
+    """Limits the process and all that it will start to `limit_bytes`; at the block's end none of it is left.
 
-    Where the kernel has to kill one of them for it, it kills all. Without such a group nothing is different.
+    If the kernel has to kill one of them for memory, it kills all. Without such a group, this does nothing.
     """
     folder = None
     try:
         parent = _parent(root)
         folder = None if parent is None else _made(parent, pid, limit_bytes)
-    except OSError as error:  # Seen as writable, and refused all the same.
+    except OSError as error:  # The folder looked writable, and the kernel refused.
         log.info("no_memory_group", error=str(error))
     try:
         yield TrainingGroup(folder)
@@ -61,9 +61,9 @@ def memory_group(pid: int, limit_bytes: int, root: Path = _ROOT) -> Generator[Tr
 
 
 def _parent(root: Path) -> Path | None:
-    """The group around the worker's own, if new groups there can be bound in their memory; raises OSError."""
+    """The group around the worker's own, if it can limit the memory of new groups. Raises OSError."""
     top = root / "sys/fs/cgroup"
-    if not (top / "cgroup.controllers").exists():  # Of version 1, or of both.
+    if not (top / "cgroup.controllers").exists():  # Version 1, or both versions.
         return None
     own = next(
         line.removeprefix("0::/")
@@ -98,7 +98,7 @@ def _made(parent: Path, pid: int, limit_bytes: int) -> Path:
 
 
 def _end(folder: Path) -> None:
-    """Kill what is left in it, also what has left the training's process group, and remove it."""
+    """Kill what is left in it, even outside the training's process group, and remove it."""
     deadline = time.monotonic() + _PATIENCE_S
     with suppress(OSError):  # Linux 5.14 or newer.
         (folder / "cgroup.kill").write_text("1")
@@ -107,7 +107,7 @@ def _end(folder: Path) -> None:
             folder.rmdir()
         except FileNotFoundError:
             return
-        except OSError as error:  # A process that was killed is on its way out.
+        except OSError as error:  # A killed process is still ending.
             if time.monotonic() > deadline:
                 log.warning("memory_group_left", folder=str(folder), error=str(error))
                 return

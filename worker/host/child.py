@@ -1,8 +1,9 @@
-"""The training process as its supervisor sees it: a group of its own, a pipe of messages, a pipe of text."""
+"""Starts and ends the worker's child processes; the training process as its supervisor sees it."""
 
 import os
 import re
 import select
+import selectors
 import signal
 import subprocess
 import sys
@@ -10,16 +11,19 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, TYPE_CHECKING, cast
 
 import structlog
 from pydantic import ValidationError
 
-from core.settings import Confinement
 from core.variables import variable
 from worker.host.memory import sacrifice
+from worker.host.parent_death import PARENT
 from worker.protocol import MESSAGE, Message
 from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL, Stop
+
+if TYPE_CHECKING:  # The training process, which starts children too, would load all settings.
+    from core.settings import Confinement
 
 log = structlog.get_logger()
 
@@ -27,9 +31,10 @@ TRAINING = (sys.executable, "-m", "worker.training")
 _CODE = Path(__file__).resolve().parents[2]
 _LONGEST_LINE = 4000
 _LONGEST_MESSAGE = 2**20  # bytes
-# Whose process this is, for whoever looks for left-overs.
+_LONGEST_OUTPUT = 2**20  # bytes
+# By this the embedded stack finds its left-over processes.
 _PASSED_ON = ("GAITWAY_STACK_ID",)
-# Other programs' settings of stores and accounts, and whatever calls itself a secret.
+# Other programs' settings of stores and accounts, and names that suggest a secret.
 _OTHERS_ACCOUNTS = re.compile(
     r"(AWS|AZURE|GCP|GOOGLE|DOCKER|GH|GIT|GITHUB|GITLAB|HF|KUBE|MC|MINIO|PG|POSTGRES|RCLONE|REDIS|S3|SSH|VALKEY|"
     r"VAULT|WANDB|WEED)[A-Z0-9]*_|PG[A-Z]+$|REDIS|DATABASE"
@@ -40,12 +45,84 @@ _SECRET = re.compile(
 _WITH_PASSWORD = re.compile(r"\w://[^/\s]*:[^/\s]*@")
 
 
+def launch(  # noqa: PLR0913 # Popen's own, where callers differ.
+    command: Sequence[str],
+    variables: Mapping[str, str],
+    *,
+    stdout: int | IO[bytes] | None,
+    stderr: int | None = subprocess.STDOUT,
+    stdin: int = subprocess.DEVNULL,
+    cwd: Path | None = None,
+    fds: Sequence[int] = (),
+    in_own_session: bool = True,
+) -> subprocess.Popen[bytes]:
+    """Start a program of this package, which calls `die_with_parent`: it ends with the calling thread.
+
+    variables: its whole environment, apart from our process id. fds: what it inherits besides its standard
+    streams. in_own_session: no Ctrl-C reaches it, and `kill` ends all that it started; otherwise it belongs
+    to our own process group, and ends with that.
+    """
+    return subprocess.Popen(
+        command,
+        env={**variables, PARENT: str(os.getpid())},
+        cwd=cwd,
+        stdin=stdin,
+        stdout=stdout,
+        stderr=stderr,
+        pass_fds=fds,
+        start_new_session=in_own_session,
+    )
+
+
+def collect(child: subprocess.Popen[bytes], timeout_s: float) -> tuple[str, str]:
+    """What it writes to its pipes until it ends, at most the last MiB of each; then it is killed for certain.
+
+    Raises subprocess.TimeoutExpired.
+    """
+    deadline = time.monotonic() + timeout_s
+    stdout, stderr = cast("IO[bytes]", child.stdout).fileno(), cast("IO[bytes]", child.stderr).fileno()
+    written = {stdout: b"", stderr: b""}
+    try:
+        with selectors.DefaultSelector() as pipes:
+            for pipe in written:
+                pipes.register(pipe, selectors.EVENT_READ)
+            while pipes.get_map() and (left_s := deadline - time.monotonic()) > 0:
+                for key, _ in pipes.select(left_s):
+                    piece = os.read(key.fd, 2**16)
+                    written[key.fd] = (written[key.fd] + piece)[-_LONGEST_OUTPUT:]
+                    if not piece:
+                        pipes.unregister(key.fd)
+        child.wait(max(0.0, deadline - time.monotonic()))
+    finally:
+        kill(child)
+    return written[stdout].decode(errors="replace"), written[stderr].decode(errors="replace")
+
+
+def kill(child: subprocess.Popen[bytes], timeout_s: float = 10.0) -> None:
+    """End it, and everything in its own group; returns when nothing is left, or after `timeout_s`."""
+    deadline = time.monotonic() + timeout_s
+    while child.poll() is None or _group_lives(child.pid):
+        if time.monotonic() > deadline:
+            log.error("processes_left", process_group=child.pid)
+            return
+        child.kill()
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        time.sleep(0.01)
+
+
+def tail(file: IO[bytes], num_bytes: int) -> str:
+    """The last bytes of a file that a child wrote to, as text."""
+    file.seek(max(0, file.seek(0, os.SEEK_END) - num_bytes))
+    return file.read(num_bytes).decode(errors="replace")
+
+
 class TrainingProcess:
     """Started at once. `messages` and `lines` end when the process, and all it started, have ended.
 
-    command: the program; it is given the spool, the descriptor to write messages to, and our process id.
-    spool, data_dir: absolute, for it starts in the spool. models: whether it binds itself, with a user's
-    model (worker/confinement/own_files.py).
+    command: the program; it is given the spool and the descriptor to write messages to. spool, data_dir:
+    absolute, for it starts in the spool. models: whether it confines itself when it loads a user's model
+    (worker/confinement/own_files.py).
     """
 
     def __init__(
@@ -55,20 +132,17 @@ class TrainingProcess:
         data_dir: Path,
         device: str,
         slot_fds: Sequence[int],
-        models: Confinement = "confined",
+        models: "Confinement" = "confined",
     ) -> None:
         read_end, write_end = os.pipe()
         self._messages: IO[bytes] = os.fdopen(read_end, "rb")
-        self._child = subprocess.Popen(
-            [*command, str(spool), str(write_end), str(os.getpid())],
-            # MuJoCo writes its log where it stands; our own folder may be read-only.
-            cwd=spool,
-            stdin=subprocess.DEVNULL,
+        self._child = launch(
+            [*command, str(spool), str(write_end)],
+            {**environment(device, data_dir, os.environ), variable("models"): models},
             stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            pass_fds=(write_end, *slot_fds),
-            env={**environment(device, data_dir, os.environ), variable("models"): models},
+            # MuJoCo writes its log to the working directory, and ours may be read-only.
+            cwd=spool,
+            fds=(write_end, *slot_fds),
         )
         sacrifice(self._child.pid)
         os.close(write_end)
@@ -78,7 +152,7 @@ class TrainingProcess:
         return self._child.pid
 
     def messages(self) -> Iterator[Message]:
-        """What it says, in order. A line cut short by its death is passed over."""
+        """Its messages, in order. A line that its death cut short is skipped."""
         with self._messages as pipe:
             for line in _lines(pipe, _LONGEST_MESSAGE):
                 try:
@@ -93,7 +167,7 @@ class TrainingProcess:
                 yield line.decode(errors="replace").rstrip("\n")[:_LONGEST_LINE]
 
     def poll(self, timeout_s: float) -> int | None:
-        """Its exit status, waiting at most so long; negative: the signal that ended it."""
+        """Its exit status, or None if it still runs after `timeout_s`; negative: the signal that ended it."""
         if self._child.poll() is None:
             self._wait(timeout_s)
         return self._child.poll()
@@ -101,34 +175,23 @@ class TrainingProcess:
     def _wait(self, timeout_s: float) -> None:
         try:
             ended = os.pidfd_open(self._child.pid)
-        except (AttributeError, OSError):  # Not a Linux, or an old one.
+        except (AttributeError, OSError):  # Not Linux, or an old kernel.
             with suppress(subprocess.TimeoutExpired):
                 self._child.wait(timeout_s)
             return
-        # `Popen.wait` with a time limit looks twenty times a second or more often; the training pays for it.
+        # `Popen.wait` with a timeout polls at least twenty times a second, at the training's expense.
         poll = select.poll()
         poll.register(ended, select.POLLIN)
         poll.poll(1000 * timeout_s)
         os.close(ended)
 
     def stop(self, why: Stop) -> None:
-        """Ask it, perhaps not for the first time, to keep what it has and exit.
-
-        With a video, where the job will not go on.
-        """
+        """Ask it, perhaps again, to keep what it has and exit; with a video, unless the job continues."""
         self._signal_leader(DRAIN_SIGNAL if why is Stop.DRAIN else STOP_SIGNAL)
 
     def kill(self) -> None:
-        """End it and everything it started, and see that nothing is left."""
-        deadline = time.monotonic() + 10
-        while _group_lives(self._child.pid) and time.monotonic() < deadline:
-            try:
-                os.killpg(self._child.pid, signal.SIGKILL)
-            except ProcessLookupError:
-                break
-            self.poll(0.05)
-        if _group_lives(self._child.pid):
-            log.error("processes_left", process_group=self._child.pid)
+        """End it and everything it started."""
+        kill(self._child)
 
     def _signal_leader(self, number: int) -> None:
         if self._child.poll() is None:
@@ -136,14 +199,14 @@ class TrainingProcess:
 
 
 def environment(device: str, data_dir: Path, base: Mapping[str, str]) -> dict[str, str]:
-    """The variables of a process on this device: it sees that alone, and nobody's secrets."""
+    """The variables of a process on this device: it sees no other device, and no secrets."""
     kept = {name: value for name, value in base.items() if not _may_be_secret(name, value)}
     kept |= {"PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1", variable("data_dir"): str(data_dir)}
     kept |= _modules(base)
     kept |= {name: base[name] for name in _PASSED_ON if name in base}
     if device == "cpu":
         return {**kept, "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
-    # In the order of their device files, which the slot's name stands on; CUDA's own is the fastest first.
+    # In the order of the device files, as in the locks' names; CUDA's default is the fastest first.
     return {**kept, "CUDA_VISIBLE_DEVICES": device.partition(":")[2], "CUDA_DEVICE_ORDER": "PCI_BUS_ID"}
 
 
@@ -158,14 +221,14 @@ def _may_be_secret(name: str, value: str) -> bool:
 
 
 def _modules(base: Mapping[str, str]) -> dict[str, str]:
-    """Where Python finds these modules from any folder, also where they lie in a checkout."""
+    """Lets Python find these modules from any folder, even in a checkout that is not installed."""
     if _CODE.name in ("site-packages", "dist-packages"):
         return {}
     return {"PYTHONPATH": os.pathsep.join(filter(None, (str(_CODE), base.get("PYTHONPATH"))))}
 
 
 def _lines(pipe: IO[bytes], longest: int) -> Iterator[bytes]:
-    """The lines, each cut to so many bytes: one without an end must not fill the memory."""
+    """The lines, each cut to `longest` bytes: a line without an end must not fill the memory."""
     while line := pipe.readline(longest):
         rest = line
         while len(rest) == longest and not rest.endswith(b"\n"):

@@ -15,10 +15,10 @@ REMEDY = (
 
 
 def device_of(wanted: str, dev: Path = DEV, *, has_cuda: bool | None = None) -> str:
-    """`cpu`, `gpu:<index>`, or `gpu:<index>,<index>` in rising order, for what GAITWAY_DEVICE says.
+    """`cpu`, `gpu:<index>`, or `gpu:<index>,<index>` in rising order, for a value of GAITWAY_DEVICE.
 
-    `auto` is the first GPU if there is one and JAX can use it. has_cuda: whether it can; looked for where
-    None. Raises Misconfigured where there is no such GPU.
+    `auto` is the first GPU if there is one and JAX can use it. has_cuda: whether it can; None: look whether
+    it can. Raises Misconfigured if there is no such GPU.
     """
     if wanted == "cpu":
         return "cpu"
@@ -30,12 +30,12 @@ def device_of(wanted: str, dev: Path = DEV, *, has_cuda: bool | None = None) -> 
 
 
 def jax_has_cuda() -> bool:
-    """Whether JAX's part for NVIDIA GPUs is installed; loads nothing of it."""
+    """Whether JAX's plugin for NVIDIA GPUs is installed; does not load it."""
     return any(find_spec(name) for name in ("jax_cuda12_plugin", "jax_cuda13_plugin"))
 
 
 def gpu_files(wanted: str, dev: Path = DEV) -> list[str]:
-    """The device files of `gpu`, `gpu:0,1` and the like. Raises Misconfigured where one is not there."""
+    """The device files of `gpu`, `gpu:0,1` and the like. Raises Misconfigured if one is missing."""
     gpus, indices = visible_gpus(dev), gpu_indices(wanted)
     if not indices or len(set(indices)) < len(indices):
         raise Misconfigured(
@@ -54,7 +54,7 @@ def gpu_files(wanted: str, dev: Path = DEV) -> list[str]:
 def visible_gpus(dev: Path = DEV) -> list[str]:
     """The device files of the GPUs that this process may use, in their order; those of one host differ.
 
-    What the driver tells under /proc would be wrong in a container: there all of the host's GPUs show.
+    The driver's list under /proc would be wrong in a container: it shows all of the host's GPUs.
     """
     numbers = [int(file.name.removeprefix("nvidia")) for file in dev.glob("nvidia*") if _is_gpu(file)]
     if numbers:

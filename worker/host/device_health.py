@@ -1,11 +1,10 @@
-"""Whether a worker's device works: tested before the first job, and after an end that it may have caused.
+"""Tests whether a worker's device works: before the first job, and after a failure that it may have caused.
 
-A device that fails is set aside: its worker takes no job until a later test is passed.
+A device that fails is set aside: its worker takes no job until the device passes a later test.
 """
 
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -19,17 +18,17 @@ from core.devices import gpu_indices
 from core.jobs.status import Reason
 from core.jobs.store import WorkerState
 from core.retry import CalledOff, pause
-from worker.host.child import environment
+from worker.host.child import environment, kill, launch, tail
 from worker.host.device_lock import SlotTaken, slots
 
 log = structlog.get_logger()
 
-# After which ends of an attempt a device is tested before anybody uses it again.
+# After an attempt that ended for one of these reasons, the device is tested before it is used again.
 SUSPICIOUS = frozenset({Reason.NATIVE_CRASH, Reason.DEVICE_FAILED, Reason.TRAINING_STALLED})
 # JAX and CUDA take some 10 s to start on a machine that has just been started.
 _TEST_S = 60.0
 _GLANCE_S = 0.1
-# From a test that was not passed to the next one; the last for all others.
+# From each failed test to the next; the last value repeats.
 _PAUSES_S = (60.0, 300.0, 900.0)
 
 
@@ -40,7 +39,7 @@ def command_for(device: str) -> tuple[str, ...] | None:
 
 
 class DeviceTest:
-    """A child process that tests the device. Started at once; fds: inherited by it, as are the slot's."""
+    """A child process that tests the device, started at once. fds: inherited by it, to hold the locks."""
 
     def __init__(
         self,
@@ -53,22 +52,15 @@ class DeviceTest:
         self._device, self._limit_s = device, limit_s
         self._deadline = time.monotonic() + limit_s
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 # `close` does.
-        self._child = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=self._said,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            pass_fds=fds,
-            env=environment(device, data_dir, os.environ),
-        )
+        variables = environment(device, data_dir, os.environ)
+        self._child = launch(command, variables, stdout=self._said, fds=fds)
 
     def is_over(self) -> bool:
         """Whether there is a result."""
         return self._child.poll() is not None or time.monotonic() > self._deadline
 
     def problem(self) -> str | None:
-        """What is wrong with the device, as a sentence; None where nothing is. For a test that is over."""
+        """What is wrong with the device, as a sentence, or None. Call it when the test is over."""
         status, last_line = self._child.poll(), self._last_line()
         self.close()
         if status == 0:
@@ -79,21 +71,17 @@ class DeviceTest:
         return f"A test of the device {self._device} {ending}: {last_line}"
 
     def close(self) -> None:
-        """No process is left. One that hangs in a driver goes when the driver lets it."""
-        with suppress(ProcessLookupError):
-            os.killpg(self._child.pid, signal.SIGKILL)
-        with suppress(subprocess.TimeoutExpired):
-            self._child.wait(5)
+        """End the process. One that hangs in a driver ends when the driver returns."""
+        kill(self._child, 5.0)
         self._said.close()
 
     def _last_line(self) -> str:
-        self._said.seek(0)
-        lines = self._said.read().decode(errors="replace").split("\n")
+        lines = tail(self._said, 2**16).split("\n")
         return next((line.strip()[:500] for line in reversed(lines) if line.strip()), "it said nothing.")
 
 
 def result_of(test: DeviceTest, called_off: Callable[[], bool]) -> str | None:
-    """What is wrong with the device; None also where the test was called off."""
+    """What is wrong with the device; None also if the test was called off."""
     try:
         while not test.is_over():
             pause(_GLANCE_S, called_off)
@@ -104,20 +92,20 @@ def result_of(test: DeviceTest, called_off: Callable[[], bool]) -> str | None:
 
 
 def mark_of(data_dir: Path, slot_name: str) -> Path:
-    """The file by which an attempt tells its worker that the device has failed; it holds the sentence."""
+    """The file in which an attempt reports to its worker what is wrong with the device."""
     return data_dir / "devices" / f"{slot_name}.failed"
 
 
 def set_aside(mark: Path, problem: str) -> None:
-    """The worker will see it before it takes another job."""
+    """Report the problem to the worker, which reads the file before it takes another job."""
     mark.parent.mkdir(parents=True, exist_ok=True)
     mark.write_text(problem)
 
 
 class DeviceHealth:
-    """What a worker knows of its device. command: the test; None where there is none to pass.
+    """What a worker knows about its device. command: the test; None if the device needs none.
 
-    slot_names: of the device, which nobody else may use during a test.
+    slot_names: the device's locks, which are held during a test.
     """
 
     def __init__(
@@ -140,7 +128,7 @@ class DeviceHealth:
         self._held = ExitStack()
 
     def is_fit(self) -> bool:
-        """Whether the worker may take a job. Ask until it is so: each call does a little, and none waits."""
+        """Whether the worker may take a job. Call it repeatedly: each call does a little and none waits."""
         if self._command is None:
             return True
         if self.state == "ready":
@@ -153,7 +141,7 @@ class DeviceHealth:
         return self.state == "ready"
 
     def close(self) -> None:
-        """End a test that runs."""
+        """End a running test."""
         if self._test is not None:
             self._test.close()
             self._test = None
@@ -162,7 +150,7 @@ class DeviceHealth:
     def _begin(self, command: Sequence[str]) -> None:
         try:
             fds = self._held.enter_context(slots(self._locks, 0.0))
-        except SlotTaken:  # A training whose worker was killed is on its way out.
+        except SlotTaken:  # The training of a worker that was killed is still ending.
             return
         self._test = DeviceTest(command, self._device, self._data_dir, fds)
 

@@ -1,4 +1,4 @@
-"""One device, one job: a lock that is held by whoever uses the device, even when its supervisor is gone.
+"""One device, one job: the process that uses a device holds its lock, even when its supervisor is gone.
 
 A job on several GPUs holds the locks of all of them.
 """
@@ -23,14 +23,14 @@ class SlotTaken(Exception):
 
 
 def slot_names(device: str, worker_pid: int, dev: Path = DEV) -> tuple[str, ...]:
-    """What a worker's device, or each of its GPUs, is called by everybody who may share this data folder.
+    """The lock names of a worker's device, one per GPU; equal for all workers that share this data folder.
 
-    A GPU is one slot for its machine, a CPU worker is one by itself. Containers of one machine may all be
-    called otherwise, and machines may share a folder: the kernel's boot tells machines apart. GPU 0 of a
-    container need not be the host's first, but its device file has the host's number; and process ids
-    begin anew in each container, but not the numbers of what they are counted in.
+    A GPU has one lock per machine; each CPU worker has its own. Containers on one machine may have different
+    host names, and machines may share a folder, so the kernel's boot id names the machine. GPU 0 of a
+    container need not be the host's first, but its device file has the host's number. Process ids start again
+    in each container, so the number of their namespace is added.
 
-    Raises Misconfigured where a GPU is not there.
+    Raises Misconfigured if a GPU is missing.
     """
     if device == "cpu":
         return (f"cpu-{_machine()}-{_pid_namespace()}{worker_pid}",)
@@ -41,10 +41,10 @@ def slot_names(device: str, worker_pid: int, dev: Path = DEV) -> tuple[str, ...]
 def slots(
     paths: Iterable[Path], patience_s: float, called_off: Callable[[], bool] = lambda: False
 ) -> Generator[tuple[int, ...]]:
-    """Several slots at once, as `slot` gives one; `patience_s` is for all together.
+    """Several locks at once, each as from `slot`; `patience_s` is for all together.
 
-    They are taken in the order of their names, whoever takes them: were two to take the same ones in
-    different orders, each could wait for what the other has.
+    They are always taken in the order of their names: if two workers took the same locks in different
+    orders, each could wait for the other.
     """
     deadline = time.monotonic() + patience_s
     with ExitStack() as held:
@@ -57,10 +57,10 @@ def slots(
 def slot(path: Path, patience_s: float, called_off: Callable[[], bool] = lambda: False) -> Generator[int]:
     """The lock's file descriptor, to be inherited by the process that uses the device.
 
-    Waits up to `patience_s` for an earlier user to die; raises SlotTaken after that, and CalledOff as
-    soon as that is so meanwhile. The lock belongs to the open file, not to us: as long as an inheritor
-    lives, nobody else gets it. Locks that nobody holds any more, also those of workers long gone, are
-    removed at the end.
+    Waits up to `patience_s` for an earlier user to end, then raises SlotTaken; raises CalledOff as soon as
+    `called_off` is true. The lock belongs to the open file, not to us: while a process that inherited it
+    lives, nobody else gets the lock. At the end, all locks that nobody holds are removed, also those of
+    workers long gone.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor = _wait_for(path, time.monotonic() + patience_s, called_off)
@@ -75,7 +75,7 @@ def _wait_for(path: Path, deadline: float, called_off: Callable[[], bool]) -> in
     while (descriptor := file_lock.take(path)) is None:
         if time.monotonic() > deadline:
             raise SlotTaken(f"Another process still uses the device; it holds {path}.")
-        pause(0.1, called_off)  # flock has no wait with a time limit.
+        pause(0.1, called_off)  # flock has no timeout.
     return descriptor
 
 

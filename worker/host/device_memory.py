@@ -11,9 +11,9 @@ _MIB = 2**20
 
 
 def device_memory(device: str, memory_limit: int | None) -> int | None:
-    """The bytes of `cpu`, which are what a training may take of the machine's; or of each GPU, the least.
+    """The bytes that a training may take of the machine's memory, for `cpu`; or those of the smallest GPU.
 
-    memory_limit: the setting. None where NVIDIA's program for it is not there, or does not know the GPU.
+    memory_limit: the setting. None if nvidia-smi is missing or does not know the GPU.
     """
     indices = gpu_indices(device)
     if not indices:

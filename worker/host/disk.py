@@ -1,4 +1,4 @@
-"""A full disk, and what to say of it."""
+"""Checks for a full disk, and the advice to give then."""
 
 import errno
 import os
@@ -20,7 +20,7 @@ def is_full(error: BaseException) -> bool:
 
 
 def what_to_do(folder: Path | None = None) -> str:
-    """The sentence for people. folder: GAITWAY_DATA_DIR, where it may be set elsewhere."""
+    """The advice, as a sentence. folder: the value of GAITWAY_DATA_DIR; None: as in the environment."""
     name = variable("data_dir")
     return (
         f"The disk of the worker on {platform.node()} is full: free space at "
@@ -29,18 +29,18 @@ def what_to_do(folder: Path | None = None) -> str:
 
 
 def has_room(folder: Path) -> bool:
-    """Whether a job may be begun here."""
+    """Whether a job may start here."""
     return shutil.disk_usage(folder).free >= _LEAST_FREE_BYTES
 
 
 def check_folder(folder: Path) -> None:
-    """Make the folder, private to this user. Raises Misconfigured where nothing can be written to it."""
+    """Make the folder, private to this user. Raises Misconfigured if nothing can be written to it."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        if is_full(error):  # Time may mend it: no job is begun until then.
+        if is_full(error):  # This may pass: until then no job starts.
             return
         raise Misconfigured(
             f"{variable('data_dir')}={folder}, and user {os.getuid()} cannot write there "

@@ -1,4 +1,4 @@
-"""Locks that end with their holder, however it ends: files, and the kernel's word on who holds them."""
+"""Lock files that the kernel releases when their holder ends, however it ends."""
 
 import fcntl
 import os
@@ -7,9 +7,9 @@ from pathlib import Path
 
 
 def take(path: Path) -> int | None:
-    """The descriptor of the file under this name, locked; None where another has it, or just removed it.
+    """The descriptor of this file, locked; None if another process holds it or has just removed it.
 
-    Whoever inherits the descriptor holds the lock, too.
+    A process that inherits the descriptor holds the lock, too.
     """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     with suppress(BlockingIOError, FileNotFoundError):
@@ -21,7 +21,7 @@ def take(path: Path) -> int | None:
 
 
 def remove(path: Path, descriptor: int) -> None:
-    """Let go of a lock that nobody else holds, and leave no file behind."""
+    """Release a lock that nobody else holds, and remove its file."""
     path.unlink(missing_ok=True)
     os.close(descriptor)
 

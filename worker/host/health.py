@@ -1,7 +1,7 @@
-"""A sign of life for whoever watches a container: a file whose age tells when its process last worked.
+"""A sign of life for a container's health check: a file whose age shows when its process last worked.
 
-`python -m worker.host.health` is the health check: exit status 0 while the last sign is younger than a
-minute, and that of each member of a fleet.
+`python -m worker.host.health` is the health check: exit status 0 while the last sign, or that of every
+member of a fleet, is younger than a minute.
 """
 
 import glob
@@ -30,7 +30,7 @@ def silence_s(file: Path) -> float:
 
 
 def begin_fleet(file: Path, num_members: int) -> list[Path]:
-    """A file for each member, beside this one. All begin as a sign of life: that gives them a minute."""
+    """A file for each member, beside this one. Each starts fresh: its worker has a minute to start."""
     for old in _of_members(file):
         old.unlink()
     signs = [file.with_name(f"{file.name}.{number}") for number in range(num_members)]
@@ -40,7 +40,7 @@ def begin_fleet(file: Path, num_members: int) -> list[Path]:
 
 
 def longest_silence_s(file: Path) -> float:
-    """Of the process that touches this file; or of the members of a fleet, if one was begun with it."""
+    """The silence of the process that touches this file, or the longest of the members of its fleet."""
     return max(map(silence_s, _of_members(file) or [file]))
 
 

@@ -1,4 +1,4 @@
-"""How much of the machine's memory a training may take, and noticing who ended it for that."""
+"""How much of the machine's memory a training may take, and whether the kernel killed it for more."""
 
 import os
 import time
@@ -11,7 +11,7 @@ from worker.host.cgroup import NO_GROUP, TrainingGroup
 from worker.host.processes import processes
 
 LESS_MEMORY = "Lower num_envs, batch_size or unroll_length, or make the networks smaller."
-# What the worker and its supervisor keep of the memory that there is.
+# Memory that is reserved for the worker and its supervisor.
 _LEAST_RESERVE_BYTES, _RESERVE = 2**29, 0.05
 _GROUP_EVERY_S = 1.0
 _ROOT = Path("/")
@@ -19,10 +19,11 @@ _GIB = 2**30
 
 
 class MemoryWatch:
-    """Looks at the memory of a training's processes, and at how often the kernel has killed for memory.
+    """Watches the memory of a training's processes, and how often the kernel has killed for memory.
 
-    Not by RLIMIT_DATA: XLA takes a refusal for a crash (SIGSEGV), and nobody learns what it was. limit_bytes:
-    for all of them together. group: where the kernel keeps them to it, too; a worker seldom may make one.
+    RLIMIT_DATA is no alternative: XLA crashes (SIGSEGV) when it is refused memory, and the reason is lost.
+    limit_bytes: for all processes together. group: a control group in which the kernel enforces the limit,
+    too; a worker is seldom allowed to make one.
     """
 
     def __init__(
@@ -40,12 +41,12 @@ class MemoryWatch:
         self._kills = self._before = kernel_kills(root)
 
     def what_is_wrong(self, group: int) -> str | None:
-        """A sentence where the processes of the group have too much; group: also the id of its leader."""
+        """A sentence if the processes of the group use too much memory; group: also the id of its leader."""
         has = memory_of(group, self._root)
         now = self._clock()
         if now - self._looked_at >= _GROUP_EVERY_S:
             self._looked_at = now
-            # Of a death that is seen now, a count before the last one tells: see `ran_out`.
+            # The newest count may include the death that `ran_out` asks about, so it needs the one before.
             self._before, self._kills = self._kills, kernel_kills(self._root)
             has = sum(memory_of(pid, self._root) for pid in _members(group, self._root))
         if has <= self._limit_bytes:
@@ -81,7 +82,7 @@ def kernel_kills(root: Path = _ROOT) -> int:
 
 
 def memory_of(pid: int, root: Path = _ROOT) -> int:
-    """The bytes that a process has of its own; 0 where it has ended."""
+    """The bytes of memory that belong to a process alone; 0 if it has ended."""
     with suppress(OSError):
         for line in (root / f"proc/{pid}/status").read_text().splitlines():
             if line.startswith("RssAnon:"):
@@ -90,7 +91,7 @@ def memory_of(pid: int, root: Path = _ROOT) -> int:
 
 
 def sacrifice(pid: int) -> None:
-    """Have the kernel take this process, and what it will start, before any other when memory runs out."""
+    """Make the kernel kill this process, or what it will start, before any other when memory runs out."""
     with suppress(OSError):  # It has ended, or there is no such file here.
         Path(f"/proc/{pid}/oom_score_adj").write_text("1000")
 
@@ -100,10 +101,10 @@ def _members(group: int, root: Path) -> Iterator[int]:
 
 
 def _has_bytes(root: Path) -> int:
-    """Of the machine, or of the container where that has less."""
+    """The memory of the machine, or of the container if that has less."""
     try:
         limits = [1024 * int((root / "proc/meminfo").read_text().split()[1])]
-    except OSError:  # Not a Linux.
+    except OSError:  # Not Linux.
         limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     names = [folder / "memory.max" for folder in _cgroups(root)]
     for file in (*names, root / "sys/fs/cgroup/memory/memory.limit_in_bytes"):

@@ -5,22 +5,24 @@ import os
 import signal
 import sys
 
+# Holds the parent's process id; worker/host/child.py sets it.
+PARENT = "GAITWAY_PARENT"
 _PR_SET_PDEATHSIG = 1
 
 
-def die_with_parent(
-    expected_parent_pid: int | None = None, signal_number: signal.Signals = signal.SIGKILL
-) -> None:
+def die_with_parent(signal_number: signal.Signals = signal.SIGKILL) -> None:
     """From now on the kernel sends us this signal when our parent dies; does nothing except on Linux.
 
-    expected_parent_pid: who started this process. If that one has died before this call, the process
-    ends at once. Linux means the parent's *thread*: start children from one that lives as long.
+    If the parent that GAITWAY_PARENT names has died before this call, the signal comes at once. The variable
+    is removed, so that our own children do not inherit it. Linux means the parent's *thread*: start children
+    from one that lives as long.
     """
+    parent = os.environ.pop(PARENT, None)
     if sys.platform != "linux":
         return
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0) != 0:
         code = ctypes.get_errno()
         raise OSError(code, os.strerror(code))
-    if expected_parent_pid is not None and os.getppid() != expected_parent_pid:
+    if parent is not None and os.getppid() != int(parent):
         os.kill(os.getpid(), signal_number)

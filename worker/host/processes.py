@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def processes(proc: Path, name: str = "[0-9]*") -> Iterator[tuple[int, str, int]]:
-    """Id, state and process group of each process that there is (proc(5))."""
+    """Id, state and process group of every process (proc(5))."""
     for path in proc.glob(f"{name}/stat"):
         try:
             # The name, in parentheses, may hold anything; the fields behind it are plain.

@@ -1,7 +1,7 @@
-"""`python -m worker.preview FOLDER PARENT_PID`: draw what `request.json` in the folder asks for.
+"""`python -m worker.preview FOLDER`: draw what `request.json` in the folder asks for.
 
-Leaves PNGs and exits with 0, or leaves `failure.json` and exits with another status. MUJOCO_GL is its
-caller's to set: a back-end that fails spoils its process.
+Writes PNGs and exits with 0, or writes `failure.json` and exits with another status. Its caller sets
+MUJOCO_GL: a process in which one back-end failed cannot try another.
 """
 
 import sys
@@ -16,9 +16,9 @@ from worker.host.parent_death import die_with_parent
 
 
 def main() -> int:
-    folder, parent = Path(sys.argv[1]), int(sys.argv[2])
+    folder = Path(sys.argv[1])
     keep_to_own_files(folder)
-    die_with_parent(parent)
+    die_with_parent()
 
     def refuse(reason: FailureReason, message: str) -> int:
         failure = RenderFailure(reason=reason, message=message)

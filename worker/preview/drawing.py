@@ -1,12 +1,12 @@
-"""Stills are drawn in a process of their own: the worker's side of it. Nothing numerical is imported."""
+"""Starts the process that draws stills; imports nothing numerical itself."""
 
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
+from typing import IO
 
 import structlog
 
@@ -19,7 +19,7 @@ from core.settings import Confinement
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.variables import variable
-from worker.host.child import environment
+from worker.host.child import environment, kill, launch, tail
 
 # Playground's environments compile a reset on MJX, which takes a busy machine a minute.
 _MOST_S = 180.0
@@ -34,11 +34,10 @@ def draw(
     timeout_s: float = _MOST_S,
     models: Confinement = "confined",
 ) -> None:
-    """Draw what nobody has drawn yet, and keep it, or why it could not be.
+    """Draw the stills, unless they are stored already, and store them, or the reason why there are none.
 
-    folder: an empty one, absolute, for files that are needed meanwhile. models: whether the process binds
-    itself (worker/confinement/own_files.py). Raises ObjectNotFound where the model has been deleted
-    meanwhile.
+    folder: an empty one, absolute, for temporary files. models: whether the process confines itself
+    (worker/confinement/own_files.py). Raises ObjectNotFound if the model has been deleted meanwhile.
     """
     if library.find(request, objects) is not None:
         return
@@ -70,37 +69,31 @@ def _drawn(folder: Path, data_dir: Path, timeout_s: float, models: Confinement) 
 def _attempt(
     variables: Mapping[str, str], folder: Path, data_dir: Path, timeout_s: float
 ) -> RenderFailure | None:
-    with (folder / "log").open("wb") as text:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "worker.preview", str(folder), str(os.getpid())],
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
+    with (folder / "log").open("w+b") as text:
+        child = launch(
+            [sys.executable, "-m", "worker.preview", str(folder)],
+            {**environment("cpu", data_dir, os.environ), **variables},
             stdout=text,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            env={**environment("cpu", data_dir, os.environ), **variables},
+            cwd=folder,
         )
         try:
             status = child.wait(timeout_s)
         except subprocess.TimeoutExpired:
             return RenderFailure(reason="timeout", message=f"It was not drawn within {timeout_s:g} s.")
         finally:
-            with suppress(ProcessLookupError):
-                os.killpg(child.pid, signal.SIGKILL)
-            child.wait()
-    return None if status == 0 else _why(status, folder)
+            kill(child)
+        return None if status == 0 else _why(status, folder, text)
 
 
-def _why(status: int, folder: Path) -> RenderFailure:
+def _why(status: int, folder: Path, text: IO[bytes]) -> RenderFailure:
     said = folder / "failure.json"
     if said.exists():
         return RenderFailure.model_validate_json(said.read_bytes())
-    words = (folder / "log").read_bytes()[-1000:].decode(errors="replace")
-    log.warning("preview_crashed", status=status, text=words)
-    # A broken GL driver takes its process along; another back-end may work.
+    log.warning("preview_crashed", status=status, text=tail(text, 1000))
+    # A broken GL driver crashes its process; another back-end may work.
     if -status in DRIVER_CRASHES:
         return RenderFailure(reason="no_gl", message=f"the driver crashed ({signal.Signals(-status).name})")
     how = f"signal {-status}" if status < 0 else f"exit status {status}"
     return RenderFailure(
-        reason="crashed", message=f"Drawing ended with {how}; the worker's log has its last words."
+        reason="crashed", message=f"Drawing ended with {how}; the worker's log has its last output."
     )

@@ -1,4 +1,4 @@
-"""A body as its first episode begins, from each camera. MUJOCO_GL must be set before this is imported."""
+"""Draws a body at the start of its first episode, from each camera. Set MUJOCO_GL before you import this."""
 
 import copy
 from pathlib import Path
@@ -18,8 +18,8 @@ from worker.training.built_environment import build_environment
 def draw(request: PreviewRequest, folder: Path) -> None:
     """Write `0.png`, `1.png`, … into the folder, one for each camera.
 
-    The user's own model, where the options name one, lies there as `model`. Raises JobFailed where no
-    job could have this body.
+    The user's own model, if the options name one, is there as `model`. Raises JobFailed if no job could use
+    this body.
     """
     spec = RolloutSpec(
         environment=EnvironmentSpec(id=request.environment, options=request.options), policy=ZeroPolicy()

@@ -1,4 +1,4 @@
-"""Starts the render process, for whoever has a trajectory and wants to see it."""
+"""Starts the render process, which turns a trajectory into a video."""
 
 import os
 import subprocess
@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from core.rendering.gl import DRIVER_CRASHES, Backend, RenderingFailed, backends, last_line, no_gl
 from core.rendering.request import RenderFailure, RenderRequest, RenderResult
+from worker.host.child import collect, launch
 
 _ENTRY = "worker.render.process"
 
@@ -32,39 +33,35 @@ def render(request: RenderRequest, *, timeout_s: float) -> RenderResult:
 
 
 def _attempt(request: RenderRequest, backend: Backend, timeout_s: float) -> RenderResult | RenderFailure:
-    surroundings = {**os.environ, **backend.environ, "GAITWAY_PARENT_PID": str(os.getpid())}
     with tempfile.TemporaryDirectory(prefix=".render-", dir=request.video.parent) as folder:
         document = Path(folder, "request.json")
         document.write_text(request.model_dump_json())
-        try:
-            done = subprocess.run(
-                [sys.executable, "-m", _ENTRY, str(document)],
-                env=surroundings,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                check=False,
-                timeout=timeout_s,
-            )
-        except subprocess.TimeoutExpired:
-            _remove_parts(request)
-            return RenderFailure(
-                reason="timeout", message=f"The video was not ready within {timeout_s:.0f} s."
-            )
-    if done.returncode != 0:
+        with launch(
+            [sys.executable, "-m", _ENTRY, str(document)],
+            {**os.environ, **backend.environ},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            in_own_session=False,  # What ends a training ends its video.
+        ) as child:
+            try:
+                output, errors = collect(child, timeout_s)
+            except subprocess.TimeoutExpired:
+                _remove_parts(request)
+                message = f"The video was not ready within {timeout_s:.0f} s."
+                return RenderFailure(reason="timeout", message=message)
+    if child.returncode != 0:
         _remove_parts(request)
-    return _understood(done)
+    return _understood(child.returncode, output, errors)
 
 
-def _understood(done: subprocess.CompletedProcess[str]) -> RenderResult | RenderFailure:
-    line = last_line(done.stdout)
+def _understood(status: int, output: str, errors: str) -> RenderResult | RenderFailure:
     try:
-        return (RenderResult if done.returncode == 0 else RenderFailure).model_validate_json(line)
+        return (RenderResult if status == 0 else RenderFailure).model_validate_json(last_line(output))
     except ValidationError:
-        how = f"signal {-done.returncode}" if done.returncode < 0 else f"exit status {done.returncode}"
-        message = f"The render process ended with {how}: {last_line(done.stderr) or 'it said nothing'}"
-        # A broken GL driver takes its process along; another back-end may work.
-        reason = "no_gl" if -done.returncode in DRIVER_CRASHES else "crashed"
+        how = f"signal {-status}" if status < 0 else f"exit status {status}"
+        message = f"The render process ended with {how}: {last_line(errors) or 'it said nothing'}"
+        # A broken GL driver crashes its process; another back-end may work.
+        reason = "no_gl" if -status in DRIVER_CRASHES else "crashed"
         return RenderFailure(reason=reason, message=message)
 
 

@@ -1,10 +1,9 @@
-"""The process that draws numbers, so that nobody else loads matplotlib.
+"""The process that plots numbers, so that no other process loads matplotlib.
 
 `python -m worker.render.plotting path TRAJECTORY.npz PICTURE.png TITLE`
-`python -m worker.render.plotting tables TABLES.npz FOLDER TITLE`: a file for each picture; says their names.
+`python -m worker.render.plotting tables TABLES.npz FOLDER TITLE`: a file per picture; prints their names.
 """
 
-import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -12,13 +11,10 @@ from pathlib import Path
 
 from worker.host.parent_death import die_with_parent
 
-PARENT = "GAITWAY_PARENT_PID"
-
 
 def main(arguments: Sequence[str]) -> int:
-    parent = os.environ.get(PARENT)
-    die_with_parent(int(parent) if parent else None)
-    # A signal to the whole group is a word to the parent, who may still want these.
+    die_with_parent()
+    # A signal to the whole group is meant for the parent, which may still want these pictures.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     match arguments:

@@ -1,7 +1,7 @@
 """The render process: `python -m worker.render.process REQUEST.json`. It loads no JAX.
 
-It answers with one JSON line, a RenderResult with exit status 0, or a RenderFailure with another.
-MUJOCO_GL is its caller's to set.
+It prints one JSON line: a RenderResult, and exits with 0, or a RenderFailure, and exits with another status.
+Its caller sets MUJOCO_GL.
 """
 
 import os
@@ -16,13 +16,11 @@ from worker.host.disk import is_full, what_to_do
 from worker.host.parent_death import die_with_parent
 
 NO_GL, BAD_REQUEST = 3, 4
-PARENT = "GAITWAY_PARENT_PID"
 
 
 def main(arguments: list[str]) -> int:
-    parent = os.environ.get(PARENT)
-    die_with_parent(int(parent) if parent else None)
-    # A signal to the whole group is a word to the parent, who may still want this video.
+    die_with_parent()
+    # A signal to the whole group is meant for the parent, which may still want this video.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     request = RenderRequest.model_validate_json(Path(arguments[0]).read_bytes())

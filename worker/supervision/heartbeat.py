@@ -1,4 +1,4 @@
-"""Saying "alive" while a job runs, and hearing what others want of it."""
+"""Renews a job's lease while it runs, and notices a cancellation."""
 
 import threading
 from typing import Self
@@ -14,7 +14,7 @@ log = structlog.get_logger()
 
 
 class Heartbeat:
-    """A thread that renews the lease. An outage of the store is waited out: the token decides afterwards."""
+    """A thread that renews the lease. It waits out an outage of the store; then the token decides."""
 
     def __init__(self, claim: Claim, settings: WorkerSettings) -> None:
         self.cancelled = threading.Event()
@@ -42,7 +42,7 @@ class Heartbeat:
                 log.warning("heartbeat_missed", error=error.detail)
             except LeaseLost:
                 self.lost.set()
-            except Exception as error:  # A mistake of ours: it must not cost the job its lease.
+            except Exception as error:  # A bug of ours must not cost the job its lease.
                 log.error("heartbeat_failed", error=repr(error))
             else:
                 if status == JobStatus.CANCELLING:

@@ -1,6 +1,6 @@
-"""Ends of attempts that a worker could not tell PostgreSQL before it had to go: they wait on its disk.
+"""Ends of attempts that a worker could not record in PostgreSQL before it shut down: they wait on its disk.
 
-The next worker on that disk tells them. Where it comes too late, the job was taken back as a lost worker's.
+The next worker on that disk records them. If it comes too late, the job was taken back as a lost worker's.
 """
 
 import os
@@ -36,14 +36,14 @@ class LeftAttempt(Stored):
 
 
 def end(claim: Claim, outcome: Outcome) -> Job:
-    """Tell the record how the attempt ended. Raises LeaseLost, NotFound, RecordsUnavailable."""
+    """Record how the attempt ended. Raises LeaseLost, NotFound, RecordsUnavailable."""
     if outcome.status is None:
         return claim.give_back(outcome.reason, outcome.message)
     return claim.end(outcome.status, outcome.reason, outcome.message)
 
 
 def leave(data_dir: Path, claim: Claim, outcome: Outcome) -> None:
-    """Keep the end for whoever works here next. Raises OSError."""
+    """Keep the outcome for the next worker on this disk. Raises OSError."""
     folder = data_dir / LEFT
     folder.mkdir(parents=True, exist_ok=True)
     left = LeftAttempt(
@@ -60,7 +60,7 @@ def leave(data_dir: Path, claim: Claim, outcome: Outcome) -> None:
 
 
 def tell_left(data_dir: Path, store: JobStore, objects: ObjectStore) -> None:
-    """Tell the record every end that is kept here. Raises RecordsUnavailable; what was not told stays."""
+    """Record every outcome that is kept here. Raises RecordsUnavailable; what was not recorded stays."""
     for path in sorted((data_dir / LEFT).glob("*.json")):
         try:
             left = LeftAttempt.model_validate_json(path.read_bytes())
@@ -69,6 +69,6 @@ def tell_left(data_dir: Path, store: JobStore, objects: ObjectStore) -> None:
             log.info("left_attempt_told", job_id=job.id, status=job.status, reason=left.reason)
         except FileNotFoundError:  # Another worker on this disk was faster.
             continue
-        except (Conflict, NotFound, ValidationError) as error:  # The job has gone on without it.
+        except (Conflict, NotFound, ValidationError) as error:  # The job has continued without it.
             log.warning("left_attempt_dropped", file=path.name, error=str(error))
         path.unlink(missing_ok=True)

@@ -1,11 +1,11 @@
-"""A limit to what a process may write into its job's log, so that a flood fills nobody's disk."""
+"""Limits what a process may write into its job's log, so that a flood fills no disk."""
 
 import time
 from collections.abc import Callable, Iterator
 
-# Bytes a second in the long run, and at once. A chatty trainer writes a few hundred bytes a second.
+# Bytes per second in the long run, and bytes at once. A chatty trainer writes a few hundred bytes a second.
 _RATE, _BURST = 64 * 1024, 4 * 2**20
-# Lines that may wait for a store that is away.
+# Lines that may wait for an unavailable store.
 _MOST_WAITING = 20_000
 
 
@@ -20,15 +20,15 @@ class LogLimit:
         self._why = ""
 
     def pass_on(self, line: str, num_waiting: int = 0) -> Iterator[str]:
-        """The line, after word of those left out before it; nothing where it is left out itself.
+        """The line, after a note on those left out before it; nothing if it is left out itself.
 
-        num_waiting: how many are not stored yet.
+        num_waiting: how many lines are not stored yet.
         """
         now = self._clock()
         self._budget = min(_BURST, self._budget + _RATE * (now - self._at))
         self._at = now
         size = len(line) + 1
-        # After a flood the log goes on only when there is room for more than one line.
+        # After a flood the log resumes only when there is room for more than one line.
         floor = _RATE if self._num_left_out else 0
         if self._budget < size + floor:
             self._leave_out(f"the process printed more than {_RATE // 1024} kB/s")
@@ -40,7 +40,7 @@ class LogLimit:
             yield line
 
     def end(self) -> Iterator[str]:
-        """Word of lines that were left out, if there were any."""
+        """A note on lines that were left out, if there were any."""
         if self._num_left_out:
             yield f"[{self._num_left_out} lines left out: {self._why}]"
             self._num_left_out = 0

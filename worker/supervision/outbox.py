@@ -1,4 +1,4 @@
-"""From what the training process says to stored facts, in order, whatever the network does meanwhile."""
+"""Stores what the training process reports, in order, whatever the network does meanwhile."""
 
 import contextlib
 import hashlib
@@ -25,7 +25,7 @@ from worker.supervision.measurements import Measurements
 # How long an object that the record no longer names is kept for those who are reading it.
 _LINGER_S = 60.0
 _GLANCE_S = 0.1
-# What becomes an entry of the feed, and nothing else; and how much of it is one write.
+# The messages that become an entry of the feed and nothing else, and how many go into one write.
 _MOST_SAID = 100
 _SAID = Hello | PhaseEnded | Advanced | Measured | Noted
 
@@ -63,7 +63,7 @@ class Outbox:
         self._waiting.put(_Heard(item, utc_now()))
 
     def close(self, patience_s: float, called_off: Callable[[], bool] = lambda: False) -> bool:
-        """Wait until all is stored, for `patience_s` at most and until it is called off; whether it is.
+        """Wait until all is stored, at most `patience_s` or until called off; returns whether all is stored.
 
         Raises what `check` raises.
         """
@@ -75,12 +75,12 @@ class Outbox:
         return not self._thread.is_alive()
 
     def abandon(self) -> None:
-        """Wait no longer for a store that is away: what is not stored yet is lost."""
+        """Wait no longer for an unavailable store: what is not stored yet is lost."""
         self._is_abandoned = True
         self._waiting.put(None)
 
     def check(self) -> None:
-        """Raises what ended the storing before its time: LeaseLost, where the attempt's job is not ours."""
+        """Raises what stopped the storing early: LeaseLost, if the attempt's job is no longer ours."""
         if self._failure is not None:
             raise self._failure
 
@@ -95,7 +95,7 @@ class Outbox:
                 return
 
     def _take(self) -> list[_Heard | None]:
-        """At least one item; and, so that a flood is few writes, what else waits already."""
+        """At least one item, and what else waits already, so that a flood takes few writes."""
         items = [self._waiting.get()]
         with contextlib.suppress(queue.Empty):
             while len(items) < 500:
@@ -103,7 +103,7 @@ class Outbox:
         return items
 
     def _steps(self, heard: Sequence[_Heard]) -> Iterator[Callable[[], None]]:
-        """What stores these: the lines in one write, and in one write each what is said between two files."""
+        """The writes that store these: one for all lines, one for every 100 messages between two files."""
         lines = [item for item in heard if isinstance(item.what, str)]
         if lines:
             yield partial(self._store_lines, lines, _new_id())
@@ -116,7 +116,7 @@ class Outbox:
                 yield partial(self._store_said if is_said else self._store_one, part, _new_id())
 
     def _insist(self, step: Callable[[], None]) -> bool:
-        """Do it, through any outage; whether it was possible at all."""
+        """Do it, through any outage; returns whether it succeeded."""
         try:
             retry_while_unavailable(step, called_off=lambda: self._is_abandoned)
         except Exception as error:  # Whatever it is, the job must not seem done.
@@ -145,7 +145,7 @@ class Outbox:
                 self._holding.start(device=device, engine=engine, details=details)
             case FileReady() as message:
                 self._publish(message, item.time, write_id)
-            case _:  # Failed and Finished are the supervisor's to weigh.
+            case _:  # The supervisor judges Failed and Finished.
                 pass
 
     def _record(
@@ -221,7 +221,7 @@ def _entry(item: _Heard) -> Entry:
 
 
 def _new_id() -> str:
-    """The identity of a write, which keeps it when it has to be sent again."""
+    """The identity of a write; a retry keeps it."""
     return secrets.token_hex(8)
 
 

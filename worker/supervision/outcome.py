@@ -8,7 +8,7 @@ from worker.host.memory import LESS_MEMORY
 from worker.protocol import Failed, Finished
 from worker.stop_signals import DRAIN_SIGNAL, Stop
 
-# How a process ends whose native code made a mistake, or found one.
+# How a process ends whose native code crashed, or found an error of its own.
 _CRASHES = frozenset(
     {
         signal.SIGSEGV,
@@ -39,9 +39,9 @@ def judge(
     *,
     memory_ran_out: bool = False,
 ) -> Outcome:
-    """From the process' last word, how it ended, and what it had been asked.
+    """The outcome, from the process's last message, its exit status and the stop that it was asked for.
 
-    exit_status: negative is the signal that ended it. memory_ran_out: the kernel was killing for memory then.
+    exit_status: negative: the signal that ended it. memory_ran_out: the kernel was killing for memory then.
     """
     if isinstance(last_word, Failed):
         if last_word.reason in RETRIED and stop is not Stop.TIMEOUT:
@@ -70,18 +70,18 @@ def judge(
 def _crashed(exit_status: int, *, memory_ran_out: bool) -> Outcome:
     if exit_status >= 0:
         message = (
-            f"The training process ended with status {exit_status} and said nothing; its log may tell why."
+            f"The training process ended with status {exit_status} and gave no reason; its log may show why."
         )
         return Outcome(JobStatus.FAILED, Reason.TRAINING_CRASHED, message)
     name = signal.Signals(-exit_status).name
-    again = "It goes on from its last checkpoint."
+    again = "It resumes from its last checkpoint."
     if -exit_status == signal.SIGKILL and memory_ran_out:
         message = (
-            "The machine's memory ran out, or what the training may have of it, and the kernel killed the "
+            "The machine's memory ran out, or the part that the training may use, and the kernel killed the "
             f"training process. {LESS_MEMORY} {again}"
         )
         return Outcome(None, Reason.OUT_OF_HOST_MEMORY, message)
     if -exit_status in _CRASHES:
-        message = f"Native code of the training process crashed ({name}); its log may tell where. {again}"
+        message = f"Native code of the training process crashed ({name}); its log may show where. {again}"
         return Outcome(None, Reason.NATIVE_CRASH, message)
     return Outcome(None, Reason.TRAINING_KILLED, f"The training process was ended by {name}. {again}")

@@ -1,4 +1,4 @@
-"""An attempt's own folder. It goes with the attempt, or, where that was killed, with the next one here."""
+"""An attempt's own folder. It is removed with the attempt or, if that was killed, by the next one here."""
 
 import shutil
 from collections.abc import Generator
@@ -20,7 +20,7 @@ def spool(path: Path) -> Generator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = path.with_name(path.name + _LOCK)
     while (descriptor := file_lock.take(lock)) is None:
-        pause(_PAUSE_S)  # Another worker looks at this very moment whether somebody holds it.
+        pause(_PAUSE_S)  # Another worker is checking whether somebody holds it.
     try:
         path.mkdir(exist_ok=True)
         yield path
@@ -33,7 +33,7 @@ def remove_left_over(folder: Path) -> None:
     names = {file.name.removesuffix(_LOCK) for file in folder.glob("*")}
     for name in names:
         lock = folder / (name + _LOCK)
-        with suppress(OSError):  # Whoever comes next tries again.
+        with suppress(OSError):  # The next worker tries again.
             if (descriptor := file_lock.take(lock)) is not None:
                 _remove(folder / name, lock, descriptor)
 

@@ -1,4 +1,4 @@
-"""Noticing that a training process hangs: it says nothing for far longer than ever before, or was stopped."""
+"""Notices that a training process hangs: it is silent for far longer than ever before, or was stopped."""
 
 import time
 from collections.abc import Callable
@@ -18,9 +18,9 @@ _PROC = Path("/proc")
 
 
 class StallWatch:
-    """Hears every sign of life of a process group. patience: a silence that is always allowed.
+    """Watches a process group for silence. patience: a silence that is always allowed.
 
-    clock: seconds. stopped: gives the ids of a group's stopped processes.
+    clock: seconds. stopped: returns the ids of a group's stopped processes.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class StallWatch:
         self._stopped_since: float | None = None
 
     def hear(self, *, is_progress: bool = False) -> None:
-        """Something was said; is_progress: training has advanced."""
+        """Note a sign of life. is_progress: training has advanced."""
         now = self._clock()
         if self._is_training:
             self._longest_s = max(self._longest_s, now - self._heard_at)
@@ -46,7 +46,7 @@ class StallWatch:
         self._heard_at = now
 
     def what_is_wrong(self, group: int) -> str | None:
-        """A sentence where the group has hung for too long; looks at most once a second."""
+        """A sentence if the group has hung for too long; looks at most once a second."""
         now = self._clock()
         if now - self._looked_at < _LOOK_EVERY_S:
             return None
@@ -71,7 +71,7 @@ class StallWatch:
 
 
 def stopped_processes(group: int, proc: Path = _PROC) -> list[int]:
-    """The ids of stopped processes (SIGSTOP, a debugger) in a process group; none where there is no /proc."""
+    """The ids of stopped processes (SIGSTOP, a debugger) in a process group; none if there is no /proc."""
     return sorted(pid for pid, state, its_group in processes(proc) if its_group == group and state in "Tt")
 
 

@@ -1,4 +1,4 @@
-"""What a training process starts from: its task, a checkpoint that was verified, and the user's own model."""
+"""What a training process starts from: its task, a verified checkpoint, and the user's own model."""
 
 import hashlib
 from pathlib import Path
@@ -17,15 +17,15 @@ from core.user_models import library
 from worker.protocol import Task
 
 _FILE = "start.msgpack"
-# A byte may be flipped on the way, too: only what is damaged at each reading is damaged at the store.
+# A byte may be flipped on the way, too: only what is damaged at each reading is damaged in the store.
 _READINGS = 3
 
 
 def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
-    """Leave in the spool what the training process needs; sentences for people about what was wrong with it.
+    """Write what the training process needs to the spool; returns notes for users on what was wrong with it.
 
-    Raises Rejected or NotFound where the checkpoint of another job has gone meanwhile; JobFailed where the
-    model has ("bad_model"), or where no checkpoint of another job is whole ("bad_checkpoint").
+    Raises Rejected or NotFound if the checkpoint of another job has been deleted meanwhile; JobFailed if the
+    model has ("bad_model"), or if no checkpoint of another job is whole ("bad_checkpoint").
     """
     notes: list[str] = []
     checkpoint = _own_checkpoint(job, claim, spool, notes)
@@ -40,7 +40,7 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
 
 
 def _own_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> Artifact | None:
-    """The newest whole one that an earlier attempt left. One that is damaged is struck from the record."""
+    """The newest whole one of an earlier attempt. Damaged ones are struck from the record."""
     while (checkpoint := job.newest("checkpoint")) is not None:
         damage = _fetch(checkpoint, claim.objects, spool / _FILE)
         if damage is None:
@@ -75,7 +75,7 @@ def _lent_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> A
 
 
 def _fetch(checkpoint: Artifact, objects: ObjectStore, path: Path) -> str | None:
-    """Load the file; what is wrong with it, or None. Raises StorageUnavailable."""
+    """Load the file; returns what is wrong with it, or None. Raises StorageUnavailable."""
     try:
         if any(_load(checkpoint.key, objects, path) == checkpoint.sha256 for _ in range(_READINGS)):
             return None
@@ -85,7 +85,7 @@ def _fetch(checkpoint: Artifact, objects: ObjectStore, path: Path) -> str | None
 
 
 def _load(key: str, objects: ObjectStore, path: Path) -> str:
-    """Write the object to the file; the SHA-256 of what came."""
+    """Write the object to the file; returns the SHA-256 of what came."""
     digest = hashlib.sha256()
     with objects.open(key) as pieces, path.open("wb") as file:
         for piece in pieces:
@@ -95,7 +95,7 @@ def _load(key: str, objects: ObjectStore, path: Path) -> str:
 
 
 def _as_begun(task: Task, begun: Attempt | None) -> Task:
-    """With what the attempt before resolved: tuned values and the choice of `auto` may be others by now."""
+    """The task as the job began: tuned values and the choice of `auto` may have changed since then."""
     spec = task.spec
     if begun is None or not isinstance(spec, TrainSpec):
         return task

@@ -40,13 +40,13 @@ from worker.supervision.tracking import Tracking
 
 log = structlog.get_logger()
 
-# How often the supervisor looks up from waiting for the process to end.
+# How often the supervisor checks everything else while it waits for the process to end.
 _GLANCE_S = 0.1
 # The phases after which there are new programs, and new kernels.
 _COMPILED = ("compile", "first_update")
-# How long finished work waits for a store that is away, before the attempt is given up.
+# How long finished work waits for an unavailable store before the attempt is given up.
 _STORAGE_PATIENCE_S = 86_400.0
-# What is stored last gets at least this time, also where the training process has used up its grace time.
+# What is stored last gets at least this time, even if the training process has used up the grace time.
 _LAST_S = 3.0
 
 
@@ -54,9 +54,9 @@ _LAST_S = 3.0
 class Supervisor:
     """Runs one claimed attempt.
 
-    draining: set, also by a signal handler, once the worker has to go; the job then keeps a checkpoint
-    and is given back. device_test: the program that tests the device after an end that this may have caused.
-    Leaves behind: the job ended or back in the queue, no process, no spool.
+    draining: set, also by a signal handler, once the worker must shut down; the job then keeps a checkpoint
+    and is given back. device_test: the program that tests the device after a failure that it may have caused.
+    Afterwards the job has ended or is back in the queue, and no process and no spool is left.
     """
 
     claim: Claim
@@ -68,7 +68,7 @@ class Supervisor:
     device_test: Sequence[str] | None = None
 
     def run(self) -> None:
-        folder = self.settings.data_dir.absolute()  # The training process stands elsewhere.
+        folder = self.settings.data_dir.absolute()  # The training process has another working directory.
         own = folder / SPOOLS / f"{self.claim.job_id}.{self.claim.number}"
         caches = Caches(self.claim.objects, self.settings, self.device, own)
         try:
@@ -83,7 +83,7 @@ class Supervisor:
             with spool(own):
                 return self._attempt(heartbeat, caches, folder, own)
         except CalledOff:
-            message = "The worker was shut down before it had begun with the job."
+            message = "The worker was shut down before it had started the job."
             return Outcome(None, Reason.WORKER_DRAINED, message)
         except SlotTaken as error:
             return Outcome(None, Reason.WORKER_LOST, str(error))
@@ -119,11 +119,11 @@ class Supervisor:
             models = self.settings.models
             process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
             try:
-                ear = OutputReaders(process, outbox, caches, tracking, StallWatch(self.settings.stall))
+                readers = OutputReaders(process, outbox, caches, tracking, StallWatch(self.settings.stall))
                 memory_bytes = allowed_bytes(self.settings.memory_limit)
                 with memory_group(process.pid, memory_bytes) as group:
                     memory = MemoryWatch(memory_bytes, group=group)
-                    outcome = self._watch(process, ear, heartbeat, memory, job.spec.timeout_s)
+                    outcome = self._watch(process, readers, heartbeat, memory, job.spec.timeout_s)
             except BaseException:
                 tracking.abandon()
                 outbox.abandon()
@@ -144,7 +144,7 @@ class Supervisor:
     def _watch(
         self,
         process: TrainingProcess,
-        ear: "OutputReaders",
+        readers: "OutputReaders",
         heartbeat: Heartbeat,
         memory: MemoryWatch,
         timeout_s: float,
@@ -155,30 +155,33 @@ class Supervisor:
         while (status := process.poll(_GLANCE_S)) is None:
             if heartbeat.lost.is_set():
                 raise LeaseLost(self.claim.job_id)
-            ear.outbox.check()
+            readers.outbox.check()
             if stop is None and (stop := self._wanted(heartbeat, deadline)) is not None:
                 log.info("training_stops", job_id=self.claim.job_id, why=stop)
                 process.stop(stop)
                 kill_at = time.monotonic() + self.settings.grace.total_seconds()
             elif stop is Stop.DRAIN:
-                process.stop(stop)  # It may have been deaf for a moment: see worker/training/stopping.py.
+                process.stop(stop)  # One may be lost: see worker/training/stopping.py.
             if time.monotonic() > kill_at:
                 process.kill()
-            for watch, reason in ((ear.stall, Reason.TRAINING_STALLED), (memory, Reason.OUT_OF_HOST_MEMORY)):
+            for watch, reason in (
+                (readers.stall, Reason.TRAINING_STALLED),
+                (memory, Reason.OUT_OF_HOST_MEMORY),
+            ):
                 if (problem := watch.what_is_wrong(process.pid)) is not None:
                     log.warning(reason.value, job_id=self.claim.job_id, detail=problem)
                     process.kill()
-                    ear.join()
+                    readers.join()
                     return Outcome(None, reason, problem)
         memory_ran_out = memory.ran_out()
         process.kill()
-        ear.join()
+        readers.join()
         if status == 0:  # A process that crashed may have left kernels that would crash the next.
-            ear.caches.keep()
-        return judge(ear.last_word, status, stop, timeout_s, memory_ran_out=memory_ran_out)
+            readers.caches.keep()
+        return judge(readers.last_word, status, stop, timeout_s, memory_ran_out=memory_ran_out)
 
     def _after_test(self, outcome: Outcome, folder: Path, slot_fds: Sequence[int]) -> Outcome:
-        """A device that may have caused the end, and fails a test, is set aside and gets the blame."""
+        """Test a device that may have caused the end; one that fails is set aside and named as the reason."""
         if self.device_test is None or outcome.status is not None or outcome.reason not in SUSPICIOUS:
             return outcome
         test = DeviceTest(self.device_test, self.device, folder, slot_fds)
@@ -196,7 +199,7 @@ class Supervisor:
         return Stop.TIMEOUT if time.monotonic() > deadline else None
 
     def _must_leave(self, at_least_s: float = 0.0) -> Callable[[], bool]:
-        """Whether the grace time of a drain is over, and `at_least_s` from now, too."""
+        """Whether the grace time of a drain is over, and `at_least_s` from now have passed."""
         grace_s, not_before = self.settings.grace.total_seconds(), time.monotonic() + at_least_s
         return lambda: self.draining.for_s() >= grace_s and time.monotonic() >= not_before
 
@@ -204,7 +207,7 @@ class Supervisor:
         tell = partial(end, self.claim, outcome)
         try:
             job = retry_while_unavailable(tell, _STORAGE_PATIENCE_S, called_off=self._must_leave())
-        except CalledOff:  # PostgreSQL is away: the next worker here tells it, or the lease runs out.
+        except CalledOff:  # PostgreSQL is unavailable: the next worker records it, or the lease runs out.
             log.warning("attempt_left", job_id=self.claim.job_id, detail=outcome.message)
             with suppress(OSError):  # No room for it: the job counts as a lost worker's.
                 leave(self.settings.data_dir, self.claim, outcome)
@@ -215,7 +218,7 @@ class Supervisor:
 
 
 class OutputReaders:
-    """Two threads that hear what the process says, so that no pipe ever fills up and halts it."""
+    """Two threads that read the process's pipes, so that a full pipe never blocks it."""
 
     def __init__(
         self,
@@ -233,17 +236,17 @@ class OutputReaders:
         self._tracking = tracking
         self._threads = [
             threading.Thread(target=target, name=target.__name__, daemon=True)
-            for target in (self._hear_messages, self._hear_lines)
+            for target in (self._read_messages, self._read_lines)
         ]
         for thread in self._threads:
             thread.start()
 
     def join(self) -> None:
-        """Both pipes have been read to their ends; the log is on its way to the store."""
+        """Wait until both pipes have been read to their ends; the outbox then has the whole log."""
         for thread in self._threads:
             thread.join()
 
-    def _hear_messages(self) -> None:
+    def _read_messages(self) -> None:
         for message in self._process.messages():
             self.stall.hear(is_progress=isinstance(message, Advanced))
             if isinstance(message, Failed | Finished):
@@ -253,7 +256,7 @@ class OutputReaders:
             if isinstance(message, PhaseEnded) and message.name in _COMPILED:
                 self.caches.keep()
 
-    def _hear_lines(self) -> None:
+    def _read_lines(self) -> None:
         limit = LogLimit()
         for line in self._process.lines():
             self.stall.hear()
@@ -264,18 +267,18 @@ class OutputReaders:
 
 
 def _not_stored(is_leaving: bool) -> Outcome:
-    """The end of an attempt whose results no store took."""
-    away = "PostgreSQL or the object store was away, or refused; the worker's log says which"
+    """The outcome of an attempt whose results could not be stored."""
+    why = "PostgreSQL or the object store was unavailable, or refused; the worker's log says which"
     if is_leaving:
-        message = f"The worker was shut down before everything was stored: {away}."
+        message = f"The worker was shut down before everything was stored: {why}."
         return Outcome(None, Reason.WORKER_DRAINED, message)
     hours = _STORAGE_PATIENCE_S / 3600
-    message = f"The results could not be stored for {hours:.0f} hours: {away}."
+    message = f"The results could not be stored for {hours:.0f} hours: {why}."
     return Outcome(None, Reason.STORAGE_UNAVAILABLE, message)
 
 
 def _cached_as(job: Job) -> str:
-    """What is compiled for one model of a user is of no use to another. A name without slashes."""
+    """The cache's name, without slashes; each model of a user has its own, since no other can use it."""
     model_id, environment_id = model_of(job.spec.environment) or "", job.spec.environment.id.replace("/", "-")
     return "-".join(filter(None, (environment_id, model_id.removeprefix("sha256:")[:16])))
 

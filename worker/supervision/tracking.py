@@ -1,4 +1,4 @@
-"""What an attempt at a training job leaves for other tools: its supervisor's side."""
+"""Writes what an attempt at a training job keeps for other tools: the supervisor's side."""
 
 import json
 import subprocess
@@ -28,7 +28,7 @@ log = structlog.get_logger()
 
 _FOLDER = "tracking"
 EVENTS, ARCHIVE, CURVE = "events.out.tfevents", "wandb.tar", "episodes.png"
-# How long a job's end waits for its files, before it goes without.
+# How long a job's end waits for its files to be written, and to be stored, before it does without.
 _WRITE_S, _STORE_S = 60.0, 60.0
 _GLANCE_S = 0.05
 _NO_PACKAGE = "This worker has no package wandb (pip install 'gaitway[wandb]'): the run is not tracked there."
@@ -37,10 +37,10 @@ _NO_KEY = "This worker has no GAITWAY_WANDB_API_KEY: the run is not sent, and ke
 
 @dataclass
 class Tracking:
-    """Nothing in here ends a job, but a lease that was lost.
+    """Nothing in here ends a job, except a lost lease.
 
-    Call `tell` with each message, `finish` when the training process has ended, `write_up` when all that it
-    said is stored; or `abandon`, where the attempt leaves in a hurry.
+    Call `tell` with each message, `finish` when the training process has ended, `write_up` when all its
+    messages are stored; or `abandon`, if the attempt must end at once.
     """
 
     job: Job
@@ -79,12 +79,12 @@ class Tracking:
             self._live.tell(message)
 
     def finish(self, status: JobStatus | None) -> None:
-        """Send the rest, within bounds. status: the job's, if it ends with this attempt."""
+        """Send the rest, within a time limit. status: the job's, if it ends with this attempt."""
         if self._live is not None and self._live.finish(_exit_code(status)):
-            self._about = None  # All is there: no file is needed.
+            self._about = None  # The server has everything: no file is needed.
 
     def abandon(self) -> None:
-        """Nothing of it runs any more."""
+        """End its process."""
         if self._live is not None:
             self._live.kill()
 
@@ -144,7 +144,7 @@ class Tracking:
         )
 
     def _keep(self, notes: list[str], keep_checkpoints: int, called_off: Callable[[], bool]) -> None:
-        """Store what was written; through an outage, if it is a short one."""
+        """Store what was written, through a short outage if need be."""
         later = Outbox(self.claim, self.spool, keep_checkpoints)
         for note in notes:
             later.put(Noted(text=note))
@@ -172,7 +172,7 @@ class Tracking:
 def _last_words(
     child: subprocess.Popen[bytes], words: IO[bytes], called_off: Callable[[], bool]
 ) -> list[str]:
-    """Its notes, once it has ended by itself or for us; they are few enough to wait in their pipe."""
+    """Its notes, once it has ended or taken too long; they are few enough to wait in their pipe."""
     deadline = time.monotonic() + _WRITE_S
     while child.poll() is None:
         if time.monotonic() > deadline or called_off():

@@ -1,6 +1,6 @@
-"""`python -m worker.tracking live`, fed with items by its parent; or `... write DOCUMENT`.
+"""`python -m worker.tracking live`, to which its parent sends items; or `... write DOCUMENT`.
 
-Says `{"opened": true}` and `{"note": "..."}` as JSON lines. Exit status 0: all of it is done.
+Prints `{"opened": true}` and `{"note": "..."}` as JSON lines. Exit status 0: everything is done.
 """
 
 import json
@@ -15,14 +15,11 @@ from typing import IO, Any
 from worker.host.parent_death import die_with_parent
 from worker.tracking.items import ITEM, About, End, Row, WriteUp
 
-PARENT = "GAITWAY_PARENT_PID"
-
 
 def main(arguments: list[str]) -> int:
-    parent = os.environ.get(PARENT)
-    die_with_parent(int(parent) if parent else None)
+    die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Libraries print what they like; our words go out by a way of their own.
+    # Libraries may print anything to stdout; our messages leave by a copy of it.
     words = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     match arguments:
@@ -35,7 +32,7 @@ def main(arguments: list[str]) -> int:
 
 
 def live(items: IO[bytes], words: IO[str]) -> int:
-    """Hand on each item as it comes."""
+    """Send each item to the server as it comes."""
     about = About.model_validate_json(items.readline())
     try:
         from worker.tracking.run import open_run, tell
@@ -47,13 +44,13 @@ def live(items: IO[bytes], words: IO[str]) -> int:
             tell(run, item)
             if isinstance(item, End):
                 return 0
-    except Exception as error:  # Whatever it is, the job goes on.
-        say(words, note=f"Weights & Biases took no more of this run: {reason(error)}")
+    except Exception as error:  # Whatever it is, the job continues.
+        say(words, note=f"Weights & Biases accepted no more of this run: {reason(error)}")
     return 1
 
 
 def write(task: WriteUp, words: IO[str]) -> int:
-    """Write each of the files that are wanted; one that cannot be written is a note, and keeps no other."""
+    """Write each requested file; one that cannot be written is a note, and the others are still written."""
     wanted: list[tuple[str, Callable[[], None]]] = [
         ("event file for TensorBoard", partial(write_scalars, task.measurements, task.events)),
         ("picture of the episodes", partial(write_curve, task.measurements, task.curve)),
@@ -64,14 +61,14 @@ def write(task: WriteUp, words: IO[str]) -> int:
     for what, write_it in wanted:
         try:
             write_it()
-        except Exception as error:  # Whatever it is, the job goes on.
+        except Exception as error:  # Whatever it is, the job continues.
             say(words, note=f"There is no {what}: {reason(error)}")
             status = 1
     return status
 
 
 def write_scalars(measurements: Path, path: Path) -> None:
-    """What TensorBoard shows."""
+    """The event file for TensorBoard."""
     from worker.tracking.board import write_events
 
     write_events(measurements, path)
@@ -107,7 +104,7 @@ def write_archive(task: WriteUp, about: About, path: Path) -> None:
 
 
 def reason(error: Exception) -> str:
-    """In one line, and without the key, should a library quote it."""
+    """The error in one line, without the key, which a library might quote."""
     text = next(iter(str(error).splitlines()), "")[:300]
     if key := os.environ.get("WANDB_API_KEY"):
         text = text.replace(key, "…")

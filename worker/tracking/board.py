@@ -13,7 +13,7 @@ from tensorboardX import SummaryWriter
 def write_events(measurements: Path, path: Path) -> None:
     """Every finite value of the JSON lines as a scalar of its step and time, in the order of the steps.
 
-    In that order, because TensorBoard takes a step back for a restart and drops what it had.
+    In that order, because TensorBoard takes a lower step for a restart and drops what came before.
     """
     rows = sorted(map(json.loads, measurements.read_text().splitlines()), key=lambda row: row["step"])
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:

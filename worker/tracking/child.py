@@ -10,28 +10,27 @@ from pathlib import Path
 import psutil
 
 from core.settings import WorkerSettings
-from worker.host.child import environment
+from worker.host.child import environment, launch
 
-# wandb's uploader watches its parent itself; nobody waits longer for it to see that this is gone.
+# How long wandb's uploader may take to notice that its parent is gone.
 _GONE_S = 5.0
 
 
 def start(
     arguments: Sequence[str], folder: Path, settings: WorkerSettings, *, with_key: bool
 ) -> subprocess.Popen[bytes]:
-    """`python -m worker.tracking ...`, in a session of its own; it dies with the calling thread.
+    """Start `python -m worker.tracking ...`; it dies with the calling thread.
 
-    folder: where it stands, and finds no settings of the user who runs the worker. with_key: it may speak to
-    Weights & Biases.
+    folder: its working directory and home, without settings of the user who runs the worker. with_key: it may
+    talk to Weights & Biases.
     """
-    return subprocess.Popen(
+    return launch(
         [sys.executable, "-m", "worker.tracking", *arguments],
-        cwd=folder,
-        env=_surroundings(folder, settings, with_key=with_key),
+        _surroundings(folder, settings, with_key=with_key),
         stdin=subprocess.PIPE if with_key else subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,
+        cwd=folder,
     )
 
 
@@ -50,7 +49,7 @@ def end(child: subprocess.Popen[bytes]) -> None:
 
 
 def _matplotlibs_own() -> str:
-    """Where it has its list of fonts, which takes seconds to make: not with this job's files."""
+    """The folder of its list of fonts, which takes seconds to make, so it is not among this job's files."""
     caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return os.environ.get("MPLCONFIGDIR") or str(Path(caches) / "matplotlib")
 
@@ -59,7 +58,6 @@ def _surroundings(folder: Path, settings: WorkerSettings, *, with_key: bool) -> 
     base = environment("cpu", settings.data_dir.absolute(), os.environ)
     kept = {name: value for name, value in base.items() if not name.startswith("WANDB_")}
     kept |= {
-        "GAITWAY_PARENT_PID": str(os.getpid()),
         "HOME": str(folder),
         "TMPDIR": str(folder),
         "MPLCONFIGDIR": _matplotlibs_own(),

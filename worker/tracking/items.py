@@ -1,4 +1,4 @@
-"""What the processes of this package are told: one JSON document a line."""
+"""The messages to the processes of this package: one JSON document per line."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,7 +12,7 @@ if TYPE_CHECKING:  # The processes of this package would build all specification
 
 
 class About(Stored):
-    """The run at Weights & Biases. folder: where its files may lie."""
+    """The run at Weights & Biases. folder: for its files."""
 
     kind: Literal["about"] = "about"
     job_id: str
@@ -24,7 +24,7 @@ class About(Stored):
 
 
 class Configured(Stored):
-    """More of the configuration: what an attempt found out about itself."""
+    """More of the configuration, as an attempt has resolved it."""
 
     kind: Literal["config"] = "config"
     values: dict[str, Any]
@@ -47,7 +47,7 @@ class Film(Stored):
 
 
 class End(Stored):
-    """Nothing more will come. exit_code: 0 where the job has done all that was asked."""
+    """Nothing more will come. exit_code: 0 if the job has done all that was asked."""
 
     kind: Literal["end"] = "end"
     exit_code: int
@@ -58,10 +58,10 @@ ITEM: TypeAdapter[Configured | Row | Film | End] = TypeAdapter(Item)
 
 
 class WriteUp(Stored):
-    """What shall be written from the whole of a job: paths are in the folder of the document.
+    """What to write about the whole job; all paths are in the folder of the document.
 
     measurements: JSON lines, each with step, time and values. events: the file for TensorBoard.
-    curve: a picture, of runs that have one. archive: the offline run; None: none is wanted.
+    curve: a picture, of runs that have one. archive: the offline run; None if none is wanted.
     """
 
     job_id: str
@@ -75,7 +75,7 @@ class WriteUp(Stored):
 
 
 def about_run(job_id: str, spec: "TrainSpec", folder: Path) -> About | None:
-    """None where the job asks for no run."""
+    """The run; None if the job asks for none."""
     wanted = spec.tracking.wandb
     if wanted is None:
         return None
@@ -92,7 +92,7 @@ def about_run(job_id: str, spec: "TrainSpec", folder: Path) -> About | None:
 
 
 def configured(device: str | None, engine: str | None, details: dict[str, Any]) -> Configured:
-    """The hyperparameters as they were resolved, and what they run on."""
+    """The resolved hyperparameters, and what they run on."""
     facts = {name: value for name, value in details.items() if name != "hyperparameters"}
     resolved = {"algorithm": details["hyperparameters"]} if "hyperparameters" in details else {}
     return Configured(values={**resolved, **facts, "device": device, "engine": engine})

@@ -1,4 +1,4 @@
-"""A run that is shown at Weights & Biases while it goes on."""
+"""Shows a run at Weights & Biases while it is in progress."""
 
 import json
 import os
@@ -15,16 +15,16 @@ from worker.protocol import FileReady, Measured, Message, Started
 from worker.tracking.child import end, start
 from worker.tracking.items import About, Configured, End, Film, Row, configured
 
-# How much may wait for a process that is slow.
+# How many items may wait for a slow process.
 _MOST_WAITING = 10_000
-# How long a job's end waits for what is still on its way; and where the server has not even answered yet.
+# How long a job's end waits for the last items; and for them if the server has not even answered yet.
 _FINISH_S, _OPEN_S = 10.0, 2.0
 
 
 class Live:
-    """Feeds a process that speaks to the server. Nothing here ever waits but `finish`.
+    """Feeds a process that talks to the server. Only `finish` ever waits.
 
-    note: takes the sentence that says why there is no more; called once at most, from another thread.
+    note: called with the sentence that says why no more is sent; at most once, from another thread.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Live:
         threading.Thread(target=self._feed, name="tracking_feed", daemon=True).start()
 
     def tell(self, message: Message) -> None:
-        """What the training process says; videos are still in the spool."""
+        """Send a message of the training process on; its videos are still in the spool."""
         match message:
             case Started(device=device, engine=engine, details=details):
                 self._put(configured(device, engine, details))
@@ -56,7 +56,7 @@ class Live:
                 pass
 
     def finish(self, exit_code: int) -> bool:
-        """Send the rest, within bounds; whether the server has everything. Nothing runs any more then."""
+        """Send the rest, within a time limit, and end the process; returns whether the server has it all."""
         self._put(End(exit_code=exit_code))
         try:
             status = self._child.wait(_FINISH_S if self._opened.is_set() else _OPEN_S)
@@ -64,13 +64,13 @@ class Live:
             status = None
             self._fail("Weights & Biases was too slow: the job has ended, and does not wait for it.")
         end(self._child)
-        self._listener.join(1)  # It may have a reason to tell yet.
+        self._listener.join(1)  # It may still have a reason to report.
         is_complete = status == 0 and not self._failed.is_set()
         self._failed.set()
         return is_complete
 
     def kill(self) -> None:
-        """Nothing of it runs any more, whatever it had still to do."""
+        """End the process, whatever it still had to do."""
         self._failed.set()
         end(self._child)
 
@@ -80,7 +80,7 @@ class Live:
         try:
             self._waiting.put_nowait(item.model_dump_json().encode() + b"\n")
         except queue.Full:
-            self._fail("Weights & Biases was too slow for this run, and is told no more of it.")
+            self._fail("Weights & Biases was too slow for this run, and gets no more of it.")
             self._child.kill()
 
     def _feed(self) -> None:
@@ -100,7 +100,7 @@ class Live:
                 else:
                     self._fail(word["note"])
         if self._child.wait() != 0:
-            self._fail("The process that speaks to Weights & Biases has ended.")
+            self._fail("The process that talks to Weights & Biases has ended.")
 
     def _fail(self, why: str) -> None:
         if not self._failed.is_set():

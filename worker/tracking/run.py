@@ -17,7 +17,7 @@ _STEP = "num_steps"
 def open_run(about: About, mode: Literal["online", "offline"]) -> Any:
     """The job's run: a new one, or the one that an earlier attempt began. Raises what wandb raises.
 
-    Nothing is told of this machine, its packages or its code.
+    Nothing is sent about this machine, its packages or its code.
     """
     settings = wandb.Settings(
         console="off",
@@ -43,7 +43,7 @@ def open_run(about: About, mode: Literal["online", "offline"]) -> Any:
         config=about.config,
         settings=settings,
     )
-    # A resumed run begins before the step that the one before it had reached: no step of W&B's own.
+    # A resumed run begins before the last step that was sent, so it cannot use W&B's own step.
     run.define_metric(_STEP)
     run.define_metric("*", step_metric=_STEP)
     return run

@@ -1,4 +1,4 @@
-"""`python -m worker.training SPOOL EVENTS_FD PARENT_PID`, started by the supervisor."""
+"""`python -m worker.training SPOOL EVENTS_FD`, started by the supervisor."""
 
 import json
 import os
@@ -12,13 +12,13 @@ from worker.training.stopping import Stopping
 
 
 def main() -> None:
-    spool, events_fd, parent = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    spool, events_fd = Path(sys.argv[1]), int(sys.argv[2])
     if _has_a_users_model(spool):
         keep_to_own_files(spool)
-    die_with_parent(parent)
+    die_with_parent()
     stopping = Stopping()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Said before anything heavy is imported: from here on the job is seen to run.
+    # Sent before anything heavy is imported: from here on the job is known to run.
     os.write(events_fd, json.dumps({"type": "hello", "pid": os.getpid()}).encode() + b"\n")
     from worker.training.run import run  # Imports JAX.
 
@@ -26,7 +26,7 @@ def main() -> None:
 
 
 def _has_a_users_model(spool: Path) -> bool:
-    """Before any thread starts, which would not be bound; what else the task says is `run`'s to read."""
+    """Read before any thread starts, which would not be confined; `run` reads the rest of the task."""
     try:
         return bool(json.loads((spool / "task.json").read_bytes()).get("model"))
     except (OSError, ValueError):

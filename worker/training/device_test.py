@@ -1,6 +1,6 @@
-"""`python -m worker.training.device_test NUM_GPUS`: a copy and a multiplication on each card that it sees.
+"""`python -m worker.training.device_test NUM_GPUS`: copies and multiplies numbers on each card that it sees.
 
-Exit status 0 where all is well; otherwise the last line says what was seen.
+Exit status 0 if all is well; otherwise the last line says what is wrong.
 """
 
 import os
@@ -14,7 +14,7 @@ _SIZE = 1024
 
 def main(num_gpus: int) -> None:
     die_with_parent()
-    # A card is to be touched, not filled.
+    # The test must not take all of a card's memory.
     os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
     import jax
 

@@ -9,7 +9,7 @@ from worker.protocol import FileReady, Message
 
 
 class EventWriter:
-    """Tells the supervisor what happens, and hands it whole files."""
+    """Sends messages and whole files to the supervisor."""
 
     def __init__(self, spool: Path, events_fd: int) -> None:
         self.spool = spool
@@ -44,7 +44,7 @@ class EventWriter:
         step: int | None = None,
         metadata: dict[str, Any] | None = None,
     ) -> None:
-        """A file of this name lies whole in the spool."""
+        """Announce a whole file of this name in the spool."""
         self.send(
             FileReady(
                 name=name, path=name, role=role, media_type=media_type, step=step, metadata=metadata or {}

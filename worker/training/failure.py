@@ -1,4 +1,4 @@
-"""What a training process says of an exception that ended it."""
+"""Turns the exception that ended a training process into its last message."""
 
 import re
 
@@ -18,7 +18,7 @@ _DEVICE_FAILED = re.compile(
 
 
 def failure(error: Exception, device: str) -> Failed:
-    """Memory, device or disk, where it was one of these; device: `cpu`, or the worker's GPUs."""
+    """Blames memory, device or disk if it was one of these. device: `cpu`, or the worker's GPUs."""
     if is_full(error):
         return Failed(reason=Reason.STORAGE_UNAVAILABLE, message=what_to_do())
     text = f"{type(error).__name__}: {error}"

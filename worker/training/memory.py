@@ -1,4 +1,4 @@
-"""Whether a run can fit, before anything of it is made."""
+"""Checks whether a run fits into memory, before any of it is allocated."""
 
 import jax
 
@@ -10,14 +10,14 @@ from worker.host.memory import allowed_bytes
 
 
 def check_memory(least: Memory, device: Device) -> None:
-    """Raises JobFailed where the device, or for a CPU its machine, has not even got the least."""
+    """Raises JobFailed if the device, or for a CPU its machine, has less memory than the run needs."""
     limit = allowed_bytes(None) if device == "cpu" else _device_bytes()
     if limit is not None and least.bytes > limit:
-        # Not `out_of_host_memory`, which may be somebody else's doing and is tried again.
+        # Not `out_of_host_memory`, which another process may have caused and which is retried.
         raise JobFailed(Reason.OUT_OF_MEMORY, least.does_not_fit(limit, f"this worker's {device.upper()}"))
 
 
 def _device_bytes() -> int | None:
-    """What XLA may use of the first GPU; None where it does not say."""
+    """What XLA may use of the first GPU; None if it does not say."""
     counted = jax.local_devices()[0].memory_stats()
     return counted.get("bytes_limit") if counted else None

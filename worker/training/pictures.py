@@ -1,4 +1,4 @@
-"""Numbers as artifacts, and their pictures: drawn by a process of their own while others work."""
+"""Numbers as artifacts, and their pictures, which a separate process draws in the meantime."""
 
 import io
 import os
@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from core.environments import trajectory
 from core.environments.trajectory import Trajectory
 from core.rendering.gl import last_line
+from worker.host.child import collect, kill, launch
 from worker.protocol import Noted
 from worker.training.event_writer import EventWriter
 
 _PLOTTING = (sys.executable, "-m", "worker.render.plotting")
-# Once on a machine matplotlib reads all of its fonts first, and may have to wait for a core.
+# On its first run on a machine matplotlib reads all fonts; it may also have to wait for a core.
 _TIMEOUT_S = 60.0
 _NO_MATPLOTLIB = (
     "This worker has no matplotlib (pip install 'gaitway[plots]'): there are no pictures of numbers."
@@ -33,7 +34,7 @@ def kept_with_path(
     """Keep a trajectory; and, when the block is over, the picture of its path that was drawn meanwhile."""
     numbers, picture = f"trajectory{suffix}.npz", f"path{suffix}.png"
     trajectory.save(events.spool / numbers, shown)
-    # The supervisor takes what it is handed: the drawing has a name of its own for the same file.
+    # The supervisor removes the file that it is handed, so the drawing process reads it by a second name.
     own = events.spool / f".{numbers}"
     os.link(events.spool / numbers, own)
     events.hand_over(numbers, "trajectory", "application/x-npz", step=step)
@@ -51,7 +52,7 @@ def kept_with_path(
 def kept_with_tables(
     events: EventWriter, tables: Mapping[str, NDArray[Any]], step: int, title: str
 ) -> Generator[None]:
-    """Keep what a trainer shows of itself as `tables.npz`; pictures of it when the block is over."""
+    """Keep a trainer's tables as `tables.npz`; and, when the block is over, their pictures."""
     built = io.BytesIO()
     np.savez_compressed(built, allow_pickle=False, **dict(tables))
     own = events.spool / ".shown-tables.npz"
@@ -68,31 +69,26 @@ def kept_with_tables(
 
 @contextmanager
 def _drawing(events: EventWriter, arguments: Sequence[str]) -> Generator[list[str]]:
-    """The process runs beside the block. Gives the words that it has said once it has ended; a failure is a
-    note."""
+    """Runs the process beside the block; then the list holds the words it printed. A failure is a note."""
     said: list[str] = []
     if find_spec("matplotlib") is None:
         events.send(Noted(text=_NO_MATPLOTLIB))
         yield said
         return
-    process = subprocess.Popen(
+    with launch(
         [*_PLOTTING, *arguments],
-        env={**os.environ, "GAITWAY_PARENT_PID": str(os.getpid())},
-        stdin=subprocess.DEVNULL,
+        os.environ,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        text=True,
-    )
-    with process:
+        in_own_session=False,
+    ) as process:
         try:
             yield said
-            words, errors = process.communicate(timeout=_TIMEOUT_S)
+            words, errors = collect(process, _TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            process.kill()
             words, errors = "", f"it was not ready within {_TIMEOUT_S:g} s"
-        except BaseException:
-            process.kill()
-            raise
+        finally:
+            kill(process)
     said += words.split()
     if process.returncode != 0:
         events.send(Noted(text=f"There is no picture of the {arguments[0]}: {last_line(errors)}"))

@@ -35,9 +35,9 @@ _WORLDS = 64
 def roll_out(
     task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter, stopping: Stopping
 ) -> bool:
-    """Act, write down, draw. Whether a stop cut it short: what there is by then is kept.
+    """Act, record and draw; returns whether a stop cut it short. The episodes until then are kept.
 
-    There is nothing to keep for an attempt elsewhere: that one begins anew.
+    Nothing is kept for an attempt elsewhere, which starts again.
     """
     events.send(built.started(policy=spec.policy.model_dump()))
     policy, world = _policy(task, spec, built, events)
@@ -70,7 +70,7 @@ def _act(
     events: EventWriter,
     stopping: Stopping,
 ) -> list[Episode]:
-    """The episodes asked for; after a stop, those there are by then."""
+    """The episodes asked for; after a stop, those that have ended by then."""
     key = jax.random.PRNGKey(spec.seed)
     worlds = min(spec.num_episodes, _WORLDS)
     roller = Roller(built.environment, policy, num_worlds=worlds)
@@ -88,7 +88,7 @@ def _act(
 def _policy(
     task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter
 ) -> tuple[ParametricPolicy, Environment]:
-    """The policy, of no parameters, and the environment that it acts in."""
+    """The policy, which ignores its parameters, and the environment that it acts in."""
     size = built.environment.action_size
     match spec.policy:
         case CheckpointPolicy():

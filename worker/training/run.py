@@ -1,4 +1,4 @@
-"""From a task to its last word, whatever happens on the way."""
+"""Runs a task and reports how it ended, whatever happens."""
 
 import io
 import sys
@@ -18,7 +18,7 @@ from worker.training.stopping import Stopping
 
 
 def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
-    """Do the task in the spool; the process' exit status. The last message is Finished or Failed."""
+    """Run the task in the spool; returns the exit status. The last message is Finished or Failed."""
     events, device = EventWriter(spool, events_fd), "cpu"
     try:
         task = Task.model_validate_json((spool / "task.json").read_bytes())
@@ -38,7 +38,7 @@ def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
 
 
 def _dispatch(task: Task, events: EventWriter, stopping: Stopping) -> bool:
-    """Whether a stop cut it short."""
+    """Run the task; returns whether a stop cut it short."""
     began = time.perf_counter()
     with _without_warnings_of_warp():
         from worker.training.built_environment import build_environment
@@ -56,7 +56,7 @@ def _dispatch(task: Task, events: EventWriter, stopping: Stopping) -> bool:
 
 @contextmanager
 def _without_warnings_of_warp() -> Generator[None]:
-    """MJX prints at import that its optional engine is missing; whoever reads the log would wonder."""
+    """Drops what MJX prints at import when its optional engine is missing, which is no error."""
     with redirect_stdout(io.StringIO()) as said:
         yield
     sys.stdout.writelines(

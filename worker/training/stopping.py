@@ -9,13 +9,13 @@ from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL
 
 
 class Stopping:
-    """asked: to end after the epoch in progress. leaving: because the job goes on elsewhere.
+    """asked: to end after the epoch in progress. leaving: because the job continues elsewhere.
 
-    As long as nothing would be lost, DRAIN_SIGNAL has its default action: it ends the process at once, also
-    in the middle of a compilation or of a video, and with the process its render process.
+    While nothing would be lost, DRAIN_SIGNAL has its default action: it ends the process at once, even during
+    a compilation or a video, and its render process with it.
 
-    A signal that comes in the very moment of a switch may be lost, and no mask holds it back: it would go
-    to one of the numerical stack's threads. That is why the supervisor says DRAIN_SIGNAL again and again.
+    A signal that comes while the action is being switched may be lost. A mask does not help: the signal would
+    go to another thread of the numerical stack. So the supervisor sends DRAIN_SIGNAL repeatedly.
     """
 
     def __init__(self) -> None:
@@ -25,14 +25,14 @@ class Stopping:
         signal.signal(DRAIN_SIGNAL, signal.SIG_DFL)
 
     def keep_before_leaving(self) -> None:
-        """From now on there is something to keep: who says DRAIN_SIGNAL waits for it."""
+        """From now on there is something to keep: DRAIN_SIGNAL no longer ends the process at once."""
         signal.signal(DRAIN_SIGNAL, self._note)
 
     @contextmanager
     def nothing_to_keep(self) -> Generator[None]:
-        """Inside, all that there is has been handed over."""
+        """Inside the block everything has been handed over: DRAIN_SIGNAL may end the process at once."""
         signal.signal(DRAIN_SIGNAL, signal.SIG_DFL)
-        if self.leaving:  # It was said a moment before.
+        if self.leaving:  # It came just before.
             os.kill(os.getpid(), DRAIN_SIGNAL)
         try:
             yield

@@ -29,7 +29,7 @@ def train(
 ) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 
-    Keeps a checkpoint; and where the job does not go on elsewhere, its policy and a video.
+    Keeps a checkpoint; and, unless the job continues elsewhere, its policy and a video.
     """
     settings = resolve(spec.algorithm, built.info, built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))

@@ -37,9 +37,9 @@ class VideoRecorder:
     events: EventWriter
 
     def shoot(self, name: str, parameters: Any, step: int | None) -> None:
-        """A video of these parameters as `<name>.mp4`, with its poster `<name>.png`.
+        """Make a video of these parameters as `<name>.mp4`, with its poster `<name>.png`.
 
-        And what it shows: as numbers, `trajectory….npz`, and from above, `path….png`.
+        Also keeps what it shows: as numbers, `trajectory….npz`, and from above, `path….png`.
         """
         key = jax.random.PRNGKey(self.spec.seed)
         seconds = self.spec.video.seconds
@@ -53,7 +53,7 @@ class VideoRecorder:
             self.show(name, episodes, step)
 
     def show(self, name: str, episodes: Sequence[Episode], step: int | None) -> None:
-        """A video of these episodes. Where nothing can draw, the job goes on without one, and says why."""
+        """Make a video of these episodes. If that fails, the job continues without it; a note says why."""
         shown = trajectory_of(self.built.environment, episodes, environment=self.built.info.id)
         try:
             result = self._drawn(name, shown)
@@ -71,7 +71,7 @@ class VideoRecorder:
         compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
         mujoco.mj_saveModel(model, None, compiled)
         try:
-            # By ourselves: MuJoCo says nothing where the disk has no room for all of it.
+            # Written by ourselves: MuJoCo reports no error if the disk is full.
             (spool / "model.mjb").write_bytes(compiled.tobytes())
             trajectory.save(spool / "shown.npz", shown)
             request = RenderRequest(

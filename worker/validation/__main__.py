@@ -1,7 +1,7 @@
-"""`python -m worker.validation FOLDER PARENT_PID HOW LIMITS…`: look at the file `model` in the folder.
+"""`python -m worker.validation FOLDER HOW LIMITS…`: examine the file `model` in the folder.
 
-Writes `answer.json` there, and again with each thing that it finds out. HOW: `confined`, or `unconfined`:
-then what the kernel refuses is done without.
+Writes `answer.json` there, and again with each new finding. HOW: `confined`, or `unconfined`, which does
+without the layers that the kernel refuses.
 """
 
 import os
@@ -14,29 +14,29 @@ from worker.host.parent_death import die_with_parent
 
 
 def main() -> None:
-    folder, parent, how = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+    folder, how = Path(sys.argv[1]), sys.argv[2]
     try:
-        layers = confine(Limits.of(sys.argv[4:]), folder, strictly=how != "unconfined")
+        layers = confine(Limits.of(sys.argv[3:]), folder, strictly=how != "unconfined")
     except Unconfined as error:
         refusal = (
             "This worker's system cannot confine the process that reads models, so it reads none "
-            f"({error}). docs/settings.md, GAITWAY_MODELS."
+            f"({error}). See docs/settings.md, GAITWAY_MODELS."
         )
         _say_plainly(folder, refusal)
         return
-    die_with_parent(parent)  # After it: what changes a process' rights ends such a promise.
+    die_with_parent()  # Last: a change of user or privileges would undo it.
     _look(folder, layers)
 
 
 def _say_plainly(folder: Path, refusal: str) -> None:
-    """Without any of the service's modules: this process is not bound."""
+    """Without any of the service's modules: this process is not confined."""
     import json
 
     (folder / "answer.json").write_text(json.dumps({"refusal": refusal}))
 
 
 def _look(folder: Path, layers: tuple[Layer, ...]) -> None:
-    # Only now: what they load is bound already.
+    # Imported only now, so that all they load is confined.
     from core.errors import GaitwayError
     from worker.validation.answer import Answer
     from worker.validation.findings import findings

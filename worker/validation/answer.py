@@ -1,4 +1,4 @@
-"""What the confined process says."""
+"""The answer of the confined process."""
 
 import os
 import stat
@@ -13,7 +13,7 @@ _MOST_BYTES = 16 * 2**20
 
 
 class Answer(Stored):
-    """Either what was found, or why the model cannot be used. layers: of the confinement it was found in."""
+    """Either what was found, or why the model cannot be used. layers: those of the confinement that held."""
 
     description: Description | None = None
     refusal: str | None = None
@@ -21,7 +21,7 @@ class Answer(Stored):
 
 
 def read_answer(path: Path) -> Answer:
-    """What the file says; nothing, where that is no answer."""
+    """The answer in the file; an empty one if it holds none."""
     try:
         return Answer.model_validate_json(read_plain(path, _MOST_BYTES))
     except (OSError, ValidationError):
@@ -29,13 +29,13 @@ def read_answer(path: Path) -> Answer:
 
 
 def read_plain(path: Path, most_bytes: int) -> bytes:
-    """The file's end. Who wrote it may have been taken over: no link is followed, no pipe waited for.
+    """The end of a file whose writer may have been taken over: follows no link and waits for no pipe.
 
     Raises OSError.
     """
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):
-            raise OSError(f"{path.name} is no file.")
+            raise OSError(f"{path.name} is not a regular file.")
         file.seek(max(0, found.st_size - most_bytes))
         return file.read(most_bytes)

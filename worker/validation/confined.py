@@ -1,4 +1,4 @@
-"""A model is looked at in a process of its own, that can do no harm: the worker's side of it."""
+"""Starts the confined process that examines a model."""
 
 import os
 import signal
@@ -6,8 +6,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
+from typing import IO
 
 import structlog
 
@@ -18,8 +18,8 @@ from core.storage.objects import ObjectStore
 from core.user_models import library
 from core.user_models.store import ModelStore
 from worker.confinement.limits import Limits
-from worker.host.child import environment
-from worker.validation.answer import Answer, read_answer, read_plain
+from worker.host.child import environment, kill, launch, tail
+from worker.validation.answer import Answer, read_answer
 
 ANSWER = "answer.json"
 _TOLD = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "LD_LIBRARY_PATH", "PYTHONPATH", "GAITWAY_STACK_ID")
@@ -27,7 +27,7 @@ _PROGRAM = ("-m", "worker.validation")
 _GLANCE_S = 0.05
 log = structlog.get_logger()
 
-_INTERRUPTED = "A worker was stopped while it refused the model; send it again to be told why."
+_INTERRUPTED = "A worker was stopped while it refused the model; send it again to learn why."
 _UNFINISHED = "Trying the engines took too long; those that are not listed were not tried."
 
 
@@ -40,28 +40,28 @@ def validate(  # Which model, and the places that are needed.
     *,
     strictly: bool = True,
 ) -> None:
-    """Look at a model that waits for it, and store what is found; of one that is refused, only that.
+    """Examine a model that awaits validation, and store the findings; of a refused model, only the refusal.
 
-    folder: an empty one, for files that are needed meanwhile. strictly: refuse it where the kernel cannot
-    confine the process. Raises ModelNotFound.
+    folder: an empty one, for temporary files. strictly: refuse the model if the kernel cannot confine the
+    process. Raises ModelNotFound.
     """
     record = library.find(model_id, store)
     if record.status != "validating":
         return
     try:
         body = objects.get(keys.model_source(model_id))
-    except ObjectNotFound:  # What comes last, below, was not reached; or somebody is deleting the model.
+    except ObjectNotFound:  # It was interrupted before its last step, or somebody is deleting the model.
         answers = iter([Answer(refusal=_INTERRUPTED)])
     else:
         answers = look(body, folder, data_dir, Limits(), strictly=strictly)
-    # Once it is described it can be used; loading all the engines takes longer than everything before.
+    # Jobs can use it once it is described; loading all the engines takes longer than everything before.
     for answer in answers:
         if answer.description is not None:
             found = record.model_copy(update={"status": "ready", "description": answer.description})
         else:
             told = {"status": "refused", "message": answer.refusal, "refused_at": utc_now()}
             found = record.model_copy(update=told)
-        store.settle_model(found)  # Raises, where somebody has deleted it meanwhile.
+        store.settle_model(found)  # Raises if somebody has deleted it meanwhile.
         if found.status == "refused":
             objects.delete_prefix(keys.model_source(model_id))
         log.info(
@@ -76,19 +76,16 @@ def validate(  # Which model, and the places that are needed.
 def look(
     body: bytes, folder: Path, data_dir: Path, limits: Limits, *, strictly: bool = True
 ) -> Iterator[Answer]:
-    """What a confined process says of the file, first and last; where it says nothing, why."""
+    """The first and the last answer of a confined process about the file; the reason if it gives none."""
     (folder / "model").write_bytes(body)
     said = folder / ANSWER
     how = "confined" if strictly else "unconfined"
-    with (folder / "log").open("wb") as text:
-        child = subprocess.Popen(
-            [sys.executable, *_PROGRAM, str(folder), str(os.getpid()), how, *limits.arguments()],
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
+    with (folder / "log").open("w+b") as text:
+        child = launch(
+            [sys.executable, *_PROGRAM, str(folder), how, *limits.arguments()],
+            _environment(folder, data_dir),
             stdout=text,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            env=_environment(folder, data_dir),
+            cwd=folder,
         )
         try:
             until, heard = time.monotonic() + limits.wall_s, False
@@ -99,19 +96,19 @@ def look(
                     if first.description is not None:
                         yield first
         finally:
-            _kill(child)
-    yield _answer(folder, status, limits)
+            kill(child)
+        yield _answer(folder, status, limits, text)
 
 
 def _environment(folder: Path, data_dir: Path) -> dict[str, str]:
-    """Nothing but what these libraries need."""
+    """Only what these libraries need."""
     surroundings = environment(
         "cpu", data_dir, {name: os.environ[name] for name in _TOLD if name in os.environ}
     )
     return {
         **surroundings,
         **dict.fromkeys(("HOME", "TMPDIR", "XDG_CACHE_HOME"), str(folder)),
-        # One thread each: libraries of linear algebra take room for as many as there are cores.
+        # One thread each: linear algebra libraries reserve memory for one per core.
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
         "MALLOC_ARENA_MAX": "2",
@@ -119,14 +116,14 @@ def _environment(folder: Path, data_dir: Path) -> dict[str, str]:
 
 
 def _ended(child: "subprocess.Popen[bytes]") -> int | None:
-    """Its exit status, where it has ended by the next glance."""
+    """Its exit status; None if it still runs after a short wait."""
     try:
         return child.wait(_GLANCE_S)
     except subprocess.TimeoutExpired:
         return None
 
 
-def _answer(folder: Path, status: int | None, limits: Limits) -> Answer:
+def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes]) -> Answer:
     answer = read_answer(folder / ANSWER)
     if answer.refusal is not None or (answer.description is not None and status == 0):
         return answer
@@ -134,7 +131,7 @@ def _answer(folder: Path, status: int | None, limits: Limits) -> Answer:
         changes = {"notes": [*answer.description.notes, _UNFINISHED], "complete": True}
         described = answer.description.model_copy(update=changes)
         return answer.model_copy(update={"description": described})
-    log.warning("model_not_understood", status=status, text=_last_words(folder / "log"))
+    log.warning("model_not_understood", status=status, text=tail(text, 1000))
     return Answer(refusal=_why(status, limits))
 
 
@@ -142,16 +139,5 @@ def _why(status: int | None, limits: Limits) -> str:
     if status is None or status in (-signal.SIGXCPU, -signal.SIGKILL):
         return f"MuJoCo was not done with the model within {limits.wall_s:g} s; make it smaller."
     if status < 0:
-        return f"MuJoCo crashed over the model ({signal.Signals(-status).name})."
+        return f"MuJoCo crashed on the model ({signal.Signals(-status).name})."
     return "The model could not be read; it may need more memory than a model may."
-
-
-def _last_words(path: Path) -> str:
-    return read_plain(path, 1000).decode(errors="replace")
-
-
-def _kill(child: "subprocess.Popen[bytes]") -> None:
-    """End it and everything that it started."""
-    with suppress(ProcessLookupError):
-        os.killpg(child.pid, signal.SIGKILL)
-    child.wait()

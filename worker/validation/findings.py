@@ -1,4 +1,4 @@
-"""What is found in a model: it is compiled, let go, and shown to each engine."""
+"""Examines a model: compiles it, lets it fall, and loads it into each engine."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -29,9 +29,9 @@ _MUST_BE_FINITE = (
 
 
 def findings(file: Path) -> Iterator[Description]:
-    """The description, and the same again each time an engine has had its turn.
+    """The description, and again with the result of each engine.
 
-    Raises BadModel or JobFailed where no job could use the model.
+    Raises BadModel or JobFailed if no job could use the model.
     """
     with read(file) as spec:
         model = compiled(spec)
@@ -82,13 +82,13 @@ def _check(model: mujoco.MjModel) -> None:
 
 def _notes(found: Inventory, trial: _Trial) -> Iterator[str]:
     if not trial.stable:
-        yield "It becomes unstable within 2 s, though nothing acts: try a smaller `timestep`."
+        yield "It becomes unstable within 2 s, without any action: try a smaller `timestep`."
     elif found.travels and (fell := found.initial_height - trial.height) > _FELL_M:
         yield f"It fell {fell:.0f} m within 2 s: there is no floor that it touches."
 
 
 def _let_go(model: mujoco.MjModel) -> _Trial:
-    """How fast it is stepped, and where its root ends, while nothing acts."""
+    """Steps it without actions: how fast that is, and where its root ends."""
     data = mujoco.MjData(model)
     data.qpos[:] = initial_qpos(model)
     steps, began = 0, time.perf_counter()
@@ -111,7 +111,7 @@ def _what_keeps(attempt: Callable[[mujoco.MjModel], None], model: mujoco.MjModel
 
 
 def _try_mjx(model: mujoco.MjModel) -> None:
-    """Put there, and a step traced: some of what MJX has not got shows nowhere else. Nothing is compiled."""
+    """Load it and trace a step, which alone shows some of what MJX lacks. Nothing is compiled."""
     import jax
     from mujoco import mjx
 

@@ -19,7 +19,7 @@ from tests.faults.campaign.disks import take_own_mounts
 from tests.faults.campaign.faults import Fault, draw
 from tests.faults.campaign.runner import READY, Outcome
 from tests.faults.campaign.world import PARTIES, SERVERS, World
-from worker.host.parent_death import die_with_parent
+from worker.host.parent_death import PARENT, die_with_parent
 
 NUM_JOBS = 4
 _FAULTS_WITHIN_S = 3.5
@@ -61,8 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--serve", type=Path, metavar="FOLDER", help="a world there, for seeds that are sent")
     parser.add_argument("--keep", action="store_true", help="stop at the first broken promise")
     given = parser.parse_args(arguments)
-    if parent := os.environ.get("GAITWAY_PARENT"):
-        die_with_parent(int(parent))
+    if PARENT in os.environ:
+        die_with_parent()
     if not (has_own_mounts := take_own_mounts()):
         print("No disk gets full: this user may not mount any.", file=sys.stderr)
     seeds: Iterable[int] = range(given.first, given.first + given.seeds)

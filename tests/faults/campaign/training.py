@@ -83,5 +83,5 @@ def checkpoint_of(step: int, state: str) -> bytes:
 if __name__ == "__main__":
     from worker.host.parent_death import die_with_parent
 
-    die_with_parent(int(sys.argv[3]))
+    die_with_parent()
     main()

@@ -21,7 +21,8 @@ import psutil
 import psycopg
 import redis
 
-from core.adapters.connect import connect_redis, connect_s3
+from core.adapters.connect import connect_redis
+from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from gaitway.embedded.folders import private_folder, write_private
 from gaitway.embedded.postgres import Postgres
@@ -32,6 +33,7 @@ from tests.faults.campaign.clocks import ClockedProcess, Clocks
 from tests.faults.campaign.disks import Disk
 from tests.faults.campaign.ports import Ports
 from tests.faults.campaign.proxy import Proxies
+from worker.host.parent_death import PARENT
 
 PARTIES = ("api", "reconciler", "worker-1", "worker-2")
 SERVERS = ("postgres", "valkey", "weed")
@@ -253,8 +255,8 @@ class World:
                 before.wait()
             with (self.folder / f"{party}.log").open("ab") as log:
                 self._children[party] = subprocess.Popen(
-                    [sys.executable, *_MEMBER, str(os.getpid()), sys.executable, "-m", *module],
-                    env=self._environment(party),
+                    [sys.executable, *_MEMBER, sys.executable, "-m", *module],
+                    env={**self._environment(party), PARENT: str(os.getpid())},
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,

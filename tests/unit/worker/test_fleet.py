@@ -13,8 +13,7 @@ import psutil
 import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.configuration import EXIT_STATUS
-from core.errors import Misconfigured
+from core.errors import EXIT_STATUS, Misconfigured
 from core.jobs.store import WorkerInfo
 from core.settings import WorkerSettings
 from tests.unit.worker.environments import environment

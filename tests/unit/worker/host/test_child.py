@@ -1,15 +1,18 @@
-"""What a training process finds around itself."""
+"""Child processes: how they are started and ended, and what a training process finds around itself."""
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import psutil
 import pytest
 
 import worker
-from worker.host.child import TrainingProcess, environment
+from worker.host.child import TrainingProcess, collect, environment, kill, launch
 
 ROOT = Path(worker.__file__).parents[1]
 
@@ -137,3 +140,48 @@ def test_a_line_without_an_end_is_cut_and_what_follows_is_heard(tmp_path: Path) 
     assert list(process.lines()) == ["x" * 4000, "after it"]
     assert list(process.messages()) == []
     assert process.poll(10) == 0
+
+
+def test_a_child_inherits_the_named_descriptors_and_no_other() -> None:
+    (named, other), list_them = os.pipe(), "import os; print(*os.listdir('/proc/self/fd'))"
+    os.set_inheritable(other, True)
+    with launched(list_them, fds=[named]) as child:
+        output, _ = collect(child, 10)
+    assert str(named) in output.split()
+    assert str(other) not in output.split()
+    os.close(named)
+    os.close(other)
+
+
+def test_what_a_child_writes_is_kept_up_to_a_bound() -> None:
+    with launched("import sys; print('x' * 10**7); print('out'); print('err', file=sys.stderr)") as child:
+        output, errors = collect(child, 30)
+    assert (len(output), output[-5:], errors, child.returncode) == (2**20, "\nout\n", "err\n", 0)
+
+
+@pytest.mark.parametrize(
+    "code", ["import time; time.sleep(1000)", "import os; os.close(1); os.close(2); input()"]
+)
+def test_a_child_that_takes_too_long_is_ended(code: str) -> None:
+    with launched(code, stdin=subprocess.PIPE) as child:
+        with pytest.raises(subprocess.TimeoutExpired):
+            collect(child, 0.5)
+        assert child.returncode == -signal.SIGKILL
+
+
+def test_killing_a_child_ends_what_it_started_and_a_child_in_our_group_ends_alone() -> None:
+    start_one = "import subprocess, time; print(subprocess.Popen(['sleep', '1000']).pid, flush=True); input()"
+    with launched(start_one, stdin=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        started = psutil.Process(int(child.stdout.readline()))
+        kill(child)
+        assert not started.is_running() or started.status() == psutil.STATUS_ZOMBIE
+    with launched("input()", stdin=subprocess.PIPE, in_own_session=False) as child:
+        assert os.getpgid(child.pid) == os.getpgrp()
+        kill(child)
+        assert child.returncode == -signal.SIGKILL
+
+
+def launched(code: str, **options: Any) -> "subprocess.Popen[bytes]":
+    command, pipe = [sys.executable, "-c", code], subprocess.PIPE
+    return launch(command, os.environ, stdout=pipe, stderr=pipe, **options)

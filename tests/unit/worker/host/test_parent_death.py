@@ -9,15 +9,16 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux ties
 
 # The child holds the write end of the pipe; the read end sees its end as soon as nobody holds it.
 _CHILD = """
-import os, signal, sys
+import os, signal
 from worker.host.parent_death import die_with_parent
-die_with_parent(int(sys.argv[1]) if len(sys.argv) > 1 else None)
+die_with_parent()
 os.write(1, b"ready")
 signal.pause()
 """
 _PARENT = """
 import os, signal, subprocess, sys
-child = subprocess.Popen([sys.executable, "-c", sys.argv[1], str(os.getpid())])
+variables = {**os.environ, "GAITWAY_PARENT": str(os.getpid())}
+child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], env=variables)
 signal.pause()
 """
 
@@ -36,5 +37,10 @@ def test_a_process_dies_with_its_parent_however_that_dies() -> None:
 
 def test_a_process_whose_parent_has_gone_already_ends_at_once() -> None:
     # 2**22 is the highest process number that Linux gives.
-    child = subprocess.run([sys.executable, "-c", _CHILD, str(2**22 + 1)], check=False, timeout=30)
+    child = subprocess.run(
+        [sys.executable, "-c", _CHILD],
+        env={**os.environ, "GAITWAY_PARENT": str(2**22 + 1)},
+        check=False,
+        timeout=30,
+    )
     assert child.returncode == -signal.SIGKILL

@@ -5,8 +5,8 @@ import os
 from pathlib import Path
 
 from core.algorithms.events import Progress
-from core.environments.probes import endless
 from tests.learning.runs import small_trainer
+from tests.probes import endless
 from worker.training.event_writer import EventWriter
 from worker.training.train import Report
 

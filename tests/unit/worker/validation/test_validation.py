@@ -240,7 +240,7 @@ def test_a_refusal_that_was_interrupted_is_told_as_such_and_the_model_can_be_sen
     found = library.find(record.id, job_store)
     assert (found.status, found.message) == (
         "refused",
-        "A worker was stopped while it refused the model; send it again to be told why.",
+        "A worker was stopped while it refused the model; send it again to learn why.",
     )
     models.add(NO_MOTOR, **stores, now=utc_now())
     assert objects.get(keys.model_source(record.id)) == NO_MOTOR
