@@ -10,8 +10,8 @@ from core.algorithms.memory import shown
 _TIMEOUT_S = 1200.0
 _Q: dict[str, Any] = {
     "kind": "q_learning",
-    "indexer": {"kind": "arm_role"},
-    "mapper": {"kind": "arm_roles"},
+    "state_discretizer": {"kind": "arm_role"},
+    "action_set": {"kind": "arm_roles"},
     "num_evals": 0,
 }
 _CPG = {"control": "cpg"}

@@ -12,7 +12,7 @@ from core.environments.info import Device
 CONTROL_STEPS = "control steps/s"
 _TABLES: Mapping[str, Mapping[str, Any]] = {
     "centralised": {},
-    "decentralised": {"indexer": {"kind": "arm_role"}, "mapper": {"kind": "arm_roles"}},
+    "decentralised": {"state_discretizer": {"kind": "arm_role"}, "action_set": {"kind": "arm_roles"}},
 }
 _IDENTITY = {
     "initial_table": "identity",

@@ -79,7 +79,7 @@ def _steered(environment: Any, settings: Any, table: Any, episodes: int) -> dict
     from core.algorithms.q_learning.discrete_env import DiscreteEnv, Tabular
     from core.algorithms.q_learning.table import greedy
 
-    tabular = Tabular.of(settings.indexer, settings.mapper, environment)
+    tabular = Tabular.of(settings.state_discretizer, settings.action_set, environment)
     totals = jax.device_get(
         jax.jit(
             lambda key: run_episodes(

@@ -12,7 +12,8 @@ JOB: dict[str, Any] = {
     "kind": "train",
     "name": "steer a brittle star",
     "environment": {"id": "brittle_star", "options": {"control": "cpg"}},
-    # With "indexer": {"kind": "arm_role"}, "mapper": {"kind": "arm_roles"} each arm chooses for itself.
+    # Each arm chooses for itself with "state_discretizer": {"kind": "arm_role"} and
+    # "action_set": {"kind": "arm_roles"}.
     "algorithm": {"kind": "q_learning"},
     "video": {"cameras": ["track", "top_camera"], "width": 480, "height": 360, "seconds": 20},
 }

@@ -10,8 +10,8 @@ from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.policy import make_inference, write_policy
 from core.algorithms.ppo.spec import PPOSpec
-from tests import probes
 from gaitway import Client, NotFound
+from tests import probes
 from tests.api.conftest import Attempt, Stack, job, quiet, server, stack
 from tests.unit.algorithms.checkpoints import pack
 

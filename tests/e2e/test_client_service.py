@@ -128,7 +128,7 @@ def test_the_cli_reads_a_job_from_a_file_and_from_stdin(stack: Stack, client: Cl
     submitted = gaitway(stack, "submit", "--file", str(file))
     assert submitted.exit_code == 0
     # Nobody works for this service.
-    assert "is there: no worker is there at all." in submitted.stderr
+    assert ": no worker is running." in submitted.stderr
     assert "no worker" not in submitted.stdout
     assert gaitway(stack, "submit", "--file", "-", "--seed", "5", stdin=text).exit_code == 0
     assert [(found.kind, found.spec.get("seed")) for found in client.list()] == [
@@ -221,7 +221,7 @@ def test_a_client_waits_for_its_stills_while_workers_are_busy(
     monkeypatch.setattr("api.routes.previews._PATIENCE_S", 0.0)
     monkeypatch.setattr("gaitway.client._GLANCE_S", 0.01)
     announced(stack)
-    with pytest.raises(WaitTimeout, match="No worker has drawn it"):
+    with pytest.raises(WaitTimeout, match="No worker has rendered it"):
         client.preview("hopper", tmp_path, timeout=0.0)
     with drawing_worker(stack):
         assert client.preview("hopper", tmp_path)["track"].read_bytes() == b"track"

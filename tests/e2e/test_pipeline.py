@@ -127,8 +127,8 @@ def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) 
     ]
     algorithm = {
         "kind": "q_learning",
-        "indexer": {"kind": "observation_grid", "components": components},
-        "mapper": {"kind": "actions", "actions": [[-0.5], [0.0], [0.5]]},
+        "state_discretizer": {"kind": "observation_grid", "components": components},
+        "action_set": {"kind": "actions", "actions": [[-0.5], [0.0], [0.5]]},
         "num_episodes": 80,
         "num_envs": 8,
         "decisions_per_episode": 25,
@@ -141,7 +141,7 @@ def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) 
     assert job.progress.metrics["training/episodes"] == 80
     assert {a.role for a in job.artifacts} == KEPT | {"tables"}
     assert job.artifact("q_table.png") is not None
-    assert job.attempts[0].details["hyperparameters"]["indexer"]["kind"] == "observation_grid"
+    assert job.attempts[0].details["hyperparameters"]["state_discretizer"]["kind"] == "observation_grid"
     assert len(client.checkpoints(job.id)) == 5
     names = {name for row in client.metrics(job.id) for name in row.values}
     assert {"eval/episode_reward", "training/epsilon", "training/td_error", "training/q_max"} <= names

@@ -126,11 +126,11 @@ def _nowhere(nothing: jax.Array, model: ModelFields) -> PhysicsState:
 
 
 FINITE: dict[str, Any] = {
-    "indexer": {
+    "state_discretizer": {
         "kind": "observation_grid",
         "components": [{"index": 0, "range": [-0.5, 1.5], "cells": 2}],
     },
-    "mapper": {"kind": "actions", "actions": [[-1.0], [1.0]]},
+    "action_set": {"kind": "actions", "actions": [[-1.0], [1.0]]},
     "num_episodes": 40,
     "num_envs": 8,
     "decisions_per_episode": 6,
@@ -142,8 +142,8 @@ FINITE: dict[str, Any] = {
     "num_eval_envs": 2,
 }
 STAR: dict[str, Any] = {
-    "indexer": {"kind": "arm_towards_target"},
-    "mapper": {"kind": "actions", "actions": np.eye(5).tolist()},
+    "state_discretizer": {"kind": "arm_towards_target"},
+    "action_set": {"kind": "actions", "actions": np.eye(5).tolist()},
     "num_episodes": 60,
     "num_envs": 10,
     "decisions_per_episode": 20,

@@ -99,8 +99,8 @@ def test_an_identity_table_steers_without_any_learning() -> None:
 
 def test_arms_that_read_and_choose_for_themselves_bring_the_star_to_its_target() -> None:
     options = {
-        "indexer": {"kind": "arm_role"},
-        "mapper": {"kind": "arm_actions", "actions": [[0.0], [1.0]]},
+        "state_discretizer": {"kind": "arm_role"},
+        "action_set": {"kind": "arm_actions", "actions": [[0.0], [1.0]]},
         "num_episodes": 300,
         "learning_rate": 0.05,
         "discounting": 0.5,
@@ -218,6 +218,6 @@ def test_a_checkpoint_of_another_table_is_refused_with_both_shapes() -> None:
     trainer = q_trainer(two_rooms(), q_settings())
     next(event for event in trainer.events() if isinstance(event, Progress))
     finer = {"kind": "observation_grid", "components": [{"index": 0, "range": [-0.5, 1.5], "cells": 4}]}
-    with pytest.raises(JobFailed, match=r"indexer is .*'cells': 2.* and .*'cells': 4") as failure:
-        q_trainer(two_rooms(), q_settings(indexer=finer), resume=trainer.checkpoint())
+    with pytest.raises(JobFailed, match=r"state_discretizer is .*'cells': 2.* and .*'cells': 4") as failure:
+        q_trainer(two_rooms(), q_settings(state_discretizer=finer), resume=trainer.checkpoint())
     assert failure.value.reason == "bad_checkpoint"

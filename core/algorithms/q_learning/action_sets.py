@@ -1,4 +1,4 @@
-"""Action mappers: from columns of the table to an environment's action."""
+"""Action action_sets: from columns of the table to an environment's action."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from core.algorithms.q_learning.options import ActionList, ArmActions, ArmRoles, LeadingArm, MapperOptions
+from core.algorithms.q_learning.options import ActionList, ActionSetOptions, ArmActions, ArmRoles, LeadingArm
 from core.environments.cpg.roles import roles_for
 from core.environments.environment import Environment
 from core.errors import JobFailed
 
 
 @dataclass(frozen=True)
-class Mapper:
+class ActionSet:
     """act: from choices [num_readers] int32, each below num_choices, to an action [action_size].
 
     names: the choices', for people; empty where their numbers say as much.
@@ -26,31 +26,34 @@ class Mapper:
     names: tuple[str, ...] = ()
 
 
-def make_mapper(options: MapperOptions, environment: Environment) -> Mapper:
-    """The mapper that these options name.
+def make_action_set(options: ActionSetOptions, environment: Environment) -> ActionSet:
+    """The action set that these options name.
 
     Raises JobFailed("bad_model") where the environment lacks what it needs, or takes other actions.
     """
     arms = num_arms(environment)
     match options:
         case ActionList(actions=actions):
-            readers, mapper = 1, Mapper(len(actions), _listed(actions))
+            readers, action_set = 1, ActionSet(len(actions), _listed(actions))
         case ArmActions(actions=actions):
-            readers, mapper = arms, Mapper(len(actions), _one_after_the_other(actions))
+            readers, action_set = arms, ActionSet(len(actions), _one_after_the_other(actions))
         case LeadingArm():
             leading_arm = _of_the_generator(environment, "leading_arm")
             names = tuple(f"arm {arm}" for arm in range(arms))
-            readers, mapper = 1, Mapper(arms, lambda choices: leading_arm(choices[0]), names)
+            readers, action_set = 1, ActionSet(arms, lambda choices: leading_arm(choices[0]), names)
         case ArmRoles():
             names = tuple(role.name.lower() for role in roles_for(arms))
-            readers, mapper = arms, Mapper(len(names), _of_the_generator(environment, "of_roles"), names)
-    size = jax.eval_shape(mapper.act, jax.ShapeDtypeStruct((readers,), jnp.int32)).shape[0]
+            readers, action_set = (
+                arms,
+                ActionSet(len(names), _of_the_generator(environment, "of_roles"), names),
+            )
+    size = jax.eval_shape(action_set.act, jax.ShapeDtypeStruct((readers,), jnp.int32)).shape[0]
     if size != environment.action_size:
         raise JobFailed(
             "bad_model",
-            f"The mapper's actions have {size} components, the environment's {environment.action_size}.",
+            f"The action set's actions have {size} components, the environment's {environment.action_size}.",
         )
-    return mapper
+    return action_set
 
 
 def num_arms(environment: Environment) -> int:
@@ -82,6 +85,6 @@ def _of_the_generator(environment: Environment, name: str) -> Callable[[jax.Arra
     method = part_of(environment, name, None)
     if method is None:
         raise JobFailed(
-            "bad_model", "The environment has no central pattern generator that a mapper could set."
+            "bad_model", "The environment has no central pattern generator that an action set could set."
         )
     return method

@@ -33,8 +33,8 @@ class QLearning:
 
     The policy is the table of one agent; see `policy.read_policy`. devices: 1.
 
-    Raises Rejected for several devices and settings without indexer or mapper; JobFailed("bad_model") where
-    the environment lacks what these need.
+    Raises Rejected for several devices and settings without a state discretizer or an action set;
+    JobFailed("bad_model") where the environment lacks what these need.
     """
 
     quantities = QUANTITIES
@@ -46,8 +46,8 @@ class QLearning:
         self, environment: Environment, settings: QLearningSpec, *, seed: int, devices: int = 1
     ) -> None:
         settings.check_sharing(devices)
-        if settings.indexer is None or settings.mapper is None:
-            raise Rejected("Q-learning needs an `indexer` and a `mapper`.")
+        if settings.state_discretizer is None or settings.action_set is None:
+            raise Rejected("Q-learning needs an `state_discretizer` and a `action_set`.")
         self.settings = settings
         self.seed = agent_keys(settings.agents, seed)
         self.hyperparameters = Hyperparameters.of(settings)
@@ -58,7 +58,7 @@ class QLearning:
             "policy_agent": settings.policy_agent,
         }
         self.env_steps_per_time_step = settings.num_worlds * settings.decision_steps
-        self._table = Tabular.of(settings.indexer, settings.mapper, environment)
+        self._table = Tabular.of(settings.state_discretizer, settings.action_set, environment)
         self._learner = Learner(DiscreteEnv(environment, self._table, settings.decision_steps), settings)
 
     def init(self, seed: jax.Array) -> TrainingState:
@@ -105,7 +105,10 @@ class QLearning:
 
     def tables(self, state: TrainingState) -> Mapping[str, NDArray[Any]]:
         """All agents' tables and visits, [agents, rows, columns]."""
-        names = {"state_names": self._table.indexer.names, "action_names": self._table.mapper.names}
+        names = {
+            "state_names": self._table.state_discretizer.names,
+            "action_names": self._table.action_set.names,
+        }
         return {
             "q_table": np.asarray(state.table),
             "visits": np.asarray(state.visits),

@@ -6,9 +6,9 @@ from typing import Any
 
 import jax
 
-from core.algorithms.q_learning.action_sets import Mapper, make_mapper, num_arms
-from core.algorithms.q_learning.options import IndexerOptions, MapperOptions, ObservationGrid
-from core.algorithms.q_learning.state_discretizers import Indexer, make_indexer
+from core.algorithms.q_learning.action_sets import ActionSet, make_action_set, num_arms
+from core.algorithms.q_learning.options import ActionSetOptions, ObservationGrid, StateDiscretizerOptions
+from core.algorithms.q_learning.state_discretizers import StateDiscretizer, make_state_discretizer
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.base import Wrapped
@@ -23,20 +23,28 @@ _OBSERVATION = "inner_observation"
 class Tabular:
     """How a table's rows and columns mean something in an environment."""
 
-    indexer: Indexer
-    mapper: Mapper
+    state_discretizer: StateDiscretizer
+    action_set: ActionSet
 
     @classmethod
-    def of(cls, indexer: IndexerOptions, mapper: MapperOptions, environment: Environment) -> "Tabular":
-        """Raises JobFailed("bad_model") where the environment has not got what they need."""
-        table = cls(make_indexer(indexer, num_arms(environment)), make_mapper(mapper, environment))
-        _check_what_is_seen(indexer, environment)
+    def of(
+        cls,
+        state_discretizer: StateDiscretizerOptions,
+        action_set: ActionSetOptions,
+        environment: Environment,
+    ) -> "Tabular":
+        """Raises JobFailed("bad_model") where the environment lacks what they need."""
+        table = cls(
+            make_state_discretizer(state_discretizer, num_arms(environment)),
+            make_action_set(action_set, environment),
+        )
+        _check_what_is_seen(state_discretizer, environment)
         return table
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
-        return self.indexer.num_states, self.mapper.num_choices
+        return self.state_discretizer.num_states, self.action_set.num_choices
 
     def check_shape(self, shape: tuple[int, ...]) -> None:
         """Raises JobFailed("bad_checkpoint") where a table of this shape is one of another environment."""
@@ -71,14 +79,14 @@ class DiscreteEnv(Wrapped):
 
     def step(self, state: State, action: jax.Array) -> State:
         inner = replace(state, obs=state.info[_OBSERVATION], info=_without(state.info, _OBSERVATION))
-        return self._read(self._held.step(inner, self.table.mapper.act(action)))
+        return self._read(self._held.step(inner, self.table.action_set.act(action)))
 
     @property
     def _held(self) -> Environment:
         return repeat_action(self.environment, self.decision_steps)
 
     def _read(self, state: State) -> State:
-        rows = self.table.indexer(self.table.indexer.look(state))
+        rows = self.table.state_discretizer(self.table.state_discretizer.look(state))
         return replace(state, obs=rows, info={**state.info, _OBSERVATION: state.obs})
 
 
@@ -86,15 +94,16 @@ def _without(info: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {name: value for name, value in info.items() if name not in names}
 
 
-def _check_what_is_seen(indexer: IndexerOptions, environment: Environment) -> None:
+def _check_what_is_seen(state_discretizer: StateDiscretizerOptions, environment: Environment) -> None:
     state = jax.eval_shape(environment.reset, jax.random.PRNGKey(0))
-    missing = [name for name in indexer.needs if name not in ("observation", *state.info)]
+    missing = [name for name in state_discretizer.needs if name not in ("observation", *state.info)]
     if missing:
         told = ", ".join(sorted(state.info)) or "nothing besides its observation"
         raise JobFailed(
-            "bad_model", f"The indexer looks at {', '.join(missing)}, and the environment tells {told}."
+            "bad_model",
+            f"The state discretizer looks at {', '.join(missing)}, and the environment tells {told}.",
         )
     seen = environment.observation_size
     size = seen["state"] if isinstance(seen, Mapping) else seen
-    if isinstance(indexer, ObservationGrid) and (beyond := indexer.beyond(size)):
+    if isinstance(state_discretizer, ObservationGrid) and (beyond := state_discretizer.beyond(size)):
         raise JobFailed("bad_model", f"The observation has {size} components, and none of index {beyond[0]}.")

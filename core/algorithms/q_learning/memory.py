@@ -15,11 +15,11 @@ _NUMBERS = 6
 
 
 def least_memory(settings: "QLearningSpec", environment: "EnvironmentInfo") -> Memory:
-    """Bytes, all numbers of 4. A run without indexer or mapper, which is refused elsewhere, has no table."""
+    """Bytes, all numbers of 4. A run without states or actions, which is refused elsewhere, has no table."""
     arms, agents = environment.num_arms, settings.num_agents
     cells = 0
-    if settings.indexer is not None and settings.mapper is not None:
-        cells = agents * settings.indexer.num_states(arms) * settings.mapper.num_choices(arms)
+    if settings.state_discretizer is not None and settings.action_set is not None:
+        cells = agents * settings.state_discretizer.num_states(arms) * settings.action_set.num_choices(arms)
     replayed = agents * settings.replay_buffer_size
     observation = environment.observation_size or 0
     return Memory(
@@ -27,7 +27,7 @@ def least_memory(settings: "QLearningSpec", environment: "EnvironmentInfo") -> M
             Part(
                 f"tables of {cells:,} cells",
                 FLOAT_BYTES * _TABLES * cells,
-                ("the cells of the indexer", "agents"),
+                ("the cells of the state discretizer", "agents"),
             ),
             Part(
                 f"{replayed:,} transitions to replay",

@@ -96,7 +96,7 @@ class ObservationGrid(Strict):
         }
 
 
-IndexerOptions = Annotated[
+StateDiscretizerOptions = Annotated[
     ArmTowardsTarget | ArmRole | DiskPositionGrid | ObservationGrid, Field(discriminator="kind")
 ]
 
@@ -141,4 +141,4 @@ class ArmActions(Strict):
         return len(self.actions)
 
 
-MapperOptions = Annotated[LeadingArm | ArmRoles | ActionList | ArmActions, Field(discriminator="kind")]
+ActionSetOptions = Annotated[LeadingArm | ArmRoles | ActionList | ArmActions, Field(discriminator="kind")]

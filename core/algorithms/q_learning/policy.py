@@ -12,24 +12,40 @@ from pydantic import TypeAdapter
 from core.algorithms.checkpoint import Format
 from core.algorithms.policy import Acting, TrainedPolicy
 from core.algorithms.q_learning.discrete_env import Tabular
-from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
-from core.algorithms.q_learning.state_discretizers import make_indexer
+from core.algorithms.q_learning.options import ActionSetOptions, StateDiscretizerOptions
+from core.algorithms.q_learning.state_discretizers import make_state_discretizer
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed
 
-FORMAT = Format("gaitway-q_learning-1")
+_STORED_NAMES = {"state_discretizer": "indexer", "action_set": "mapper"}
+_NAMES = {stored: name for name, stored in _STORED_NAMES.items()}
 
-_INDEXER: TypeAdapter[IndexerOptions] = TypeAdapter(IndexerOptions)
-_MAPPER: TypeAdapter[MapperOptions] = TypeAdapter(MapperOptions)
+
+class _Format(Format):
+    """Files keep the names that two hyperparameters had in version 0.1."""
+
+    def pack(self, description: Mapping[str, Any], progress: Mapping[str, int], state: Any) -> bytes:
+        header = {_STORED_NAMES.get(name, name): value for name, value in description.items()}
+        return super().pack(header, progress, state)
+
+    def read(self, content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+        header, state = super().read(content)
+        return {_NAMES.get(name, name): value for name, value in header.items()}, state
+
+
+FORMAT = _Format("gaitway-q_learning-1")
+
+_STATE_DISCRETIZER: TypeAdapter[StateDiscretizerOptions] = TypeAdapter(StateDiscretizerOptions)
+_ACTION_SET: TypeAdapter[ActionSetOptions] = TypeAdapter(ActionSetOptions)
 
 
 class LearntTable(NamedTuple):
     """A table [S, A], how often each of its cells was learnt from, and the options that it belongs to.
 
-    facts: `indexer`, `mapper`, `decision_steps`, `num_arms`, `epsilon` (the share of choices at random where
-    noise is asked for), and others; in those of a checkpoint `epsilon` is a list, one of each agent.
+    facts: `state_discretizer`, `action_set`, `decision_steps`, `num_arms`, `epsilon` (the share of random
+    choices where noise is asked for), and others; a checkpoint has a list of `epsilon`, one for each agent.
     """
 
     table: NDArray[np.float32]
@@ -71,26 +87,27 @@ def policy_agent(eval_return: NDArray[np.float32], which: str) -> int:
 
 def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
     """What a checkpoint or a policy file holds, ready to act; its answer are columns [num_readers] for what
-    the indexer needs, by name. Raises JobFailed if it is damaged."""
+    the state discretizer needs, by name. Raises JobFailed if it is damaged."""
     learnt = table_from_checkpoint(content) if is_checkpoint else read_policy(content)
     facts = learnt.facts
-    indexer, mapper = _INDEXER.validate_python(facts["indexer"]), _MAPPER.validate_python(facts["mapper"])
+    state_discretizer = _STATE_DISCRETIZER.validate_python(facts["state_discretizer"])
+    action_set = _ACTION_SET.validate_python(facts["action_set"])
     epsilon = jnp.float32(0.0 if deterministic else facts["epsilon"])
 
     def choose(table: jax.Array, rows: jax.Array, key: jax.Array) -> jax.Array:
         return greedy(table, rows) if deterministic else epsilon_greedy(table, rows, epsilon, key)
 
     def answer(table: jax.Array, seen: Mapping[str, jax.Array], key: jax.Array) -> jax.Array:
-        return choose(table, make_indexer(indexer, facts["num_arms"])(seen), key)
+        return choose(table, make_state_discretizer(state_discretizer, facts["num_arms"])(seen), key)
 
     def acting(environment: Environment) -> Acting:
-        tabular = Tabular.of(indexer, mapper, environment)
+        tabular = Tabular.of(state_discretizer, action_set, environment)
         tabular.check_shape(learnt.table.shape)
         steps = facts["decision_steps"]
 
         def act(table: jax.Array, state: State, key: jax.Array) -> jax.Array:
-            choices = choose(table, tabular.indexer(tabular.indexer.look(state)), key)
-            return ActionHold.due_or_held(state, steps, tabular.mapper.act(choices))
+            choices = choose(table, tabular.state_discretizer(tabular.state_discretizer.look(state)), key)
+            return ActionHold.due_or_held(state, steps, tabular.action_set.act(choices))
 
         return Acting(ActionHold(environment), act)
 

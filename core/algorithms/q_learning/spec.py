@@ -2,7 +2,7 @@
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import AliasChoices, Field
 
 from core.algorithms.memory import Memory
 from core.algorithms.q_learning import memory
@@ -11,13 +11,13 @@ from core.algorithms.q_learning.options import (
     MOST_REPLAYED,
     MOST_WORLDS,
     ActionList,
+    ActionSetOptions,
     ArmActions,
     ArmRole,
     ArmRoles,
-    IndexerOptions,
     LeadingArm,
-    MapperOptions,
     ObservationGrid,
+    StateDiscretizerOptions,
 )
 from core.algorithms.spec import BaseSpec
 from core.documents import Strict
@@ -75,17 +75,23 @@ class QLearningSpec(BaseSpec):
         "num_agents",
         "env_steps_per_update",
         "decision_steps",
-        "indexer",
-        "mapper",
+        "state_discretizer",
+        "action_set",
         "replay_buffer_size",
     )
 
     kind: Literal["q_learning"] = "q_learning"
-    indexer: IndexerOptions | None = Field(
-        default=None, description="How what is seen becomes a row of the table."
+    state_discretizer: StateDiscretizerOptions | None = Field(
+        default=None,
+        validation_alias=AliasChoices("state_discretizer", "indexer"),
+        description="How what is seen becomes a row of the table. (`indexer`, its name until version 0.2, is "
+        "deprecated and still accepted.)",
     )
-    mapper: MapperOptions | None = Field(
-        default=None, description="How a column of the table becomes an action."
+    action_set: ActionSetOptions | None = Field(
+        default=None,
+        validation_alias=AliasChoices("action_set", "mapper"),
+        description="How a column of the table becomes an action. (`mapper`, its name until version 0.2, is "
+        "deprecated and still accepted.)",
     )
     num_episodes: int = Field(
         default=100,
@@ -189,77 +195,83 @@ class QLearningSpec(BaseSpec):
 
 
 def _of_the_table(settings: QLearningSpec, environment: EnvironmentInfo) -> list[Problem]:
-    """Whether the environment can feed the indexer and be fed by the mapper, as far as its row tells."""
-    indexer, mapper = settings.indexer, settings.mapper
+    """Whether these and the environment go together, as far as its row tells."""
+    discretizer, action_set = settings.state_discretizer, settings.action_set
     problems: list[Problem] = []
-    if indexer is None:
+    if discretizer is None:
         detail = (
-            f"Name an `indexer`: Q-learning needs a row of its table for what it sees in {environment.id}."
+            "Name a `state_discretizer`: Q-learning needs a row of its table for what it sees in "
+            f"{environment.id}."
         )
-        problems.append(Problem("/algorithm/indexer", detail))
-    elif missing := [name for name in indexer.needs if name not in ("observation", *environment.info)]:
+        problems.append(Problem("/algorithm/state_discretizer", detail))
+    elif missing := [name for name in discretizer.needs if name not in ("observation", *environment.info)]:
         told = ", ".join(environment.info) or "nothing besides its observation"
         detail = (
-            f"The indexer {indexer.kind!r} looks at {', '.join(missing)}, and {environment.id} tells {told}."
+            f"The state discretizer {discretizer.kind!r} looks at {', '.join(missing)}, and {environment.id} "
+            f"tells {told}."
         )
-        problems.append(Problem("/algorithm/indexer", detail))
-    if mapper is None:
+        problems.append(Problem("/algorithm/state_discretizer", detail))
+    if action_set is None:
         size = environment.action_size
         detail = (
-            f"Name a `mapper`: the action of {environment.id} is "
+            f"Name an `action_set`: the action of {environment.id} is "
             f"{'continuous' if size is None else f'{size} continuous numbers'}, and a table has columns."
         )
-        problems.append(Problem("/algorithm/mapper", detail))
-    elif isinstance(mapper, LeadingArm | ArmRoles) and not environment.has_cpg:
+        problems.append(Problem("/algorithm/action_set", detail))
+    elif isinstance(action_set, LeadingArm | ArmRoles) and not environment.has_cpg:
         detail = (
-            f"The mapper {mapper.kind!r} sets a central pattern generator, and {environment.id} has none as "
-            f'it is asked for here; a brittle star has one with the option "control": "cpg".'
+            f"The action set {action_set.kind!r} sets a central pattern generator, and {environment.id} has "
+            f'none as it is asked for here; a brittle star has one with the option "control": "cpg".'
         )
-        problems.append(Problem("/algorithm/mapper", detail))
-    if problems or indexer is None or mapper is None:
+        problems.append(Problem("/algorithm/action_set", detail))
+    if problems or discretizer is None or action_set is None:
         return problems
     arms = environment.num_arms
     return [
-        *_of_the_observation(indexer, environment),
-        *_of_the_choices(indexer, mapper, environment),
-        *_of_the_size(settings, indexer.num_states(arms), mapper.num_choices(arms)),
+        *_of_the_observation(discretizer, environment),
+        *_of_the_choices(discretizer, action_set, environment),
+        *_of_the_size(settings, discretizer.num_states(arms), action_set.num_choices(arms)),
     ]
 
 
-def _of_the_observation(indexer: IndexerOptions, environment: EnvironmentInfo) -> list[Problem]:
+def _of_the_observation(discretizer: StateDiscretizerOptions, environment: EnvironmentInfo) -> list[Problem]:
     size = environment.observation_size
-    if size is None or not isinstance(indexer, ObservationGrid):
+    if size is None or not isinstance(discretizer, ObservationGrid):
         return []
     detail = f"The observation of {environment.id} has {size} components, and none of index"
     return [
-        Problem(f"/algorithm/indexer/components/{place}/index", f"{detail} {index}.")
-        for place, index in indexer.beyond(size).items()
+        Problem(f"/algorithm/state_discretizer/components/{place}/index", f"{detail} {index}.")
+        for place, index in discretizer.beyond(size).items()
     ]
 
 
 def _of_the_choices(
-    indexer: IndexerOptions, mapper: MapperOptions, environment: EnvironmentInfo
+    discretizer: StateDiscretizerOptions, action_set: ActionSetOptions, environment: EnvironmentInfo
 ) -> list[Problem]:
     """Whether as many choose as read, and what they choose is an action of the environment."""
     problems = list[Problem]()
-    if isinstance(indexer, ArmRole) != isinstance(mapper, ArmRoles | ArmActions):
+    if isinstance(discretizer, ArmRole) != isinstance(action_set, ArmRoles | ArmActions):
         detail = (
-            f"The indexer {indexer.kind!r} and the mapper {mapper.kind!r} do not go together: either each "
-            f"arm has a state and a choice (arm_role with arm_roles or arm_actions), or all have one."
+            f"The state discretizer {discretizer.kind!r} and the action set {action_set.kind!r} do not go "
+            "together: either each arm has a state and a choice (arm_role with arm_roles or arm_actions), "
+            "or all have one."
         )
-        problems += [Problem("/algorithm/indexer", detail), Problem("/algorithm/mapper", detail)]
-    if isinstance(mapper, ActionList | ArmActions):
-        lengths, size = {len(action) for action in mapper.actions}, environment.action_size
-        parts = environment.num_arms if isinstance(mapper, ArmActions) else 1
+        problems += [
+            Problem("/algorithm/state_discretizer", detail),
+            Problem("/algorithm/action_set", detail),
+        ]
+    if isinstance(action_set, ActionList | ArmActions):
+        lengths, size = {len(action) for action in action_set.actions}, environment.action_size
+        parts = environment.num_arms if isinstance(action_set, ArmActions) else 1
         if len(lengths) > 1 or (size is not None and lengths != {size / parts}):
             detail = (
                 f"{environment.id} takes {size} action components{f' of {parts} arms' if parts > 1 else ''}; "
-                f"the mapper's actions have {', '.join(str(length) for length in sorted(lengths))}."
+                f"the action set's actions have {', '.join(str(length) for length in sorted(lengths))}."
             )
-            problems.append(Problem("/algorithm/mapper/actions", detail))
-    if isinstance(mapper, ArmActions) and not environment.alike_arms:
-        detail = f"The mapper {mapper.kind!r} gives every arm as many joints, and these arms differ."
-        problems.append(Problem("/algorithm/mapper", detail))
+            problems.append(Problem("/algorithm/action_set/actions", detail))
+    if isinstance(action_set, ArmActions) and not environment.alike_arms:
+        detail = f"The action set {action_set.kind!r} gives every arm as many joints, and these arms differ."
+        problems.append(Problem("/algorithm/action_set", detail))
     return problems
 
 
@@ -267,7 +279,7 @@ def _of_the_size(settings: QLearningSpec, rows: int, columns: int) -> list[Probl
     problems = list[Problem]()
     if (cells := rows * columns * settings.num_agents) > MOST_CELLS:
         detail = f"The tables would have {cells:,} cells; {MOST_CELLS:,} are allowed."
-        problems.append(Problem("/algorithm/indexer", detail))
+        problems.append(Problem("/algorithm/state_discretizer", detail))
     if settings.initial_table == "identity" and rows != columns:
         detail = f"An identity table is square; this one has {rows:,} rows and {columns:,} columns."
         problems.append(Problem("/algorithm/initial_table", detail))
@@ -309,7 +321,7 @@ def _of_the_worlds(settings: QLearningSpec) -> list[Problem]:
 
 def _of_the_replay(settings: QLearningSpec, num_arms: int) -> list[Problem]:
     size, agents = settings.replay_buffer_size, settings.num_agents
-    brought = settings.num_envs * (num_arms if isinstance(settings.indexer, ArmRole) else 1)
+    brought = settings.num_envs * (num_arms if isinstance(settings.state_discretizer, ArmRole) else 1)
     problems = list[Problem]()
     if 0 < size < brought:
         problems.append(

@@ -1,4 +1,4 @@
-"""State indexers: from what is seen of a world to a row of the table, or to one for each arm."""
+"""State state_discretizers: from what is seen of a world to a row of the table, or to one for each arm."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ from core.algorithms.q_learning.options import (
     ArmRole,
     ArmTowardsTarget,
     DiskPositionGrid,
-    IndexerOptions,
     ObservationGrid,
+    StateDiscretizerOptions,
 )
 from core.environments.environment import State
 
-# Arrays by the names that an indexer's options need.
+# Arrays by the names that a state discretizer's options need.
 Seen = Mapping[str, jax.Array]
 
 
 @dataclass(frozen=True)
-class Indexer:
+class StateDiscretizer:
     """rows: from what is seen of one world to [num_readers] int32, each below num_states.
 
     A row is -1 where what is seen is not finite. num_readers: 1, or the arms where each reads for itself.
@@ -35,7 +35,7 @@ class Indexer:
     names: tuple[str, ...] = ()
 
     def look(self, state: State) -> Seen:
-        """What the indexer needs of one world's state."""
+        """What the state discretizer needs of one world's state."""
         obs = state.obs["state"] if isinstance(state.obs, Mapping) else state.obs
         return {name: obs if name == "observation" else state.info[name] for name in self.needs}
 
@@ -44,8 +44,8 @@ class Indexer:
         return jnp.where(jnp.all(jnp.stack(finite)), self.rows(seen), -1)
 
 
-def make_indexer(options: IndexerOptions, num_arms: int) -> Indexer:
-    """The indexer that these options name, for a body with so many arms (any number where it has none)."""
+def make_state_discretizer(options: StateDiscretizerOptions, num_arms: int) -> StateDiscretizer:
+    """The state discretizer that these options name, for a body with `num_arms` arms."""
     names = ()
     match options:
         case ArmTowardsTarget():
@@ -62,7 +62,7 @@ def make_indexer(options: IndexerOptions, num_arms: int) -> Indexer:
             chosen = np.asarray([component.index for component in components])
             cells = [component.cells for component in components]
             readers, rows = 1, lambda seen: cell(seen["observation"][chosen], ranges, cells)[None]
-    return Indexer(options.needs, options.num_states(num_arms), readers, rows, names)
+    return StateDiscretizer(options.needs, options.num_states(num_arms), readers, rows, names)
 
 
 def sector_of_target(seen: Seen, num_arms: int) -> jax.Array:

@@ -52,7 +52,7 @@ def ppo(options: Options) -> Mapping[Device, Mapping[str, Any]]:
 # A decision is one stroke of the default gait.
 _DECISION_STEPS = 25
 _TABLE: Mapping[str, Any] = {
-    "mapper": {"kind": "leading_arm"},
+    "action_set": {"kind": "leading_arm"},
     "num_episodes": 100,
     "decision_steps": _DECISION_STEPS,
     "learning_rate": 0.05,
@@ -69,7 +69,7 @@ def q_learning(options: Options) -> Mapping[Device, Mapping[str, Any]]:
     towards = isinstance(options, DirectedOptions)
     settings = {
         **_TABLE,
-        **({"indexer": {"kind": "arm_towards_target"}} if towards else {}),
+        **({"state_discretizer": {"kind": "arm_towards_target"}} if towards else {}),
         "decisions_per_episode": math.ceil(options.episode_length / _DECISION_STEPS),
     }
     return {"cpu": {**settings, "num_envs": 20}, "gpu": {**settings, "num_envs": 100}}

@@ -10,7 +10,7 @@ from core.algorithms.events import Evaluated
 from core.algorithms.run import make_run
 from core.algorithms.spec import resolve
 from core.environments import catalog
-from core.errors import EnvironmentNotFound
+from core.errors import Rejected
 from core.jobs.checks import check
 from core.jobs.spec import JOB_SPEC
 from core.physics.availability import choose
@@ -29,7 +29,7 @@ def test_a_job_may_name_it(job_store: PostgresJobStore) -> None:
     spec = JOB_SPEC.validate_json(json.dumps(sent))
     check(spec, job_store)
     misspelt = JOB_SPEC.validate_python({"kind": "train", "environment": "sledge"})
-    with pytest.raises(EnvironmentNotFound, match="Did you mean 'sled'"):
+    with pytest.raises(Rejected, match="Did you mean 'sled'"):
         check(misspelt, job_store)
 
 

@@ -30,7 +30,7 @@ GRID: dict[str, Any] = {
 }
 ARM = {"kind": "arm_towards_target"}
 ACTIONS = {"kind": "actions", "actions": [[1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0]]}
-VALID: dict[str, Any] = {"indexer": ARM, "mapper": ACTIONS}
+VALID: dict[str, Any] = {"state_discretizer": ARM, "action_set": ACTIONS}
 
 
 def parsed(**fields: Any) -> QLearningSpec:
@@ -43,16 +43,16 @@ def parsed(**fields: Any) -> QLearningSpec:
 @pytest.mark.parametrize(
     "fields",
     [
-        {"indexer": {"kind": "disk_position_grid", "cells": [0, 3]}},
-        {"indexer": {"kind": "disk_position_grid", "x": [1.0, 1.0]}},
-        {"indexer": {"kind": "observation_grid", "components": []}},
-        {"indexer": {"kind": "sectors"}},
+        {"state_discretizer": {"kind": "disk_position_grid", "cells": [0, 3]}},
+        {"state_discretizer": {"kind": "disk_position_grid", "x": [1.0, 1.0]}},
+        {"state_discretizer": {"kind": "observation_grid", "components": []}},
+        {"state_discretizer": {"kind": "sectors"}},
         {"epsilon": {"start": 1.1}},
         {"epsilon": {"end": -0.1}},
         {"agents": []},
         {"agents": [{"learning_rate": 2.0}]},
         {"replay": {"buffer_size": 0}},
-        {"mapper": {"kind": "actions", "actions": [[1.5]]}},
+        {"action_set": {"kind": "actions", "actions": [[1.5]]}},
     ],
 )
 def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]) -> None:
@@ -63,18 +63,22 @@ def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]
 @pytest.mark.parametrize(
     ("change", "sentence", "pointers"),
     [
-        ({"mapper": None}, "Name a `mapper`: the action of star is 5 continuous numbers", ["mapper"]),
-        ({"indexer": None}, "Name an `indexer`", ["indexer"]),
-        ({"mapper": {"kind": "leading_arm"}}, "star has none as it is asked for here", ["mapper"]),
         (
-            {"indexer": {"kind": "arm_role"}},
-            "'arm_role' and the mapper 'actions' do not go together",
-            ["indexer", "mapper"],
+            {"action_set": None},
+            "Name an `action_set`: the action of star is 5 continuous numbers",
+            ["action_set"],
+        ),
+        ({"state_discretizer": None}, "Name a `state_discretizer`", ["state_discretizer"]),
+        ({"action_set": {"kind": "leading_arm"}}, "star has none as it is asked for here", ["action_set"]),
+        (
+            {"state_discretizer": {"kind": "arm_role"}},
+            "'arm_role' and the action set 'actions' do not go together",
+            ["state_discretizer", "action_set"],
         ),
         (
-            {"mapper": {"kind": "actions", "actions": [[1.0], [1.0, 0.0]]}},
-            "takes 5 action components; the mapper's actions have 1, 2",
-            ["mapper/actions"],
+            {"action_set": {"kind": "actions", "actions": [[1.0], [1.0, 0.0]]}},
+            "takes 5 action components; the action set's actions have 1, 2",
+            ["action_set/actions"],
         ),
         (
             {"epsilon": {"decay_episodes": 101}, "num_episodes": 100},
@@ -94,25 +98,33 @@ def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]
         ({"epsilon": {"end": 0.0, "shape": "exponential"}}, "never comes from or to 0", ["epsilon/shape"]),
         ({"replay": {"buffer_size": 3}}, "each decision brings 4 transitions", ["replay/buffer_size"]),
         (
-            {"indexer": {"kind": "disk_position_grid", "cells": [10_000, 10_000]}},
+            {"state_discretizer": {"kind": "disk_position_grid", "cells": [10_000, 10_000]}},
             "would have 200,000,000 cells",
-            ["indexer"],
+            ["state_discretizer"],
         ),
         (
-            {"indexer": {**GRID, "components": [*GRID["components"], {**GRID["components"][0], "index": 3}]}},
+            {
+                "state_discretizer": {
+                    **GRID,
+                    "components": [*GRID["components"], {**GRID["components"][0], "index": 3}],
+                }
+            },
             "The observation of star has 3 components, and none of index 3",
-            ["indexer/components/1/index"],
+            ["state_discretizer/components/1/index"],
         ),
         (
-            {"indexer": {"kind": "arm_role"}, "mapper": {"kind": "arm_actions", "actions": [[0.5, 0.5]]}},
-            "star takes 5 action components of 5 arms; the mapper's actions have 2",
-            ["mapper/actions"],
+            {
+                "state_discretizer": {"kind": "arm_role"},
+                "action_set": {"kind": "arm_actions", "actions": [[0.5, 0.5]]},
+            },
+            "star takes 5 action components of 5 arms; the action set's actions have 2",
+            ["action_set/actions"],
         ),
         ({"initial_table": "identity"}, "this one has 5 rows and 2 columns", ["initial_table"]),
         (
             {
-                "indexer": {"kind": "arm_role"},
-                "mapper": {"kind": "arm_actions", "actions": [[0.5], [0.0]]},
+                "state_discretizer": {"kind": "arm_role"},
+                "action_set": {"kind": "arm_actions", "actions": [[0.5], [0.0]]},
                 "replay": {"buffer_size": 19},
             },
             "each decision brings 20 transitions",  # of 4 worlds with 5 arms
@@ -142,7 +154,7 @@ def test_what_does_not_go_together_is_refused_with_its_places(
 def test_a_table_is_as_large_as_its_columns_make_it_whoever_names_them() -> None:
     # 2.5 million rows, and as many columns as the generator's five arms.
     grid = {"kind": "disk_position_grid", "cells": [2500, 1000]}
-    spec = QLearningSpec.model_validate({"indexer": grid, "mapper": {"kind": "leading_arm"}})
+    spec = QLearningSpec.model_validate({"state_discretizer": grid, "action_set": {"kind": "leading_arm"}})
     with pytest.raises(Rejected, match="would have 12,500,000 cells; 10,000,000 are allowed"):
         resolve(spec, replace(STAR, has_cpg=True, action_size=36), "cpu")
 
@@ -151,7 +163,7 @@ def test_arms_that_differ_have_no_joints_in_common() -> None:
     stars = catalog.find("brittle_star")
     options = catalog.parse_options(stars, {"num_arms": 3, "num_segments_per_arm": [2, 1, 3]})
     arms = {"kind": "arm_actions", "actions": [[0.1] * 4, [0.0] * 4]}  # 12 joints of 3 arms
-    spec = QLearningSpec.model_validate({"indexer": {"kind": "arm_role"}, "mapper": arms})
+    spec = QLearningSpec.model_validate({"state_discretizer": {"kind": "arm_role"}, "action_set": arms})
     with pytest.raises(Rejected, match="these arms differ"):
         resolve(spec, stars.under(options), "cpu")
 
@@ -159,7 +171,7 @@ def test_arms_that_differ_have_no_joints_in_common() -> None:
 def test_an_environment_that_tells_no_direction_cannot_feed_an_indexer_of_directions() -> None:
     with pytest.raises(Rejected, match="ant tells nothing besides its observation") as caught:
         resolve(parsed(**VALID), catalog.find("ant"), "cpu")
-    assert [problem.pointer for problem in caught.value.problems] == ["/algorithm/indexer"]
+    assert [problem.pointer for problem in caught.value.problems] == ["/algorithm/state_discretizer"]
 
 
 def test_tuned_values_lie_under_the_jobs_word_and_budgets_are_whole_rounds() -> None:
@@ -178,15 +190,15 @@ def test_tuned_values_lie_under_the_jobs_word_and_budgets_are_whole_rounds() -> 
 
 
 def test_a_table_of_another_shape_or_another_algorithm_cannot_go_on() -> None:
-    made_with = parsed(indexer=GRID, mapper=ACTIONS)
+    made_with = parsed(state_discretizer=GRID, action_set=ACTIONS)
     finer = {"kind": "observation_grid", "components": [{"index": 0, "range": [-1.0, 1.0], "cells": 8}]}
-    with pytest.raises(Rejected, match="The checkpoint was made with indexer") as caught:
-        check_resumption(parsed(indexer=finer, mapper=ACTIONS), made_with)
-    assert [problem.pointer for problem in caught.value.problems] == ["/algorithm/indexer"]
+    with pytest.raises(Rejected, match="The checkpoint was made with state_discretizer") as caught:
+        check_resumption(parsed(state_discretizer=finer, action_set=ACTIONS), made_with)
+    assert [problem.pointer for problem in caught.value.problems] == ["/algorithm/state_discretizer"]
     with pytest.raises(Rejected, match="made with kind = q_learning; this job has ppo"):
         check_resumption(PPOSpec(), made_with)
     free = {"learning_rate": 0.9, "num_episodes": 5, "epsilon": {"start": 0.1}, "policy_agent": "first"}
-    check_resumption(parsed(indexer=GRID, mapper=ACTIONS, **free), made_with)
+    check_resumption(parsed(state_discretizer=GRID, action_set=ACTIONS, **free), made_with)
 
 
 def test_several_gpus_are_refused() -> None:
@@ -200,3 +212,12 @@ def test_the_jobs_of_the_page_are_jobs() -> None:
     assert len(jobs) == 3
     for job in jobs:
         assert JOB_SPEC.validate_json(job).algorithm.kind == "q_learning"  # pyright: ignore
+
+
+def test_the_names_of_version_0_1_are_still_accepted() -> None:
+    new = {"state_discretizer": {"kind": "arm_role"}, "action_set": {"kind": "arm_roles"}}
+    old = {"indexer": new["state_discretizer"], "mapper": new["action_set"]}
+    assert QLearningSpec.model_validate(old) == QLearningSpec.model_validate(new)
+    assert QLearningSpec.model_validate(old).model_dump(exclude_unset=True) == new
+    with pytest.raises(ValidationError, match="indexer"):
+        QLearningSpec.model_validate(new | old)

@@ -118,13 +118,16 @@ def test_a_pattern_generator_may_move_the_joints() -> None:
 def test_a_table_needs_nothing_said_to_steer_by_a_pattern_generator(device: Any) -> None:
     given = environment_options(control="cpg", simulation_time=30.0)
     settings = resolve(QLearningSpec(), catalog.find("brittle_star").under(given), device)
-    assert settings.indexer is not None
-    assert settings.mapper is not None
-    assert (settings.indexer.kind, settings.mapper.kind) == ("arm_towards_target", "leading_arm")
+    assert settings.state_discretizer is not None
+    assert settings.action_set is not None
+    assert (settings.state_discretizer.kind, settings.action_set.kind) == (
+        "arm_towards_target",
+        "leading_arm",
+    )
     # A decision is one stroke of 1 Hz: 30 s have as many.
     assert settings.decision_steps * given.dt == pytest.approx(1 / given.cpg.gait.frequency_hz)
     assert settings.decisions_per_episode == 30
-    with pytest.raises(Rejected, match="Name an `indexer`"):
+    with pytest.raises(Rejected, match="Name a `state_discretizer`"):
         resolve(QLearningSpec(), catalog.find("brittle_star").under(environment_options()), device)
 
 

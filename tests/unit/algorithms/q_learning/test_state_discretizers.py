@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from core.algorithms.q_learning.action_sets import make_mapper
+from core.algorithms.q_learning.action_sets import make_action_set
 from core.algorithms.q_learning.discrete_env import Tabular
-from core.algorithms.q_learning.options import IndexerOptions, MapperOptions
-from core.algorithms.q_learning.state_discretizers import Indexer, make_indexer
+from core.algorithms.q_learning.options import ActionSetOptions, StateDiscretizerOptions
+from core.algorithms.q_learning.state_discretizers import StateDiscretizer, make_state_discretizer
 from core.environments.wrappers.domain_randomization import RandomizedEnvironment
 from core.errors import JobFailed
 from tests import probes
 from tests.learning.q_probes import PlanarStar
 
-INDEXER: TypeAdapter[Any] = TypeAdapter(IndexerOptions)
-MAPPER: TypeAdapter[Any] = TypeAdapter(MapperOptions)
+INDEXER: TypeAdapter[Any] = TypeAdapter(StateDiscretizerOptions)
+MAPPER: TypeAdapter[Any] = TypeAdapter(ActionSetOptions)
 
 
-def indexer(num_arms: int = 5, **options: Any) -> Indexer:
-    return make_indexer(INDEXER.validate_python(options), num_arms)
+def state_discretizer(num_arms: int = 5, **options: Any) -> StateDiscretizer:
+    return make_state_discretizer(INDEXER.validate_python(options), num_arms)
 
 
 def seen(bearing_deg: float, yaw_deg: float = 0.0) -> dict[str, Any]:
@@ -41,37 +41,39 @@ def seen(bearing_deg: float, yaw_deg: float = 0.0) -> dict[str, Any]:
 def test_the_arm_towards_the_target_is_that_of_its_sector_however_the_disk_lies(
     bearing: float, yaw: float, arm: int
 ) -> None:
-    np.testing.assert_array_equal(indexer(kind="arm_towards_target")(seen(bearing, yaw)), [arm])
+    np.testing.assert_array_equal(state_discretizer(kind="arm_towards_target")(seen(bearing, yaw)), [arm])
 
 
 def test_each_arm_reads_how_far_round_the_target_lies_from_itself() -> None:
     # Towards arm 1: it reads 0, the arm before it 1 step on, and those behind it the way around.
-    np.testing.assert_array_equal(indexer(kind="arm_role")(seen(72)), [1, 0, 4, 3, 2])
-    np.testing.assert_array_equal(indexer(3, kind="arm_role")(seen(240)), [2, 1, 0])
+    np.testing.assert_array_equal(state_discretizer(kind="arm_role")(seen(72)), [1, 0, 4, 3, 2])
+    np.testing.assert_array_equal(state_discretizer(3, kind="arm_role")(seen(240)), [2, 1, 0])
 
 
 def test_a_grid_counts_along_its_last_component_and_ends_at_its_edges() -> None:
-    grid = indexer(kind="disk_position_grid", x=[-1.0, 1.0], y=[0.0, 3.0], cells=[2, 3])
+    grid = state_discretizer(kind="disk_position_grid", x=[-1.0, 1.0], y=[0.0, 3.0], cells=[2, 3])
     places = [(-0.5, 0.5), (-0.5, 2.5), (0.5, 0.5), (0.0, 1.0), (9.0, 9.0), (-9.0, -9.0)]
     rows = [int(grid({"disk_position": jnp.array([x, y, 0.1])})[0]) for x, y in places]
     assert rows == [0, 2, 3, 4, 5, 0]
     assert grid.num_states == 6
     parts = [{"index": 2, "range": [0.0, 4.0], "cells": 4}, {"index": 0, "range": [0.0, 2.0], "cells": 2}]
-    three = indexer(kind="observation_grid", components=[*parts, {"index": 1, "range": [0, 1], "cells": 1}])
+    three = state_discretizer(
+        kind="observation_grid", components=[*parts, {"index": 1, "range": [0, 1], "cells": 1}]
+    )
     assert three({"observation": jnp.array([1.5, 0.0, 3.5])}).tolist() == [3 * 2 + 1]
 
 
 def test_what_is_not_finite_has_no_row() -> None:
     broken = seen(0) | {"disk_rotation": jnp.array([0.0, 0.0, jnp.nan])}
-    assert indexer(kind="arm_towards_target")(broken).tolist() == [-1]
-    assert indexer(kind="arm_role")(broken).tolist() == [-1] * 5
+    assert state_discretizer(kind="arm_towards_target")(broken).tolist() == [-1]
+    assert state_discretizer(kind="arm_role")(broken).tolist() == [-1] * 5
 
 
 def test_arms_put_their_parts_of_an_action_one_after_the_other() -> None:
-    mapper = make_mapper(
+    action_set = make_action_set(
         MAPPER.validate_python({"kind": "arm_actions", "actions": [[-1.0], [0.5]]}), PlanarStar()
     )
-    assert mapper.act(jnp.array([0, 1, 0, 0, 1])).tolist() == [-1.0, 0.5, -1.0, -1.0, 0.5]
+    assert action_set.act(jnp.array([0, 1, 0, 0, 1])).tolist() == [-1.0, 0.5, -1.0, -1.0, 0.5]
 
 
 class Generator(PlanarStar):
@@ -86,15 +88,15 @@ class Generator(PlanarStar):
 
 def test_a_generator_is_told_which_arm_leads_or_which_roles_there_are_through_what_is_around_it() -> None:
     wrapped = RandomizedEnvironment(Generator(), {})
-    leading = make_mapper(MAPPER.validate_python({"kind": "leading_arm"}), wrapped)
+    leading = make_action_set(MAPPER.validate_python({"kind": "leading_arm"}), wrapped)
     assert (leading.num_choices, leading.act(jnp.array([3])).tolist()) == (5, [0, 0, 0, 1, 0])
-    roles = make_mapper(MAPPER.validate_python({"kind": "arm_roles"}), wrapped)
+    roles = make_action_set(MAPPER.validate_python({"kind": "arm_roles"}), wrapped)
     assert (roles.num_choices, roles.act(jnp.array([0, 1, 2, 2, 0])).tolist()) == (3, [0, 0.25, 0.5, 0.5, 0])
     assert roles.names == ("leading", "left", "right")  # nobody trails in a star of five
     for kind in ("leading_arm", "arm_roles"):
         options = MAPPER.validate_python({"kind": kind})
         for arms in (3, 4):
-            assert make_mapper(options, Generator(arms)).num_choices == options.num_choices(arms)
+            assert make_action_set(options, Generator(arms)).num_choices == options.num_choices(arms)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +122,7 @@ def test_an_environment_that_lacks_what_is_needed_ends_the_job_with_the_reason(
     reads: str, chooses: dict[str, Any], environment: Any, sentence: str
 ) -> None:
     cut = {"components": [{"index": 1, "range": [0, 1], "cells": 2}]} if reads == "observation_grid" else {}
-    indexer = INDEXER.validate_python({"kind": reads, **cut})
+    state_discretizer = INDEXER.validate_python({"kind": reads, **cut})
     with pytest.raises(JobFailed, match=sentence) as failure:
-        Tabular.of(indexer, MAPPER.validate_python(chooses), environment)
+        Tabular.of(state_discretizer, MAPPER.validate_python(chooses), environment)
     assert failure.value.reason == "bad_model"
