@@ -1,4 +1,4 @@
-"""The HTTP edge. Composition root: `build` alone knows real adapters."""
+"""The HTTP edge. Composition root: only `build` knows the real adapters."""
 
 from importlib.metadata import version
 
@@ -16,13 +16,13 @@ from core.jobs.store import JobStore
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
 
-_DESCRIPTION = """Bodies learn to walk: submit a training or a rollout, watch it, fetch its video.
+_DESCRIPTION = """Train simulated bodies to walk: submit a training or a rollout, follow it, fetch its video.
 
 Every refusal is `application/problem+json` (RFC 9457). Times are RFC 3339 in UTC; ids sort by time."""
 
 
 def create_app(settings: ApiSettings, *, store: JobStore, queue: JobQueue, objects: ObjectStore) -> FastAPI:
-    """The service over these parts."""
+    """The service, built from these parts."""
     app = FastAPI(
         title="Gaitway",
         version=version("gaitway"),
@@ -43,18 +43,18 @@ def build(settings: ApiSettings) -> FastAPI:
     """The service over PostgreSQL, RQ and the object store that the settings name."""
     from core.adapters.connect import job_queue, job_store, object_store
 
-    # Somebody waits for each answer: a silent store is given up after two seconds.
+    # A client waits for each answer, so a store that does not answer is given up after two seconds.
     objects = object_store(settings, retries=1, timeout_s=2.0)
     return create_app(settings, store=job_store(settings), queue=job_queue(settings), objects=objects)
 
 
 def from_environment() -> FastAPI:
-    """The service as the environment's settings say; `uvicorn --factory api.app:from_environment`.
+    """The service, configured from the environment; for `uvicorn --factory api.app:from_environment`.
 
     Raises Misconfigured.
     """
     from core.adapters.startup import check_stores
 
     settings = read(ApiSettings)
-    check_stores(settings, patience_s=0)  # whoever asks meanwhile is told that they are away
+    check_stores(settings, patience_s=0)  # until they answer, requests get 503
     return build(settings)

@@ -1,4 +1,4 @@
-"""Around every request: the doors, a correlation id, one log line, and an answer even to a defect."""
+"""Middleware for every request: access check, correlation id, one log line, and 500 for a defect."""
 
 import re
 import secrets
@@ -19,7 +19,7 @@ _ACCEPTABLE = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 
 
 class Correlation:
-    """ASGI middleware. It takes the client's X-Request-ID where that is harmless, and answers with it."""
+    """ASGI middleware. It keeps the client's X-Request-ID if that is harmless, and sends it back."""
 
     def __init__(self, app: ASGIApp, doors: Doors) -> None:
         self._app = app
@@ -43,7 +43,7 @@ class Correlation:
                 await self._app(scope, receive, sender)
         except Exception:
             log.exception("request_crashed", method=scope["method"], path=scope["path"])
-            if sender.status:  # Part of the answer is out: breaking the connection is all that tells of it.
+            if sender.status:  # Part of the answer is sent: only a broken connection can report this.
                 raise
             await answer(UnexpectedError(correlation_id), scope["path"])(scope, receive, sender)
         seconds = round(time.perf_counter() - started, 4)
@@ -57,7 +57,7 @@ class Correlation:
 
 
 class _Sender:
-    """Passes the answer on, with the correlation id, and remembers its status; 0 before it began."""
+    """Sends the answer with the correlation id, and keeps its status; 0 before the answer begins."""
 
     def __init__(self, send: Send, correlation_id: str) -> None:
         self.status = 0

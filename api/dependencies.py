@@ -1,4 +1,4 @@
-"""What routes ask for: the service's parts, and checked parameters."""
+"""Dependencies of the routes: the service's parts, and checked parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,13 +22,13 @@ _WATCHING_THREADS = 16
 
 @dataclass
 class Service:
-    """The parts behind the edge.
+    """The parts behind the routes.
 
-    stopping: true once the process was asked to end, so that streams close.
-    watching: the threads that streams read with, apart from those that other requests share.
-    watcher: tells streams of news.
-    acknowledgements: of dispatches that the queue has heard of.
-    num_uploads: models that are being received.
+    stopping: true once the process has been asked to end; streams then close.
+    watching: limits the threads that read for streams, which other requests do not share.
+    watcher: tells streams when their job has changed.
+    acknowledgements: of dispatches that the queue has received.
+    num_uploads: models that are being received now.
     """
 
     settings: ApiSettings
@@ -48,7 +48,7 @@ class Service:
     def read_feed(
         self, job_id: str, channel: Channel, *, after: int = 0, kind: str | None = None, limit: int = 1000
     ) -> Sequence[Entry]:
-        """As `core.jobs.feeds.read` does, from these stores."""
+        """Read a feed from these stores, as `core.jobs.feeds.read` does."""
         return feeds.read(
             job_id,
             channel,
@@ -64,14 +64,14 @@ async def _service(request: Request) -> Service:
     return request.app.state.service
 
 
-# Asynchronous, so that no thread is taken for handing over a reference.
+# Asynchronous, so that returning a reference takes no thread.
 ServiceDep = Annotated[Service, Depends(_service)]
 JobId = Annotated[
     str,
     Path(
         description="A job's id.",
         examples=["019aa3c2f0b1-5be0c1d2e3"],
-        # For readers of the document; what is no id is a job that is not there.
+        # Only documents the format: `check_job_id` answers a malformed id with 404.
         json_schema_extra={"pattern": f"^{JOB_ID}$"},
     ),
     AfterValidator(check_job_id),
@@ -81,6 +81,6 @@ EntryId = Annotated[str, Field(json_schema_extra={"pattern": f"^{ENTRY_ID}$"})]
 
 
 class Parameters(BaseModel):
-    """Parameters of a query; an unknown one is a typo and is refused."""
+    """Query parameters; an unknown one is a typo and is refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -1,7 +1,7 @@
-"""Who may ask, as far as a browser tells: no page of another site may read, submit or cancel anything.
+"""Access check for browsers: a page of another site may not read, submit or cancel anything.
 
-There are no accounts. A foreign page is kept out because its browser names the page (`Origin`,
-`Sec-Fetch-Site`) and the host that it believes to talk to (`Host`).
+There are no accounts. A foreign page is refused because its browser sends the page's origin (`Origin`,
+`Sec-Fetch-Site`) and the host name that the page used (`Host`).
 """
 
 from collections.abc import Collection
@@ -19,16 +19,16 @@ _FOREIGN = ("cross-site", "same-site")
 
 @dataclass(frozen=True)
 class Doors:
-    """allowed_hosts: names at which the service is reached, besides localhost and addresses in numbers.
+    """allowed_hosts: names of this service, besides localhost and numeric addresses.
 
-    A foreign name that leads here (DNS rebinding) makes its page and this service one site to the browser; an
-    address in numbers is nobody's name.
+    If a foreign name resolves to this service (DNS rebinding), the browser takes that name's page and this
+    service for one site. This cannot happen with a numeric address.
     """
 
     allowed_hosts: Collection[str] = ()
 
     def refusal(self, scope: Scope) -> EdgeError | None:
-        """Why the request is not answered, or None."""
+        """The refusal of this request, or None."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if not self._is_ours(_name(host)):
@@ -51,18 +51,18 @@ class Doors:
             return False
         try:
             place = urlsplit(origin).netloc
-        except ValueError:  # No address at all.
+        except ValueError:  # Not a URL.
             return True
         return place != host and _name(place) not in self.allowed_hosts
 
 
 def _is_embedded(headers: Headers) -> bool:
-    """Whether another site's page asks in the background; a link that a person followed is welcome."""
+    """Whether another site's page sent this in the background; following a link from there is allowed."""
     return headers.get("sec-fetch-site") in _FOREIGN and headers.get("sec-fetch-mode") != "navigate"
 
 
 def _name(host: str) -> str:
-    """The host without its port, in small letters."""
+    """The host without its port, in lower case."""
     try:
         return (urlsplit(f"//{host}").hostname or "").rstrip(".")
     except ValueError:

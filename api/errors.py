@@ -1,4 +1,4 @@
-"""Refusals that only the HTTP edge knows; their status is part of what they are."""
+"""Refusals that exist only in HTTP; each class has its own status."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -7,20 +7,20 @@ from core.errors import GaitwayError, Problem
 
 
 class EdgeError(GaitwayError):
-    """A refusal for the way in which something was asked."""
+    """A refusal of how a request was made."""
 
     status: ClassVar[int] = 400
     code = "bad-request"
-    title = "Not asked in a way that can be answered"
+    title = "Bad request"
 
     @property
     def headers(self) -> dict[str, str]:
-        """What the answer says besides its body."""
+        """The headers of the answer."""
         return {}
 
 
 class RouteNotFound(EdgeError):
-    """No resource lives at this address; /docs lists those there are."""
+    """There is no resource at this address; /docs lists all of them."""
 
     status = 404
     code = "route-not-found"
@@ -28,14 +28,14 @@ class RouteNotFound(EdgeError):
 
 
 class MethodNotAllowed(EdgeError):
-    """The resource exists, but does not understand this method; the header Allow names those it does."""
+    """The resource exists but does not support this method; the header Allow lists those that it supports."""
 
     status = 405
     code = "method-not-allowed"
-    title = "Not with this method"
+    title = "Method not allowed"
 
     def __init__(self, method: str, allowed: str) -> None:
-        super().__init__(f"This address does not take {method}; it takes {allowed}.", allowed=allowed)
+        super().__init__(f"This address does not support {method}; it supports {allowed}.", allowed=allowed)
         self._allowed = allowed
 
     @property
@@ -44,7 +44,7 @@ class MethodNotAllowed(EdgeError):
 
 
 class MalformedBody(EdgeError):
-    """The body is not a JSON document; the sentence says at which line and column reading stopped."""
+    """The body is not a JSON document; `detail` gives the line and column of the error."""
 
     status = 400
     code = "malformed-body"
@@ -56,7 +56,7 @@ class MalformedBody(EdgeError):
 
 
 class BodyTooLarge(EdgeError):
-    """The body is longer than this service reads."""
+    """The body is longer than this service accepts."""
 
     status = 413
     code = "body-too-large"
@@ -71,11 +71,11 @@ class BodyTooLarge(EdgeError):
 
 
 class UnsupportedMediaType(EdgeError):
-    """A job is sent as application/json, a model as application/xml or application/zip."""
+    """Send a job as application/json, and a model as application/xml or application/zip."""
 
     status = 415
     code = "unsupported-media-type"
-    title = "Not a media type this address reads"
+    title = "Unsupported media type"
 
     def __init__(
         self, media_type: str, *, what: str = "the job", accepted: Sequence[str] = ("application/json",)
@@ -90,16 +90,16 @@ class UnsupportedMediaType(EdgeError):
 
 
 class TooManyModels(EdgeError):
-    """As many models as GAITWAY_MAX_WAITING_MODELS allows are on their way in, or wait for a worker to look
-    at them. Workers do that when no job waits."""
+    """GAITWAY_MAX_WAITING_MODELS models are being uploaded or wait for validation. Workers validate models
+    when no job waits."""
 
     status = 429
     code = "too-many-models"
-    title = "Too many models wait already"
+    title = "Too many models are waiting"
 
     def __init__(self, most: int) -> None:
         super().__init__(
-            f"{most} models wait until a worker has no job and looks at them, which is the most; send this "
+            f"{most} models, the maximum, wait for a worker that has no job and can validate them; send this "
             "one later.",
             most=most,
         )
@@ -110,7 +110,7 @@ class TooManyModels(EdgeError):
 
 
 class RangeNotSatisfiable(EdgeError):
-    """The file ends before the range begins; the header Content-Range says how long it is."""
+    """The file ends before the range begins; the header Content-Range gives its length."""
 
     status = 416
     code = "range-not-satisfiable"
@@ -126,12 +126,12 @@ class RangeNotSatisfiable(EdgeError):
 
 
 class UnknownHost(EdgeError):
-    """The request names a host that is not this service's: a page of another site may have given its own name
+    """The request's Host is not a name of this service: a page of another site may have pointed its own name
     to this address. GAITWAY_ALLOWED_HOSTS lists further names."""
 
     status = 421
     code = "unknown-host"
-    title = "Not a name of this service"
+    title = "Unknown host"
 
     def __init__(self, host: str) -> None:
         super().__init__(
@@ -141,11 +141,11 @@ class UnknownHost(EdgeError):
 
 
 class CrossSiteRequest(EdgeError):
-    """A page of another site asked a browser to change something here."""
+    """A page of another site sent this request through a browser."""
 
     status = 403
     code = "cross-site-request"
-    title = "Not from another site"
+    title = "Cross-site request"
 
 
 class UnexpectedError(EdgeError):
@@ -157,6 +157,6 @@ class UnexpectedError(EdgeError):
 
     def __init__(self, correlation_id: str) -> None:
         super().__init__(
-            "The service failed at this request; its log says why, under this correlation id.",
+            "The service failed on this request; its log has the reason under this correlation id.",
             correlation_id=correlation_id,
         )

@@ -1,8 +1,8 @@
 """A job's feeds as streams that end when the job does.
 
-A waiting client costs neither a thread nor a query: the process' one `JobWatcher` tells when its job has
-news, and only then the feed is read, in a thread of a pool apart, so that streams never keep other requests
-waiting.
+A waiting client costs neither a thread nor a query: the process has one `JobWatcher`, which tells when a job
+has changed, and only then is the feed read. Streams read in a thread pool of their own, so that they never
+keep other requests waiting.
 """
 
 import time
@@ -22,12 +22,12 @@ log = structlog.get_logger()
 
 HEARTBEAT_S = 15.0
 _PAGE = 500
-# How often a waiting stream looks whether the service stops, or a heartbeat is due.
+# How often a waiting stream checks whether the service is stopping or a heartbeat is due.
 _GLANCE_S = 1.0
 
 
 class Follower:
-    """Reads one feed of one job. `status`: the job's at the latest look, None once it is deleted."""
+    """Reads one feed of one job. `status`: the job's at the last read, None once it is deleted."""
 
     def __init__(self, service: Service, job: Job | UnreadableJob, channel: Channel, after: int) -> None:
         self.status: JobStatus | None = job.status
@@ -38,22 +38,23 @@ class Follower:
         self._is_end = False
 
     async def present(self) -> AsyncIterator[Sequence[Entry]]:
-        """Entries up to the feed's present end. Raises RecordsUnavailable, StorageUnavailable."""
+        """Entries up to the feed's current end. Raises RecordsUnavailable, StorageUnavailable."""
         while not self._is_end:
             if page := await self._read():
                 yield page
 
     async def coming(self) -> AsyncIterator[Sequence[Entry]]:
-        """Entries as they come; an empty page means that nothing has come for a while.
+        """Entries as they arrive; an empty page is a heartbeat in a silence.
 
-        Ends when the job has ended, was deleted, or the service stops. It outlives outages of the stores.
+        Ends when the job has ended or was deleted, or when the service stops. It survives outages of the
+        stores.
         """
         heard_at = time.monotonic()
         is_due, is_last = True, False
         with self._service.watcher.watch(self._id) as watch:
             while not (is_last or self._service.stopping):
                 page: Sequence[Entry] = ()
-                has_more = False  # Of this look: in an outage there is none, and the next one waits.
+                has_more = False  # Stays false in an outage, so that the next read waits.
                 if is_due:
                     try:
                         page = await self._read()
@@ -89,6 +90,6 @@ class Follower:
 
 
 def look(service: Service, job_id: str, channel: Channel, after: int = 0) -> tuple[Job | UnreadableJob, bool]:
-    """The job, and whether its feed goes beyond `after`; what is wrong is raised before a stream begins."""
+    """The job, and whether its feed has entries after `after`. Errors arise here, before a stream begins."""
     job = service.store.find(job_id)
     return job, bool(service.read_feed(job_id, channel, after=after, limit=1))

@@ -16,8 +16,8 @@ from core.telemetry import configure_logging
 log = structlog.get_logger()
 
 _OPEN_DOOR = (
-    "Whoever reaches this address may submit, cancel and delete jobs: there are no accounts. Listen at "
-    "127.0.0.1 (--host, or GAITWAY_ADDRESS under Docker Compose), or put a proxy with accounts before it."
+    "Anyone who reaches this address may submit, cancel and delete jobs: there are no accounts. Listen at "
+    "127.0.0.1 (--host, or GAITWAY_ADDRESS under Docker Compose), or put a proxy with accounts in front."
 )
 
 

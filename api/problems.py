@@ -38,7 +38,7 @@ class ProblemView(BaseModel):
     """Why a request was refused (RFC 9457). Each type adds facts of its own as further members."""
 
     type: str = Field(
-        examples=["/problems/invalid-request"], description="Stable; a page with this address exists."
+        examples=["/problems/invalid-request"], description="Stable; the path of a page that explains it."
     )
     title: str
     status: int
@@ -48,14 +48,14 @@ class ProblemView(BaseModel):
 
 
 def status_of(error: type[GaitwayError]) -> int:
-    """The HTTP status of a class of errors: its own where the edge made it, else its family's."""
+    """The HTTP status of an error class: an EdgeError's own, otherwise that of its family."""
     if issubclass(error, EdgeError):
         return error.status
     return next(_FAMILIES[ancestor] for ancestor in error.__mro__ if ancestor in _FAMILIES)
 
 
 def classes_of_errors() -> Iterable[type[GaitwayError]]:
-    """Every kind of error there is, families included."""
+    """Every error class, families included."""
     waiting: list[type[GaitwayError]] = [GaitwayError]
     while waiting:
         found = waiting.pop()
@@ -64,7 +64,7 @@ def classes_of_errors() -> Iterable[type[GaitwayError]]:
 
 
 def problem(error: GaitwayError, instance: str) -> dict[str, Any]:
-    """The document that tells of an error. instance: the path of the request."""
+    """The problem document of an error. instance: the path of the request."""
     document: dict[str, Any] = {
         **error.facts,
         "type": f"/problems/{error.code}",
@@ -141,7 +141,7 @@ async def _from_the_framework(request: Request, error: Exception) -> Response:
 
 
 def _allowed(request: Request) -> list[str]:
-    """The methods of all routes at this address; the framework's own word is that of the first one."""
+    """The methods of all routes at this address; the framework names only those of the first one."""
     return [
         method
         for method in _METHODS

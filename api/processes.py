@@ -1,4 +1,4 @@
-"""Several processes that answer at one socket, watched by uvicorn: one process of Python uses one core."""
+"""Several processes that serve one socket, supervised by uvicorn: one Python process uses one core."""
 
 import os
 import socket
@@ -17,12 +17,12 @@ from api.server import BACKLOG, Server, reserve
 from core.configuration import stopping_if_misconfigured
 from core.telemetry import configure_logging
 
-# Gaitway's modules are loaded within it, also on a machine that is busy.
+# Even a busy machine loads Gaitway's modules within this time.
 _START_S = 30
 
 
 class _Process(multiprocess.Process):
-    """One of them. It ends with the process that watches it: the next one needs the socket's address."""
+    """One of them. It ends with its supervisor, whose successor needs the socket's address."""
 
     @property
     def server(self) -> uvicorn.Server:
@@ -44,7 +44,7 @@ class _Process(multiprocess.Process):
 def _own(listener: socket.socket) -> socket.socket:
     """A listener at the same address.
 
-    Linux spreads new connections over several listeners; of a shared one's, whoever wakes first takes all.
+    Linux spreads new connections over several listeners; from a shared one, the first to wake takes all.
     """
     if sys.platform != "linux":
         return listener
@@ -61,7 +61,7 @@ def _end_with_parent() -> None:
 
 
 class _Watch(multiprocess.Multiprocess):
-    """uvicorn's, which calls `on_ready` once the first processes answer."""
+    """uvicorn's supervisor, which calls `on_ready` once the first processes answer."""
 
     def __init__(self, config: uvicorn.Config, listener: socket.socket, on_ready: Callable[[], None]) -> None:
         super().__init__(config, [listener])
@@ -74,17 +74,17 @@ class _Watch(multiprocess.Multiprocess):
 
 
 def serve(listener: socket.socket, number: int, on_ready: Callable[[], None]) -> None:
-    """So many processes until SIGTERM or SIGINT; one that dies or hangs is replaced.
+    """Run `number` processes until SIGTERM or SIGINT; one that dies or hangs is replaced.
 
-    listener: closed by this. on_ready: called once they answer. Exits with a status other than 0 where one
+    listener: this closes it. on_ready: called once they answer. Exits with a status other than 0 if one
     could not start.
     """
     if sys.platform == "linux":
-        # This process keeps the address, and accepts nothing there.
+        # This process keeps the address, but accepts no connections.
         address = listener.getsockname()[:2]
         listener.close()
         listener = reserve(*address)
-    # uvicorn has no other way to say what a process serves with.
+    # uvicorn has no other way to name the class of its processes.
     replaced: Any = multiprocess
     replaced.Process = _Process
     config = uvicorn.Config(

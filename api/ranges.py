@@ -1,4 +1,4 @@
-"""Which bytes of a file a request wants (RFC 9110, sections 13 and 14)."""
+"""The bytes of a file that a request asks for (RFC 9110, sections 13 and 14)."""
 
 import re
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ class ByteRange:
 
 
 def requested_range(headers: Mapping[str, str], size: int, etag: str) -> ByteRange | None:
-    """The range to send; None for the whole file: no range asked for, several, one that makes no sense, or
-    one of another version (If-Range). Raises RangeNotSatisfiable where the range lies past the end."""
+    """The range to send, or None for the whole file: the request has no range, several, an invalid one, or
+    one of another version (If-Range). Raises RangeNotSatisfiable where the range begins past the end."""
     found = _ONE_RANGE.fullmatch(headers.get("range", ""))
     if found is None or found[0] == "bytes=-" or headers.get("if-range", etag) != etag:
         return None

@@ -1,4 +1,4 @@
-"""What pydantic found wrong, as sentences and JSON pointers into the client's own document."""
+"""pydantic's errors, as sentences and JSON pointers into the client's own document."""
 
 import difflib
 import math
@@ -17,7 +17,7 @@ Location = tuple[int | str, ...]
 
 
 def body_problems(errors: Iterable[Mapping[str, Any]], document: Any) -> Sequence[Problem]:
-    """One problem for each offending place, of the first fifty. document: what the client sent, parsed."""
+    """One problem for each invalid place, up to fifty. document: what the client sent, parsed."""
     found: dict[str, list[str]] = {}
     for error in errors:
         pointer = _pointer(error, document)
@@ -37,7 +37,7 @@ def parameter_problems(errors: Iterable[Mapping[str, Any]]) -> Sequence[Problem]
 
 
 def shown(value: Any) -> str:
-    """A value as it may stand in a sentence: short, in JSON's words, whatever it is."""
+    """Any value as text for a sentence: short, in JSON's notation."""
     match value:
         case None | bool():
             return _CONSTANTS[value]
@@ -54,7 +54,7 @@ def shown(value: Any) -> str:
 
 
 def _pointer(error: Mapping[str, Any], document: Any) -> str:
-    """The error's place in the client's document: pydantic's union tags and key marks are not in it."""
+    """The error's place in the client's document, without pydantic's union tags and key marks."""
     pointer, here = "", document
     last = len(error["loc"]) - 1
     for position, part in enumerate(error["loc"]):
@@ -76,7 +76,7 @@ def _sentence(error: Mapping[str, Any], known: Sequence[str]) -> str:
         case "extra_forbidden":
             return f"`{name}` is not a field here{_hint(name, known)}"
         case "missing" if isinstance(error["loc"][-1], int):
-            return f"`{name}` has too few items: there is none at place {error['loc'][-1]}, counted from 0."
+            return f"`{name}` has too few items: item {error['loc'][-1]}, counted from 0, is missing."
         case "missing":
             return f"`{name}` is missing."
         case "union_tag_not_found":
@@ -122,7 +122,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _fields_at(location: Location) -> Sequence[str]:
-    """The fields that an object at this place of a job may have; pydantic's union tags lead the way."""
+    """The fields that an object at this place of a job may have; pydantic's union tags select its type."""
     node = _schema()
     for part in location:
         node = _object(node)
@@ -132,7 +132,7 @@ def _fields_at(location: Location) -> Sequence[str]:
 
 
 def _object(node: dict[str, Any]) -> dict[str, Any]:
-    """The node itself, its reference followed, and of several forms the one that is an object."""
+    """The node with its reference resolved; of several forms, the one that is an object."""
     if "$ref" in node:
         return _object(_schema()["$defs"][node["$ref"].rpartition("/")[2]])
     if "anyOf" in node:

@@ -1,4 +1,4 @@
-"""uvicorn, as this service runs it."""
+"""uvicorn, configured for this service."""
 
 import gc
 import socket
@@ -10,12 +10,12 @@ from fastapi import FastAPI
 from core.errors import Misconfigured
 
 BACKLOG = 512
-# Long enough for a file's piece or a submission on its way; streams close by themselves.
+# Long enough for a piece of a file or a submission; streams close on their own.
 _GRACE_S = 5
 
 
 class Server(uvicorn.Server):
-    """uvicorn's server, which tells open streams that the end has come."""
+    """uvicorn's server, which tells open streams to end when it stops."""
 
     def __init__(self, app: FastAPI) -> None:
         super().__init__(
@@ -45,7 +45,7 @@ class Server(uvicorn.Server):
 
 
 def reserve(host: str, port: int) -> socket.socket:
-    """A socket bound to an address that this process' children may listen at, too."""
+    """A socket bound to an address where child processes may listen, too."""
     reserved = socket.socket(_family(host))
     reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)

@@ -1,7 +1,7 @@
 """A job's events as server-sent events (WHATWG HTML, section 9.2).
 
-Written here and not by FastAPI's own `EventSourceResponse`: that one sends 200 before the first entry
-is read, while a browser that comes back after the end has to get 204 to stay away.
+FastAPI's own `EventSourceResponse` does not fit: it sends 200 before the first entry is read, but a browser
+that reconnects after the end must get 204, which makes it stop.
 """
 
 from collections.abc import AsyncIterator, Sequence
@@ -19,7 +19,7 @@ HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
 
 async def event_stream(follower: Follower) -> AsyncIterator[bytes]:
-    """Every entry, a comment in silence, and at the end the job's final status, once."""
+    """Every entry, a comment in each silence, and the job's final status once at the end."""
     told = False
     yield b"retry: 2000\n\n"
     async for page in follower.coming():
@@ -31,7 +31,7 @@ async def event_stream(follower: Follower) -> AsyncIterator[bytes]:
 
 
 def encoded(entries: Sequence[Entry]) -> bytes:
-    """Entries on the wire. data: a JSON object {"time", "data"}; numbers that are not finite become null."""
+    """Entries as bytes. data: a JSON object {"time", "data"}; numbers that are not finite become null."""
     return b"".join(
         (f"id: {entry.id}\n" if entry.id else "").encode()
         + f"event: {entry.kind}\ndata: ".encode()

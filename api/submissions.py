@@ -1,4 +1,4 @@
-"""A submission as it comes over the wire: its media type, length, JSON and shape are checked here."""
+"""Reads a submission: checks its media type, length, JSON and shape."""
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ from core.errors import Problem, Rejected
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.store import Idempotency
 
-# A client that is still sending would not hear the answer: a body this much longer is read and thrown away.
+# A client does not read the answer while it is still sending, so this much excess is read and discarded.
 _DRAINED_BYTES = 16 * 2**20
 _LONGEST_KEY = 255
 
@@ -34,7 +34,7 @@ def parse(body: bytes) -> JobSpec:
 
 
 def fingerprint(spec: JobSpec) -> str:
-    """Equal for bodies that mean the same, however they are spaced or ordered."""
+    """Equal for bodies with the same content, regardless of spacing and order."""
     said = spec.model_dump(mode="json", exclude_unset=True)
     return hashlib.sha256(json.dumps([spec.kind, said], sort_keys=True).encode()).hexdigest()
 
@@ -45,7 +45,7 @@ async def read_body(request: Request, limit: int) -> bytes:
 
 
 async def pieces_of(request: Request, limit: int) -> AsyncIterator[bytes]:
-    """The body as it comes. Raises BodyTooLarge as soon as it is known to be longer than the limit."""
+    """The body in pieces, as they arrive. Raises BodyTooLarge where it is longer than the limit."""
     announced = request.headers.get("content-length", "0")
     if announced.isdecimal() and int(announced) > limit + _DRAINED_BYTES:
         raise BodyTooLarge(limit)
@@ -72,8 +72,8 @@ async def _idempotency_key(
         str | None,
         Header(
             alias="Idempotency-Key",
-            description="1 to 255 printable ASCII characters. The same key with the same body makes one job, "
-            "however often it is sent within 24 hours.",
+            description="1 to 255 printable ASCII characters. The same key with the same body creates one "
+            "job, however often it is sent within 24 hours.",
             examples=["7d1f0c7a-first-try"],
             json_schema_extra={"pattern": f"^[ -~]{{1,{_LONGEST_KEY}}}$"},
         ),
@@ -92,7 +92,7 @@ IdempotencyKey = Annotated[str | None, Depends(_idempotency_key)]
 
 
 def idempotency(key: str | None, spec: JobSpec) -> Idempotency | None:
-    """The key together with what it was sent with."""
+    """The key with the fingerprint of its submission; None without a key."""
     return None if key is None else Idempotency(key, fingerprint(spec))
 
 

@@ -1,4 +1,4 @@
-"""A file that is sent: it goes to disk as it comes, and is hashed; nothing here looks into it."""
+"""An uploaded file: it is hashed and written to disk as it arrives, but not parsed."""
 
 import hashlib
 from collections.abc import AsyncGenerator
@@ -17,7 +17,7 @@ _BEGINNING = 8
 
 @dataclass(frozen=True)
 class Upload:
-    """path: as long as its request lasts. beginning: the first bytes."""
+    """path: exists until the request ends. beginning: the first bytes."""
 
     path: Path
     sha256: str

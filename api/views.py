@@ -1,4 +1,4 @@
-"""What readers get to see of the records; an attempt's lease token is never part of it."""
+"""The records as clients see them; an attempt's lease token is never part of a view."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,20 +21,20 @@ Item = TypeVar("Item")
 
 
 class View(BaseModel):
-    """A document that the service answers with."""
+    """A document that the service returns."""
 
     model_config = ConfigDict(frozen=True, from_attributes=True)
 
 
 class Listing(View, Generic[Item]):
-    """Some items, and the cursor of the next page; null at the end."""
+    """A page of items, and the cursor of the next page; null at the end."""
 
     items: Sequence[Item]
     next: str | None = None
 
 
 class ArtifactView(View):
-    """A file. size: bytes; href: where to fetch it; metadata: how it was made."""
+    """A file of a job. size: bytes; href: where to fetch it; metadata: facts about how it was made."""
 
     name: str = Field(examples=["video.mp4"])
     role: ArtifactRole
@@ -52,7 +52,7 @@ class ArtifactView(View):
 
 
 class AttemptView(View):
-    """One try at the job by one worker. details: what it found out about its machine."""
+    """One attempt at the job by one worker. details: facts about its machine and its settings."""
 
     number: int
     worker: str
@@ -66,10 +66,10 @@ class AttemptView(View):
 
 
 class JobView(View):
-    """A job as it is now. spec: as it was sent; what it leaves out, the environment's tuned values fill.
+    """A job as it is now. spec: as it was sent; the environment's tuned values apply where it names none.
 
-    A record of another version that cannot be read is shown with the reason `unreadable`, without attempts
-    and artifacts.
+    A record of another version that cannot be read has the reason `unreadable`, and neither attempts nor
+    artifacts.
     """
 
     id: str = Field(examples=["019aa3c2f0b1-5be0c1d2e3"])
@@ -77,18 +77,18 @@ class JobView(View):
     name: str | None
     labels: dict[str, str]
     status: JobStatus
-    reason: Reason | Literal["unreadable"] | None = Field(description="Why it ended.")
-    message: str | None = Field(description="The same as a sentence for people.")
+    reason: Reason | Literal["unreadable"] | None = Field(description="Why the job ended.")
+    message: str | None = Field(description="The reason as a sentence for people.")
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
     not_before: datetime | None = Field(
-        None, description="When a queued job is tried again: the pause after an attempt that failed grows."
+        None, description="When a queued job is tried again; the pause grows with each failed attempt."
     )
     waiting_for: str | None = Field(
         None,
-        description="What a queued job lacks, where no present worker could do it; told by `GET` alone.",
-        examples=["No worker with exactly 4 GPUs is there: the workers here have cpu, gpu:0."],
+        description="What a queued job lacks, if no present worker could run it; only `GET` returns it.",
+        examples=["No worker has exactly 4 GPUs: the workers here have cpu, gpu:0."],
     )
     progress: Progress
     attempts: Sequence[AttemptView]
@@ -98,7 +98,7 @@ class JobView(View):
 
     @classmethod
     def of(cls, job: Job | UnreadableJob, workers: Sequence[WorkerInfo] | None = None) -> Self:
-        """workers: those that are there, where it shall say what the job waits for."""
+        """workers: the present ones, for a view that says what the job waits for."""
         if isinstance(job, UnreadableJob):
             return cls._of_unreadable(job)
         return cls(
@@ -142,7 +142,7 @@ def _finite(value: float | None) -> float | None:
 
 
 class MetricsRow(View):
-    """Measurements of one step, by Brax's names; null where a value was not finite."""
+    """Metrics of one step, under Brax's names; null where a value was not finite."""
 
     step: int
     time: datetime
@@ -152,16 +152,17 @@ class MetricsRow(View):
 
 
 class Metrics(View):
-    """Rows in the order in which they were measured; next: what to send as `after` to get only later ones."""
+    """Rows in the order of measurement; next: send it as `after` to get only later rows."""
 
     rows: Sequence[MetricsRow]
     next: str | None = None
 
 
 class EnvironmentView(View):
-    """A body in a world. dt: seconds between actions; options: JSON Schema; tuned: by algorithm, device.
+    """An environment. dt: seconds between actions; options: their JSON Schema.
 
-    family: `gaitway`, or the package that brings it. cannot_run: engines that cannot, and why.
+    tuned: hyperparameters by algorithm and device. family: `gaitway`, or the package that provides it.
+    cannot_run: engines that cannot run it, each with the reason.
     Sizes and dt are null where they depend on the model that the options name.
     """
 

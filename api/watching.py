@@ -1,4 +1,4 @@
-"""Tells the readers of live streams when their jobs change: one query asks about all jobs together."""
+"""Tells the readers of live streams when their jobs change; one query covers all jobs."""
 
 import asyncio
 from collections.abc import Generator, Mapping
@@ -19,7 +19,7 @@ _PAUSE_IN_OUTAGE_S = 1.0
 
 
 class Watch:
-    """One reader of one job's stream waits with this for news of the job."""
+    """Lets one reader of a job's stream wait until the job changes."""
 
     def __init__(self, watcher: "JobWatcher") -> None:
         self._watcher = watcher
@@ -61,7 +61,7 @@ class JobWatcher:
 
     @contextmanager
     def watch(self, job_id: str) -> Generator[Watch]:
-        """Watch the job within this context. Read its feed once at the start, and after each news."""
+        """Watch the job within this context. Read its feed once at the start, and after each change."""
         watch = Watch(self)
         self._watches.setdefault(job_id, set()).add(watch)
         if not self.is_looking:

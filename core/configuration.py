@@ -1,4 +1,4 @@
-"""From the environment to settings, or to sentences that say what is wrong with it."""
+"""Reads the settings from the environment, or says what is wrong with them."""
 
 import os
 import sys
@@ -42,7 +42,7 @@ def read(kind: type[AnySettings]) -> AnySettings:
 
 @contextmanager
 def stopping_if_misconfigured() -> Generator[None]:
-    """A process that cannot work as it is set up says why in its log, and ends with status 78."""
+    """Log a Misconfigured error, and exit with status 78."""
     try:
         yield
     except Misconfigured as error:
@@ -56,7 +56,7 @@ def names() -> set[str]:
 
 
 def _refuse_typing_errors() -> None:
-    """A name that almost is a setting was meant to be one; others belong to somebody else."""
+    """Refuse a name that is nearly a setting's; other unknown names belong to other programs."""
     known = names() | {SECRETS_DIR}
     for name in os.environ:
         if name.startswith(PREFIX) and name not in known:
@@ -66,7 +66,7 @@ def _refuse_typing_errors() -> None:
 
 
 def _sentence(kind: type[StoreSettings], detail: ErrorDetails) -> str:
-    if not detail["loc"]:  # Of several settings together; the validator names them.
+    if not detail["loc"]:  # A check of several settings together; its message names them.
         return detail["msg"].removeprefix("Value error, ")
     field = str(detail["loc"][0])
     meaning = kind.model_fields[field].description or ""

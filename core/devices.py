@@ -1,4 +1,4 @@
-"""What a worker runs on, by name: `cpu`, a GPU (`gpu:0`), or several of one host (`gpu:0,1`)."""
+"""A worker's device, by name: `cpu`, a GPU (`gpu:0`), or several of one host (`gpu:0,1`)."""
 
 import os
 import re
@@ -16,7 +16,7 @@ def num_cores() -> int:
 
 
 def gpu_indices(device: str) -> list[int]:
-    """The GPUs of `gpu:2`, `gpu:0,1` or `gpu:0-3`, in rising order; none of `cpu`."""
+    """The GPUs of `gpu:2`, `gpu:0,1` or `gpu:0-3`, in ascending order; none for `cpu`."""
     if not device.startswith("gpu"):
         return []
     ranges = re.findall(r"(\d+)(?:-(\d+))?", device) or [("0", "")]

@@ -1,4 +1,4 @@
-"""The two attitudes to documents: strict towards what users send, lenient towards what we stored."""
+"""Base classes of documents: strict for what users send, lenient for what we stored."""
 
 from typing import Any, Self
 
@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict
 
 
 class _Value(BaseModel):
-    """Nobody changes one, so nobody needs a copy: pydantic would make one of a default at every use."""
+    """Immutable, so it needs no copies: pydantic would otherwise copy a default at every use."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -21,6 +21,6 @@ class Strict(_Value):
 
 
 class Stored(_Value):
-    """What we wrote ourselves, perhaps with an older or newer version: unknown fields are passed over."""
+    """What we wrote ourselves, perhaps with an older or newer version: unknown fields are ignored."""
 
     model_config = ConfigDict(extra="ignore")

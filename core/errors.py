@@ -1,20 +1,20 @@
-"""What can go wrong, in words for people; how HTTP answers is the API's business.
+"""Errors, with messages for people; the API maps them to HTTP.
 
 GaitwayError
 ├── NotFound       what was named does not exist
 ├── Conflict       it exists, but not in a state that allows this
 ├── Rejected       the request itself is wrong; it will never work as sent
-├── Unavailable    nothing wrong with the request; try again after `retry_after_s`
+├── Unavailable    the request is fine; try again after `retry_after_s`
 ├── Misconfigured  a setting is wrong or missing; a process that starts with it stops
-└── JobFailed      a job's own end, raised inside the training process
+└── JobFailed      the job itself fails; raised inside the training process
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-# Of a process that ends because it is misconfigured: what sysexits.h calls EX_CONFIG. A supervisor may know
-# that trying again does not help.
+# The exit status of a misconfigured process, EX_CONFIG in sysexits.h: it tells a supervisor that a restart
+# does not help.
 EXIT_STATUS = 78
 
 
@@ -27,7 +27,7 @@ class Problem:
 
 
 class GaitwayError(Exception):
-    """Every refusal: a stable `code`, a constant `title`, a sentence, and facts as members."""
+    """Base of all errors: a stable `code`, a constant `title`, a sentence (`detail`), and facts."""
 
     code: ClassVar[str] = "error"
     title: ClassVar[str] = "Something went wrong"
@@ -60,7 +60,7 @@ class Rejected(GaitwayError):
 
 
 class BadModel(Rejected):
-    """A body that somebody sends, and that cannot be one."""
+    """A user's model that cannot be used."""
 
     code = "bad-model"
     title = "The model cannot be used"
@@ -105,10 +105,10 @@ class ArtifactNotFound(NotFound):
 
 
 class ArtifactNotReady(NotFound):
-    """It may come: the job that makes it has not ended."""
+    """The artifact may still come: the job that makes it has not ended."""
 
     code = "artifact-not-ready"
-    title = "Not there yet"
+    title = "Not ready yet"
 
     def __init__(self, detail: str, *, retry_after_s: int = 5, **facts: object) -> None:
         super().__init__(detail, **facts)
@@ -223,14 +223,14 @@ class RecordsUnavailable(Unavailable):
 
 
 class StorageRefuses(StorageUnavailable):
-    """It answers, and a setting has to change before it does what is asked."""
+    """The store answers, but refuses until a setting is changed."""
 
     code = "storage-refuses"
     title = "The object store refuses"
 
 
 class RecordsRefuse(RecordsUnavailable):
-    """It answers, and a setting has to change before it does what is asked."""
+    """The store answers, but refuses until a setting is changed."""
 
     code = "records-refuse"
     title = "The job records refuse"
@@ -238,33 +238,33 @@ class RecordsRefuse(RecordsUnavailable):
 
 class NoWorker(Unavailable):
     code = "no-worker"
-    title = "No worker is there"
+    title = "No worker is available"
 
 
 class TooManyPreviews(Unavailable):
     code = "too-many-previews"
-    title = "Too many previews wait"
+    title = "Too many previews are waiting"
 
     def __init__(self, waiting: int) -> None:
-        super().__init__(f"{waiting} previews wait to be drawn already; ask again later.", waiting=waiting)
+        super().__init__(f"{waiting} previews are waiting already; ask again later.", waiting=waiting)
 
 
 class NothingDraws(Unavailable):
-    """A worker tried; another one, or the same after its remedy, may succeed."""
+    """A worker failed to render; another one may succeed, or the same one once its fault is repaired."""
 
     code = "nothing-draws"
-    title = "The worker cannot draw"
+    title = "The worker cannot render"
 
 
 class Misconfigured(GaitwayError):
-    """The sentence names the setting and the remedy."""
+    """`detail` names the setting and the remedy."""
 
     code = "misconfigured"
     title = "A setting is wrong"
 
 
 class JobFailed(GaitwayError):
-    """A job's end, with the reason that its record shall carry."""
+    """A job's failure, with the reason that its record gets."""
 
     code = "job-failed"
     title = "The job failed"

@@ -1,4 +1,4 @@
-"""Waiting: for a store that is away, or for a while, unless somebody calls it off."""
+"""Waits, for an unavailable store or for a given time, that can be called off."""
 
 import time
 from collections.abc import Callable
@@ -13,14 +13,14 @@ log = structlog.get_logger()
 Result = TypeVar("Result")
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
-# How often a wait looks whether it has been called off.
+# How often a wait checks whether it has been called off.
 _GLANCE_S = 0.1
-# After so long the log says once more what is waited for.
+# How often the log repeats what is waited for.
 _SAY_AGAIN_AFTER_S = 60.0
 
 
 class CalledOff(Exception):
-    """What was waited for is no longer wanted."""
+    """The wait was called off."""
 
 
 def _never() -> bool:
@@ -33,10 +33,10 @@ def retry_while_unavailable(
     gives_up_on: tuple[type[Unavailable], ...] = (),
     called_off: Callable[[], bool] = _never,
 ) -> Result:
-    """What the step returns, tried again and again while a store is away.
+    """The step's result; the step is repeated while it raises Unavailable.
 
-    Raises Unavailable once it has been away for `patience_s`, and at once what is in `gives_up_on` and
-    whatever else the step raises; CalledOff where the store is away and nobody wants to wait any more.
+    Raises Unavailable after `patience_s`; an error in `gives_up_on`, or any other error of the step, at once;
+    CalledOff if `called_off` becomes true during the wait.
     """
     deadline, pause_s = time.monotonic() + patience_s, _FIRST_PAUSE_S
     said, said_at = "", 0.0
@@ -57,9 +57,9 @@ def retry_while_unavailable(
 
 
 def pause(seconds: float, called_off: Callable[[], bool] = _never) -> None:
-    """Sleep so long. Raises CalledOff as soon as that is so.
+    """Sleep for `seconds`. Raises CalledOff as soon as `called_off` is true.
 
-    It looks again and again rather than to wait for a threading.Event: see worker/host/drain_flag.py.
+    Polls instead of waiting on a threading.Event: see worker/host/drain_flag.py.
     """
     until = time.monotonic() + seconds
     while not called_off():

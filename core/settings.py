@@ -2,7 +2,7 @@
 
 StoreSettings            what every process needs: where the record, the queue and the objects are
 ├── ApiSettings
-├── WorkerSettings       one worker; `worker.fleet` hands them on, with one device each
+├── WorkerSettings       one worker; `worker.fleet` passes them on, with one device each
 └── ReconcilerSettings
 """
 
@@ -32,7 +32,7 @@ _REDIS_SCHEMES = ("redis", "rediss", "unix")
 
 
 def _number_of_seconds(value: Any) -> Any:
-    """A bare number is seconds; pydantic itself would want an ISO 8601 duration."""
+    """A bare number is seconds; pydantic itself would require an ISO 8601 duration."""
     try:
         return float(value) if isinstance(value, str) else value
     except ValueError:
@@ -48,9 +48,9 @@ def _address(value: str) -> str:
 def _redis_address(value: SecretStr) -> SecretStr:
     try:
         scheme = urlsplit(value.get_secret_value()).scheme
-    except ValueError:  # Its message may hold a part of the password.
+    except ValueError:  # Its message may contain a part of the password.
         raise ValueError(
-            "it is not an address; percent-encode signs like @ / : [ ] % # in the password"
+            "it is not an address; percent-encode characters like @ / : [ ] % # in the password"
         ) from None
     if scheme not in _REDIS_SCHEMES:
         raise ValueError("begin it with redis://, rediss:// (TLS) or unix://")
@@ -74,7 +74,7 @@ def _authorities(value: Path) -> Path:
     return value
 
 
-# At most a year: sums of several must still be times.
+# At most a year, so that adding several to a time cannot overflow.
 Seconds = Annotated[
     timedelta, BeforeValidator(_number_of_seconds), Field(gt=timedelta(0), le=timedelta(days=365))
 ]
@@ -85,8 +85,8 @@ Authorities = Annotated[Path, AfterValidator(_authorities)]
 AliveFile = Annotated[
     Path | None,
     Field(
-        description="Touched at each sign of life, for the health check of a container; a fleet's workers "
-        "add .0, .1, … to the name."
+        description="File that the process touches as long as it is alive, for a container's health check; a "
+        "fleet's workers add .0, .1, … to the name."
     ),
 ]
 Confinement = Literal["confined", "unconfined"]
@@ -94,39 +94,37 @@ Lease = Annotated[Seconds, Field(description="How long a silent worker keeps its
 
 
 class StoreSettings(BaseSettings):
-    """Read from the environment, `GAITWAY_` before each name in capitals; an empty variable is none.
+    """Read from the environment: `GAITWAY_` and the name in capitals; an empty variable counts as unset.
 
-    A value may also be a file of that name, in small letters, in the folder that GAITWAY_SECRETS_DIR names.
+    A value may also be a file with the variable's name in lower case, in the folder GAITWAY_SECRETS_DIR.
     """
 
     model_config = SettingsConfigDict(
         env_prefix=PREFIX, env_ignore_empty=True, frozen=True, hide_input_in_errors=True, extra="ignore"
     )
 
-    # Before the addresses, which name it to their clients.
+    # Before the addresses: their validator adds it to them.
     tls_ca: Authorities | None = Field(
         None,
-        description="File with the certificate of the authority that signed the stores' own, in PEM, where "
-        "the system does not know it; PostgreSQL's always needs one.",
+        description="PEM file with the certificate of the authority that signed the stores' certificates, "
+        "unless the system knows it; TLS to PostgreSQL always needs it.",
     )
     database_url: DatabaseAddress = Field(
-        description="Where PostgreSQL is: postgresql://USER:PASSWORD@HOST:PORT/DATABASE; for TLS with "
+        description="Address of PostgreSQL: postgresql://USER:PASSWORD@HOST:PORT/DATABASE; for TLS with "
         "?sslmode=verify-full at its end."
     )
     redis_url: RedisAddress = Field(
-        description="Where Redis or Valkey is: redis://:PASSWORD@HOST:PORT/0, rediss:// for TLS, or "
+        description="Address of Redis or Valkey: redis://:PASSWORD@HOST:PORT/0, rediss:// for TLS, or "
         "unix:///path/to/its.sock."
     )
     redis_without_password: bool = Field(
         False, description="Accept a Redis on another machine that asks for no password."
     )
-    s3_endpoint: Address = Field(description="Where the object store is: HOST:PORT, without https://.")
-    s3_access_key: str = Field(min_length=1, description="Its access key's id.")
-    s3_secret_key: SecretStr = Field(min_length=1, description="The secret that belongs to the access key.")
-    s3_bucket: str = Field(
-        "gaitway", min_length=3, max_length=63, description="The bucket; it has to exist already."
-    )
-    s3_secure: bool = Field(True, description="TLS to the object store.")
+    s3_endpoint: Address = Field(description="Address of the object store: HOST:PORT, without https://.")
+    s3_access_key: str = Field(min_length=1, description="Id of the object store's access key.")
+    s3_secret_key: SecretStr = Field(min_length=1, description="Secret of the access key.")
+    s3_bucket: str = Field("gaitway", min_length=3, max_length=63, description="The bucket; it must exist.")
+    s3_secure: bool = Field(True, description="Use TLS to the object store.")
     s3_region: str | None = Field(None, description="The bucket's region, where the store has regions.")
     s3_style: Literal["auto", "path", "host"] = Field(
         "auto",
@@ -137,7 +135,7 @@ class StoreSettings(BaseSettings):
     @field_validator("database_url", "redis_url")
     @classmethod
     def _trusts_the_authority(cls, value: SecretStr, info: ValidationInfo) -> SecretStr:
-        """A client of PostgreSQL or Redis takes its authority's file from the address."""
+        """The clients of PostgreSQL and Redis take the authority's file from the address."""
         url, file = value.get_secret_value(), info.data.get("tls_ca")
         parameter = "sslrootcert" if info.field_name == "database_url" else "ssl_ca_certs"
         speaks_tls = url.startswith(("postgres", "rediss:"))
@@ -149,7 +147,7 @@ class StoreSettings(BaseSettings):
     def _no_open_door(self) -> Self:
         if not self.redis_without_password and _is_open(self.redis_url.get_secret_value()):
             raise ValueError(
-                f"{PREFIX}REDIS_URL names another machine and has no password: whoever reaches that "
+                f"{PREFIX}REDIS_URL names another machine and has no password: anyone who reaches that "
                 "Redis decides what the workers run. Give it one (requirepass) and write "
                 f"redis://:PASSWORD@HOST:PORT/0, or accept it by {PREFIX}REDIS_WITHOUT_PASSWORD=true."
             )
@@ -161,27 +159,27 @@ class ApiSettings(StoreSettings):
 
     max_body_bytes: int = Field(2**20, gt=0, description="Largest request body, in bytes.")
     max_model_bytes: int = Field(
-        2**26, gt=0, description="Largest model that `POST /models` takes, in bytes, as it is sent."
+        2**26, gt=0, description="Largest model that `POST /models` accepts, in bytes as it is sent."
     )
     max_waiting_models: int = Field(
-        32, gt=0, description="How many models may wait until a worker has looked at them; no more are taken."
+        32, gt=0, description="How many models may wait for validation; further ones are refused."
     )
     api_processes: int = Field(
         0,
         ge=0,
         le=64,
-        description="How many processes answer requests, each of which takes one core and 120 MB at most; 0 "
-        "stands for one for every four cores of the machine, and four at most.",
+        description="How many processes answer requests; each takes at most one core and 120 MB. 0 means one "
+        "for every four cores of the machine, and at most four.",
     )
     published: str | None = Field(
         None,
-        description="The host address at which others reach the API, where it cannot know: behind a proxy, "
-        "or published by a container engine. For its warning about an open door.",
+        description="The host address at which others reach the API, where it cannot know this: behind a "
+        "proxy, or published by a container engine. Used for its warning that anyone may reach it.",
     )
     allowed_hosts: str = Field(
         "",
-        description="Names at which the API is reached, separated by commas, besides localhost and numeric "
-        "addresses; requests that name another host are refused, and pages of these hosts may use the API.",
+        description="Names of the API besides localhost and numeric addresses, separated by commas. Requests "
+        "that name another host are refused; pages of these hosts may use the API.",
     )
 
     @property
@@ -190,7 +188,7 @@ class ApiSettings(StoreSettings):
 
     @property
     def hosts(self) -> frozenset[str]:
-        """The names that are allowed, and the one that is published."""
+        """The allowed names, and the published one."""
         named = [*self.allowed_hosts.split(","), self.published or ""]
         return frozenset(name.strip().lower() for name in named) - {""}
 
@@ -203,43 +201,46 @@ class WorkerSettings(StoreSettings):
         "auto",
         pattern=rf"^(auto|cpu|{GPUS})$",
         description="What the worker runs on: cpu, gpu:INDEX, or auto for the first GPU if there is one and "
-        "JAX can use it. With several GPUs (gpu:0,1 or gpu:0-3) it takes the jobs that ask for so many.",
+        "JAX can use it. With several GPUs (gpu:0,1 or gpu:0-3) it takes the jobs that ask for this many.",
     )
     alive_file: AliveFile = None
-    # With the look that finds it a second later at most: 15 s to a lost worker.
+    # The reconciler looks every second, so a lost worker is noticed within 15 s.
     lease: Lease = timedelta(seconds=14)
     heartbeat: Seconds = Field(
-        timedelta(seconds=1), description="How often a worker renews its lease and looks for a cancel."
+        timedelta(seconds=1), description="How often a worker renews its lease and checks for a cancel."
     )
-    grace: Seconds = Field(timedelta(seconds=60), description="From a cancel, timeout or drain to SIGKILL.")
+    grace: Seconds = Field(
+        timedelta(seconds=60), description="Time from a cancel, timeout or drain to SIGKILL."
+    )
     stall: Seconds = Field(
         timedelta(minutes=10),
         description="A training that says nothing for this long, and for twenty times its longest silence so "
-        "far, hangs: it is ended, and tried again.",
+        "far, counts as hung: it is ended and tried again.",
     )
     cache_max_bytes: int = Field(
         2**31,
         ge=0,
-        description="How much of what jobs compiled is kept in GAITWAY_DATA_DIR; what was not used for "
-        "longest goes first.",
+        description="Size of the compilation cache in GAITWAY_DATA_DIR, in bytes; the least recently used "
+        "entries are removed first.",
     )
     shared_cache_max_bytes: int = Field(
         2**31,
         ge=0,
-        description="How much of it the object store keeps for other machines, the oldest going first; 0 "
-        "shares nothing and takes nothing. The same for all workers of a bucket.",
+        description="Size of the compilation cache in the object store, shared with other machines, in "
+        "bytes; the oldest entries are removed first. 0 shares nothing and takes nothing. Use the same value "
+        "for all workers of a bucket.",
     )
     memory_limit: ByteSize | None = Field(
         None,
         ge=2**28,
-        description="How much of this machine's memory a training may take before it is ended, as 8GiB; by "
-        "default what the machine or the container has, less 5 % and at least 0.5 GiB.",
+        description="How much of this machine's memory a training may take before it is ended, e.g. 8GiB; "
+        "by default that of the machine or container, less 5 % (at least 0.5 GiB).",
     )
     models: Confinement = Field(
         "confined",
         description="confined: a user's model is refused where the system cannot confine the process that "
-        "reads it; unconfined: what the system lacks is done without, and previews and trainings may read "
-        "the worker's files.",
+        "reads it; unconfined: models are read with what confinement the system has, and previews and "
+        "trainings may read the worker's files.",
     )
     wandb_api_key: SecretStr | None = Field(
         None, min_length=1, description="Key for Weights & Biases, for jobs that ask for tracking there."
@@ -253,7 +254,7 @@ class WorkerSettings(StoreSettings):
         if self.lease < 3 * self.heartbeat:
             raise ValueError(
                 f"{PREFIX}LEASE ({self.lease.total_seconds():g} s) has to be at least three times "
-                f"{PREFIX}HEARTBEAT ({self.heartbeat.total_seconds():g} s), or a slow moment costs a job."
+                f"{PREFIX}HEARTBEAT ({self.heartbeat.total_seconds():g} s), or a short delay costs a job."
             )
         return self
 
@@ -263,7 +264,7 @@ class ReconcilerSettings(StoreSettings):
 
     alive_file: AliveFile = None
     lease: Lease = timedelta(seconds=14)
-    reconcile_every: Seconds = Field(timedelta(seconds=1), description="Between two looks at every job.")
+    reconcile_every: Seconds = Field(timedelta(seconds=1), description="Time between two checks of all jobs.")
 
     @model_validator(mode="after")
     def _watches_leases(self) -> Self:
@@ -271,7 +272,7 @@ class ReconcilerSettings(StoreSettings):
             raise ValueError(
                 f"{PREFIX}LEASE ({self.lease.total_seconds():g} s) has to be at least three times "
                 f"{PREFIX}RECONCILE_EVERY ({self.reconcile_every.total_seconds():g} s), or no lease ever "
-                "runs out: leases that nobody watches are not held against a worker."
+                "runs out: a lease counts only while the reconciler watches it."
             )
         return self
 

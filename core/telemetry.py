@@ -1,4 +1,4 @@
-"""Logs: one JSON document a line on standard output."""
+"""Logs: one JSON document per line on standard output."""
 
 import logging
 import sys

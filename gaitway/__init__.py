@@ -1,4 +1,4 @@
-"""Gaitway: send training jobs to a service, and bring back policies, metrics and videos."""
+"""Gaitway: send training jobs to a service, and fetch policies, metrics and videos."""
 
 from typing import TYPE_CHECKING
 
@@ -46,9 +46,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """What `__all__` names, loaded when somebody asks for it.
+    """A name of `__all__`, imported when it is first used.
 
-    Each process of the embedded stack imports this package, and needs no client, which takes 0.3 s to load.
+    Each process of the embedded stack imports this package but needs no client, which takes 0.3 s to import.
     """
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

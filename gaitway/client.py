@@ -1,4 +1,4 @@
-"""A Gaitway service, as a typed Python object."""
+"""The client of a Gaitway service."""
 
 import json
 import os
@@ -40,10 +40,10 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 class Client:
     """Talks to one service. Usable from several threads, and as a context manager.
 
-    base_url: by default what GAITWAY_URL says, else http://127.0.0.1:8000.
+    base_url: by default that of GAITWAY_URL, otherwise http://127.0.0.1:8000.
     Every method raises ApiError for a refusal (NotFound, Conflict, Rejected, Unavailable), and
-    Unreachable when nothing answers. Passing troubles are tried again first; no call is ever made
-    twice by that, not even `submit`.
+    Unreachable when nothing answers. Temporary failures are retried first; a retry never has an
+    effect twice, not even that of `submit`.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Client:
         return self._transport.base_url
 
     def close(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._transport.close()
 
     def __enter__(self) -> Self:
@@ -83,9 +83,9 @@ class Client:
     ) -> JobView:
         """Queue a job: `submit(environment="ant", algorithm={"kind": "ppo", "num_timesteps": 1_000_000})`.
 
-        fields go over those of `spec`; `kind` is `train` unless said otherwise. However often the
-        request has to be sent, one job comes of it. idempotency_key: to keep that promise over
-        several calls, too; the same key with another specification raises Conflict.
+        fields override those of `spec`; `kind` is `train` by default. Retries of the request create
+        only one job. idempotency_key: extends this to several calls; the same key with another
+        specification raises Conflict.
         """
         document = {"kind": "train", **(spec or {}), **fields}
         headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
@@ -96,7 +96,7 @@ class Client:
         return self._job(self._transport.request("GET", _path(job_id)))
 
     def list(self, *, limit: int | None = None, **filters: Any) -> Iterator[JobView]:
-        """Jobs, newest first, fetched page by page as they are asked for; at most `limit`.
+        """Jobs, newest first, fetched page by page as needed; at most `limit`.
 
         filters: status, kind, environment, name, and labels (a dict, every one must match).
         """
@@ -133,7 +133,7 @@ class Client:
     # Following a job
 
     def wait(self, job_id: str, timeout: float | None = None) -> JobView:
-        """The job once it has ended, however it ended. timeout: seconds; raises WaitTimeout after them."""
+        """The job once it has ended, however it ended. timeout: seconds; then it raises WaitTimeout."""
         deadline = None if timeout is None else time.monotonic() + timeout
         job = self.get(job_id)
         if not job.is_final:
@@ -141,15 +141,15 @@ class Client:
                 pass
             job = self.get(job_id)
         if not job.is_final:
-            raise WaitTimeout(f"Job {job_id} is still {job.status} after {timeout:g} s; it goes on.")
+            raise WaitTimeout(f"Job {job_id} is still {job.status} after {timeout:g} s; it continues.")
         return job
 
     def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
-        """What happens to the job, as it happens, until it ends.
+        """The job's events, live, until it ends.
 
         Kinds: status, progress, metrics, artifact, phase.
-        after: the id of the last event seen, to go on behind it. Broken connections are taken up
-        again without a gap or a repetition.
+        after: the id of the last event seen; later ones follow. Broken connections are resumed
+        without a gap or a repetition.
         """
         return self._events(job_id, after, None)
 
@@ -160,7 +160,7 @@ class Client:
         return follow_feed(self._transport, _path(job_id, "events"), has_ended, after, deadline)
 
     def metrics(self, job_id: str) -> Sequence[MetricsRow]:
-        """Every measurement so far, in the order in which they were made."""
+        """All metrics so far, in the order of measurement."""
         rows, after = list[MetricsRow](), ""
         while True:
             page = self._transport.request("GET", _path(job_id, "metrics"), params={"after": after}).json()
@@ -170,7 +170,7 @@ class Client:
             after = page["next"]
 
     def logs(self, job_id: str, follow: bool = False) -> Iterator[str]:
-        """The job's log, line by line; follow: and what is added, until the job ends."""
+        """The job's log, line by line; follow: also new lines, until the job ends."""
         if not follow:
             yield from self._transport.request("GET", _path(job_id, "logs")).text.splitlines()
         else:
@@ -179,20 +179,20 @@ class Client:
     # Files
 
     def artifacts(self, job_id: str) -> Sequence[ArtifactView]:
-        """The files that are there for readers."""
+        """All files of the job."""
         return self._items(_path(job_id, "artifacts"), ArtifactView)
 
     def checkpoints(self, job_id: str) -> Sequence[ArtifactView]:
-        """The checkpoints that are kept, by step."""
+        """The kept checkpoints, ordered by step."""
         found = [artifact for artifact in self.artifacts(job_id) if artifact.role == "checkpoint"]
         return sorted(found, key=lambda artifact: artifact.step or 0)
 
     def download(
         self, job_id: str, name: str, path: str | Path | None = None, *, on_bytes: OnBytes | None = None
     ) -> Path:
-        """Bring the artifact `name` to `path` (a file or a folder; by default here), whole and checked.
+        """Download the artifact `name` to `path` (a file or a folder; by default here), and check its hash.
 
-        A broken connection is resumed, also by a later call. on_bytes: called with (bytes here, in all).
+        A broken download is resumed, also by a later call. on_bytes: called with (bytes here, in all).
         """
         href = _path(job_id, "artifacts", name)
         artifact = self._announced(job_id, lambda job: job.artifact(name), href)
@@ -206,19 +206,19 @@ class Client:
         *,
         on_bytes: OnBytes | None = None,
     ) -> Path:
-        """The job's video as an MP4 at `path`; step: that of this checkpoint instead of the newest."""
+        """Download the job's video as an MP4 to `path`; step: of this checkpoint, not the newest."""
         return self._newest(job_id, "video", path, step, on_bytes)
 
     def poster(self, job_id: str, path: str | Path | None = None, step: int | None = None) -> Path:
-        """A still of the video."""
+        """Download a still of the video."""
         return self._newest(job_id, "poster", path, step, None)
 
     def load_policy(self, job_id: str, step: int | None = None, deterministic: bool = True) -> policy.Policy:
         """The trained policy as a jitted `act(observation, key=None) -> action` on arrays [..., size].
 
-        step: that of this checkpoint; by default the final policy, or the newest checkpoint of a job
-        that has none yet. deterministic: without the exploration's noise (else `key` is needed). A policy
-        that was trained with `action_repeat` is to be asked once in so many steps, and its action held.
+        step: the policy of this checkpoint; by default the final one, or that of the newest checkpoint if the
+        job has no final one yet. deterministic: without exploration noise (otherwise `key` is needed). Call a
+        policy that was trained with `action_repeat` once every `action_repeat` steps, and hold its action.
         Raises MissingExtra without the `worker` extra.
         """
         job = self.get(job_id)
@@ -233,13 +233,13 @@ class Client:
             algorithm = job.spec.get("algorithm", {}).get("kind", "ppo")
             return policy.load(path, algorithm, is_checkpoint=final is None, deterministic=deterministic)
 
-    # Bodies of one's own
+    # Users' own models
 
     def add_model(self, path: str | Path, timeout: float = 120.0) -> ModelView:
         """Send a model (MJCF, URDF, or a zip of it and its meshes), and wait until it is validated.
 
         The same file is the same model. Raises Rejected where it cannot be used, and WaitTimeout after
-        `timeout` seconds without a worker that looks at it.
+        `timeout` seconds without a worker that validates it.
         """
         body = Path(path).read_bytes()
         media_type = "application/zip" if body.startswith(b"PK") else "application/xml"
@@ -258,19 +258,19 @@ class Client:
         return model
 
     def model(self, model_id: str) -> ModelView:
-        """What is in a model."""
+        """A model with its contents."""
         response = self._transport.request("GET", f"/models/{quote(model_id, safe=':')}")
         return ModelView.model_validate_json(response.content)
 
     def models(self) -> Sequence[ModelView]:
-        """Every model there is."""
+        """All models."""
         return self._items("/models", ModelView)
 
     def delete_model(self, model_id: str) -> None:
         """Remove a model. Raises Conflict while an unfinished job needs it."""
         self._transport.request("DELETE", f"/models/{quote(model_id, safe=':')}")
 
-    # Looking at a body
+    # Previews
 
     def preview(
         self,
@@ -282,10 +282,10 @@ class Client:
         size: tuple[int, int] = (640, 480),
         timeout: float = 120.0,
     ) -> Mapping[str | int, Path]:
-        """How a body looks as an episode begins: a PNG in `folder` (by default here) from each camera.
+        """The environment as an episode begins: a PNG in `folder` (by default here) from each camera.
 
-        camera: from this one alone. size: width and height in pixels. Raises Rejected for options or a
-        camera that there are not, and WaitTimeout after `timeout` seconds without a worker that draws.
+        camera: only this one. size: width and height in pixels. Raises Rejected for an unknown option or
+        camera, and WaitTimeout after `timeout` seconds without a worker that renders it.
         """
         asked: dict[str, Any] = {"options": json.dumps(options or {}), "width": size[0], "height": size[1]}
         path = f"/environments/{quote(environment)}/preview"
@@ -306,16 +306,16 @@ class Client:
     # The service
 
     def environments(self, family: str | None = None) -> Sequence[EnvironmentView]:
-        """The bodies and worlds that a job may name. family: only `gaitway`, `playground` or `brax`."""
+        """The environments that a job may name. family: only `gaitway`, `playground` or `brax`."""
         query = f"?family={quote(family)}" if family else ""
         return self._items(f"/environments{query}", EnvironmentView)
 
     def workers(self) -> Sequence[WorkerView]:
-        """The workers that were heard of lately."""
+        """The workers that have sent a heartbeat lately."""
         return self._items("/workers", WorkerView)
 
     def health(self) -> Mapping[str, Any]:
-        """What the service says of its own readiness. Raises Unavailable when a part of it is away."""
+        """The service's readiness. Raises Unavailable when a part of it is unavailable."""
         return self._transport.request("GET", "/readyz").json()
 
     def _job(self, response: httpx.Response) -> JobView:
@@ -325,11 +325,13 @@ class Client:
         return [view.model_validate(item) for item in self._transport.request("GET", path).json()["items"]]
 
     def _drawn(self, path: str, asked: Mapping[str, Any], timeout: float) -> httpx.Response:
-        """The answer once a worker has drawn."""
+        """The answer once a worker has rendered."""
         deadline = time.monotonic() + timeout
         while (answer := self._transport.request("GET", path, params=asked)).status_code == 202:
             if time.monotonic() > deadline:
-                raise WaitTimeout(f"No worker has drawn it after {timeout:g} s; they may be busy with jobs.")
+                raise WaitTimeout(
+                    f"No worker has rendered it after {timeout:g} s; all may be busy with jobs."
+                )
             time.sleep(_GLANCE_S)
         return answer
 
@@ -343,13 +345,13 @@ class Client:
     def _announced(
         self, job_id: str, find: Callable[[JobView], ArtifactView | None], href: str
     ) -> ArtifactView:
-        """What `find` finds in the job; or the service's own refusal, which says whether it will come."""
+        """The artifact that `find` finds in the job; or raises the service's refusal."""
         artifact = find(self.get(job_id))
         if artifact is None:
             self._transport.request("GET", href, headers={"Range": "bytes=0-0"})
             artifact = find(self.get(job_id))  # it has come in between
         if artifact is None:
-            raise NotFound(404, {"detail": f"Job {job_id} does not name what {href} gives."})
+            raise NotFound(404, {"detail": f"Job {job_id} does not list the file at {href}."})
         return artifact
 
 

@@ -1,4 +1,4 @@
-"""What `docker compose` asks of us besides the service itself.
+"""Commands that `docker compose` runs besides the service itself.
 
 `python -m gaitway.compose setup`  makes the secrets at the first start, and the files that hold them
 `python -m gaitway.compose join`   prints the settings under which a worker on another machine joins
@@ -16,14 +16,14 @@ from gaitway.embedded.folders import remembered, write_private
 from gaitway.embedded.weed_environment import REGION, weed_environment
 
 SECRETS = Path("/run/gaitway")
-# Apart from the others: PostgreSQL's container sees it, runs as another user, and keeps it as it was first.
+# Apart from the others: PostgreSQL's container reads it as another user, and keeps the first password.
 DATABASE_PASSWORD = Path("/volumes/database-password/password")
 
 _INNER_CERTIFICATE, _INNER_KEY = "objects-inner.crt", "objects-inner.key"
-# The first is for the other machines; the others are what the stores show them.
+# The first is for the other machines; the others are what the stores present to them.
 _AUTHORITY, _STORES_CERTIFICATE, _STORES_KEY = "ca.pem", "stores.crt", "stores.key"
 _JOINING = {"COMPOSE_FILE": "docker-compose.yml:deploy/own-ca.yml", "GAITWAY_TLS_CA": "/etc/gaitway/ca.pem"}
-# pg_hba.conf: a password lets anybody in, from outside the container by TLS alone.
+# pg_hba.conf: anyone with the password may connect, from outside the container only over TLS.
 _DATABASE_RULES = """local all all scram-sha-256
 host all all 127.0.0.1/32 scram-sha-256
 host all all ::1/128 scram-sha-256
@@ -41,11 +41,11 @@ _PASSED_ON = (
 
 
 def setup(folder: Path, environ: Mapping[str, str], database_password: Path = DATABASE_PASSWORD) -> None:
-    """Fill the secrets' folder: keys made once, and settings for stores that the user has not named."""
+    """Fill the secrets' folder: keys, made once, and settings for the stores that the user has not named."""
     keys = _keys(folder, database_password)
     write_private(folder / "valkey.password", keys["redis_password"])
     write_private(folder / "valkey.conf", f"requirepass {keys['redis_password']}\n")
-    # SeaweedFS shows it itself alone.
+    # SeaweedFS presents it only to itself.
     inner = Certificate(*remembered(folder / "objects-inner.json", lambda: authority("gaitway-objects")))
     write_private(folder / _INNER_CERTIFICATE, inner.certificate)
     write_private(folder / _INNER_KEY, inner.key)
@@ -57,7 +57,7 @@ def setup(folder: Path, environ: Mapping[str, str], database_password: Path = DA
         file = folder / name.lower()
         if name in wanted:
             write_private(file, wanted[name])
-        else:  # What the user has named since then must not be mixed with what we had.
+        else:  # What the user has named since then must not be mixed with our old values.
             file.unlink(missing_ok=True)
 
 
@@ -71,13 +71,15 @@ def _certify(folder: Path, database_folder: Path, address: str) -> None:
         write_private(where / _STORES_KEY, stores.key)
     write_private(database_folder / "pg_hba.conf", _DATABASE_RULES)
     for name in (_STORES_CERTIFICATE, _STORES_KEY, "pg_hba.conf"):
-        (database_folder / name).chmod(0o644)  # Like the password: PostgreSQL's container is another user.
+        (database_folder / name).chmod(
+            0o644
+        )  # Like the password: PostgreSQL's container runs as another user.
 
 
 def join(
     folder: Path, environ: Mapping[str, str], database_password: Path = DATABASE_PASSWORD
 ) -> dict[str, str]:
-    """The settings of a worker elsewhere. Raises ValueError where it could not find our stores by them."""
+    """The settings of a worker elsewhere. Raises ValueError if they would not lead it to our stores."""
     named = {name: environ[name] for name in _PASSED_ON if environ.get(name)}
     if {_DATABASE, _REDIS, _S3} <= named.keys():
         return named
@@ -87,7 +89,7 @@ def join(
 
 
 class Hosts(NamedTuple):
-    """Where the stores are, as somebody sees them."""
+    """The stores' host names, as seen by one client."""
 
     postgres: str
     valkey: str
@@ -118,9 +120,9 @@ def own_stores(
 
 def _shared_address(address: str) -> str:
     if not address:
-        raise ValueError("GAITWAY_SHARE is not set: deploy/share.yml says what it is.")
+        raise ValueError("GAITWAY_SHARE is not set: deploy/share.yml explains it.")
     if address in ("0.0.0.0", "::", "[::]", "127.0.0.1", "localhost"):  # noqa: S104
-        raise ValueError(f"GAITWAY_SHARE={address} is no address at which other machines reach this one.")
+        raise ValueError(f"GAITWAY_SHARE={address} is not an address at which other machines reach this one.")
     return f"[{address}]" if ":" in address and not address.startswith("[") else address
 
 
@@ -138,15 +140,15 @@ def _keys(folder: Path, database_password: Path) -> dict[str, str]:
 
 
 def _remembered_word(path: Path) -> str:
-    """What the file holds; made at the first call, and readable by whoever sees the volume."""
+    """The file's content; made at the first call, and readable by anyone who sees the volume."""
     if not path.exists():
         write_private(path, secrets.token_urlsafe(32))
         path.chmod(0o644)
     return path.read_text()
 
 
-# As `gaitway.embedded.weed` does it: after a write of its index of names that failed, weed writes no more and
-# says so at each try. Once its disk has room (128 MiB) it is ended, and the container engine starts it again.
+# As in `gaitway.embedded.weed`: after one failed write of its name index, weed writes no more, and logs this
+# at each try. Once its disk has room (128 MiB), it is ended, and the container engine starts it again.
 _ENDED_WHEN_STUCK = r"""said=$(mktemp -d)/said
 mkfifo "$said"
 while IFS= read -r line; do
@@ -161,7 +163,7 @@ exec "$@" 2> "$said"
 
 
 def _starting_weed(keys: Mapping[str, str]) -> str:
-    """A script that starts what it is given, with keys that no list of processes shows."""
+    """A script that runs its arguments as a command; no list of processes shows the keys."""
     variables = weed_environment(
         keys["s3_access_key"],
         keys["s3_secret_key"],

@@ -1,4 +1,4 @@
-"""`./run demo`: an ant learns to walk through the whole service, and its video is brought back."""
+"""`./run demo`: trains an ant through the whole service, and fetches its video."""
 
 import argparse
 import contextlib
@@ -40,7 +40,7 @@ class Wishes:
         return self.out / "data"
 
     def specification(self) -> dict[str, Any]:
-        """The job, as anybody would submit it."""
+        """The job to submit."""
         budget = self.num_timesteps or _BUDGETS.get(self.environment)
         algorithm = {"kind": "ppo"} | ({"num_timesteps": budget} if budget else {})
         return {
@@ -63,16 +63,16 @@ def run_demo(wishes: Wishes) -> int:
             stack.interruption.allowed(),
             Client(stack.url) as client,
         ):
-            print(f"Gaitway is at {stack.url}  (what it offers: {stack.url}/docs)", flush=True)
+            print(f"Gaitway is at {stack.url}  (its interface: {stack.url}/docs)", flush=True)
             started = time.monotonic()
             job = client.submit(wishes.specification())
-            print(f"Job {job.id}, as it goes: {stack.url}/jobs/{job.id}/events", flush=True)
+            print(f"Job {job.id}, live: {stack.url}/jobs/{job.id}/events", flush=True)
             job = _follow(client, job)
             elapsed_s = time.monotonic() - started
             kept = _fetch(client, job, wishes.out)
             _report(job, stack.url, kept, elapsed_s)
     except (ServerFailed, GaitwayError) as failure:
-        tell(f"The demo could not go on: {failure}")
+        tell(f"The demo has failed: {failure}")
         _say_what_is_kept(wishes, job)
         return 1
     except Interrupted as interrupted:
@@ -93,7 +93,7 @@ def _follow(client: Client, job: JobView) -> JobView:
 
 
 def _fetch(client: Client, job: JobView, out: Path) -> dict[str, Path]:
-    """Bring everything over HTTP; what it is, and where."""
+    """Fetch all results over HTTP; returns where each one is."""
     name, kept = job.environment or "body", dict[str, Path]()
     if job.newest("video") is not None:
         kept["video"] = client.video(job.id, out / f"{name}.mp4")
@@ -120,7 +120,7 @@ def _report(job: JobView, url: str, kept: dict[str, Path], elapsed_s: float) -> 
     if speed is not None:
         print(f"The {job.environment} walks at {speed:.2f} m/s.")
     if video is None:
-        print("There is no video: where nothing can draw, `gaitway doctor` says what is missing.")
+        print("There is no video: if this machine cannot render, `gaitway doctor` says what is missing.")
     for what, path in kept.items():
         print(f"  {what:15} {path}")
     print(f"While the service runs, the video is at {url}/jobs/{job.id}/video", flush=True)
@@ -131,7 +131,7 @@ def _say_what_is_kept(wishes: Wishes, job: JobView | None) -> None:
         return
     with contextlib.suppress(BrokenPipeError):
         command = shlex.join(["./run", "up", "--data", str(wishes.data_dir)])
-        print(f"Job {job.id} and its files are kept; to see them served again:  {command}", flush=True)
+        print(f"Job {job.id} and its files are kept; to serve them again:  {command}", flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

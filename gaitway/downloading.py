@@ -1,4 +1,4 @@
-"""A file brought whole: resumed where a connection broke, and checked before it has its name."""
+"""Downloads a file: resumes broken connections, and checks the hash before the file gets its name."""
 
 import hashlib
 import time
@@ -26,27 +26,25 @@ class _Wanted:
 def download(
     transport: Transport, artifact: ArtifactView, path: Path, on_bytes: OnBytes | None = None
 ) -> Path:
-    """`path`, once it holds exactly the artifact. on_bytes: called with (bytes here, bytes in all).
+    """Download the artifact to `path`, which is returned. on_bytes: called with (bytes here, in all).
 
-    Bytes gather in `<path>.<hash>.part`, which a later call goes on from. Raises DownloadFailed when
-    what came twice has another hash, ApiError, and Unreachable when the service stays away.
+    Bytes are gathered in `<path>.<hash>.part`, from which a later call resumes. Raises DownloadFailed
+    when two downloads had another hash, ApiError, and Unreachable when the service stays unavailable.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.{artifact.sha256[:8]}.part")
     wanted = _Wanted(artifact.href, artifact.size, artifact.sha256, part)
-    for _ in range(2):  # the second time from nothing, in case an old part was spoilt
+    for _ in range(2):  # the second time from the beginning, in case an old part was damaged
         _fill(transport, wanted, on_bytes or (lambda _here, _all: None))
         if _sha256(part) == artifact.sha256:
             part.replace(path)
             return path
         part.unlink()
-    raise DownloadFailed(
-        f"{artifact.name} came with another SHA-256 than announced, twice; it was thrown away."
-    )
+    raise DownloadFailed(f"{artifact.name} came with another SHA-256 than announced, twice; it was deleted.")
 
 
 def _fill(transport: Transport, wanted: _Wanted, on_bytes: OnBytes) -> None:
-    """Bring the part to its full size, by as many connections as it takes."""
+    """Download the part to its full size, over as many connections as needed."""
     wanted.part.touch()
     failures, lost_since = 0, time.monotonic()
     while (have := wanted.part.stat().st_size) < wanted.size:
@@ -90,7 +88,7 @@ def _one_connection(transport: Transport, wanted: _Wanted, have: int, on_bytes: 
 
 
 def _goes_on_at(response: httpx.Response, have: int) -> bool:
-    """Whether the answer is the rest that was asked for, and not the whole again."""
+    """Whether the answer is the rest that was asked for, not the whole file."""
     return response.status_code == 206 and response.headers.get("Content-Range", "").startswith(
         f"bytes {have}-"
     )

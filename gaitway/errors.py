@@ -1,4 +1,4 @@
-"""What a call of the client can end with, in words for people.
+"""Errors of the client, with messages for people.
 
 GaitwayError
 ├── ApiError           the service answered with a problem (RFC 9457)
@@ -29,11 +29,11 @@ class FieldError:
 
 
 class GaitwayError(Exception):
-    """Every failure that the client foresees."""
+    """Base of all errors of the client."""
 
 
 class ApiError(GaitwayError):
-    """An answer that is a problem. `facts` holds whatever members the service added."""
+    """The service answered with a problem. `facts` holds all its members."""
 
     def __init__(self, status: int, problem: Mapping[str, Any], retry_after_s: float | None = None) -> None:
         self.status = status
@@ -82,11 +82,11 @@ class Unreachable(GaitwayError):
 
 
 class WaitTimeout(GaitwayError, TimeoutError):
-    """The job goes on; only the waiting has ended."""
+    """Only the wait has ended; the job continues."""
 
 
 class DownloadFailed(GaitwayError):
-    """What came was not what the service announced."""
+    """The bytes received are not those that the service announced."""
 
 
 class MissingExtra(GaitwayError, ImportError):
@@ -94,7 +94,7 @@ class MissingExtra(GaitwayError, ImportError):
 
 
 def problem_of(response: httpx.Response) -> ApiError:
-    """The error that an answer with status ≥ 400 stands for; its body must have been read."""
+    """The error for an answer with status ≥ 400; its body must have been read."""
     retry_after_s = retry_after(response)
     family = _family(response.status_code, retry_after_s)
     return family(response.status_code, _document(response), retry_after_s)
@@ -125,7 +125,7 @@ def _document(response: httpx.Response) -> Mapping[str, Any]:
         document = None
     if isinstance(document, dict):
         return cast("dict[str, Any]", document)
-    # A proxy's page, or something that is no Gaitway at all: its first line is the best there is.
+    # A proxy's page, or another kind of service: its first line is the best message there is.
     text = response.text.strip().partition("\n")[0][:200] or "no body"
     return {"detail": f"HTTP {response.status_code} from {response.request.url}: {text}"}
 

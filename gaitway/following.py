@@ -1,4 +1,4 @@
-"""Following a job: its feed as it grows, through broken connections, without a busy loop."""
+"""Follows a job's feed as it grows, through broken connections, without a busy loop."""
 
 import json
 import time
@@ -18,7 +18,7 @@ _LOG_SILENCE_S = 300.0  # a log has no comments
 
 @dataclass
 class _Place:
-    """Where a follower is: the last id it saw, and how often in a row a connection brought nothing."""
+    """Where a follower is: the last id that it saw, and how many connections in a row brought nothing."""
 
     after: str
     failures: int = 0
@@ -32,10 +32,10 @@ def follow_feed(
     after: str | None = None,
     deadline: float | None = None,
 ) -> Iterator[Event]:
-    """Entries of a feed as they come, each once, until the job's end or the deadline (`time.monotonic`).
+    """Entries of a feed as they arrive, each once, until the job's end or the deadline (`time.monotonic`).
 
-    A broken connection is taken up again after the last entry seen. Raises ApiError, and Unreachable
-    when the service stays away longer than the client's patience.
+    A broken connection is resumed after the last entry seen. Raises ApiError, and Unreachable when the
+    service is unavailable for longer than `Retry.patience_s`.
     """
     place = _Place(after or "")
     while not _is_past(deadline):
@@ -47,7 +47,7 @@ def follow_feed(
                 if event.is_end:
                     return
             place.lost_since = None
-            # The service closes a feed at the job's end; anything else that closes it is an accident.
+            # The service closes a feed at the job's end; otherwise the connection was lost.
             if place.after == before and has_ended():
                 return
         except (Unreachable, Unavailable) as error:
@@ -65,7 +65,7 @@ def follow_log(transport: Transport, path: str, has_ended: Callable[[], bool]) -
         before = num_lines
         try:
             with transport.stream(path, params={"follow": "true"}, read_timeout_s=_LOG_SILENCE_S) as response:
-                # A log has no ids: after a broken connection it comes from its beginning again.
+                # A log has no ids: after a broken connection it starts from its beginning again.
                 for line in islice(sse.lines(response.iter_bytes()), before, None):
                     num_lines, place = num_lines + 1, _Place("")
                     yield line
@@ -85,8 +85,8 @@ def _one_connection(transport: Transport, path: str, after: str, deadline: float
         for item in sse.parse(sse.lines(response.iter_bytes()), after):
             if isinstance(item, sse.ServerSentEvent):
                 yield event_of(item)
-            # A connection may stay silent for as long as it was told when it was made. Once that is a
-            # tenth too long for the deadline, a new one is made.
+            # A connection's read timeout is fixed when it is made. Once it exceeds the time left by a tenth,
+            # a new connection is made.
             if deadline is not None and time.monotonic() + silence_s * 0.9 > deadline:
                 return
 
@@ -102,7 +102,7 @@ def _is_past(deadline: float | None) -> bool:
 
 
 def _note_loss(place: _Place, transport: Transport, error: Exception) -> None:
-    """Raises the error when the service has been away for too long."""
+    """Raises the error when the service has been unavailable for too long."""
     now = time.monotonic()
     place.lost_since = now if place.lost_since is None else place.lost_since
     if now - place.lost_since > transport.retry.patience_s:

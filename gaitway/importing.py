@@ -39,7 +39,7 @@ class _Counts:
 
 
 def import_stores(settings: StoreSettings, tell: Tell, *, without_redis: bool = False) -> bool:
-    """Import what version 0.1 kept in these stores; whether all of it could be read.
+    """Import what version 0.1 kept in these stores; returns whether all of it could be read.
 
     without_redis: what it had in Redis is lost. Raises ImportRefused, Unavailable, Misconfigured.
     """
@@ -61,8 +61,8 @@ def refuse_while_at_work(settings: StoreSettings) -> None:
     """Raises ImportRefused where workers of version 0.1 are alive."""
     if workers := _version_01(settings, without_redis=False).workers():
         raise ImportRefused(
-            f"Version 0.1 is at work: {', '.join(workers)}. Stop all of it; what was killed is seen for "
-            "another minute."
+            f"Version 0.1 is still running: {', '.join(workers)}. Stop all of it; a killed worker is "
+            "listed for another minute."
         )
 
 
@@ -83,7 +83,7 @@ def _import_models(old: Version01, store: PostgresJobStore, tell: Tell) -> _Coun
                 counts.imported += 1
             except ValueError as error:
                 counts.unreadable += 1
-                tell(f"Model {model_id} is passed over, because its record cannot be read: {error}.")
+                tell(f"Model {model_id} is skipped, because its record cannot be read: {error}.")
     return counts
 
 
@@ -97,10 +97,10 @@ def _import_jobs(
     counts.known = len(ids) - len(missing)
     if missing and not live and not without_redis:
         raise ImportRefused(
-            f"The object store has {len(missing):,} jobs of version 0.1, and Redis has none. Lead "
-            "GAITWAY_REDIS_URL to the Redis that version 0.1 used, and let that load its data. If these are "
-            "lost: --without-redis imports what the object store knows, which is no log and not always the "
-            "last word on a job."
+            f"The object store has {len(missing):,} jobs of version 0.1, and Redis has none. Set "
+            "GAITWAY_REDIS_URL to the Redis that version 0.1 used, and let it load its data. If these are "
+            "lost: --without-redis imports what the object store has, which is no log and not always the "
+            "last state of a job."
         )
     _tell_of_deleted(list(_missing(sorted(set(live).difference(ids)), store)), tell)
     for number, job_id in enumerate(missing, 1):
@@ -109,11 +109,11 @@ def _import_jobs(
             is_new = store.import_job(found.job, found.events, found.logs, found.keys)
         except JobUnreadable as error:
             counts.unreadable += 1
-            tell(f"Job {job_id} is passed over, because its record cannot be read: {error.problem}.")
+            tell(f"Job {job_id} is skipped, because its record cannot be read: {error.problem}.")
         else:
             counts.imported += is_new
             counts.known += not is_new
-            # At once: the feeds of all jobs together would be more than the database should hold.
+            # After each job: the database should not hold the feeds of all jobs together.
             while feeds.compact(store=store, objects=objects):
                 pass
         if number % _TELL_EVERY == 0:

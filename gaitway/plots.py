@@ -10,9 +10,9 @@ _STYLES: dict[str, dict[str, Any]] = {
     "training": {"color": "#9aa5b1", "linewidth": 1.2, "label": "training"},
     "eval": {"color": "#1f6fb2", "linewidth": 2, "marker": "o", "markersize": 4, "label": "evaluation"},
 }
-# One for each term of the reward; told apart also by those who see few colours (Okabe and Ito, 2008).
+# One for each term of the reward; distinguishable by colour-blind readers, too (Okabe and Ito, 2008).
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c6d1f")
-# By whose names a metric is known for a term of the reward; the return is not one of them.
+# The names of metrics that are terms of the reward; the return is not one of them.
 _TERM = re.compile(r"training/(?:reward[_/]?(?P<after>.+)|(?P<before>(?!episode)\w+)_reward)")
 
 Rows = Sequence[Mapping[str, Any]]
@@ -21,10 +21,10 @@ Series = tuple[list[float], list[float]]
 
 @dataclass(frozen=True)
 class _Panel:
-    """What one quantity looks like.
+    """How one quantity is drawn.
 
-    training, evaluation: its metrics after `training/` and `eval/`. bounds: the least that the axis shows.
-    unless: a metric of training that says it better; where that was measured, this is not shown.
+    training, evaluation: its metrics without `training/` and `eval/`. bounds: the least that the axis shows.
+    unless: a better metric of training; where that was measured, this panel is left out.
     """
 
     label: str
@@ -44,7 +44,7 @@ class _Panel:
         axis.set_ylabel(self.label)
 
 
-# In the order in which one asks; one that was never measured is left out.
+# The most asked for first; a quantity that was never measured is left out.
 _PANELS = (
     _Panel("return per episode", "episode_reward", "episode_reward"),
     _Panel("forward speed in m/s", "forward_speed", "forward_speed"),
@@ -58,12 +58,12 @@ _PANELS = (
 
 
 def learning_curve(rows: Iterable[Mapping[str, Any]], path: Path, *, title: str = "") -> None:
-    """Draw what a run measured against environment steps, and store the picture (type by its suffix).
+    """Draw a run's metrics against environment steps, and save the picture (type by its suffix).
 
     rows: those of `GET /jobs/{id}/metrics`, each with `step` and `values`. Panels: the return, with a band
     of one standard deviation over the evaluation's episodes; the speed; each term of the reward by step;
-    and how long episodes are, how many fall, the control effort, height and distance. Values in training
-    and those of evaluations are drawn apart. What was never measured gets no panel.
+    and how long episodes are, how many fall, the control effort, height and distance. Values of training
+    and of evaluations are drawn separately. What was never measured gets no panel.
     """
     from matplotlib.figure import Figure
 
@@ -108,7 +108,7 @@ def _is_measured(rows: Rows, panel: _Panel) -> bool:
 
 
 def _terms(rows: Rows) -> dict[str, Series]:
-    """The terms of the reward by name, but those that were 0 throughout, or that Brax tells of twice."""
+    """The terms of the reward by name, without those that were always 0 or that Brax reports twice."""
     found = dict[str, Series]()
     for name in sorted({name for row in rows for name in row["values"]}, reverse=True):
         term, points = _TERM.fullmatch(name), series(rows, name)

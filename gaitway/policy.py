@@ -1,4 +1,4 @@
-"""A trained policy as a function for notebooks. Loads JAX when called, not before."""
+"""A trained policy as a function for notebooks. Imports JAX only when called."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ Policy = Callable[..., "jax.Array"]
 def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool = True) -> Policy:
     """The policy in a file of this algorithm as a jitted `act(observation, key=None) -> action`.
 
-    observation: what the algorithm's policies look at; for PPO [..., observation_size]. action: [...,
+    observation: the input of the algorithm's policies; for PPO [..., observation_size]. action: [...,
     action_size], each component in [-1, 1]; for Q-learning see docs/q_learning.md. key: a JAX random key,
     needed by a stochastic policy (ValueError without one).
     Raises MissingExtra where JAX and Brax are not installed.

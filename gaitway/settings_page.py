@@ -13,13 +13,14 @@ from core.variables import variable
 
 _HEAD = """# Settings
 
-Every variable there is. The page is made from the settings' own code, by
-`python -m gaitway.settings_page > docs/settings.md`.
+All environment variables. `python -m gaitway.settings_page > docs/settings.md` makes this page from the
+settings' own code.
 
-A process reads its own settings once, when it starts. One that is missing or wrong, or a name that almost is
-one, stops it at once with exit status 78 and a line in its log that says which and why. (From a file `.env`,
-Docker Compose hands on only the names that it knows: a misspelt one never arrives.) An empty variable is an
-unset one. Durations are seconds (`90`, `0.5`) or ISO 8601 (`PT1M30S`); switches are `true` or `false`.
+A process reads its own settings once, when it starts. If one is missing or wrong, or a variable is nearly
+the name of one, the process stops at once with exit status 78, and its log says which and why. (From a file
+`.env`, Docker Compose passes on only the names that it knows: a misspelt one never arrives.) An empty
+variable counts as unset. Durations are seconds (`90`, `0.5`) or ISO 8601 (`PT1M30S`); switches are `true` or
+`false`.
 
 """
 
@@ -31,7 +32,7 @@ folder that `GAITWAY_SECRETS_DIR` names. A variable wins over a file.
 
 @dataclass(frozen=True)
 class Other:
-    """readers: the process, program or tool that looks at it."""
+    """readers: the process, program or tool that reads it."""
 
     name: str
     readers: str
@@ -41,7 +42,7 @@ class Other:
 
 OTHERS = (
     Other(SECRETS_DIR, "API, worker, reconciler", "–", "Folder of files that hold settings, one each."),
-    Other("GAITWAY_URL", "`gaitway`, `gaitway.Client`", "`http://127.0.0.1:8000`", "Where the API is."),
+    Other("GAITWAY_URL", "`gaitway`, `gaitway.Client`", "`http://127.0.0.1:8000`", "Address of the API."),
     Other(
         "GAITWAY_ADDRESS",
         "Docker Compose",
@@ -60,7 +61,7 @@ OTHERS = (
         "GAITWAY_FLEET",
         "Docker Compose",
         "one for each GPU",
-        "What the workers of the profile `gpu` have: `gpu:0,1 gpu:2 gpu:3` is a pair and two single GPUs.",
+        "Devices of the workers of the profile `gpu`: `gpu:0,1 gpu:2 gpu:3` is a pair and two single GPUs.",
     ),
     Other("GAITWAY_WORKERS", "Docker Compose", "`1`", "How many workers share the CPU."),
     Other(
@@ -69,19 +70,19 @@ OTHERS = (
         "`2m`",
         "How long a worker may drain before it is killed; more than GAITWAY_GRACE.",
     ),
-    Other("GAITWAY_IMAGE", "Docker Compose", "`gaitway`", "What the images' names begin with."),
+    Other("GAITWAY_IMAGE", "Docker Compose", "`gaitway`", "Prefix of the images' names."),
     Other("GAITWAY_TAG", "Docker Compose", "`latest`", "The images' tag."),
     Other(
         "MUJOCO_GL",
         "worker",
         "`egl`, else `osmesa`",
-        "The OpenGL back-end that draws videos: `egl`, `osmesa` or `glfw`.",
+        "The OpenGL back-end that renders videos: `egl`, `osmesa` or `glfw`.",
     ),
     Other(
         "MUJOCO_EGL_DEVICE_ID",
         "worker",
         "the job's GPU",
-        "Which EGL device draws, where EGL and CUDA number the GPUs differently.",
+        "The EGL device that renders, where EGL and CUDA number the GPUs differently.",
     ),
 )
 

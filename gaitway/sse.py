@@ -18,7 +18,7 @@ class ServerSentEvent:
 
 @dataclass(frozen=True)
 class Comment:
-    """A line that carries nothing but the news that the connection lives."""
+    """A line without data, which shows that the connection is alive."""
 
 
 def parse(lines: Iterable[str], last_id: str = "") -> Iterator[ServerSentEvent | Comment]:

@@ -1,4 +1,4 @@
-"""HTTP as the client uses it: problems become exceptions, passing troubles are tried again."""
+"""HTTP for the client: problems become exceptions, temporary failures are retried."""
 
 import random
 import time
@@ -16,9 +16,9 @@ Params = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Retry:
-    """How a call is repeated. Waits double from `first_delay_s`; a Retry-After is kept to.
+    """How a call is repeated. Waits double from `first_delay_s`; a Retry-After is respected.
 
-    patience_s: how long a follower (`wait`, `events`, `download`) puts up with a service that is away.
+    patience_s: how long a follower (`wait`, `events`, `download`) waits for an unavailable service.
     """
 
     attempts: int = 4
@@ -30,7 +30,7 @@ class Retry:
         """Seconds to wait after this many failures in a row."""
         if isinstance(error, ApiError) and error.retry_after_s is not None:
             return min(error.retry_after_s, self.max_delay_s)
-        # Jitter, so that many clients do not come back in step.
+        # Jitter, so that many clients do not retry in step.
         doubled_s = self.first_delay_s * 2 ** min(failures - 1, 20)
         return min(doubled_s, self.max_delay_s) * random.uniform(0.75, 1.0)  # noqa: S311
 
@@ -44,7 +44,7 @@ class Transport:
         self.base_url = base_url.rstrip("/")
         self.retry = retry
         self.timeout = httpx.Timeout(timeout_s, connect=min(timeout_s, 5.0))
-        # A proxy of the surroundings does not reach what runs on this machine.
+        # A proxy from the environment does not reach services on this machine.
         is_here = httpx.URL(self.base_url).host in ("127.0.0.1", "localhost", "::1")
         self._http = http or httpx.Client(
             base_url=self.base_url, timeout=self.timeout, follow_redirects=True, trust_env=not is_here
@@ -53,7 +53,7 @@ class Transport:
     def close(self) -> None:
         self._http.close()
 
-    def request(  # As httpx has it.
+    def request(
         self,
         method: str,
         path: str,
@@ -63,14 +63,14 @@ class Transport:
         content: bytes | None = None,
         headers: Mapping[str, str] | None = None,
     ) -> httpx.Response:
-        """The answer, read whole. Raises ApiError, and Unreachable when nothing answered each time."""
+        """The whole answer. Raises ApiError, and Unreachable when no try got an answer."""
         for failures in range(1, self.retry.attempts + 1):
             try:
                 with _reachable(self.base_url):
                     response = self._http.request(
                         method, path, params=params, json=json, content=content, headers=headers
                     )
-                # What a lost answer had deleted already is not there any more: that is success.
+                # A retried DELETE may find that the first one has worked although its answer was lost.
                 if response.is_success or (
                     method == "DELETE" and failures > 1 and response.status_code == 404
                 ):
@@ -91,7 +91,7 @@ class Transport:
         headers: Mapping[str, str] | None = None,
         read_timeout_s: float | None = None,
     ) -> Generator[httpx.Response]:
-        """One try at an answer read as it comes. Raises ApiError, and Unreachable, also in mid-body."""
+        """One try at an answer, read as it arrives. Raises ApiError, and Unreachable, also in mid-body."""
         seconds = self.timeout.as_dict()
         timeout = httpx.Timeout(**{**seconds, "read": read_timeout_s or seconds["read"]})
         request = self._http.build_request("GET", path, params=params, headers=headers, timeout=timeout)

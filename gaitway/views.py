@@ -1,4 +1,4 @@
-"""What the client returns. Unknown members are kept out of the way: a newer service may say more."""
+"""What the client returns. Unknown members are ignored: a newer service may send more."""
 
 from collections.abc import Iterator
 from datetime import datetime
@@ -44,7 +44,7 @@ class ProgressView(View):
 
 
 class AttemptView(View):
-    """One try at a job by one worker."""
+    """One attempt at a job by one worker."""
 
     number: int
     worker: str | None = None
@@ -80,7 +80,7 @@ class JobView(View):
 
     @property
     def is_final(self) -> bool:
-        """Whether nothing will change any more."""
+        """Whether the job has ended."""
         return self.status in FINAL_STATUSES
 
     @property
@@ -100,7 +100,7 @@ class JobView(View):
     def newest(self, role: str, step: int | None = None) -> ArtifactView | None:
         """The artifact of this role with the highest step, or of exactly `step`.
 
-        One without a step is of the end.
+        One without a step was made at the end.
         """
         found = [a for a in self.artifacts if a.role == role and step in (None, a.step)]
         return max(found, key=lambda a: float("inf") if a.step is None else a.step, default=None)
@@ -144,7 +144,7 @@ class Event(View):
 
 
 class MetricsRow(View):
-    """Values of one step by Brax's names; None where a value was not finite."""
+    """Metrics of one step, under Brax's names; None where a value was not finite."""
 
     step: int
     time: datetime | None = None
@@ -152,7 +152,7 @@ class MetricsRow(View):
 
 
 class EnvironmentView(BaseModel):
-    """An environment of the catalog; what else the service says of it is kept as attributes."""
+    """An environment of the catalog; other members that the service sends are kept as attributes."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
@@ -162,7 +162,7 @@ class EnvironmentView(BaseModel):
 
 
 class ModelView(View):
-    """A body that somebody brought. status: validating, ready or refused; description: what is in it."""
+    """A user's own model. status: validating, ready or refused; description: its contents."""
 
     id: str
     status: str
@@ -174,7 +174,7 @@ class ModelView(View):
 
 
 class StillView(View):
-    """A picture of a body. camera: as a job's `video` names it; href: the PNG's path on the service."""
+    """A still of an environment. camera: as a job's `video` names it; href: the PNG's path on the service."""
 
     camera: str | int
     size: int = 0
@@ -182,7 +182,7 @@ class StillView(View):
 
 
 class PreviewView(View):
-    """A body as an episode begins. options: all of them, defaults filled in; stills: one a camera."""
+    """An environment as an episode begins. options: all of them, with defaults; stills: one per camera."""
 
     environment: str
     options: dict[str, Any] = Field(default_factory=dict[str, Any])
@@ -191,10 +191,10 @@ class PreviewView(View):
 
 
 class WorkerView(View):
-    """A worker that was heard of lately; job: what it works on.
+    """A worker that has sent a heartbeat lately; job: the one that it runs.
 
-    state: ready, testing or device_failed; problem: what was seen of its device. memory_bytes: of each of its
-    devices, where that is known. packages: the optional ones that it has; None where it did not say.
+    state: ready, testing or device_failed; problem: what was wrong with its device. memory_bytes: of each of
+    its devices, where known. packages: the optional ones that it has; None where it did not report them.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Every resource, one file each; to add one, name it here."""
+"""The routers, one file for each resource; add a new one here."""
 
 from api.routes import catalog, events, files, health, index, jobs, logs, metrics, models, previews, problems
 

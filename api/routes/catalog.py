@@ -1,4 +1,4 @@
-"""What a job may name, and who would run it."""
+"""The environments and algorithms that a job may name, and the workers that run jobs."""
 
 import inspect
 from typing import Annotated
@@ -19,29 +19,30 @@ router = APIRouter(tags=["catalog"])
 @router.get("/environments")
 def list_environments(
     family: Annotated[
-        str | None, Query(description="`gaitway`: our own; `playground`, `brax`: that package's.")
+        str | None,
+        Query(description="`gaitway` for our own; `playground` or `brax` for those of that package."),
     ] = None,
 ) -> Listing[EnvironmentView]:
-    """Bodies and worlds, with their options, cameras and tuned hyperparameters; our own come first."""
+    """Environments with their options, cameras and tuned hyperparameters; our own come first."""
     wanted = [info for info in ENVIRONMENTS.values() if family in (None, info.family)]
     return Listing[EnvironmentView](items=[EnvironmentView.of(info) for info in wanted])
 
 
 @router.get("/environments/{environment_id}", responses=refusals(EnvironmentNotFound))
 def read_environment(environment_id: Annotated[str, Path(examples=["ant"])]) -> EnvironmentView:
-    """One of our own."""
+    """One of our own environments."""
     return EnvironmentView.of(find(environment_id))
 
 
 @router.get("/environments/playground/{name}", responses=refusals(EnvironmentNotFound))
 def read_playground_environment(name: Annotated[str, Path(examples=["CheetahRun"])]) -> EnvironmentView:
-    """One of MuJoCo Playground's."""
+    """One of MuJoCo Playground's environments."""
     return EnvironmentView.of(find(f"playground/{name}"))
 
 
 @router.get("/environments/brax/{name}", responses=refusals(EnvironmentNotFound))
 def read_brax_environment(name: Annotated[str, Path(examples=["ant"])]) -> EnvironmentView:
-    """One of Brax's."""
+    """One of Brax's environments."""
     return EnvironmentView.of(find(f"brax/{name}"))
 
 
@@ -62,5 +63,5 @@ def list_algorithms() -> Listing[AlgorithmView]:
 
 @router.get("/workers", responses=refusals(RecordsUnavailable))
 def list_workers(service: ServiceDep) -> Listing[WorkerInfo]:
-    """The workers that were heard of lately."""
+    """The workers that have sent a heartbeat lately."""
     return Listing[WorkerInfo](items=service.store.workers())

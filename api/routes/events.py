@@ -1,4 +1,4 @@
-"""What happens to a job, as it happens."""
+"""A job's events, live."""
 
 from typing import Annotated
 
@@ -19,7 +19,7 @@ _EXAMPLE = 'id: 7\nevent: status\ndata: {"time":"2026-11-20T09:00:00Z","data":{"
 
 
 class After(Parameters):
-    """after: the id of the last event seen; the header Last-Event-ID says the same, and goes first."""
+    """after: the id of the last event seen; the header Last-Event-ID means the same and takes precedence."""
 
     after: EntryId = ""
 
@@ -30,10 +30,10 @@ class After(Parameters):
     responses={
         200: {
             "description": "Events of the kinds status, progress, metrics, artifact and phase; the last one "
-            "is the job's final status. A comment every 15 seconds of silence.",
+            "is the job's final status. A comment is sent after every 15 seconds of silence.",
             "content": {sse.MEDIA_TYPE: {"example": _EXAMPLE}},
         },
-        204: {"description": "The job has ended and everything was seen: do not come back"},
+        204: {"description": "The job has ended and all its events were seen: do not reconnect"},
         **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable),
     },
 )

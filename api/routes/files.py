@@ -24,16 +24,14 @@ router = APIRouter(tags=["files"])
 
 
 class Picture(Parameters):
-    """Which video or poster; without anything, the newest."""
+    """Selects a video or poster; by default the newest."""
 
-    step: int | None = Field(None, ge=0, le=10**18, description="Of the checkpoint with this step.")
-    camera: str | None = Field(None, max_length=200, description="Seen by this camera.")
+    step: int | None = Field(None, ge=0, le=10**18, description="The one of the checkpoint with this step.")
+    camera: str | None = Field(None, max_length=200, description="The one from this camera.")
 
     def shows(self, artifact: Artifact) -> bool:
         facts = artifact.metadata
-        cameras = map(
-            str, facts.get("cameras", [facts.get("camera", "")])
-        )  # One, before there could be several.
+        cameras = map(str, facts.get("cameras", [facts.get("camera", "")]))  # Older records name one.
         return self.step in (None, artifact.step) and (self.camera is None or self.camera in cameras)
 
 
@@ -41,7 +39,7 @@ Asked = Annotated[Picture, Query()]
 
 
 def _file_route(path: str, media_type: str) -> Callable[[Callable[..., Response]], Callable[..., Response]]:
-    """A GET that is documented, and a HEAD that is not."""
+    """Registers a documented GET and an undocumented HEAD."""
 
     def register(endpoint: Callable[..., Response]) -> Callable[..., Response]:
         router.head(path, include_in_schema=False, response_class=Response)(endpoint)
@@ -52,14 +50,14 @@ def _file_route(path: str, media_type: str) -> Callable[[Callable[..., Response]
 
 @router.get("/jobs/{job_id}/artifacts", responses=refusals(JobNotFound, JobUnreadable, RecordsUnavailable))
 def list_artifacts(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView]:
-    """Every file there is for readers."""
+    """All files of a job."""
     artifacts = service.store.get(job_id).artifacts
     return Listing[ArtifactView](items=[ArtifactView.of(job_id, artifact) for artifact in artifacts])
 
 
 @router.get("/jobs/{job_id}/checkpoints", responses=refusals(JobNotFound, JobUnreadable, RecordsUnavailable))
 def list_checkpoints(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView]:
-    """The checkpoints that are kept, by step."""
+    """The kept checkpoints, ordered by step."""
     found = [artifact for artifact in service.store.get(job_id).artifacts if artifact.role == "checkpoint"]
     found.sort(key=lambda artifact: artifact.step or 0)
     return Listing[ArtifactView](items=[ArtifactView.of(job_id, artifact) for artifact in found])
@@ -69,7 +67,7 @@ def list_checkpoints(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView
 def read_video(
     job_id: JobId, asked: Annotated[Picture, Query()], service: ServiceDep, request: Request
 ) -> Response:
-    """The newest video as MP4, or that of a step or a camera."""
+    """The newest video as MP4, or the one of a given step or camera."""
     return file_response(request, _picture(service.store.get(job_id), "video", asked), service.objects)
 
 
@@ -114,15 +112,15 @@ def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
         step = "" if asked.step is None else f" of step {asked.step}"
         camera = "" if asked.camera is None else f" by camera {asked.camera!r}"
         raise _absence(job, f"{role}{step}{camera}", role)
-    # One without a step is of the job's end.
+    # One without a step was made at the job's end.
     return max(found, key=lambda artifact: float("inf") if artifact.step is None else artifact.step)
 
 
 def _absence(job: Job, wanted: str, role: ArtifactRole | None = None) -> NotFound:
-    """Why it is not there: not yet, or never; with what is there instead."""
+    """The refusal for a file that is missing, for now or for good; it names the files that exist."""
     there = [artifact for artifact in job.artifacts if role in (None, artifact.role)]
     names = ", ".join(artifact.name for artifact in there[:20])
-    instead = f" There is {names}." if there else ""
+    instead = f" It has {names}." if there else ""
     facts: dict[str, Any] = {"job": job.id, "job_status": job.status, "artifacts": [a.name for a in there]}
     if not job.status.is_final:
         return ArtifactNotReady(f"Job {job.id} is {job.status} and has no {wanted} yet.{instead}", **facts)

@@ -1,4 +1,4 @@
-"""Whether the service is up, and whether it can do its work."""
+"""Liveness and readiness of the service."""
 
 from contextlib import suppress
 
@@ -22,8 +22,8 @@ async def is_alive() -> Health:
 
 @router.get("/readyz", responses=refusals(RecordsUnavailable, StorageUnavailable))
 def is_ready(service: ServiceDep) -> Health:
-    """Job records and object store can be reached."""
+    """The job records and the object store can be reached."""
     service.store.ping()
-    with suppress(ObjectNotFound):  # An answer is all that is wanted of the object store.
+    with suppress(ObjectNotFound):  # Any answer of the object store will do.
         service.objects.info(_PROBE)
     return Health()

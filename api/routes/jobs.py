@@ -44,13 +44,13 @@ _BODY: dict[str, Any] = {
 _LABEL = r"([A-Za-z0-9_.-]{1,63})[:=]([^\x00]{0,200})"
 
 
-# Patterns for readers of the document; where they are checked, there are better sentences.
+# These patterns only document the format; the checks elsewhere give better messages.
 Label = Annotated[str, Field(json_schema_extra={"pattern": f"^{_LABEL}$"})]
 Cursor = Annotated[str, Field(max_length=100, json_schema_extra={"pattern": f"^{JOB_ID}$"})]
 
 
 class Listed(Parameters):
-    """Which jobs; each filter that is given must match."""
+    """Filters of a listing; each one given must match."""
 
     status: JobStatus | None = None
     kind: JobKind | None = None
@@ -75,7 +75,7 @@ class Listed(Parameters):
     status_code=202,
     response_model=JobView,
     openapi_extra=_BODY,
-    response_description="Queued; it will not be lost",
+    response_description="Queued; the job will not be lost",
     responses=refusals(
         MalformedBody,
         IdempotencyKeyReused,
@@ -116,14 +116,14 @@ def read_job(job_id: JobId, service: ServiceDep) -> Response:
 @router.post(
     "/jobs/{job_id}/cancel",
     status_code=202,
-    response_description="It stops as soon as what there is has been saved",
+    response_description="The job stops as soon as its results so far are saved",
     responses={
-        200: {"model": JobView, "description": "It is cancelled"},
+        200: {"model": JobView, "description": "The job is cancelled"},
         **refusals(JobNotFound, JobFinished, JobUnreadable, RecordsUnavailable),
     },
 )
 def cancel_job(job_id: JobId, service: ServiceDep, response: Response) -> JobView:
-    """Stop a job, keeping checkpoint, metrics and video up to now. Twice is the same as once."""
+    """Stop a job and keep its checkpoint, metrics and video up to now. Repeating this changes nothing."""
     job = cancel(job_id, store=service.store, queue=service.queue)
     response.status_code = 200 if job.status.is_final else 202
     return JobView.of(job)
@@ -135,17 +135,17 @@ def cancel_job(job_id: JobId, service: ServiceDep, response: Response) -> JobVie
     responses=refusals(JobNotFound, JobNotFinished, JobInUse, RecordsUnavailable, StorageUnavailable),
 )
 def delete_job(job_id: JobId, service: ServiceDep) -> None:
-    """Remove an ended job and its files for good."""
+    """Delete an ended job and its files permanently."""
     delete(job_id, store=service.store, objects=service.objects)
 
 
 def _answer(view: View, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
-    """The view as JSON: the framework would check it once more, and dump it in another thread."""
+    """The view as JSON; the framework would validate it again and serialize it in another thread."""
     return Response(view.model_dump_json(), status, headers, media_type="application/json")
 
 
 def _workers(jobs: Sequence[Job | UnreadableJob], service: Service) -> Sequence[WorkerInfo] | None:
-    """Those that are there, where a job waits for one."""
+    """The present workers, if one of these jobs is queued."""
     is_waiting = any(job.status == JobStatus.QUEUED for job in jobs)
     return service.store.workers() if is_waiting else None
 

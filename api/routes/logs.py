@@ -1,4 +1,4 @@
-"""What the training process printed."""
+"""The output of the training process."""
 
 from collections.abc import AsyncIterator
 from typing import Annotated
@@ -18,7 +18,7 @@ _HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "X
 
 
 class Lines(Parameters):
-    """follow: go on until the job ends."""
+    """follow: continue until the job ends."""
 
     follow: bool = False
 
@@ -32,7 +32,7 @@ class Lines(Parameters):
     },
 )
 async def read_logs(job_id: JobId, asked: Annotated[Lines, Query()], service: ServiceDep) -> Response:
-    """The log so far, of every attempt; with `follow=true` also what is still to come."""
+    """The log of all attempts so far; with `follow=true` also new lines until the job ends."""
     job, _ = await to_thread.run_sync(look, service, job_id, "logs")
     stream = _text(Follower(service, job, "logs", 0), follow=asked.follow)
     return StreamingResponse(stream, headers=_HEADERS, media_type="text/plain; charset=utf-8")

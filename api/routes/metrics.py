@@ -1,4 +1,4 @@
-"""A job's measurements, as JSON or as a table."""
+"""A job's metrics, as JSON or CSV."""
 
 import csv
 import io
@@ -20,11 +20,13 @@ _EXAMPLE = "step,time,eval/episode_reward\r\n0,2026-11-20T09:00:00+00:00,1.0\r\n
 
 
 class Measured(Parameters):
-    """Which rows, and how."""
+    """The rows to return, and their format."""
 
-    after: EntryId = Field("", description="Only rows behind this `next` of an earlier answer.")
+    after: EntryId = Field("", description="Only rows after this `next` of an earlier answer.")
     limit: int = Field(10_000, ge=1, le=100_000)
-    format: Literal["json", "csv"] | None = Field(None, description="Goes before the header Accept.")
+    format: Literal["json", "csv"] | None = Field(
+        None, description="Takes precedence over the header Accept."
+    )
 
 
 @router.get(
@@ -38,7 +40,7 @@ class Measured(Parameters):
 def read_metrics(
     job_id: JobId, asked: Annotated[Measured, Query()], service: ServiceDep, request: Request
 ) -> Metrics | Response:
-    """Every measurement so far; of a step that a later attempt measured again, the newer values."""
+    """All metrics so far; where a later attempt measured a step again, its newer values."""
     entries = service.read_feed(
         job_id, "events", after=entry_number(asked.after), kind="metrics", limit=asked.limit
     )

@@ -1,4 +1,4 @@
-"""Bodies that users bring: send one, look at what is in it, forget it."""
+"""Users' own models: upload one, see its contents, delete it."""
 
 import time
 from collections.abc import Sequence
@@ -25,36 +25,38 @@ router = APIRouter(tags=["models"])
 XML, ZIP = "application/xml", "application/zip"
 _ZIP_BEGINNING = b"PK\x03\x04"
 _KNOWN = {XML: XML, "text/xml": XML, ZIP: ZIP, "application/x-zip-compressed": ZIP}
-# How long a client waits for the answer itself, before it is told where to ask for it.
+# How long a request waits for the validation before it is answered 202.
 _PATIENCE_S = 5.0
 _GLANCE_S = 0.1
 _BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
         "content": {
-            XML: {"schema": {"type": "string", "description": "MJCF or URDF that names no other file."}},
+            XML: {"schema": {"type": "string", "description": "MJCF or URDF that refers to no other file."}},
             ZIP: {
                 "schema": {
                     "type": "string",
                     "format": "binary",
-                    "description": "The same with its meshes and textures.",
+                    "description": "MJCF or URDF with its meshes and textures.",
                 }
             },
         },
     }
 }
-ModelId = Annotated[str, Path(description="What `POST /models` answered.", examples=["sha256:9f86d08188…"])]
+ModelId = Annotated[
+    str, Path(description="The id that `POST /models` returned.", examples=["sha256:9f86d08188…"])
+]
 
 
 class ModelView(View):
-    """A model. description: once it is `ready`; message: why it was `refused`; size: bytes."""
+    """A model. description: set once it is `ready`; message: why it was `refused`; size: bytes."""
 
     id: str
     status: ModelStatus
     media_type: str
     size: int
     created_at: datetime
-    description: Description | None = Field(description="What is in it, and which engines can run it.")
+    description: Description | None = Field(description="Its contents, and the engines that can run it.")
     message: str | None
     links: dict[str, str]
 
@@ -76,7 +78,7 @@ async def _added(request: Request, service: ServiceDep) -> ModelRecord:
         async with receiving(request, service.settings.max_model_bytes) as upload:
             is_zip = upload.beginning.startswith(_ZIP_BEGINNING)
             if (media_type == ZIP) != is_zip:
-                raise BadModel(f"The file is {'a' if is_zip else 'no'} zip, and was sent as {media_type}.")
+                raise BadModel(f"The file is {'a' if is_zip else 'not a'} zip, but was sent as {media_type}.")
             return await run_sync(_add, upload, media_type, service)
     finally:
         service.num_uploads -= 1
@@ -87,10 +89,13 @@ async def _added(request: Request, service: ServiceDep) -> ModelRecord:
     status_code=201,
     openapi_extra=_BODY,
     response_model=ModelView,
-    response_description="It can be used",
+    response_description="The model can be used",
     responses={
-        200: {"model": ModelView, "description": "It is known already"},
-        202: {"model": ModelView, "description": "A worker has yet to look at it; ask at the Location"},
+        200: {"model": ModelView, "description": "The model is known already"},
+        202: {
+            "model": ModelView,
+            "description": "A worker has yet to validate it; ask again at the Location",
+        },
         **refusals(
             BodyTooLarge,
             UnsupportedMediaType,
@@ -104,7 +109,7 @@ async def _added(request: Request, service: ServiceDep) -> ModelRecord:
 async def add_model(
     record: Annotated[ModelRecord, Depends(_added)], service: ServiceDep, response: Response
 ) -> ModelView:
-    """Bring a body of your own: MJCF, or URDF. The same bytes are the same model."""
+    """Upload a model of your own, as MJCF or URDF. The same bytes are the same model."""
     response.status_code = 200 if record.status == "ready" else 201
     record = await _settled(record, service)
     if record.status == "refused":
@@ -119,14 +124,14 @@ async def add_model(
 
 @router.get("/models", responses=refusals(RecordsUnavailable))
 def list_models(service: ServiceDep) -> Listing[ModelView]:
-    """Every model there is."""
+    """All models."""
     items: Sequence[ModelView] = [ModelView.of(record) for record in service.store.models()]
     return Listing[ModelView](items=items)
 
 
 @router.get("/models/{model_id}", responses=refusals(ModelNotFound, RecordsUnavailable))
 def read_model(model_id: ModelId, service: ServiceDep) -> ModelView:
-    """What is in a model, or how far its validation is."""
+    """A model's contents, or the state of its validation."""
     return ModelView.of(library.find(model_id, service.store))
 
 
@@ -136,7 +141,7 @@ def read_model(model_id: ModelId, service: ServiceDep) -> ModelView:
     responses=refusals(ModelNotFound, ModelInUse, StorageUnavailable, RecordsUnavailable),
 )
 def delete_model(model_id: ModelId, service: ServiceDep) -> None:
-    """Remove a model that no unfinished job needs."""
+    """Delete a model that no unfinished job needs."""
     remove_model(model_id, store=service.store, objects=service.objects)
 
 
@@ -158,9 +163,9 @@ def _refused(record: ModelRecord, service: Service) -> BadModel:
 
 
 async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
-    """The record once a worker has said yes or no, or as it is when patience ends.
+    """The record once a worker has accepted or refused the model, or as it is after `_PATIENCE_S`.
 
-    Which of the engines can run a good one takes several seconds more: these come with a later look.
+    Finding out which engines can run the model takes several seconds more: a later request returns that.
     """
     until = time.monotonic() + _PATIENCE_S
     while record.status == "validating" and time.monotonic() < until and not service.stopping:

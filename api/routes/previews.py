@@ -1,4 +1,4 @@
-"""A look at a body before anything is trained: stills from its cameras, drawn by a worker, and kept."""
+"""Previews of an environment before any training: stills from its cameras, rendered by a worker and kept."""
 
 import time
 from collections.abc import Sequence
@@ -37,10 +37,10 @@ from core.rendering.camera import camera_choices, model_camera
 
 router = APIRouter(tags=["catalog"])
 
-# How long a client waits for the stills themselves, before it is told to ask again.
+# How long a request waits for the stills before it is answered 202.
 _PATIENCE_S = 5.0
 _GLANCE_S = 0.1
-# Of the first so many cameras; a model with more of them is asked for one by one.
+# The maximum in one preview; the stills of a model's further cameras are asked for one by one.
 _MOST_STILLS = 32
 _OPTIONS: TypeAdapter[dict[str, JsonValue]] = TypeAdapter(dict[str, JsonValue])
 
@@ -57,7 +57,7 @@ class Asked(Parameters):
     camera: str | None = Field(
         None,
         max_length=200,
-        description="`track`, or a camera of the model by name or number: the answer is its PNG.",
+        description="`track`, or a camera of the model by name or number; the answer is then its PNG.",
         examples=["track"],
     )
     width: int = Field(640, ge=16, le=1920, description="Pixels.")
@@ -74,7 +74,7 @@ class StillView(View):
 
 
 class PreviewView(View):
-    """The body as the first episode of a rollout with seed 0 begins. options: all, defaults filled in."""
+    """An environment as the first episode of a rollout with seed 0 begins. options: all, with defaults."""
 
     environment: str
     options: dict[str, JsonValue]
@@ -104,10 +104,13 @@ class PreviewView(View):
 @router.get(
     "/environments/{environment_id:path}/preview",
     response_model=PreviewView,
-    response_description="The stills, each with its address; or the PNG itself, with `camera`",
+    response_description="The stills, each with its address; with `camera`, the PNG itself",
     responses={
         200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}},
-        202: {"model": PreviewView, "description": "A worker has yet to draw them; ask at the Location"},
+        202: {
+            "model": PreviewView,
+            "description": "A worker has yet to render them; ask again at the Location",
+        },
         304: {"description": "`If-None-Match` names this PNG"},
         **refusals(
             EnvironmentNotFound,
@@ -126,7 +129,7 @@ async def preview_environment(
     service: ServiceDep,
     request: Request,
 ) -> Any:
-    """How a body looks as an episode begins, from the camera `track` and each of the model's own."""
+    """The environment as an episode begins, seen by the camera `track` and each of the model's own."""
     wanted, camera = await run_sync(_wanted, environment_id, asked, service)
     drawn = await _drawn(wanted, service)
     here = request.url.path
@@ -141,9 +144,9 @@ async def preview_environment(
 
 
 def _wanted(environment_id: str, asked: Asked, service: Service) -> tuple[PreviewRequest, str | int | None]:
-    """What has to be drawn, and which camera of it is asked for.
+    """The stills to render, and the camera that the request asks for.
 
-    Raises EnvironmentNotFound, and Rejected with the sentences that a job would get.
+    Raises EnvironmentNotFound, and Rejected with the same messages as for a job.
     """
     catalog.find(environment_id)
     environment = EnvironmentSpec(id=environment_id, options=_options(asked.options))
@@ -175,21 +178,21 @@ def _options(text: str) -> dict[str, JsonValue]:
 
 
 def _camera(said: str, cameras: Sequence[str]) -> str | int:
-    """The camera as `camera_choices` calls it, of what a query says."""
+    """The camera that a query names, as `camera_choices` calls it."""
     by_number = said.isdecimal() and said not in cameras
     number = model_camera(int(said) if by_number else said, cameras)
     return camera_choices(cameras)[0 if number is None else number + 1]
 
 
 def _place(pointer: str) -> str:
-    """A place in a job's document as the parameter that stands for it here."""
+    """A pointer into a job's document, as the query parameter that matches it."""
     return pointer.removeprefix("/environment").removeprefix("/video")
 
 
 async def _drawn(wanted: PreviewRequest, service: Service) -> Preview | None:
-    """The stills once they are there; None when patience ends.
+    """The stills once they exist; None after `_PATIENCE_S`.
 
-    Raises NoWorker, TooManyPreviews; NothingDraws and Rejected where a worker tried in vain.
+    Raises NoWorker, TooManyPreviews; NothingDraws and Rejected where a worker tried and failed.
     """
     until = time.monotonic() + _PATIENCE_S
     drawn = await run_sync(library.find, wanted, service.objects)
@@ -199,7 +202,7 @@ async def _drawn(wanted: PreviewRequest, service: Service) -> Preview | None:
         await sleep(_GLANCE_S)
         drawn = await run_sync(library.find, wanted, service.objects)
     if drawn is not None and drawn.failure is not None:
-        # Whoever asks next has it tried again.
+        # The next request tries again.
         await run_sync(library.forget, wanted, service.objects)
         if drawn.failure.reason == "no_gl":
             raise NothingDraws(drawn.failure.message)
@@ -209,7 +212,7 @@ async def _drawn(wanted: PreviewRequest, service: Service) -> Preview | None:
 
 def _ask(wanted: PreviewRequest, service: Service) -> None:
     if not any(looks_at_models(worker.queues) for worker in service.store.workers()):
-        raise NoWorker("No worker is there that could draw it: start one, and ask again.")
+        raise NoWorker("No worker is available to render it: start one, and ask again.")
     library.ask(wanted, service.queue)
 
 

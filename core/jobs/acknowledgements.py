@@ -1,4 +1,4 @@
-"""Dispatches that RQ has heard of, taken from the record some at a time: each is a round trip less."""
+"""Removes dispatches that RQ has received from the record, several in one round trip."""
 
 from collections.abc import Callable, Sequence
 from threading import Lock, Timer
@@ -16,8 +16,8 @@ _GATHER_S = 0.1
 class Acknowledgements:
     """Gathers dispatches for a tenth of a second and writes them in one call; thread-safe.
 
-    write: `JobStore.dispatched`. What a crash or an outage leaves in the record does no harm: the reconciler
-    hands it over again, and RQ knows it.
+    write: `JobStore.dispatched`. A dispatch that a crash or an outage leaves in the record does no harm: the
+    reconciler hands it over again, and RQ already knows it.
     """
 
     def __init__(self, write: Callable[[Sequence[Dispatch]], None]) -> None:

@@ -1,4 +1,4 @@
-"""What an attempt may do to its job: every write carries its token, so that a stale one changes nothing."""
+"""An attempt's writes to its job: each carries the attempt's token, so that a stale one changes nothing."""
 
 import secrets
 from collections.abc import Callable
@@ -12,14 +12,14 @@ from core.jobs.status import LOSSES, MOST, RETRIED, JobStatus, Reason
 from core.jobs.store import JobStore
 from core.storage.objects import ObjectStore
 
-# Before the next attempt, after the first one that failed, the second, and so on; the last for all others.
+# Pauses after the first failed attempt, the second, and so on; the last value applies to all later ones.
 PAUSES = tuple(timedelta(seconds=seconds) for seconds in (1, 4, 15, 60))
 _FAILURES = RETRIED - {Reason.WORKER_LOST}
 
 
 @dataclass(frozen=True)
 class Claim:
-    """An attempt that holds its job. Each method may be called again after its answer was lost."""
+    """An attempt that holds its job. Each method may be called again if its answer was lost."""
 
     job_id: str
     number: int
@@ -28,16 +28,16 @@ class Claim:
     objects: ObjectStore
 
     def start(self, **facts: Any) -> Job:
-        """Running, with what the attempt found out. A job that is being cancelled stays so."""
+        """Set the job to running, with facts about the attempt. A job that is being cancelled stays so."""
         return self._change(
             lambda job: job.running(**facts) if job.status == JobStatus.STARTING else job.noted(**facts)
         )
 
     def publish(self, artifacts: tuple[Artifact, ...], keep_checkpoints: int) -> tuple[Job, list[str]]:
-        """Let readers see these files, already in the store; forget checkpoints beyond the newest few.
+        """Record these files, already in the object store; drop all but the newest `keep_checkpoints`.
 
-        Those that an unfinished job was promised stay. Returns the job, and the keys of objects that it no
-        longer names: somebody may still be reading them.
+        Checkpoints that an unfinished job needs stay. Returns the job, and the keys of objects that it no
+        longer names: clients may still be reading them.
         """
         dropped: list[str] = []
         promised = [step for _, step in self.store.borrowers_of(self.job_id) if step is not None]
@@ -51,16 +51,16 @@ class Claim:
         return self._change(change), dropped
 
     def strike(self, artifact: Artifact) -> Job:
-        """Take a file that turned out to be damaged or gone from the record."""
+        """Remove a file from the record, because it is damaged or gone."""
         return self._change(lambda job: job.without_artifact(artifact))
 
     def end(self, status: JobStatus, reason: Reason, message: str) -> Job:
-        """In its final status."""
+        """End the job with a final status."""
         now = self.store.now()
         return self._leave(lambda job: job.ended(status, reason, message, now), message)
 
     def give_back(self, reason: Reason, message: str) -> Job:
-        """Queued for another attempt, unless a cancel has come meanwhile: then cancelled."""
+        """Queue the job for another attempt; if a cancel has come meanwhile, cancel it instead."""
         now = self.store.now()
         return self._leave(lambda job: given_back(job, reason, message, now), message)
 
@@ -78,7 +78,7 @@ class Claim:
         mine = next((attempt for attempt in job.attempts if attempt.token == self.token), None)
         if mine is None or mine.ended_at is None:
             return False
-        # The reconciler gives that reason too, in words of its own.
+        # The reconciler gives that reason too, with a message of its own.
         return mine.reason != Reason.WORKER_LOST or (message != "" and message in (mine.message or ""))
 
     def _change(self, change: Callable[[Job], Job]) -> Job:
@@ -95,7 +95,7 @@ class Claim:
 
 
 def new_secret() -> str:
-    """What makes the token of one claim."""
+    """A random secret for the token of one claim."""
     return secrets.token_hex(8)
 
 
@@ -109,10 +109,10 @@ def claim_attempt(  # noqa: PLR0913 # Who, what, and where it is written.
     lease: timedelta,
     secret: str,
 ) -> Claim | None:
-    """Take a queued job; None where somebody else has it, or this dispatch is an old one.
+    """Claim a queued job; None where another attempt has it, or this dispatch is an old one.
 
-    secret: a fresh one for each claim. Called again with the same one, because the answer was lost, the claim
-    finds what it took.
+    secret: a fresh one for each claim. If the answer was lost, a call with the same secret returns the same
+    claim again.
     """
     job = store.get(job_id)
     claimed = None
@@ -133,7 +133,7 @@ def _claimed(job: Job, worker: str, secret: str, store: JobStore, lease: timedel
 
 
 def given_back(job: Job, reason: Reason, message: str, now: datetime) -> Job:
-    """The job after an attempt that did not come to an end: queued, or ended where nothing may follow."""
+    """The job after an attempt that did not finish: queued, or ended if no other attempt may follow."""
     if job.status == JobStatus.CANCELLING:
         return job.ended(JobStatus.CANCELLED, Reason.USER_CANCELLED, f"Cancelled. {message}", now)
     lost = job.lost_attempts + (reason in LOSSES)
@@ -141,13 +141,13 @@ def given_back(job: Job, reason: Reason, message: str, now: datetime) -> Job:
         ending = f"{message} All {job.spec.max_attempts} attempts are used up."
         return job.ended(JobStatus.FAILED, reason, ending, now)
     if reason in MOST and job.num_ended({reason}) + 1 >= MOST[reason]:
-        ending = f"{message} {MOST[reason]} attempts ended so; there is no other."
+        ending = f"{message} {MOST[reason]} attempts ended like this; there is no further one."
         return job.ended(JobStatus.FAILED, reason, ending, now)
     return job.requeued(reason, message, now, not_before=_not_before(job, reason, now))
 
 
 def _not_before(job: Job, reason: Reason, now: datetime) -> datetime | None:
-    """The pause after an attempt that failed grows; a worker that is lost or drained waits for nobody."""
+    """The pause grows with each failed attempt; after a lost or drained worker there is none."""
     if reason not in _FAILURES:
         return None
     return now + PAUSES[min(job.num_ended(_FAILURES), len(PAUSES) - 1)]

@@ -1,4 +1,4 @@
-"""The end a user asks for."""
+"""Cancels a job."""
 
 from core.errors import JobFinished, RecordsUnavailable, StaleJob
 from core.jobs.job import Job
@@ -8,10 +8,10 @@ from core.jobs.store import JobStore
 
 
 def cancel(job_id: str, *, store: JobStore, queue: JobQueue) -> Job:
-    """The job, cancelled if it waited, `cancelling` while its worker saves what there is.
+    """Cancel a queued job at once; a running one is `cancelling` until its worker has saved its results.
 
-    Cancelling twice is the same as once. Raises JobNotFound, JobUnreadable; JobFinished where the job ended
-    otherwise.
+    Cancelling twice changes nothing. Raises JobNotFound, JobUnreadable; JobFinished if the job has succeeded
+    or failed.
     """
     while True:
         job = store.get(job_id)
@@ -42,7 +42,7 @@ def _end(job: Job, store: JobStore, queue: JobQueue) -> Job:
 
 
 def forget_dispatch(job: Job, queue: JobQueue) -> None:
-    """Take the next attempt out of the queue, if it can be reached: no worker could claim it any more."""
+    """Remove the next attempt from the queue, if that can be reached: no worker could claim it any more."""
     try:
         queue.remove(job.id, job.next_attempt)
     except RecordsUnavailable:

@@ -1,4 +1,4 @@
-"""Forgetting a job for good."""
+"""Deletes a job permanently."""
 
 from contextlib import suppress
 
@@ -9,7 +9,7 @@ from core.storage.objects import ObjectStore
 
 
 def delete(job_id: str, *, store: JobStore, objects: ObjectStore) -> None:
-    """Remove the files first and the record last, so that a deletion cut short can be asked for again.
+    """Remove the files first and the record last, so that an interrupted deletion can be repeated.
 
     A record that cannot be read can be deleted. Raises JobNotFound; JobNotFinished unless the job has ended;
     JobInUse while another one needs a checkpoint of it.
@@ -21,5 +21,5 @@ def delete(job_id: str, *, store: JobStore, objects: ObjectStore) -> None:
         raise JobInUse(job_id, borrowers)
     objects.delete_prefix(keys.job(job_id))
     store.delete(job_id, job.version)
-    with suppress(StorageUnavailable):  # Perhaps it was copied once more between the two.
+    with suppress(StorageUnavailable):  # It may have been copied again in between.
         objects.delete_prefix(keys.record(job_id))

@@ -1,4 +1,4 @@
-"""A job's feeds, read across the record and the object store, and moved from the one to the other.
+"""A job's feeds, read across the record and the object store, and moved from the first to the second.
 
 The record holds the newest entries. Older ones lie in chunks: immutable objects, which the record names.
 """
@@ -24,13 +24,13 @@ MAX_BYTES = 256 * 1024
 MAX_AGE = timedelta(minutes=10)
 _MOST_ENTRIES = 2000
 _PAGE = 1000
-# So many readings with the same wrong bytes are what the object store has.
+# If this many reads give the same wrong bytes, the object itself is damaged.
 _READINGS = 3
 
 
 @dataclass(frozen=True)
 class FeedPage:
-    """A part of a feed, oldest first. status, is_end: of that moment, as in `FeedPart`."""
+    """A part of a feed, oldest first. status, is_end: as of that moment, see `FeedPart`."""
 
     entries: Sequence[Entry]
     status: JobStatus
@@ -49,11 +49,11 @@ def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
 ) -> Sequence[Entry]:
     """Entries later than number `after`, oldest first; of one kind where given. Empty at the feed's end.
 
-    Raises as `read_page` does.
+    Raises the errors of `read_page`.
     """
     found: list[Entry] = []
     while len(found) < limit:
-        # Those of one kind may be rare: to look for the last few, a page of a few would be looked at often.
+        # Entries of one kind may be rare: small pages would need many reads to find the last few.
         at_once = limit - len(found) if kind is None else _PAGE
         page = read_page(job_id, channel, after, at_once, store=store, objects=objects)
         found += [entry for entry in page.entries if kind in (None, entry.kind)]
@@ -63,12 +63,12 @@ def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
     return found[:limit]
 
 
-def read_page(  # Where from, which feed, which part of it.
+def read_page(
     job_id: str, channel: Channel, after: int, limit: int, *, store: JobStore, objects: ObjectStore
 ) -> FeedPage:
-    """At least `limit` entries behind number `after`, if there are as many.
+    """At least `limit` entries after number `after`, if there are that many.
 
-    In the place of a part that is damaged in the object store stands a `note` that says so.
+    A `note` replaces a part that is damaged in the object store, and says so.
     Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
     """
     part = store.feed(job_id, channel, after=after, limit=limit)
@@ -87,29 +87,29 @@ def _entries_of(chunk: Chunk, store: JobStore, objects: ObjectStore) -> Iterable
         digests.add(digest := hashlib.sha256(body).hexdigest())
         if digest == chunk.sha256:
             return map(Entry.model_validate_json, body.splitlines())
-    if len(digests) > 1:  # Other bytes each time: they are flipped on the way.
+    if len(digests) > 1:  # Different bytes each time: they are damaged in transit.
         raise StorageUnavailable(f"The bytes of {chunk.key} do not have the SHA-256 that the record names.")
-    # Nothing is written: a bucket that is restored from a back-up has the part again.
+    # The record stays as it is: a bucket restored from a backup has the part again.
     log.error("feed_damaged", key=chunk.key)
     return [gap(chunk, "damaged in the object store", store.now())]
 
 
 def compact(*, store: JobStore, objects: ObjectStore) -> int:
-    """Move what is due into chunks; how many were made.
+    """Move due entries into chunks; returns how many feeds were due.
 
-    An object is written before it is named, under a key made from its content: it does no harm to do the same
-    twice, or at two places at once.
+    An object is written before the record names it, under a key made from its content: repeating this, or
+    running it in two places at once, does no harm.
     """
     due = store.long_feeds(max_bytes=MAX_BYTES, max_age=MAX_AGE)
     for job_id, channel in due:
         entries = store.oldest_entries(job_id, channel, limit=_MOST_ENTRIES)
-        if entries:  # Otherwise somebody was faster, or has deleted the job.
+        if entries:  # Otherwise another process was faster, or the job was deleted.
             store.replace_by_chunk(job_id, _chunk(job_id, channel, entries, objects))
     return len(due)
 
 
 def _chunk(job_id: str, channel: Channel, entries: Sequence[Entry], objects: ObjectStore) -> Chunk:
-    """The chunk of these entries, whose object is stored."""
+    """Store these entries as an object; returns its chunk."""
     body = b"".join(entry.model_dump_json().encode() + b"\n" for entry in entries)
     digest = hashlib.sha256(body).hexdigest()
     first, last = int(entries[0].id), int(entries[-1].id)

@@ -1,4 +1,4 @@
-"""A job and what became of it, as a value: every step returns a new one."""
+"""A job and its history as an immutable value: every step returns a new one."""
 
 import re
 import secrets
@@ -33,7 +33,7 @@ ArtifactRole = Literal[
 
 
 def new_job_id(now: datetime) -> str:
-    """Sortable by time: milliseconds since 1970 in hexadecimal, then 40 random bits."""
+    """An id that sorts by time: milliseconds since 1970 in hexadecimal, then 40 random bits."""
     return f"{int(now.timestamp() * 1000):012x}-{secrets.token_hex(5)}"
 
 
@@ -49,7 +49,7 @@ def utc_now() -> datetime:
 
 
 class Artifact(Stored):
-    """A file a reader may fetch. size: bytes; metadata: facts about how it was made."""
+    """A file that clients may fetch. size: bytes; metadata: facts about how it was made."""
 
     name: str
     role: ArtifactRole
@@ -72,7 +72,7 @@ class Progress(Stored):
 
 
 class Attempt(Stored):
-    """One try at a job by one worker. token: what its writes must carry."""
+    """One attempt at a job by one worker. token: its writes must carry this."""
 
     number: int
     token: str
@@ -87,7 +87,7 @@ class Attempt(Stored):
 
 
 class UnreadableJob(Stored):
-    """What can be told of a job whose record this version does not understand. problem: a sentence."""
+    """The readable part of a record that this version does not understand. problem: a sentence."""
 
     id: str
     version: int
@@ -143,16 +143,16 @@ class Job(Stored):
 
     @property
     def begun(self) -> Attempt | None:
-        """The newest attempt that said what it runs on, if there is a checkpoint of the job's own."""
+        """The newest attempt that reported its device, if the job has a checkpoint of its own."""
         if self.newest("checkpoint") is None:
             return None
         return next((attempt for attempt in reversed(self.attempts) if attempt.device), None)
 
     @property
     def accelerator(self) -> Accelerator:
-        """What its next attempt needs: once it has a checkpoint, the kind of device that this was made on.
+        """What the next attempt needs: once the job has a checkpoint, the kind of device that made it.
 
-        Tuned settings differ by device, and a checkpoint fits those alone under which it was made.
+        Tuned settings differ by device, and a checkpoint fits only the settings under which it was made.
         """
         wanted, begun = self.spec.resources.kind, self.begun
         if wanted != "any" or begun is None or begun.device is None:
@@ -171,11 +171,11 @@ class Job(Stored):
 
     @staticmethod
     def token_of(number: int, secret: str) -> str:
-        """The token of an attempt. secret: known to the one who claims, and different for each claim."""
+        """The token of an attempt. secret: known only to the claimant, and different for each claim."""
         return f"{number}-{secret}"
 
     def claimed(self, worker: str, now: datetime, secret: str = "") -> Self:
-        """Starting, with a new attempt; without a secret, with a fresh one."""
+        """The job as starting, with a new attempt; without a secret, a fresh one is made."""
         token = self.token_of(self.next_attempt, secret or secrets.token_hex(8))
         attempt = Attempt(number=self.next_attempt, token=token, worker=worker, started_at=now)
         return self.become(
@@ -186,17 +186,17 @@ class Job(Stored):
         )
 
     def running(self, **details: Any) -> Self:
-        """Running, with what the attempt found out about itself (device, engine, details)."""
+        """The job as running, with facts about the attempt (device, engine, details)."""
         attempt = self.attempts[-1].model_copy(update=details)
         return self.become(JobStatus.RUNNING, attempts=(*self.attempts[:-1], attempt))
 
     def noted(self, **details: Any) -> Self:
-        """The same status, with what the attempt found out about itself."""
+        """The job with the same status, and with facts about the attempt."""
         attempt = self.attempts[-1].model_copy(update=details)
         return self.next(attempts=(*self.attempts[:-1], attempt))
 
     def ended(self, status: JobStatus, reason: Reason, message: str, now: datetime) -> Self:
-        """In a final status, its open attempt closed with the same reason."""
+        """The job in a final status; its open attempt is closed with the same reason."""
         return self.become(
             status,
             reason=reason,
@@ -209,17 +209,17 @@ class Job(Stored):
     def requeued(
         self, reason: Reason, message: str, now: datetime, *, not_before: datetime | None = None
     ) -> Self:
-        """Back in the queue, the attempt closed."""
+        """The job back in the queue; its attempt is closed."""
         closed = self._closed(reason, message, now)
         return self.become(JobStatus.QUEUED, attempts=closed, not_before=not_before)
 
     def with_artifacts(self, artifacts: tuple[Artifact, ...]) -> Self:
-        """With these files for readers; one of the same name replaces the older."""
+        """The job with these files; one of the same name replaces the older."""
         named = {artifact.name: artifact for artifact in (*self.artifacts, *artifacts)}
         return self.next(artifacts=tuple(named.values()))
 
     def without_artifact(self, artifact: Artifact) -> Self:
-        """Without this file."""
+        """The job without this file."""
         return self.next(artifacts=tuple(found for found in self.artifacts if found.key != artifact.key))
 
     def with_newest_checkpoints(self, keep: int, promised: Collection[int] = ()) -> Self:

@@ -1,4 +1,4 @@
-"""Feeds after a disaster: parts that the record has forgotten, and gaps where the bucket has lost some."""
+"""Feeds after a disaster: chunks that the record has lost, and gaps where the bucket has lost them."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,10 +18,10 @@ _MOST_ENTRIES = 100_000
 def chunks_beyond(
     job_id: str, found: Iterable[str], *, store: JobStore, objects: ObjectStore
 ) -> Sequence[Chunk]:
-    """The chunks that continue each feed as the record has it, where the record may know nothing of the job.
+    """The chunks that continue each feed of the record; the record may not know the job at all.
 
-    found: the keys of the job's objects. A chunk that says something else than the record ends the search:
-    the job has had another life since.
+    found: the keys of the job's objects. A chunk that contradicts the record ends the search: the job has
+    run differently since the restore.
     """
     known = store.chunks([job_id]).get(job_id, ())
     beyond: list[Chunk] = []
@@ -39,9 +39,9 @@ def chunks_beyond(
 
 
 def gap(lost: Chunk, how: str, time: datetime) -> Entry:
-    """The entry that stands in the place of a chunk, and says that its entries were `how`.
+    """The entry that replaces a chunk, and says that its entries were `how`.
 
-    It has the last number, so that readers go on behind it.
+    It has the chunk's last number, so that readers continue after it.
     """
     which = f"Entries {lost.first} to {lost.last}" if lost.first < lost.last else f"Entry {lost.last}"
     text = f"{which} of this feed {'were' if lost.first < lost.last else 'was'} {how}."
@@ -49,7 +49,7 @@ def gap(lost: Chunk, how: str, time: datetime) -> Entry:
 
 
 def close_gap(job_id: str, lost: Chunk, *, store: JobStore, objects: ObjectStore) -> None:
-    """Name another object in the place of a lost one: a single entry, which says what was lost."""
+    """Replace a lost chunk by one with a single entry, which says what was lost."""
     entry = gap(lost, "lost from the object store", store.now())
     body = entry.model_dump_json().encode() + b"\n"
     digest = hashlib.sha256(body).hexdigest()
@@ -61,7 +61,7 @@ def close_gap(job_id: str, lost: Chunk, *, store: JobStore, objects: ObjectStore
 def _chunks(
     job_id: str, channel: Channel, found: Iterable[str], objects: ObjectStore
 ) -> Iterator[tuple[Chunk, dict[str, Entry]]]:
-    """The channel's chunks in order with their entries; of several that begin alike, the longest."""
+    """The channel's chunks in order with their entries; of several with the same first entry, the longest."""
     prefix = f"{keys.job(job_id)}{channel}/"
     names = sorted(key.removeprefix(prefix) for key in found if key.startswith(prefix))
     for _, alike in groupby(names, lambda name: name[:_FIRST_DIGITS]):
@@ -74,7 +74,7 @@ def _chunks(
 def _read(
     job_id: str, channel: Channel, key: str, objects: ObjectStore
 ) -> tuple[Chunk, dict[str, Entry]] | None:
-    """None where it is not what its key says."""
+    """The chunk and its entries; None where the object does not match its key."""
     try:
         body = objects.get(key)
         said = [Entry.model_validate_json(line) for line in body.splitlines()]

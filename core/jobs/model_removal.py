@@ -1,4 +1,4 @@
-"""Forgetting a model for good."""
+"""Deletes a model permanently."""
 
 from core.errors import ModelInUse
 from core.jobs.store import JobStore
@@ -10,7 +10,7 @@ from core.user_models import library
 def remove_model(model_id: str, *, store: JobStore, objects: ObjectStore) -> None:
     """Remove its file and its record. Raises ModelNotFound, and ModelInUse while a job needs it.
 
-    Jobs that have ended keep what they made; nothing more can be done with their policies here.
+    Ended jobs keep their files, but their policies cannot be run here any more.
     """
     library.find(model_id, store)
     if users := store.users_of(model_id):

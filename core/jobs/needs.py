@@ -14,8 +14,7 @@ from core.jobs.spec import Accelerator, JobSpec, TrainSpec
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
-# The packages that a worker may be without, by the names under which they are imported, and the extra of
-# Gaitway that brings each.
+# The optional packages of a worker by import name, each with the extra of Gaitway that installs it.
 EXTRAS: dict[str, str] = {
     "warp": "warp",
     "dm_control": "dm-control",
@@ -25,19 +24,19 @@ EXTRAS: dict[str, str] = {
 
 
 def packages_here() -> tuple[str, ...]:
-    """Which of these this installation has; loads none of them."""
+    """The optional packages that are installed here; none is imported."""
     return tuple(package for package in EXTRAS if find_spec(package) is not None)
 
 
 def packages_for(job: Job) -> Mapping[str, str]:
-    """Each of these that the job cannot do without, and what needs it."""
+    """The optional packages that the job needs, each with what needs it."""
     environment, needed = job.spec.environment.id, dict[str, str]()
     info = catalog.ENVIRONMENTS.get(environment)
     if info is not None and info.package is not None:
         needed[info.package] = f"the environment {environment}"
     engine = job.spec.physics
     if engine == "auto" and isinstance(job.spec, TrainSpec) and job.begun is not None:
-        engine = job.begun.engine  # Its checkpoint was made on it.
+        engine = job.begun.engine  # Its checkpoint was made with it.
     if engine == "warp":
         needed["warp"] = "the engine warp"
     return needed
@@ -51,12 +50,12 @@ def memory_for(spec: JobSpec) -> Mapping[Device, Memory]:
         info = catalog.find(spec.environment.id)
         info = info.under(catalog.parse_options(info, spec.environment.options))
         return least_memory(spec, info)
-    except GaitwayError:  # It was accepted by a version that has other rules; the attempt says what is wrong.
+    except GaitwayError:  # A version with other rules accepted it; the attempt says what is wrong.
         return {}
 
 
 def least_memory(spec: TrainSpec, info: EnvironmentInfo) -> Mapping[Device, Memory]:
-    """As `memory_for`, with the environment's row at hand. Raises Rejected."""
+    """Like `memory_for`, given the environment's row. Raises Rejected."""
     gpus = spec.resources.gpus
     return {
         device: resolve(spec.algorithm, info, device).least_memory(info, gpus)
@@ -65,5 +64,5 @@ def least_memory(spec: TrainSpec, info: EnvironmentInfo) -> Mapping[Device, Memo
 
 
 def kind_of(device: str) -> Device:
-    """`cpu` or `gpu`, of a worker's device."""
+    """The kind of a worker's device."""
     return "gpu" if gpu_indices(device) else "cpu"

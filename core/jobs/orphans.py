@@ -1,4 +1,4 @@
-"""Objects that nobody names: found, and removed once they are a day old."""
+"""Removes objects that no record names, once they are a day old."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from core.storage.objects import ObjectInfo, ObjectStore
 
 log = structlog.get_logger()
 
-# An object is written before it is named, and read for a while after it is dropped.
+# An object is written before a record names it, and may be read for a while after the record drops it.
 GRACE = timedelta(hours=24)
 # A page of an S3 listing.
 _BATCH = 1000
@@ -25,7 +25,7 @@ Folders = Mapping[str, Sequence[ObjectInfo]]
 
 @dataclass
 class _Seen:
-    """What a round came across."""
+    """Counts of one round."""
 
     known_jobs: int = 0
     unknown_jobs: int = 0
@@ -36,20 +36,20 @@ class _Seen:
 
 
 def sweep(*, store: JobStore, objects: ObjectStore, grace: timedelta = GRACE) -> Iterator[None]:
-    """Remove what no record names, of jobs that the record knows, and whole models that it does not know.
+    """Remove objects that no record names, of known jobs, and whole models that the record does not know.
 
     A round through a large bucket takes minutes. It yields after each step: a page of the listing with two
     queries, or one object removed.
 
-    Three things are left alone, because a database that was restored to an older moment has forgotten them,
-    and `gaitway recover` can bring them back: objects of jobs that the record does not know; all of a job
-    whose copy is newer than its record; and what such a copy names.
+    Three kinds of objects are left alone, because a database that was restored to an older moment has
+    forgotten them, and `gaitway recover` can bring them back: those of jobs that the record does not know;
+    all of a job whose copy is newer than its record; and those that a job's copy names.
     """
     before = store.now() - grace
     seen = _Seen()
     for batch in batches(folders(objects.list(keys.jobs()))):
         yield from _of_jobs(batch, before, store, objects, seen)
-    # A record that knows none of the jobs, or not all of them, may have forgotten models, too.
+    # A record that has forgotten jobs may have forgotten models, too.
     if seen.known_jobs and not seen.unknown_files:
         for batch in batches(folders(objects.list(keys.models()))):
             yield from _of_models(batch, before, store, objects, seen)
@@ -66,13 +66,13 @@ def sweep(*, store: JobStore, objects: ObjectStore, grace: timedelta = GRACE) ->
 
 
 def folders(found: Iterable[ObjectInfo]) -> Iterator[tuple[str, Sequence[ObjectInfo]]]:
-    """A listing in key order, by the second parts of its keys: jobs' ids, or models' hashes."""
+    """A listing in key order, grouped by the second part of its keys: a job's id or a model's hash."""
     for name, infos in groupby(found, lambda info: keys.job_of(info.key)):
         yield name, list(infos)
 
 
 def batches(found: Iterable[tuple[str, Sequence[ObjectInfo]]]) -> Iterator[Folders]:
-    """Folders with about a thousand objects together."""
+    """Batches of folders, each with about a thousand objects."""
     batch: dict[str, Sequence[ObjectInfo]] = {}
     num_objects = 0
     for name, infos in found:
@@ -107,7 +107,7 @@ def _of_jobs(
 def _not_in_the_copy(
     job_id: str, unnamed: Sequence[str], mark: Mark, objects: ObjectStore, seen: _Seen
 ) -> Sequence[str]:
-    """Those that the copy of the record does not name either; none where it is newer than the record."""
+    """The keys that the record's copy does not name either; none if the copy is newer than the record."""
     if not unnamed:
         return ()
     try:
@@ -127,7 +127,7 @@ def _of_models(
     batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     for name, infos in batch.items():
-        # One of version 0.1 has its record beside it, and `gaitway import` may still come.
+        # A model of version 0.1 has its record beside it, which `gaitway import` may still need.
         is_kept = any(keys.is_description(info.key) for info in infos)
         if not is_kept and all(_is_older(info, before) for info in infos) and not _is_model(name, store):
             yield from _remove([info.key for info in infos], before, objects, seen)
@@ -145,7 +145,7 @@ def _is_model(name: str, store: JobStore) -> bool:
 def _remove(orphans: Collection[str], before: datetime, objects: ObjectStore, seen: _Seen) -> Iterator[None]:
     for key in orphans:
         try:
-            # It may have been put again since it was listed, to be named now.
+            # It may have been written again since the listing, and be about to be named.
             is_old = _is_older(objects.info(key), before)
         except ObjectNotFound:
             continue
@@ -156,5 +156,5 @@ def _remove(orphans: Collection[str], before: datetime, objects: ObjectStore, se
 
 
 def _is_older(info: ObjectInfo, before: datetime) -> bool:
-    """Whether it was put before then; not where the store does not say when."""
+    """Whether it was written before then; false if the store gives no time."""
     return info.modified_at is not None and info.modified_at < before

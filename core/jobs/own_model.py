@@ -1,4 +1,4 @@
-"""A user's own model, as a job that names it needs it."""
+"""A user's own model, for a job that names it."""
 
 from collections.abc import Mapping
 
@@ -16,9 +16,9 @@ _POINTER = "/environment/options/model"
 
 
 def own_model(options: MjcfOptions, store: ModelStore) -> Description:
-    """What is in the model that the options name.
+    """The description of the model that the options name.
 
-    Raises Rejected where there is none, it is not validated yet, or the terms do not fit it.
+    Raises Rejected where the model does not exist, is not validated yet, or does not fit the options.
     """
     try:
         record = library.find(options.model, store)
@@ -37,13 +37,13 @@ def own_model(options: MjcfOptions, store: ModelStore) -> Description:
 
 
 def model_of(environment: EnvironmentSpec) -> str | None:
-    """The id of the user's own model that an environment names, which was checked before."""
+    """The id of the user's own model that an environment names; the environment was checked before."""
     if not catalog.find(environment.id).takes_model:
         return None
     return str(environment.options["model"])
 
 
 def engines_that_cannot(description: Description | None) -> Mapping[EngineName, str]:
-    """Engines that cannot run the model, each with what keeps it."""
+    """Engines that cannot run the model, each with the reason."""
     tried = {} if description is None else description.engines
     return {name: why for name, why in tried.items() if why is not None}

@@ -1,4 +1,4 @@
-"""The seam to whatever brings jobs to workers. It is never asked what is true."""
+"""The interface of the queue that brings jobs to workers. The truth is in the record, never in the queue."""
 
 from collections.abc import Collection, Set
 from typing import Protocol
@@ -8,15 +8,15 @@ from core.jobs.spec import Accelerator, Priority
 from core.previews.queue import PreviewQueue
 from core.user_models.queue import ModelQueue
 
-# Where previews wait, which go before all jobs; and models, which a worker without jobs looks at.
+# The queue of previews, which come before all jobs, and that of models, which come after them.
 FIRST, LAST = "gaitway-any-high", "gaitway-models"
 PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
 
 
 class JobQueue(ModelQueue, PreviewQueue, Protocol):
-    """At-least-once dispatch, of jobs, of models and of previews.
+    """At-least-once dispatch of jobs, models and previews.
 
-    A job handed out twice is claimed once, by the store's compare-and-set.
+    A job handed out twice is claimed only once, by the store's compare-and-set.
 
     Every method raises RecordsUnavailable when the queue cannot be reached.
     """
@@ -24,7 +24,7 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
     def enqueue(
         self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
     ) -> None:
-        """Hand this attempt to a worker that fits. The same attempt twice is the same as once."""
+        """Hand this attempt to a suitable worker. Doing so twice changes nothing."""
         ...
 
     def contains(self, job_id: str, attempt: int) -> bool:
@@ -32,12 +32,12 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
         ...
 
     def known(self) -> Collection[tuple[str, int]]:
-        """Every job and attempt that waits, or that a worker has taken; in one look, however many."""
+        """Every job and attempt that waits, or that a worker has taken, in a single read."""
         ...
 
     def strays(self) -> Set[str]:
         """The queue's names of messages that neither wait nor belong to a worker, and that it keeps for ever:
-        whoever had them was killed, or could not reach the queue at the end."""
+        their worker was killed, or could not reach the queue at the end."""
         ...
 
     def drop(self, names: Collection[str]) -> None:
@@ -45,7 +45,7 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
         ...
 
     def remove(self, job_id: str, attempt: int) -> None:
-        """Forget the attempt, wherever it is; not there is no error."""
+        """Forget the attempt, wherever it is; a missing one is no error."""
         ...
 
 
@@ -63,5 +63,5 @@ def queue_names(device: str) -> tuple[str, ...]:
 
 
 def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1) -> str:
-    """The queue of jobs that want this. Each number of GPUs has its own, so that none of a worker's idles."""
+    """The queue of jobs with these needs. Each number of GPUs has its own, so that no worker's GPU idles."""
     return f"gaitway-{accelerator}{gpus if gpus > 1 else ''}-{priority}"

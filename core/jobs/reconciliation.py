@@ -1,4 +1,4 @@
-"""Setting right what crashes left behind. Idempotent, and safe to run in many places at once."""
+"""Repairs what crashes left behind. Idempotent, and safe to run in many places at once."""
 
 from collections.abc import Collection, Iterable, Sequence, Set
 from contextlib import suppress
@@ -18,7 +18,7 @@ log = structlog.get_logger()
 
 
 class Reconciler:
-    """Looks at what is unfinished; call `look` every second or two.
+    """Checks unfinished work; call `look` every second or two.
 
     lease: how long a silent worker keeps its job.
     """
@@ -30,14 +30,14 @@ class Reconciler:
         self._missing: Set[Dispatch] = frozenset()
 
     def look(self) -> int:
-        """How much was set right. Raises RecordsUnavailable.
+        """Returns the number of repairs. Raises RecordsUnavailable.
 
-        What was committed and not handed over is handed over. A held job whose lease has run out is taken
-        back from its worker. What waits and the queue has forgotten is handed over again.
+        Hands over dispatches that were committed but not handed over. Takes held jobs whose lease has run
+        out back from their workers. Hands over again what waits and the queue has forgotten.
         """
         self._store.beat(self._lease)
         taken = [job for job in self._store.expired() if self._take_back(job)]
-        # In this order: whatever was told before the second look is known at it.
+        # In this order: the queue already knows a dispatch that another process hands over in between.
         late = self._store.undispatched()
         known = self._queue.known()
         heard = {dispatch for dispatch in late if _is_known(dispatch, known, self._queue)}
@@ -54,17 +54,17 @@ class Reconciler:
         try:
             taken = given_back(job, Reason.WORKER_LOST, message, self._store.now())
             self._store.take_back(taken)
-        except (StaleJob, JobNotFound):  # It has spoken, or somebody else was faster.
+        except (StaleJob, JobNotFound):  # The worker has renewed its lease, or another reconciler was faster.
             return False
         log.warning("job_taken_back", job_id=job.id, worker=worker, status=taken.status)
-        with suppress(RecordsUnavailable):  # Its message has nobody else who would remove it.
+        with suppress(RecordsUnavailable):  # Nobody else would remove its message.
             self._queue.remove(job.id, len(job.attempts))
         if taken.status == JobStatus.QUEUED:
             self._hand_over([Dispatch("attempt", taken.id, taken.next_attempt)])
         return True
 
     def _forgotten(self, known: Collection[tuple[str, int]]) -> Sequence[Dispatch]:
-        """What waits, and the queue did not know at two looks: a worker may be just taking it at one."""
+        """What waits but was not in the queue at two reads: during one, a worker may be taking it."""
         waiting = frozenset(
             dispatch for dispatch in self._store.waiting() if not _is_known(dispatch, known, self._queue)
         )
@@ -73,7 +73,7 @@ class Reconciler:
         return sorted(forgotten, key=lambda dispatch: dispatch.subject)
 
     def _hand_over(self, dispatches: Iterable[Dispatch]) -> list[Dispatch]:
-        """Those that the queue has heard of; after one that it did not hear there is no use in the next."""
+        """The dispatches that the queue has received; stops at the first failure: others would fail, too."""
         heard: list[Dispatch] = []
         for dispatch in dispatches:
             try:

@@ -1,7 +1,7 @@
-"""A copy of each record beside its objects, for the day on which the database is lost.
+"""A copy of each record beside its objects, in case the database is lost.
 
-The reconciler makes it, a moment after each change. `gaitway recover` reads it, to adopt what a restored
-database does not know; and the sweep of orphans, to leave that alone. Nothing else does.
+The reconciler writes it shortly after each change. `gaitway recover` reads it to adopt what a restored
+database does not know, and the sweep of orphans reads it to leave that alone. Nothing else reads it.
 """
 
 import json
@@ -18,11 +18,11 @@ _AT_ONCE = 50
 
 
 def copy_records(*, store: JobStore, objects: ObjectStore) -> int:
-    """Copy those that have changed; how many were looked at.
+    """Copy the records that have changed; returns how many were checked.
 
-    A record that cannot be read keeps the copy that it has; so does one that is older than its copy: the
-    database was restored, and `gaitway recover` has not been here yet. Raises RecordsUnavailable,
-    StorageUnavailable; what is left is copied the next time.
+    An unreadable record keeps its present copy. So does one that is older than its copy: the database was
+    restored, and `gaitway recover` has not run yet. Raises RecordsUnavailable, StorageUnavailable; the rest
+    is copied the next time.
     """
     changed = store.uncopied(limit=_AT_ONCE)
     for job in changed:
@@ -47,7 +47,7 @@ def _is_behind(job: Job, objects: ObjectStore) -> bool:
 
 
 def read_copy(job_id: str, objects: ObjectStore) -> Job | None:
-    """The job as it was when it was copied last; None where there is no copy.
+    """The job as it was when it was last copied; None where there is no copy.
 
     Raises JobUnreadable, StorageUnavailable.
     """

@@ -1,5 +1,5 @@
-"""What a client may ask for: a union discriminated by `kind`. What validates here has the right shape;
-whether it goes together is `core.jobs.checks`' business."""
+"""The specification of a job: a union discriminated by `kind`. Validation here checks only its shape;
+`core.jobs.checks` checks whether its parts fit together."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
@@ -30,7 +30,7 @@ def _without_null(value: str) -> str:
     return value
 
 
-# What jobs can be found by.
+# Text by which jobs can be found.
 Text = Annotated[str, Field(max_length=200), AfterValidator(_without_null)]
 LabelName = Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[A-Za-z0-9_.-]+$")]
 Priority = Literal["high", "normal", "low"]
@@ -48,7 +48,7 @@ PixelCount = Annotated[int, Field(ge=16, le=3840), AfterValidator(_even)]
 
 
 class EnvironmentSpec(Strict):
-    """Which body in which world; options are the environment's own."""
+    """An environment by its id, with the environment's own options."""
 
     id: str = Field(min_length=1, max_length=100, examples=["ant"])
     options: dict[str, JsonValue] = {}
@@ -64,7 +64,7 @@ EnvironmentChoice = Annotated[
 
 
 class CheckpointsSpec(Strict):
-    """How often the whole state of a run is kept, and how many of them."""
+    """How often a run's whole state is saved, and how many checkpoints are kept."""
 
     every_steps: int | None = Field(
         default=None,
@@ -76,10 +76,10 @@ class CheckpointsSpec(Strict):
         default=600.0,
         ge=1,
         le=30 * 86_400,
-        description="Seconds of training after which one is made whatever the steps: the most that a lost "
-        "worker can cost.",
+        description="Seconds of training after which a checkpoint is made regardless of the steps: a lost "
+        "worker costs at most this much.",
     )
-    keep: int = Field(default=5, ge=1, le=1000, description="How many of the newest are kept.")
+    keep: int = Field(default=5, ge=1, le=1000, description="How many of the newest checkpoints are kept.")
 
 
 class VideoSpec(Strict):
@@ -92,20 +92,20 @@ class VideoSpec(Strict):
         default=None,
         min_length=1,
         max_length=16,
-        description="Several cameras, side by side from the left, in place of `camera`.",
+        description="Several cameras, side by side from the left, instead of `camera`.",
     )
-    width: PixelCount = Field(default=640, description="Of each camera's picture, in pixels.")
-    height: PixelCount = Field(default=480, description="In pixels.")
+    width: PixelCount = Field(default=640, description="Width of each camera's picture, in pixels.")
+    height: PixelCount = Field(default=480, description="Height in pixels.")
     fps: int = Field(default=30, ge=1, le=120)
     seconds: float = Field(default=10.0, gt=0, le=600)
     every_checkpoint: bool = Field(
-        default=False, description="One video for each checkpoint, besides the last one."
+        default=False, description="Make a video for each checkpoint, besides the final one."
     )
 
     @model_validator(mode="after")
     def _one_way_to_say_it(self) -> Self:
         if self.cameras is not None and "camera" in self.model_fields_set:
-            raise ValueError("`camera` and `cameras` say the same in two ways; give one of them")
+            raise ValueError("`camera` and `cameras` exclude each other; give one of them")
         return self
 
     @property
@@ -115,20 +115,20 @@ class VideoSpec(Strict):
 
 
 class ResourcesSpec(Strict):
-    """What the job needs of a worker."""
+    """What the job needs from a worker."""
 
     accelerator: Accelerator = "any"
     gpus: int = Field(
         default=1,
         ge=1,
         le=64,
-        description="How many GPUs of one host share a training; more than one make `any` mean `gpu`. "
-        "num_envs and batch_size must be multiples of it.",
+        description="How many GPUs of one host share a training; with more than one, `any` means "
+        "`gpu`. num_envs and batch_size must be multiples of this number.",
     )
 
     @property
     def kind(self) -> Accelerator:
-        """What sort of worker that is."""
+        """The kind of worker that the job needs."""
         return "gpu" if self.gpus > 1 else self.accelerator
 
 
@@ -140,25 +140,26 @@ class ResumePoint(Strict):
 
 
 class WandbSpec(Strict):
-    """A run at Weights & Biases: the configuration, every metric, the videos. The key is the worker's."""
+    """A Weights & Biases run: the configuration, all metrics and the videos. The worker has the API key."""
 
     project: str = Field(min_length=1, max_length=128, pattern=r"^[^/\\#?%:]+$", examples=["vnl"])
     entity: str | None = Field(
         default=None,
         max_length=128,
         pattern=r"^[A-Za-z0-9_-]+$",
-        description="Team or user; by default the key's own.",
+        description="Team or user; by default that of the key.",
     )
     name: str | None = Field(
-        default=None, min_length=1, max_length=128, description="By default the job's name, or else its id."
+        default=None, min_length=1, max_length=128, description="By default the job's name, otherwise its id."
     )
     mode: Literal["online", "offline"] = Field(
-        default="online", description="offline: nothing is sent; the run is an artifact for `wandb sync`."
+        default="online",
+        description="offline: nothing is sent; the run becomes an artifact for `wandb sync`.",
     )
 
 
 class TrackingSpec(Strict):
-    """Where else the run is shown, besides the service itself."""
+    """Where the run is tracked, besides the service itself."""
 
     wandb: WandbSpec | None = None
 
@@ -170,8 +171,8 @@ class _Common(Strict):
     physics: PhysicsChoice = "auto"
     randomization: Randomizations = Field(
         default=[],
-        description="What differs between worlds, in training, evaluations and videos alike; applied one "
-        "after the other.",
+        description="What differs between the parallel environments, in training, evaluations and videos "
+        "alike; the rules apply in order.",
     )
     seed: Seed = 0
     video: VideoSpec = VideoSpec()
@@ -185,7 +186,7 @@ class _Common(Strict):
 
 @dataclass(frozen=True)
 class Source:
-    """A checkpoint of another job that a job needs; step None: its newest. pointer: where the job says so."""
+    """A checkpoint of another job; step None: its newest. pointer: its place in the document."""
 
     job: str
     step: int | None
@@ -223,7 +224,7 @@ class RandomPolicy(Strict):
 
 
 class ZeroPolicy(Strict):
-    """No action at all."""
+    """Each action component 0."""
 
     kind: Literal["zero"] = "zero"
 
@@ -241,12 +242,12 @@ PolicyChoice = Annotated[
 
 
 class RolloutSpec(_Common):
-    """Let a policy act; keep the trajectory, a summary and a video."""
+    """Run a policy; keep the trajectory, a summary and a video."""
 
     kind: Literal["rollout"] = "rollout"
     policy: PolicyChoice
     num_steps: int = Field(
-        default=1000, ge=1, le=100_000, description="Steps of the environment in an episode, at most."
+        default=1000, ge=1, le=100_000, description="The most environment steps in an episode."
     )
     num_episodes: int = Field(default=1, ge=1, le=1000)
     deterministic: bool = True
@@ -265,7 +266,7 @@ def _as_sent(spec: TrainSpec | RolloutSpec) -> dict[str, Any]:
     return {"kind": spec.kind, **spec.model_dump(mode="json", exclude_unset=True)}
 
 
-# A specification inside a stored document. What the client did not say stays unsaid: tuned defaults are
-# laid under it where the job runs.
+# A specification inside a stored document. Fields that the client did not send stay unset: tuned defaults
+# fill them where the job runs.
 SentSpec = Annotated[JobSpec, PlainSerializer(_as_sent, return_type=dict[str, Any])]
 JOB_SPEC: TypeAdapter[TrainSpec | RolloutSpec] = TypeAdapter(JobSpec)

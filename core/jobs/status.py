@@ -1,4 +1,4 @@
-"""A job's life as a table."""
+"""A job's lifecycle as a table."""
 
 from enum import StrEnum
 
@@ -31,7 +31,7 @@ NEXT: dict[JobStatus, frozenset[JobStatus]] = {
     JobStatus.RUNNING: frozenset(
         {JobStatus.CANCELLING, JobStatus.SUCCEEDED, JobStatus.FAILED, JobStatus.QUEUED}
     ),
-    # A cancelled job may have come to its end, or to grief, before the word reached it.
+    # A job may have succeeded or failed before the cancel reached it.
     JobStatus.CANCELLING: frozenset({JobStatus.CANCELLED, JobStatus.SUCCEEDED, JobStatus.FAILED}),
     JobStatus.SUCCEEDED: frozenset(),
     JobStatus.FAILED: frozenset(),
@@ -61,9 +61,9 @@ class Reason(StrEnum):
     TRAINING_CRASHED = "training_crashed"
 
 
-# The ends of an attempt that another may follow, and that count against a job's `max_attempts`. A drained
-# worker is nobody's fault, nor is a bad card; a full disk, or a store that stays away, may be this machine's
-# alone.
+# Reasons after which another attempt may follow, and which count against a job's `max_attempts`. A drained
+# worker or a bad card does not count, because it is nobody's fault. A full disk, or a store that stays
+# unavailable, may be a problem of this machine only.
 LOSSES = frozenset(
     {
         Reason.WORKER_LOST,
@@ -74,7 +74,7 @@ LOSSES = frozenset(
         Reason.STORAGE_UNAVAILABLE,
     }
 )
-# What may be the fault of a machine or a card, but is the job's own when it comes so often.
+# Reasons that may be the fault of a machine or a card, but count as the job's own after this many attempts.
 MOST: dict[Reason, int] = {Reason.OUT_OF_HOST_MEMORY: 2, Reason.DEVICE_FAILED: 3}
-# A training that says so of itself may do better elsewhere.
+# A training that reports one of these may succeed elsewhere.
 RETRIED = LOSSES | MOST.keys()

@@ -1,4 +1,4 @@
-"""The seam to the record: jobs, their feeds, their leases, what is to be dispatched, and the workers."""
+"""The interface of the record: jobs, their feeds, leases and dispatches, and the workers."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ ENTRY_ID = f"[0-9]{{0,{_LONGEST_ID}}}"
 
 
 class Entry(Stored):
-    """Something that happened to a job, in the order it happened.
+    """Something that happened to a job; entries are in the order in which it happened.
 
     kind: `status`, `progress`, `metrics`, `artifact`, `phase`, `note` in `events`; `line` in `logs`.
     id is given by the store: 1, 2, 3, … within a channel, as text.
@@ -44,11 +44,11 @@ def entry_number(entry_id: str) -> int:
 
 
 class WorkerInfo(Stored):
-    """What a worker says of itself at every heartbeat.
+    """A worker, as it reports itself at every heartbeat.
 
     state: `ready` for jobs, or with one; while its device is `testing` or has failed a test, it takes none.
-    problem: what was seen of the device. memory_bytes: of each of its devices, where that is known.
-    packages: which of `core.jobs.needs.EXTRAS` it has; None where a worker of an older version did not say.
+    problem: what was wrong with the device. memory_bytes: of each of its devices, where that is known.
+    packages: the optional packages that it has; null if a worker of an older version did not report them.
     """
 
     name: str
@@ -66,7 +66,7 @@ class WorkerInfo(Stored):
 
 
 class JobQuery(Stored):
-    """Which jobs a listing is about; None means any. labels: every one must match."""
+    """The filters of a listing; None matches any job. labels: every one must match."""
 
     status: JobStatus | None = None
     kind: JobKind | None = None
@@ -93,7 +93,7 @@ class Page:
 
 @dataclass(frozen=True)
 class Chunk:
-    """A finished part of a feed, in the object store: entries `first` to `last`, one JSON document a line."""
+    """A finished part of a feed, in the object store: entries `first` to `last`, each a line of JSON."""
 
     channel: Channel
     first: int
@@ -105,9 +105,9 @@ class Chunk:
 
 @dataclass(frozen=True)
 class FeedPart:
-    """What a feed holds behind a position: the chunks that reach beyond it, then the entries after them.
+    """A feed after a position: the chunks that reach beyond it, then the entries after them.
 
-    status: the job's at that moment. is_end: whether there was no more at that moment.
+    status: the job's when this was read. is_end: whether there was nothing more then.
     """
 
     chunks: Sequence[Chunk]
@@ -118,7 +118,7 @@ class FeedPart:
 
 @dataclass(frozen=True)
 class Dispatch:
-    """What RQ has to be told. task: `attempt` or `model`; subject: the job's or the model's id."""
+    """Something to hand over to RQ. task: `attempt` or `model`; subject: the job's or the model's id."""
 
     task: Literal["attempt", "model"]
     subject: str
@@ -127,7 +127,7 @@ class Dispatch:
 
 @dataclass(frozen=True)
 class Mark:
-    """How far a job has come; unequal marks mean news."""
+    """How far a job has come; a different mark means a change."""
 
     version: int
     num_events: int
@@ -138,30 +138,30 @@ class JobStore(ModelStore, Protocol):
     """The record. Every method raises RecordsUnavailable when the store cannot be reached.
 
     Each write is one transaction. `save` is a compare-and-set on the version; `renew` and `record` carry an
-    attempt's token, and raise LeaseLost when another attempt (or none) holds the job. Leases run by the
+    attempt's token, and raise LeaseLost when another attempt (or none) holds the job. Leases use the
     store's own clock. A write whose answer was lost may be sent again: the second one changes nothing.
     """
 
     def now(self) -> datetime:
-        """The store's clock in UTC, as far as it is known: a step of it shows within a second."""
+        """The store's clock in UTC; a change of that clock shows here within a second."""
         ...
 
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
         """Store a new job and its dispatch, and return it; or, for a key seen before with the same
         fingerprint, the job stored then. Raises IdempotencyKeyReused for another fingerprint, JobExists for
-        an id already there. Keys are remembered for 24 hours."""
+        an id that exists. Keys are remembered for 24 hours."""
         ...
 
     def remembered(self, idempotency: Idempotency) -> Job | None:
-        """The job an earlier submission with this key made. Raises IdempotencyKeyReused."""
+        """The job that an earlier submission with this key created, if any. Raises IdempotencyKeyReused."""
         ...
 
     def find(self, job_id: str) -> Job | UnreadableJob:
-        """With its latest progress. Raises JobNotFound."""
+        """The job with its latest progress. Raises JobNotFound."""
         ...
 
     def get(self, job_id: str) -> Job:
-        """As `find` does. Raises JobNotFound, JobUnreadable."""
+        """Like `find`, for a readable record. Raises JobNotFound, JobUnreadable."""
         ...
 
     def save(self, job: Job, *, lease: timedelta | None = None) -> None:
@@ -169,8 +169,8 @@ class JobStore(ModelStore, Protocol):
 
         Raises StaleJob unless the stored version is the one before, JobNotFound where there is none.
         The progress in `job` is not stored: `record` does that. A change of status appends a `status`
-        entry ({"status", "reason", "message", "attempt"}) to the events; a job that becomes queued is to be
-        dispatched. A job that no attempt holds has no lease.
+        entry ({"status", "reason", "message", "attempt"}) to the events; a job that becomes queued gets a
+        dispatch. A job that no attempt holds has no lease.
         """
         ...
 
@@ -191,14 +191,14 @@ class JobStore(ModelStore, Protocol):
         ...
 
     def expired(self) -> Iterable[Job]:
-        """Every held job whose lease has run out, oldest first; none while `beat` waits, or where the last
-        beat is half a lease ago."""
+        """Every held job whose lease has run out, oldest first; none during the wait that `beat` describes,
+        or if the last beat was half a lease ago."""
         ...
 
     def beat(self, lease: timedelta) -> None:
-        """Say that leases are being watched. After a silence of half a lease (the store was away, its clock
-        was set, or nobody watched), `expired` and `take_back` find nothing for a whole lease: attempts get
-        that time to renew theirs."""
+        """Record that leases are being watched. After a gap of half a lease (the store was unavailable, its
+        clock was set, or nobody watched), `expired` and `take_back` find nothing for a whole lease: attempts
+        get that time to renew theirs."""
         ...
 
     def waiting(self) -> Sequence[Dispatch]:
@@ -207,18 +207,18 @@ class JobStore(ModelStore, Protocol):
         ...
 
     def undispatched(self) -> Sequence[Dispatch]:
-        """What was committed, may begin, and RQ was not told yet; oldest first."""
+        """Dispatches that were committed, may begin, and were not handed over to RQ yet; oldest first."""
         ...
 
     def dispatched(self, dispatches: Sequence[Dispatch]) -> None:
-        """RQ has been told of these."""
+        """Record that RQ has received these."""
         ...
 
     def renew(self, job_id: str, token: str, lease: timedelta) -> JobStatus:
-        """Prolong the lease of the attempt that holds the job; its present status. Raises LeaseLost."""
+        """Extend the lease of the attempt that holds the job; returns the job's status. Raises LeaseLost."""
         ...
 
-    def record(  # Whose, what, and the identity of the write.
+    def record(
         self,
         job_id: str,
         token: str,
@@ -230,18 +230,18 @@ class JobStore(ModelStore, Protocol):
     ) -> None:
         """Append to a feed, and replace the progress where given; all or nothing. Raises LeaseLost.
 
-        write_id: sent again with the same one, right after it, the write changes nothing.
+        write_id: a write that is repeated with the same one, right after the first, changes nothing.
         """
         ...
 
     def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
-        """What comes later than entry number `after`, as it is at one moment: up to `limit` entries, and no
-        more than a few chunks. Raises JobNotFound."""
+        """The feed after entry number `after`, as of one moment: up to `limit` entries, and no more than a
+        few chunks. Raises JobNotFound."""
         ...
 
     def long_feeds(self, *, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
-        """The feeds whose entries are due to become a chunk: those of ended jobs; and those with more bytes,
-        or an entry that is older."""
+        """The feeds whose entries are due to become a chunk: those of ended jobs; and those with more than
+        `max_bytes`, or an entry older than `max_age`."""
         ...
 
     def oldest_entries(self, job_id: str, channel: Channel, *, limit: int) -> Sequence[Entry]:
@@ -249,21 +249,21 @@ class JobStore(ModelStore, Protocol):
         ...
 
     def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
-        """Name the chunk and drop the entries that it holds; nothing where that was done already, or the job
-        has been deleted."""
+        """Record the chunk and drop the entries that it holds; does nothing if that was done already, or the
+        job was deleted."""
         ...
 
     def marks(self, job_ids: Collection[str]) -> Mapping[str, Mark]:
-        """How far these jobs have come; those that are not there are left out."""
+        """The marks of these jobs; unknown jobs are left out."""
         ...
 
     def uncopied(self, *, limit: int) -> Sequence[Job | UnreadableJob]:
-        """Jobs that have begun, and whose copy in the object store is not of their present version; oldest
+        """Jobs that have begun, and whose copy in the object store is missing or of another version; oldest
         first."""
         ...
 
     def copied(self, job_id: str, version: int) -> bool:
-        """The copy is of this version now; whether the job is still there."""
+        """Record that the copy is of this version; returns whether the job still exists."""
         ...
 
     def users_of(self, model_id: str) -> Sequence[str]:
@@ -283,27 +283,27 @@ class JobStore(ModelStore, Protocol):
         ...
 
     def restore(self, job: Job, *, replaces: int | None, note: str, chunks: Sequence[Chunk] = ()) -> None:
-        """Put a job that was found elsewhere into the record, with its chunks, and say so in its events.
+        """Put a recovered job into the record, with its chunks, and append `note` to its events.
 
-        replaces: the version that it takes the place of; None where there is none. The lease stays with the
-        attempt that holds it. Raises StaleJob, JobNotFound; JobExists where there was to be none.
+        replaces: the version that it replaces; None for a job that the record does not have. The lease stays
+        with the attempt that holds it. Raises StaleJob, JobNotFound; JobExists if the record has the job.
         """
         ...
 
     def replace_chunk(self, job_id: str, lost: Chunk, found: Chunk) -> None:
-        """Name another object for the same entries; nothing where that was done already."""
+        """Replace the object of the same entries; does nothing if that was done already."""
         ...
 
     def announce(self, worker: WorkerInfo, ttl: timedelta) -> None: ...
 
     def withdraw(self, name: str) -> None:
-        """A worker has gone."""
+        """Forget a worker that has gone."""
         ...
 
     def workers(self) -> Sequence[WorkerInfo]: ...
 
     def tidy(self) -> None:
-        """Forget idempotency keys and workers whose time is over."""
+        """Forget expired idempotency keys and workers."""
         ...
 
     def ping(self) -> None:

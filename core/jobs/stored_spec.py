@@ -1,4 +1,4 @@
-"""A specification as it was stored, perhaps by another version, read leniently."""
+"""Reads a stored specification leniently: another version may have written it."""
 
 import json
 from typing import Any, cast
@@ -28,8 +28,8 @@ def read_spec(text: str) -> JobSpec:
 def _drop(document: Any, location: tuple[int | str, ...]) -> bool:
     """Remove the field at this location; whether it was there.
 
-    pydantic puts the kind of a union's member before the fields of it, and other words of its own: these
-    lead nowhere and are passed over.
+    pydantic puts the kind of a union's member before the member's fields, and adds other words of its own:
+    these are not in the document and are skipped.
     """
     place, is_entered = document, True
     for step in location[:-1]:

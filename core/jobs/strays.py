@@ -1,4 +1,4 @@
-"""Messages that the queue keeps, and nobody waits for."""
+"""Removes messages that the queue keeps although nobody waits for them."""
 
 from collections.abc import Set
 
@@ -6,14 +6,14 @@ from core.jobs.queue import JobQueue
 
 
 class Strays:
-    """Drops what was a stray at two looks: at one, a worker may be just taking it."""
+    """Drops what was a stray at two reads of the queue: during one, a worker may just be taking it."""
 
     def __init__(self, queue: JobQueue) -> None:
         self._queue = queue
         self._seen: Set[str] = frozenset()
 
     def look(self) -> int:
-        """How many were dropped. Raises RecordsUnavailable."""
+        """Returns how many were dropped. Raises RecordsUnavailable."""
         found = self._queue.strays()
         dropped = found & self._seen
         if dropped:

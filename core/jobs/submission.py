@@ -22,10 +22,10 @@ def submit(
     idempotency: Idempotency | None = None,
     acknowledge: Callable[[Dispatch], None] = lambda dispatch: None,
 ) -> Job:
-    """The queued job; or the one an earlier submission under the same key made.
+    """Store and queue a job; or return the one that an earlier submission with the same key created.
 
-    The job and its dispatch are one transaction: from the answer on, no loss of Redis loses the job.
-    acknowledge: called with the dispatch once the queue has heard of it; the reconciler finds out by itself.
+    The job and its dispatch are stored in one transaction: after that, a loss of Redis cannot lose the job.
+    acknowledge: called with the dispatch once the queue has received it; without, the reconciler finds out.
     Raises Rejected, IdempotencyKeyReused, RecordsUnavailable.
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
@@ -40,9 +40,9 @@ def submit(
 
 
 def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job | None = None) -> bool:
-    """Tell the workers' queue; whether it heard. If it is away or fails, the reconciler tells it later.
+    """Put the dispatch into the workers' queue; returns whether that worked. If not, the reconciler retries.
 
-    job: what the dispatch is of, for whoever has just stored it.
+    job: the job of the dispatch, if the caller has it.
     """
     try:
         if dispatch.task == "model":

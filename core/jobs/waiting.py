@@ -1,4 +1,4 @@
-"""Which of the workers that are there can serve a queued job, and what it lacks where none can."""
+"""Which of the present workers can run a queued job, and what the job lacks if none can."""
 
 from collections.abc import Collection, Mapping, Sequence
 
@@ -12,20 +12,20 @@ from core.jobs.store import WorkerInfo
 
 
 def what_it_waits_for(job: Job, workers: Sequence[WorkerInfo]) -> str | None:
-    """A sentence where no worker that is there could serve the job; None where one could, or it runs.
+    """A sentence if no present worker could run the job; None if one could, or the job is not queued.
 
-    A worker that does not say what it has may have all that it takes.
+    A worker that does not report its packages or memory may have enough.
     """
     if job.status != JobStatus.QUEUED:
         return None
     fitting = _fitting(job, workers)
     if not fitting:
         here = sorted({worker.device for worker in workers})
-        there = f"the workers here have {', '.join(here)}" if here else "no worker is there at all"
-        return f"No worker with {_needed(job, job.spec.resources.gpus)} is there: {there}."
+        there = f"the workers here have {', '.join(here)}" if here else "no worker is running"
+        return f"No worker has {_needed(job, job.spec.resources.gpus)}: {there}."
     able = _with_device(fitting)
     if not able:
-        return "The device of each worker that fits was set aside: " + " ".join(
+        return "The device of each suitable worker was set aside: " + " ".join(
             f"{worker.name}: {worker.problem}" for worker in fitting
         )
     packages, memory = packages_for(job), memory_for(job.spec)
@@ -38,10 +38,10 @@ def what_it_waits_for(job: Job, workers: Sequence[WorkerInfo]) -> str | None:
 
 
 def why_left_to_others(job: Job, has: Collection[str], workers: Sequence[WorkerInfo]) -> str | None:
-    """A sentence where this worker lacks a package that a queued job needs, and another one here lacks none.
+    """A sentence if this worker lacks a package that a queued job needs, and another worker lacks none.
 
-    None where it lacks nothing, or no other worker says that it has all of them: the attempt then fails, and
-    names the extra. has: this worker's packages. Memory is not compared.
+    None if it lacks nothing, or if no other worker reports all of them: the attempt then fails, and names the
+    extra. has: this worker's packages. Memory is not compared.
     """
     packages = packages_for(job)
     missing = _missing(has, packages)
@@ -65,7 +65,7 @@ def _with_device(workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
 def _needed(job: Job, gpus: int) -> str:
     if gpus > 1:
         return f"exactly {gpus} GPUs"
-    return {"gpu": "a GPU to itself", "cpu": "a CPU", "any": "one GPU or a CPU"}[job.accelerator]
+    return {"gpu": "exactly one GPU", "cpu": "a CPU", "any": "one GPU or a CPU"}[job.accelerator]
 
 
 def _missing(has: Collection[str] | None, packages: Mapping[str, str]) -> list[str]:
@@ -76,7 +76,7 @@ def _no_package(workers: Sequence[WorkerInfo], packages: Mapping[str, str]) -> s
     """About the worker that lacks the fewest packages."""
     missing = min((_missing(worker.packages, packages) for worker in workers), key=len)
     what = _named(missing, packages)
-    return f"No worker here that fits can run {what}: install it there, or ask for another."
+    return f"No suitable worker can run {what}: install it there, or choose another."
 
 
 def _named(missing: Sequence[str], packages: Mapping[str, str]) -> str:

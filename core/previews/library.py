@@ -1,4 +1,4 @@
-"""The stills that there are: kept for whoever asks next, and no more of them than there is room for."""
+"""Stored stills, kept for later requests up to a total size."""
 
 import hashlib
 from collections.abc import Sequence
@@ -13,22 +13,22 @@ from core.rendering.request import RenderFailure
 from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
 
-# Whoever may ask may fill the queue, and previews go before jobs.
+# Any client could fill the queue, and previews come before jobs.
 _MOST_WAITING = 16
 _MOST_BYTES = 2**28
 
 
 def find(request: PreviewRequest, objects: ObjectStore) -> Preview | None:
-    """What was drawn for an equal request, the newest; None where nothing is kept."""
+    """The newest preview for an equal request; None where none is kept."""
     found = [info.key for info in objects.list(keys.preview(request.subject, request.id))]
     for key in reversed([key for key in found if key.endswith(keys.PREVIEW_RECORD)]):
-        with suppress(ObjectNotFound):  # Somebody made room.
+        with suppress(ObjectNotFound):  # Removed meanwhile, to make room.
             return Preview.model_validate_json(objects.get(key))
     return None
 
 
 def ask(request: PreviewRequest, queue: PreviewQueue) -> None:
-    """Have it drawn, unless it waits already. Raises TooManyPreviews."""
+    """Queue the request, unless it waits already. Raises TooManyPreviews."""
     if queue.contains_preview(request.id):
         return
     if (waiting := queue.num_previews()) >= _MOST_WAITING:
@@ -37,7 +37,7 @@ def ask(request: PreviewRequest, queue: PreviewQueue) -> None:
 
 
 def keep(request: PreviewRequest, pictures: Sequence[bytes], objects: ObjectStore, now: datetime) -> None:
-    """Store the PNGs, one for each of the request's cameras; the record, which makes them exist, last."""
+    """Store the PNGs, one for each of the request's cameras. The record comes last: it makes them visible."""
     folder = keys.preview_of(request.subject, request.id, now)
     stills: list[Still] = []
     for number, (camera, body) in enumerate(zip(request.cameras, pictures, strict=True)):
@@ -52,17 +52,17 @@ def keep(request: PreviewRequest, pictures: Sequence[bytes], objects: ObjectStor
 def keep_failure(
     request: PreviewRequest, failure: RenderFailure, objects: ObjectStore, now: datetime
 ) -> None:
-    """Store why there are no stills, for whoever waits for them."""
+    """Store why there are no stills, for the requests that wait for them."""
     _record(Preview(failure=failure), keys.preview_of(request.subject, request.id, now), objects)
 
 
 def forget(request: PreviewRequest, objects: ObjectStore) -> None:
-    """Remove what is kept for this request, so that it is drawn anew."""
+    """Remove what is kept for this request, so that it is rendered again."""
     objects.delete_prefix(keys.preview(request.subject, request.id))
 
 
 def keep_within(max_bytes: int, objects: ObjectStore) -> None:
-    """Remove the oldest previews until the rest has no more than so many bytes."""
+    """Remove the oldest previews until the rest has no more than `max_bytes`."""
     found = list(objects.list(keys.previews()))
     excess = sum(info.size for info in found) - max_bytes
     whole = [(folder, sum(info.size for info in files)) for folder, files in groupby(found, _folder)]

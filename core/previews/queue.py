@@ -1,4 +1,4 @@
-"""The seam to whatever brings requests for stills to workers."""
+"""The interface of the queue that brings requests for stills to workers."""
 
 from typing import Protocol
 
@@ -9,11 +9,11 @@ class PreviewQueue(Protocol):
     """At-least-once; every method raises RecordsUnavailable when the queue cannot be reached."""
 
     def enqueue_preview(self, request: PreviewRequest) -> None:
-        """Let any worker draw the stills, before all jobs. Twice is the same as once."""
+        """Let any worker render the stills, before all jobs. Doing so twice changes nothing."""
         ...
 
     def contains_preview(self, preview_id: str) -> bool:
-        """Whether it waits, or a worker is at it."""
+        """Whether it waits, or a worker is rendering it."""
         ...
 
     def num_previews(self) -> int:

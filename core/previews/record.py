@@ -1,4 +1,4 @@
-"""What stills are asked for, and those that a worker drew."""
+"""A request for stills, and the stills that a worker rendered."""
 
 import hashlib
 import json
@@ -9,12 +9,12 @@ from pydantic import JsonValue
 from core.documents import Stored
 from core.rendering.request import RenderFailure
 
-# To be raised with every change of how a scene looks, so that nobody is shown the former one.
+# Raise it with every change of how a scene looks, so that no outdated still is shown.
 _LOOK = 2
 
 
 class PreviewRequest(Stored):
-    """A body as an episode begins, from these cameras. Everything that a still depends on.
+    """An environment as an episode begins, seen by these cameras: everything that a still depends on.
 
     options: all of them, defaults filled in. model: the id of the user's own model that they name.
     width, height: pixels.
@@ -35,12 +35,12 @@ class PreviewRequest(Stored):
 
     @property
     def subject(self) -> str:
-        """Whose stills they are: a user's model, or an environment."""
+        """What the stills show: a user's model, or an environment."""
         return self.model or self.environment
 
 
 class Still(Stored):
-    """A PNG as seen by a camera. key: in the object store; size: bytes."""
+    """A PNG from one camera. key: in the object store; size: bytes."""
 
     camera: str | int
     key: str

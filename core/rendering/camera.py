@@ -1,27 +1,27 @@
-"""Which cameras a request means. The API asks here too, so nothing numerical is imported."""
+"""The cameras that a request means. The API uses this too, so nothing numerical is imported."""
 
 from collections.abc import Sequence
 
 from core.errors import Problem, Rejected
 
 TRACK = "track"
-# What is between two pictures side by side; even, as widths are.
+# The gap between two pictures side by side; even, as widths are.
 GAP_PIXELS = 4
-# What players of H.264 may be counted on to take.
+# The widest H.264 that players can be expected to accept.
 WIDEST_PIXELS = 3840
 
 
 def camera_choices(cameras: Sequence[str]) -> list[str | int]:
-    """`track`, and each of the model's as a job names it; by number where a name would not reach it."""
+    """`track` and the model's cameras, by name, or by number where the name would not reach it."""
     return [TRACK, *(name if name and name != TRACK else number for number, name in enumerate(cameras))]
 
 
 def check_cameras(
     asked: Sequence[str | int], cameras: Sequence[str], pointer: str = "/video/cameras"
 ) -> None:
-    """Raises Rejected unless each is `track` or one of a model's, by name or number, and none comes twice.
+    """Raises Rejected unless each is `track` or a camera of the model, by name or number, and none repeats.
 
-    pointer: where they stand in the job; the number of the one at fault is added to it.
+    pointer: the field of the job that lists them; the index of the wrong one is appended.
     """
     seen: dict[int | None, str | int] = {}
     for place, camera in enumerate(asked):
@@ -29,13 +29,13 @@ def check_cameras(
         number = model_camera(camera, cameras, at)
         if number in seen:
             same = "" if seen[number] == camera else f" as {seen[number]!r}"
-            detail = f"The camera {camera!r} is there before{same}; each is shown once."
+            detail = f"The camera {camera!r} is already listed{same}; each is shown once."
             raise Rejected(detail, [Problem(at, detail)])
         seen[number] = camera
 
 
 def check_width(width: int, num_cameras: int) -> None:
-    """Raises Rejected where pictures of this width, side by side, make too wide a video."""
+    """Raises Rejected if pictures of this width, side by side, make the video too wide."""
     whole = width_of(width, num_cameras)
     if whole > WIDEST_PIXELS:
         fits = (WIDEST_PIXELS + GAP_PIXELS) // num_cameras - GAP_PIXELS
@@ -47,16 +47,16 @@ def check_width(width: int, num_cameras: int) -> None:
 
 
 def width_of(width: int, num_cameras: int) -> int:
-    """Pixels of a video of so many cameras, each `width` wide."""
+    """The video's width in pixels for `num_cameras` pictures, each `width` wide."""
     return num_cameras * width + (num_cameras - 1) * GAP_PIXELS
 
 
 def model_camera(camera: str | int, cameras: Sequence[str], pointer: str = "/video/camera") -> int | None:
-    """The number of the model's camera that is meant; None for `track`, which follows the body.
+    """The number of the model's camera that `camera` means; None for `track`, which follows the body.
 
-    cameras: the model's camera names in their order, empty for those without one. `track` always
+    cameras: the model's camera names in their order, empty for a camera without one. `track` always
     means this project's own camera; a model's camera of that name is reached by its number.
-    Raises Rejected, naming those there are.
+    Raises Rejected, naming the known cameras.
     """
     if camera == TRACK:
         return None

@@ -13,12 +13,12 @@ from core.rendering.scene import following_view
 from core.rendering.side_by_side import SideBySide
 from core.rendering.timeline import Motion, shots, smoothed
 
-# Long enough that steps do not shake the camera, short enough that it keeps up.
+# Long enough that steps do not shake the camera, and short enough for it to keep up.
 _CAMERA_SPREAD_S = 0.4
 
 
 def load_model(path: Path) -> mujoco.MjModel:
-    """A model from its compiled form (.mjb) or its XML. Raises ValueError where it is neither."""
+    """A model from its compiled form (.mjb) or its XML. Raises ValueError if it is neither."""
     if path.suffix == ".mjb":
         return mujoco.MjModel.from_binary_path(str(path))
     return mujoco.MjModel.from_xml_path(str(path))
@@ -32,7 +32,7 @@ def camera_names(model: mujoco.MjModel) -> list[str]:
 def draw(
     request: RenderRequest, model: mujoco.MjModel, motions: Sequence[Motion], *, gl_backend: str
 ) -> RenderResult:
-    """Write the video and the poster that are asked for. Raises Rejected for unknown or repeated cameras.
+    """Write the requested video and poster. Raises Rejected for unknown or repeated cameras.
 
     Frames go to the encoder one by one: memory does not grow with the video's length.
     """

@@ -1,6 +1,6 @@
-"""A checkered floor below bodies that hang or stand in the air: without one nothing says how they move.
+"""A checkered floor below bodies that hang or stand in the air: without one, their motion is hard to see.
 
-Only drawn. A body that could fall gets none, because its floor would have to hold it.
+The floor is only drawn. A body that could fall gets none, because its floor would have to hold it.
 """
 
 from itertools import product
@@ -18,16 +18,16 @@ _EVERYWHERE = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
 def floor_below(model: mujoco.MjModel, root: int, centre: Floats, radius: float) -> float | None:
-    """How high a floor is to be drawn, in metres: out of reach; None where there is one, or it may fall."""
+    """The height in metres of a floor out of the body's reach; None if there is one, or the body may fall."""
     if np.isin(model.geom_type, _EVERYWHERE).any() or _may_fall(model, root):
         return None
     return float(centre[2]) - 1.05 * radius
 
 
 def lay(scene: Any, height: float, around: Floats, radius: float) -> None:
-    """Add a floor to what is drawn: as far as one sees, with tiles near the point `around`."""
+    """Add a floor to the scene, up to the horizon, with tiles near the point `around`."""
     side = 0.6 * radius
-    # Whole pairs of tiles: the pattern stays in its place while the point moves.
+    # Moves by whole pairs of tiles, so that the pattern stays in place.
     x, y = (2 * side * np.floor(around[:2] / (2 * side))).tolist()
     between = tuple((dark + light) / 2 for dark, light in zip(DARK, LIGHT, strict=True))
     _plane(scene, (x, y, height), _FAR * radius, between)
@@ -37,7 +37,7 @@ def lay(scene: Any, height: float, around: Floats, radius: float) -> None:
 
 
 def _may_fall(model: mujoco.MjModel, root: int) -> bool:
-    """Whether a joint of the tree's lets it fall or climb."""
+    """Whether a joint of the kinematic tree lets the body fall or climb."""
     joints = np.flatnonzero(model.body_rootid[model.jnt_bodyid] == root)
     kinds, axes = model.jnt_type[joints], model.jnt_axis[joints]
     lifted = (kinds == mujoco.mjtJoint.mjJNT_SLIDE) & (np.abs(axes[:, 2]) > 0.01)

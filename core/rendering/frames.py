@@ -11,15 +11,15 @@ from core.rendering import floor
 from core.rendering.gl import context_works
 from core.rendering.scene import TARGET_BODY, Floats, View, prepare, quality_of
 
-# A colour behind models that bring no sky.
+# The colour behind models without a sky.
 _BACKDROP = np.array([0.62, 0.74, 0.87, 1.0], dtype=np.float32)
 
 
 class MujocoRenderer:
     """Draws one model; holds a GL context until `close`.
 
-    camera: a camera of the model by its number, or None for the one that follows the body.
-    The model is changed (light, colours, buffer sizes): hand in a copy of your own.
+    camera: the number of a camera of the model, or None for the one that follows the body.
+    The model is changed (light, colours, buffer sizes): pass a copy.
     """
 
     def __init__(
@@ -27,7 +27,7 @@ class MujocoRenderer:
     ) -> None:
         self._gl_renderer = context_works()
         prepare(model, view, quality_of(self._gl_renderer), width=width, height=height)
-        if camera is not None:  # the model's own may see farther than `track` does
+        if camera is not None:  # A camera of the model may see farther than `track`.
             model.vis.map.shadowclip *= 3
         self._model = model
         self._data = mujoco.MjData(model)
@@ -39,7 +39,7 @@ class MujocoRenderer:
 
     @property
     def gl_renderer(self) -> str:
-        """What the GL driver calls itself; `llvmpipe` means software."""
+        """The name that the GL driver reports; `llvmpipe` means software."""
         return self._gl_renderer
 
     def frame(
@@ -59,7 +59,7 @@ class MujocoRenderer:
         scene = self._renderer.scene
         for light in range(scene.nlight):
             if scene.lights[light].type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
-                # Its shadows are drawn about its position only, and the body walks away from there.
+                # Shadows are drawn only around the light's position, which the body walks away from.
                 direction = np.array(scene.lights[light].dir)
                 scene.lights[light].pos[:] = target - 12 * self._view.radius * direction
         if self._view.floor is not None:
@@ -69,7 +69,7 @@ class MujocoRenderer:
         return self._renderer.render()
 
     def path(self, qpos: Floats) -> Floats:
-        """Where the body is [N, 3] in each of the positions [N, nq]."""
+        """Where the body is [N, 3] at each of the positions [N, nq]."""
         points = np.empty((len(qpos), 3))
         for row, positions in enumerate(qpos):
             self._place(positions)
@@ -93,7 +93,7 @@ class MujocoRenderer:
         self.close()
 
     def _put_target(self, target: Floats) -> None:
-        """An episode's target is its world's own, and the model has another one."""
+        """Move the model's target to where it was in the episode's environment."""
         number = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, TARGET_BODY)
         if number > 0 and self._model.body_parentid[number] == 0:
             self._model.body_pos[number, : len(target)] = target

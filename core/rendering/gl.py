@@ -1,6 +1,6 @@
-"""Which OpenGL back-end draws here. Each is tried in a process of its own: a failed one spoils its process.
+"""Finds an OpenGL back-end that draws. Each is tried in its own process: a failed one spoils its process.
 
-`python -m core.rendering.gl` prints what the back-end in MUJOCO_GL calls itself.
+`python -m core.rendering.gl` prints the name that the back-end in MUJOCO_GL reports.
 """
 
 import os
@@ -15,7 +15,7 @@ from core.errors import GaitwayError
 
 REMEDY = "install Debian's packages libegl1, libgl1-mesa-dri and libopengl0 (software rendering needs no GPU)"
 _TRIAL_TIMEOUT_S = 60.0
-# How a process ends that a broken driver takes along.
+# The signals that end a process when its driver crashes.
 DRIVER_CRASHES = (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL)
 
 
@@ -32,23 +32,23 @@ class RenderingFailed(GaitwayError):
 
 @dataclass(frozen=True)
 class Backend:
-    """A way to OpenGL: its name, and what a process that uses it has in its environment."""
+    """A way to OpenGL: its name, and the environment variables of a process that uses it."""
 
     name: str
     environ: Mapping[str, str]
 
 
 def no_gl(reasons: Mapping[str, str]) -> RenderingFailed:
-    """What to say when no back-end works; reasons: by back-end."""
+    """The error when no back-end works. reasons: why, by back-end."""
     tried = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
     return RenderingFailed("no_gl", f"No OpenGL back-end can draw here ({tried}). Remedy: {REMEDY}.")
 
 
 def backends(environ: Mapping[str, str], platform: str = sys.platform) -> list[Backend]:
-    """What to try, best first; only the one in MUJOCO_GL where somebody has chosen.
+    """The back-ends to try, best first; only the one in MUJOCO_GL if that is set.
 
-    A job that may see one GPU draws on that one where EGL numbers them likewise, or else wherever
-    EGL chooses.
+    A job that may see one GPU draws on that one if EGL numbers GPUs the same way, and otherwise on the one
+    that EGL chooses.
     """
     chosen = environ.get("MUJOCO_GL", "").lower()
     if chosen:
@@ -91,16 +91,16 @@ def last_line(text: str) -> str:
 
 
 def context_works() -> str:
-    """What the driver of a fresh GL context calls itself; `llvmpipe` means software.
+    """The name that the driver of a fresh GL context reports; `llvmpipe` means software.
 
-    Whatever the back-end in MUJOCO_GL raises, this raises; after that the process cannot try another.
+    Raises whatever the back-end in MUJOCO_GL raises; after that the process cannot try another.
     """
     import mujoco
 
     context = mujoco.GLContext(64, 64)
     try:
         context.make_current()
-        from OpenGL import GL  # it picks its platform when imported, by MUJOCO_GL
+        from OpenGL import GL  # Its import picks the platform from MUJOCO_GL.
 
         name: Any = GL.glGetString(GL.GL_RENDERER)  # pyright: ignore[reportUnknownVariableType, reportUnknownMemberType]
     finally:

@@ -1,4 +1,4 @@
-"""A few words on a picture, in the font that MuJoCo brings."""
+"""A few words on a picture, in MuJoCo's font."""
 
 from dataclasses import dataclass
 
@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-# Where the words are, in pixels from the upper left corner; and what is dark around them.
+# Pixels from the upper left corner to the words, and of the dark margin around them.
 _OFFSET, _MARGIN = 8, 6
-# What the background keeps of its light, for white words to be read on a white sky, too.
+# The share of its brightness that the background keeps, so that white words are legible on a white sky.
 _SHADE = 0.45
 _LINE_PIXELS = 64
 _EMPTY = "<mujoco><visual><global offwidth='{width}' offheight='{height}'/></visual></mujoco>"
@@ -21,14 +21,14 @@ class Label:
     ink: NDArray[np.float32]
 
     def write_on(self, picture: NDArray[np.uint8]) -> None:
-        """Into RGB [height, width, 3], in its upper left corner; what does not fit is cut off."""
+        """Write into the upper left corner of RGB [height, width, 3]; what does not fit is cut off."""
         place = picture[_OFFSET : _OFFSET + self.ink.shape[0], _OFFSET : _OFFSET + self.ink.shape[1]]
         ink = self.ink[: place.shape[0], : place.shape[1], None]
         place[:] = np.round(place * _SHADE * (1 - ink) + 255 * ink)
 
 
 def label(text: str, *, width: int, height: int) -> Label:
-    """Words for a picture of this size, drawn in a GL context of their own: MUJOCO_GL must be set."""
+    """Words for a picture of this size, drawn in a separate GL context: MUJOCO_GL must be set."""
     model = mujoco.MjModel.from_xml_string(_EMPTY.format(width=width, height=_LINE_PIXELS))
     scale = mujoco.mjtFontScale.mjFONTSCALE_150 if height >= 360 else mujoco.mjtFontScale.mjFONTSCALE_100
     gl = mujoco.GLContext(width, _LINE_PIXELS)

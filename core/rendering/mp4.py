@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 CODEC = "h264"
-# One thread makes the bytes depend on the frames alone; `veryfast` is quicker than a software GL draws.
+# With one thread, the bytes depend only on the frames; `veryfast` encodes faster than a software GL draws.
 _OPTIONS = {"preset": "veryfast", "crf": "21", "threads": "1"}
 
 
 class Mp4Writer:
-    """A video that appears under its name when it is whole, or not at all.
+    """A video that appears under its name once it is complete, or not at all.
 
     width, height: pixels, both even (yuv420p halves the colour's resolution). One key frame a second.
     """
@@ -56,7 +56,7 @@ class Mp4Writer:
 
 
 def write_png(path: Path, frame: NDArray[np.uint8]) -> None:
-    """Store RGB [height, width, 3] as a PNG, whole or not at all."""
+    """Store RGB [height, width, 3] as a PNG, complete or not at all."""
     height, width, _ = frame.shape
     encoder = av.VideoCodecContext.create("png", "w")
     encoder.width, encoder.height = width, height
@@ -69,5 +69,5 @@ def write_png(path: Path, frame: NDArray[np.uint8]) -> None:
 
 
 def partial(path: Path) -> Path:
-    """Where a file grows before it gets its name: beside it, so that the renaming is atomic."""
+    """The file to write before the rename: in the same folder, so that the rename is atomic."""
     return path.with_name(f".{path.name}.{os.getpid()}.part")

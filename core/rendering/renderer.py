@@ -1,4 +1,4 @@
-"""The seam to whatever draws pictures of a model."""
+"""The seam to a renderer of a model."""
 
 from typing import Protocol
 
@@ -11,7 +11,7 @@ class Renderer(Protocol):
 
     @property
     def gl_renderer(self) -> str:
-        """What the GL driver calls itself; `llvmpipe` means software."""
+        """The name that the GL driver reports; `llvmpipe` means software."""
         ...
 
     def frame(self, qpos: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""What the render process is asked for, and what it answers; both travel as JSON."""
+"""A request to the render process, and its answer; both travel as JSON."""
 
 from pathlib import Path
 from typing import Literal
@@ -13,8 +13,8 @@ class RenderRequest(Stored):
 
     trajectory: a file of `core.environments.trajectory`. model: the compiled model (.mjb) or its XML.
     tracked_body: number of the body that the camera `track` follows. cameras: side by side, from the left.
-    width, height: of each camera's picture, even pixels.
-    seconds: the video is no longer than this. poster: a PNG of a moment in the middle.
+    width, height: pixels of each camera's picture, both even. seconds: the longest that the video may be.
+    poster: a PNG of the frame in the middle.
     """
 
     trajectory: Path
@@ -32,7 +32,7 @@ class RenderRequest(Stored):
 class RenderResult(Stored):
     """Facts about a video, for its artifact's metadata.
 
-    width, height: pixels of the whole. wall_s: seconds the drawing took.
+    width, height: pixels of the whole video. wall_s: how long the drawing took.
     """
 
     gl_backend: str

@@ -1,6 +1,6 @@
-"""How a model is shown: where the following camera stands, light, colours of a plain stage.
+"""How a model is shown: the place of the following camera, the light, the colours of a plain stage.
 
-Everything here changes a model that is only drawn; the one that is stepped is another copy.
+Everything here changes a model that is only drawn; physics steps another copy.
 """
 
 from dataclasses import dataclass
@@ -13,26 +13,26 @@ from core.rendering import floor
 
 Floats = NDArray[np.float64]
 
-# Who has an episode's target for a body in the model gives it this name.
+# The name of the body that marks an episode's target in a model.
 TARGET_BODY = "target"
-# Names that software drivers give themselves: Mesa's, Chromium's.
+# Names that the software drivers of Mesa and Chromium report.
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader")
 _FLOOR_COLOURS = (floor.DARK, floor.LIGHT)
-# Seen through, so that what has reached it is seen, too. Its size: a share of the body's own.
+# Translucent, so that a body that has reached it is still seen. Its size is a share of the body's.
 _TARGET_COLOUR, _TARGET_SHARE = (0.86, 0.24, 0.18, 0.7), 0.07
 _SKY_COLOURS = ((0.80, 0.88, 0.96), (0.36, 0.54, 0.78))
 
 
 @dataclass(frozen=True)
 class Quality:
-    """What a picture may cost. samples: of each pixel, for smooth edges; shadow_pixels: of the map's side."""
+    """What a picture may cost. samples: per pixel, for smooth edges; shadow_pixels: the shadow map's side."""
 
     samples: int
     shadow_pixels: int
 
 
 def quality_of(gl_renderer: str) -> Quality:
-    """All that a GPU does in passing; in software, where smooth edges double the time, what 30 fps allow."""
+    """The best quality on a GPU; in software, where smooth edges double the time, what 30 fps allow."""
     in_software = any(name in gl_renderer.lower() for name in _SOFTWARE)
     return Quality(samples=0, shadow_pixels=1536) if in_software else Quality(samples=4, shadow_pixels=4096)
 
@@ -41,8 +41,8 @@ def quality_of(gl_renderer: str) -> Quality:
 class View:
     """Where the camera `track` stands. azimuth, elevation: degrees; distance, radius: metres.
 
-    body: what it follows, or None where the body cannot leave its place; then it looks at `centre`.
-    floor: the height of a floor that is drawn where the model has none, in metres.
+    body: the body that it follows; None if the body cannot leave its place, and the camera looks at `centre`.
+    floor: height in metres of a floor that is drawn because the model has none; None to draw none.
     """
 
     azimuth: float
@@ -55,10 +55,10 @@ class View:
 
 
 def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> View:
-    """A view of the body's whole kinematic tree, as it stands in `qpos` [nq].
+    """A view of the body's whole kinematic tree at the positions `qpos` [nq].
 
-    One that turns freely is seen from behind its right side, one in a vertical plane from its side, and one
-    that turns about vertical axes only from above.
+    A body that turns freely is seen from behind its right side, one in a vertical plane from its side, and
+    one that turns only about vertical axes from above.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -66,7 +66,7 @@ def following_view(model: mujoco.MjModel, qpos: Floats, body: int) -> View:
     mujoco.mj_comPos(model, data)
     root = int(model.body_rootid[body])
     travels = _travels(model, root)
-    # What is bolted down swings about its base.
+    # A body that is bolted down swings about its base.
     centre = np.array(data.subtree_com[root] if travels else data.xpos[root])
     radius = _radius(model, data, root, centre)
     azimuth, elevation = _angles(model, root)
@@ -80,8 +80,8 @@ def prepare(model: mujoco.MjModel, view: View, quality: Quality, *, width: int, 
     model.vis.global_.offheight = height
     model.vis.quality.offsamples = quality.samples
     model.vis.quality.shadowsize = quality.shadow_pixels
-    # The shadow map covers the body's surroundings, not the whole floor: few pixels, sharp edges. Much
-    # narrower, and the floor in the foreground shadows itself in specks.
+    # The shadow map covers the body's surroundings, not the whole floor: few pixels, sharp edges. If it were
+    # much narrower, the floor in the foreground would shadow itself in specks.
     model.vis.map.shadowclip = 5.0 * view.radius / model.stat.extent
     _light(model)
     _recolour(model)
@@ -115,10 +115,10 @@ def _radius(model: mujoco.MjModel, data: mujoco.MjData, root: int, centre: Float
 
 def _light(model: mujoco.MjModel) -> None:
     """A light straight overhead flattens everything: make it a low sun, and let the head light fill in."""
-    model.mat_reflectance[:] = 0.0  # a mirror costs a second pass and hides the checker
+    model.mat_reflectance[:] = 0.0  # A mirror costs a second pass and hides the checker.
     overhead = model.light_dir[:, 2] < -0.999
     direction = np.array([0.35, 0.35, -1.0]) / np.linalg.norm([0.35, 0.35, -1.0])
-    model.light_dir[overhead] = model.light_dir0[overhead] = direction  # the latter where it tracks a body
+    model.light_dir[overhead] = model.light_dir0[overhead] = direction  # dir0: if it tracks a body
     model.light_type[overhead] = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     model.vis.headlight.ambient[:] = 0.35
     model.vis.headlight.diffuse[:] = 0.35
@@ -126,7 +126,7 @@ def _light(model: mujoco.MjModel) -> None:
 
 
 def _recolour(model: mujoco.MjModel) -> None:
-    """Blue-grey squares and a sky, where the model has the stock grey or black ones; others stay."""
+    """Recolour a stock grey floor and a black sky in blue-grey; other textures stay."""
     for texture in range(model.ntex):
         pixels = _pixels(model, texture)
         flat = pixels.reshape(-1, pixels.shape[-1])
@@ -142,7 +142,7 @@ def _recolour(model: mujoco.MjModel) -> None:
 
 
 def _mark_target(model: mujoco.MjModel, radius: float) -> None:
-    """Colour a target that looks like a part of what shall reach it, and draw it large enough to be seen."""
+    """Colour a target that looks like a part of the body, and draw it large enough to be seen."""
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TARGET_BODY)
     plain = (model.geom_matid < 0) & (model.geom_rgba[:, 3] > 0)
     own = plain & (model.geom_bodyid == body)
@@ -171,7 +171,7 @@ def _remap(flat: NDArray[np.uint8], dark: tuple[float, ...], light: tuple[float,
 
 
 def _undim(model: mujoco.MjModel, texture: int) -> None:
-    """Geoms and materials with this texture show it in its own colours, without gloss."""
+    """Show the texture in its own colours, without gloss, on all geoms and materials that have it."""
     materials = np.flatnonzero((model.mat_texid == texture).any(axis=1))
     model.mat_rgba[materials, :3] = 1.0
     model.mat_specular[materials] = 0.1

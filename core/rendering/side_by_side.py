@@ -1,4 +1,4 @@
-"""Several cameras in one picture: their pictures from the left, a gap between them, each with its name."""
+"""Several cameras in one picture: their pictures from the left, with gaps and names."""
 
 import copy
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ _GAP_COLOUR = (24, 26, 30)
 
 
 class SideBySide:
-    """Draws one model from several cameras; one of them alone has neither gap nor name.
+    """Draws one model from several cameras; a single camera has neither gap nor name.
 
-    cameras: numbers of the model's cameras, None for the one that follows the body. names: what is written
-    on their pictures. width, height: pixels of each picture. Holds GL contexts until it is left.
+    cameras: numbers of the model's cameras, None for the one that follows the body. names: the text on
+    their pictures. width, height: pixels of each picture. Holds GL contexts until its `with` block ends.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class SideBySide:
     ) -> None:
         self._width, self._height = width, height
         with ExitStack() as opened:
-            # Each changes its model, and its shadows reach as far as its camera sees.
+            # Each renderer changes its model, and its shadows reach as far as its camera sees.
             self._renderers = [
                 opened.enter_context(
                     MujocoRenderer(copy.deepcopy(model), view, camera=camera, width=width, height=height)
@@ -49,11 +49,11 @@ class SideBySide:
 
     @property
     def gl_renderer(self) -> str:
-        """What the GL driver calls itself; `llvmpipe` means software."""
+        """The name that the GL driver reports; `llvmpipe` means software."""
         return self._renderers[0].gl_renderer
 
     def path(self, qpos: Floats) -> Floats:
-        """Where the body is [N, 3] in each of the positions [N, nq]."""
+        """Where the body is [N, 3] at each of the positions [N, nq]."""
         return self._renderers[0].path(qpos)
 
     def frame(self, qpos: Floats, look_at: Floats, target: Floats | None) -> NDArray[np.uint8]:

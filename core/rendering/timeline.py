@@ -1,4 +1,4 @@
-"""From the states of control steps to the positions in each frame of a video in real time."""
+"""Turns the states of control steps into positions for each frame of a video in real time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,15 +25,15 @@ class Motion:
 
 @dataclass(frozen=True)
 class Shot:
-    """The frames of one episode: positions [N, nq], a target [N, 2 or 3] if any. Between two shots the
-    picture cuts."""
+    """The frames of one episode: positions [N, nq], a target [N, 2 or 3] if any. The picture cuts between
+    two shots."""
 
     qpos: Floats
     target: Floats | None = None
 
 
 def shots(model: mujoco.MjModel, motions: Sequence[Motion], *, fps: int, seconds: float) -> Iterator[Shot]:
-    """The episodes one after the other, sampled `fps` times a second, cut off after `seconds`.
+    """The episodes one after another, sampled `fps` times a second, cut off after `seconds`.
 
     Frame i shows the moment i / fps, so the video plays in real time. There is at least one frame.
     Within an episode positions are interpolated; across a boundary they are not.
@@ -50,7 +50,7 @@ def shots(model: mujoco.MjModel, motions: Sequence[Motion], *, fps: int, seconds
 
 
 def _held(motion: Motion, moments: Floats) -> Floats | None:
-    """The target [N, 2 or 3] at `moments` [N]: where it was last put."""
+    """The target [N, 2 or 3] at `moments` [N], held from the step before."""
     if motion.target is None:
         return None
     return motion.target[np.searchsorted(motion.time, moments + 1e-9, side="right") - 1]
@@ -73,9 +73,9 @@ def interpolate(model: mujoco.MjModel, motion: Motion, moments: Floats) -> Float
 
 
 def smoothed(path: Floats, *, fps: int, spread_s: float) -> Floats:
-    """The path [N, 3] under a Gaussian window of `spread_s` standard deviations; it lags nowhere.
+    """The path [N, 3] under a Gaussian window of `spread_s` s standard deviation, without lag.
 
-    The path is continued beyond its ends by its point reflection, so that a steady walk stays steady.
+    The path is extended at both ends by point reflection, so that a steady walk stays steady.
     """
     spread = spread_s * fps
     reach = min(int(3 * spread), len(path) - 1)

@@ -4,14 +4,14 @@ jobs/<id>/attempts/<n>/<hash>/<name>           an attempt's files, by the hash o
 jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from entry <first> on
 jobs/<id>/record.json                          a copy of the record, for `gaitway recover`
 models/<hash>/source                           a user's own model, as it was sent
-previews/<whose>/<hash>/<when>/about.json      the stills that were drawn, written last; or why not
-previews/<whose>/<hash>/<when>/still-<n>.png   the stills; all of it may be lost
-caches/<machine>/<environment>/<when>/<name>   what machines of a kind compiled for it; all of it may be lost
+previews/<whose>/<hash>/<when>/about.json      which stills were drawn, or why none; written last
+previews/<whose>/<hash>/<when>/still-<n>.png   the stills; previews may be lost without harm
+caches/<machine>/<environment>/<when>/<name>   programs compiled on this kind of machine; may be lost too
 """
 
 from datetime import datetime
 
-# Sorts before the stills: what is deleted in the order of names is not seen by half.
+# Sorts before the stills: a deletion in the order of names removes it first, so nobody sees half a preview.
 PREVIEW_RECORD = "about.json"
 
 
@@ -33,12 +33,12 @@ def record(job_id: str) -> str:
 
 
 def version_01_spec(job_id: str) -> str:
-    """What version 0.1 wrote before it answered a submission."""
+    """The key that version 0.1 wrote before it answered a submission."""
     return f"jobs/{job_id}/spec.json"
 
 
 def is_description(key: str) -> bool:
-    """Whether it tells of a job or a model, and is no file of theirs; version 0.1 wrote the last two."""
+    """Whether it describes a job or a model and is none of its files; version 0.1 wrote the last two."""
     return key.rpartition("/")[2] in ("record.json", "spec.json", "manifest.json")
 
 
@@ -81,7 +81,7 @@ def preview_of(subject: str, preview_id: str, when: datetime) -> str:
 
 
 def when_drawn(folder: str) -> str:
-    """Of a folder that `preview_of` named; sorts by time."""
+    """The time in a folder's name from `preview_of`; sorts by time."""
     return folder.removesuffix("/").rpartition("/")[2]
 
 

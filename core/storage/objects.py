@@ -10,9 +10,9 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class ObjectInfo:
-    """What the store knows of an object without reading it. size: bytes.
+    """What the store knows about an object without reading it. size: bytes.
 
-    modified_at: when it was put, by the store's clock; None where the store does not say.
+    modified_at: when it was put, by the store's clock; None if the store does not say.
     """
 
     key: str
@@ -56,5 +56,5 @@ class ObjectStore(Protocol):
         ...
 
     def delete_prefix(self, prefix: str) -> None:
-        """Remove every object under `prefix`; nothing there is no error."""
+        """Remove every object under `prefix`; it is no error if there is none."""
         ...

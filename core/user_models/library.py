@@ -13,12 +13,12 @@ from core.user_models.record import ModelRecord
 from core.user_models.store import ModelStore
 
 _ID = re.compile(r"sha256:[0-9a-f]{64}")
-# How long whoever was answered 202 may ask why the model was refused.
+# How long a client that was answered 202 may ask why the model was refused.
 _TOLD_FOR = timedelta(days=1)
 
 
 def find(model_id: str, store: ModelStore) -> ModelRecord:
-    """Raises ModelNotFound; also for what cannot be an id, so that it never becomes part of a key."""
+    """The record. Raises ModelNotFound, also for a malformed id, so that it never becomes part of a key."""
     if _ID.fullmatch(model_id) is None:
         raise ModelNotFound(model_id[:80])
     return store.find_model(model_id)
@@ -34,7 +34,7 @@ def add(  # noqa: PLR0913 # What was sent, and where it goes.
     queue: ModelQueue,
     now: datetime,
 ) -> ModelRecord:
-    """The record of this file; unless it is known and good, a worker is to look at it. Nobody has yet."""
+    """The record of this file. Unless it is known and good, the file is stored and queued for validation."""
     model_id = f"sha256:{sha256}"
     try:
         known = find(model_id, store)
@@ -66,10 +66,10 @@ def refused(record: ModelRecord, *, store: ModelStore, objects: ObjectStore) -> 
 
 
 def tidy(*, store: ModelStore, objects: ObjectStore, now: datetime) -> int:
-    """Forget refusals that are older than a day; how many.
+    """Forget refusals that are older than a day; returns how many.
 
-    A record is read just before it is removed, and a model that is sent again in between is not ready so
-    soon: what is lost is at most an upload whose sender still waits, and is told that it is not there.
+    A record is read just before it is removed. If the model is sent again in between, it is lost while its
+    sender still waits for the validation, and the sender is told that it does not exist.
     """
     old = [
         record.id

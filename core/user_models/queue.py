@@ -1,4 +1,4 @@
-"""The seam to whatever brings models to workers, to be looked at."""
+"""The interface of the queue that brings models to workers for validation."""
 
 from typing import Protocol
 
@@ -7,9 +7,9 @@ class ModelQueue(Protocol):
     """At-least-once; both methods raise RecordsUnavailable when the queue cannot be reached."""
 
     def enqueue_model(self, model_id: str) -> None:
-        """Let any worker validate the model, behind all jobs. Twice is the same as once."""
+        """Let any worker validate the model, after all jobs. Doing so twice changes nothing."""
         ...
 
     def contains_model(self, model_id: str) -> bool:
-        """Whether it waits, or a worker is at it."""
+        """Whether it waits, or a worker is validating it."""
         ...

@@ -1,4 +1,4 @@
-"""A model that somebody sent, and what a worker found in it."""
+"""A user's model, and what a worker found in it."""
 
 from datetime import datetime
 from typing import Literal
@@ -11,11 +11,12 @@ ModelStatus = Literal["validating", "ready", "refused"]
 
 
 class Description(Stored):
-    """What is in a model, and what it does when it is let go.
+    """The contents of a model, and how it moves without actions.
 
-    engines: null for one that can run it, otherwise what keeps it from that; one that was not tried is not
-    in it. complete: whether none will be any more. physics_steps_per_second: C MuJoCo's, on one core, while
-    nothing acts. settled_height: the root's in metres after up to 2 s of that. notes: for people.
+    engines: null for an engine that can run it, otherwise the reason why it cannot; engines that were not
+    tried are left out. complete: whether no more engines will be tried. physics_steps_per_second: of C MuJoCo
+    on one core, without actions. settled_height: the root's, in metres, after up to 2 s of that. notes: for
+    people.
     """
 
     inventory: Inventory
@@ -27,7 +28,7 @@ class Description(Stored):
 
 
 class ModelRecord(Stored):
-    """id: `sha256:` and the hash of the file. message, refused_at: why and when it was. size: bytes."""
+    """id: `sha256:` and the file's hash. message, refused_at: why and when it was refused. size: bytes."""
 
     id: str
     status: ModelStatus
@@ -40,5 +41,5 @@ class ModelRecord(Stored):
 
     @property
     def is_settled(self) -> bool:
-        """Whether nothing more will be found out."""
+        """Whether its validation is complete."""
         return self.status == "refused" or (self.description is not None and self.description.complete)

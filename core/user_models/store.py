@@ -1,4 +1,4 @@
-"""The seam to the records of users' own models."""
+"""The interface of the records of users' own models."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -14,26 +14,25 @@ class ModelStore(Protocol):
         ...
 
     def add_model(self, record: ModelRecord) -> None:
-        """Store the record in the place of an earlier one; one that waits for its validation is to be
-        dispatched."""
+        """Store the record, in place of an earlier one; one that waits for its validation gets a dispatch."""
         ...
 
     def model_dispatched(self, model_id: str) -> None:
-        """The queue knows that the model waits for its validation."""
+        """Record that the queue has received the model."""
         ...
 
     def settle_model(self, record: ModelRecord) -> None:
-        """Store what was found out. Raises ModelNotFound where the model was deleted meanwhile."""
+        """Store the result of the validation. Raises ModelNotFound where the model was deleted meanwhile."""
         ...
 
     def delete_model(self, model_id: str) -> None:
-        """Forget the record; not there is no error."""
+        """Forget the record; a missing one is no error."""
         ...
 
     def num_waiting_models(self) -> int:
-        """How many are to be looked at."""
+        """How many wait for validation."""
         ...
 
     def models(self) -> Sequence[ModelRecord]:
-        """All there are, by their ids."""
+        """All models, ordered by id."""
         ...

@@ -14,7 +14,7 @@ from gaitway.views import JobView
 _SEARCHED = 1000
 
 JobName = Annotated[
-    str, typer.Argument(metavar="JOB", help="A job's id, an unmistakable beginning or end of one, or `last`.")
+    str, typer.Argument(metavar="JOB", help="A job's id, an unambiguous beginning or end of it, or `last`.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
@@ -40,7 +40,7 @@ def job_id(client: Client, name: str) -> str:
         return fitting[0]
     if not fitting:
         raise wrong_usage(
-            f"Of the newest {_SEARCHED:,} jobs none has an id that begins or ends with {name!r}."
+            f"None of the newest {_SEARCHED:,} jobs has an id that begins or ends with {name!r}."
         )
     raise wrong_usage(f"{name!r} fits {len(fitting)} jobs: {', '.join(fitting[:5])}. Give more of the id.")
 

@@ -16,7 +16,7 @@ _STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red", "skip": "dim"}
 def doctor(
     data: Annotated[Path, typer.Option(help="The service's data folder.")] = Path("gaitway-data"),
     embedded: Annotated[
-        bool, typer.Option("--embedded", help="Start the embedded servers for a moment and check these.")
+        bool, typer.Option("--embedded", help="Start the embedded servers briefly and check them.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:

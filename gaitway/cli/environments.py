@@ -1,4 +1,4 @@
-"""`gaitway environments`: what a job may name."""
+"""`gaitway environments`: lists the environments that a job may name."""
 
 from collections import Counter
 from typing import Annotated
@@ -12,11 +12,11 @@ def environments(
     context: typer.Context,
     family: Annotated[
         str | None,
-        typer.Option(help="`gaitway`, or a package whose environments there are: playground, brax."),
+        typer.Option(help="`gaitway`, or a package with environments: playground, brax."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the bodies and worlds that a job may name; those of other packages by --family."""
+    """List the environments that a job may name; --family lists those of another package."""
     found = client_of(context).environments()
     shown = [one for one in found if one.family == (family or "gaitway")]
     if as_json:
@@ -29,4 +29,4 @@ def environments(
         for name, number in others.items():
             print(f"and {number} of {name}: --family {name}")
     elif not shown:
-        print(f"There are none of {family}.")
+        print(f"There are no environments of {family}.")

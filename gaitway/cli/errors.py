@@ -27,11 +27,11 @@ class Group(TyperGroup):
 
 
 def complain(sentence: str) -> None:
-    """One message on stderr, as it is."""
+    """Print one message on stderr, without markup."""
     Console(stderr=True).print(Text(f"gaitway: {sentence}"), soft_wrap=True)
 
 
 def wrong_usage(sentence: str) -> typer.Exit:
-    """To be raised: says what is wrong with the command line."""
+    """Print what is wrong with the command line; the caller raises the result."""
     complain(sentence)
     return typer.Exit(2)

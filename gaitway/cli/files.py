@@ -1,4 +1,4 @@
-"""`gaitway video`, `download`: a job's files, brought whole."""
+"""`gaitway video`, `download`: fetch a job's files."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,14 +11,16 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColu
 from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
 from gaitway.downloading import OnBytes
 
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="A file or a folder; by default here.")]
+Output = Annotated[
+    Path | None, typer.Option("--output", "-o", help="A file or a folder; by default the current one.")
+]
 
 
 def video(
     context: typer.Context,
     job: JobName,
     output: Output = None,
-    step: Annotated[int | None, typer.Option(help="Of the checkpoint with this step.")] = None,
+    step: Annotated[int | None, typer.Option(help="The video of the checkpoint with this step.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Fetch a job's video as an MP4."""
@@ -35,7 +37,7 @@ def download(
     output: Output = None,
     as_json: AsJson = False,
 ) -> None:
-    """Fetch one of a job's files; a download that broke off goes on where it was."""
+    """Fetch one of a job's files; an interrupted download resumes where it stopped."""
     client = client_of(context)
     full_id = job_id(client, job)
     _told(_with_bar(lambda on_bytes: client.download(full_id, name, output, on_bytes=on_bytes)), as_json)

@@ -1,4 +1,4 @@
-"""`gaitway import`: the way from version 0.1."""
+"""`gaitway import`: imports the data of version 0.1."""
 
 import logging
 from pathlib import Path
@@ -21,13 +21,13 @@ def import_data(
     without_redis: Annotated[
         bool,
         typer.Option(
-            "--without-redis", help="What version 0.1 had in Redis is lost: take the object store's copies."
+            "--without-redis", help="Use the object store's copies: what version 0.1 had in Redis is lost."
         ),
     ] = False,
 ) -> None:
-    """Bring the jobs and models of version 0.1 into the database; what is there already is passed over.
+    """Import the jobs and models of version 0.1 into the database; known ones are skipped.
 
-    Exit code 1 if something could not be read, or the import was cut short: call it again.
+    Exit code 1 if something could not be read, or the import was interrupted: run it again.
     """
     require("service", "psycopg", "redis", "minio")
     import structlog
@@ -42,7 +42,7 @@ def import_data(
     except Misconfigured as error:
         raise wrong_usage(error.detail) from None
     except Unavailable as error:
-        complain(f"{error.detail} Then call `gaitway import` again: it resumes where it ended.")
+        complain(f"{error.detail} Then run `gaitway import` again: it resumes where it stopped.")
         raise typer.Exit(1) from None
     except (ImportRefused, ServerFailed) as error:
         complain(str(error))
@@ -59,7 +59,7 @@ def _from_stores(without_redis: bool) -> bool:
     try:
         settings = read(StoreSettings)
     except Misconfigured as error:
-        sentence = f"{error.detail} For the data of `gaitway up` name their folder: --data DIR."
+        sentence = f"{error.detail} For the data of `gaitway up`, name its folder: --data DIR."
         raise wrong_usage(sentence) from None
     if not without_redis:
         refuse_while_at_work(settings)

@@ -64,7 +64,7 @@ def cancel(context: typer.Context, job: JobName, as_json: AsJson = False) -> Non
 
 
 def delete(context: typer.Context, job: JobName) -> None:
-    """Remove an ended job and its files for good."""
+    """Delete an ended job and its files permanently."""
     client = client_of(context)
     full_id = job_id(client, job)
     client.delete(full_id)
@@ -112,7 +112,7 @@ def _lines(job: JobView) -> list[str]:
     lines += [f"  {name + ':':<10}{value}" for name, value in facts.items() if value]
     lines += [f"  {name} = {value:g}" for name, value in job.progress.metrics.items() if value is not None]
     for attempt in job.attempts:
-        end = f"{attempt.reason}: {attempt.message}" if attempt.reason else "goes on"
+        end = f"{attempt.reason}: {attempt.message}" if attempt.reason else "still running"
         where = ", ".join(part for part in (attempt.worker, attempt.device, attempt.engine) if part)
         lines.append(f"  attempt {attempt.number} on {where}: {end}")
     lines += [f"  {a.name}  {a.size:,} bytes  {a.media_type}" for a in job.artifacts]

@@ -35,7 +35,7 @@ def main(
     context: typer.Context,
     url: Annotated[
         str | None,
-        typer.Option(envvar="GAITWAY_URL", help="Of the service; by default http://127.0.0.1:8000."),
+        typer.Option(envvar="GAITWAY_URL", help="Address of the service; by default http://127.0.0.1:8000."),
     ] = None,
 ) -> None:
     """Send training jobs to a Gaitway service, watch them, and fetch what they made."""

@@ -1,4 +1,4 @@
-"""`gaitway models add`, `list`, `show`, `delete`: bodies of one's own."""
+"""`gaitway models add`, `list`, `show`, `delete`: users' own models."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,7 +27,7 @@ def add(
 
 @models.command("list")
 def list_all(context: typer.Context, as_json: AsJson = False) -> None:
-    """List the models there are."""
+    """List all models."""
     found = list(client_of(context).models())
     if as_json:
         print_json(found)
@@ -46,7 +46,7 @@ def show(context: typer.Context, model: ModelId, as_json: AsJson = False) -> Non
 
 @models.command()
 def delete(context: typer.Context, model: ModelId) -> None:
-    """Remove a model that no unfinished job needs."""
+    """Delete a model that no unfinished job needs."""
     client_of(context).delete_model(model)
     print(f"Model {model} is deleted.")
 
@@ -76,5 +76,5 @@ def _lines(found: dict[str, Any]) -> list[str]:
     ]
     lines += [f"{name}: {why or 'runs it'}" for name, why in found["engines"].items()]
     if not found["complete"]:
-        lines.append("the other engines are being tried: `gaitway models show` says in a moment")
+        lines.append("the other engines are still being tried: run `gaitway models show` in a moment")
     return [*lines, *found["notes"]]

@@ -1,4 +1,4 @@
-"""`gaitway preview`: how a body looks, before anything is trained."""
+"""`gaitway preview`: shows an environment before anything is trained."""
 
 import re
 from pathlib import Path
@@ -13,17 +13,21 @@ from gaitway.cli.submit import assigned
 
 def preview(  # noqa: PLR0913 # A command line's options.
     context: typer.Context,
-    environment: Annotated[str, typer.Argument(help="The body and its world, e.g. ant.")],
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="A folder; by default here.")] = None,
+    environment: Annotated[str, typer.Argument(help="The environment, e.g. ant.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="A folder; by default the current one.")
+    ] = None,
     options: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="OPTION=VALUE", help="Of the environment, e.g. walker=rodent."),
+        typer.Option(
+            "--set", metavar="OPTION=VALUE", help="An option of the environment, e.g. walker=rodent."
+        ),
     ] = None,
-    camera: Annotated[str | None, typer.Option(help="From this one alone; by default from each.")] = None,
+    camera: Annotated[str | None, typer.Option(help="Only this camera; by default all.")] = None,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="In pixels.")] = "640x480",
     as_json: AsJson = False,
 ) -> None:
-    """Draw a body as an episode begins: a PNG from `track` and from each of the model's cameras."""
+    """Render an environment as an episode begins: a PNG from `track` and from each of the model's cameras."""
     pixels = re.fullmatch(r"(\d{1,4})x(\d{1,4})", size)
     if pixels is None:
         raise wrong_usage(f"--size {size}: write it as 640x480.")

@@ -16,9 +16,9 @@ _SPEED = ("eval/forward_speed", "training/forward_speed")
 
 
 class JobProgress:
-    """Feed it events and jobs; it shows steps, steps/s, return, forward speed, elapsed time and ETA.
+    """Shows steps, steps/s, return, forward speed, elapsed time and ETA from events and jobs.
 
-    And episodes, where the algorithm's budget counts these.
+    It also shows episodes, where the algorithm's budget counts these.
     every_s: seconds between two plain lines. Use it as a context manager.
     """
 
@@ -56,13 +56,13 @@ class JobProgress:
             self._bar.stop()
 
     def update(self, news: Event | JobView) -> None:
-        """Take what has happened, and show it."""
+        """Show an event, or the job's new state."""
         is_news = self._take_job(news) if isinstance(news, JobView) else self._take_event(news)
         self._show(is_news=is_news)
 
     @property
     def facts(self) -> str:
-        """The numbers as one line; what is not known yet is left out."""
+        """The numbers as one line; unknown ones are left out."""
         parts = [f"{self.step:,}/{self.total:,} steps"] if self.total else []
         if (episodes := self.metrics.get("training/num_episodes")) is not None:
             done = self.metrics.get("training/episodes", 0.0)

@@ -1,4 +1,4 @@
-"""`gaitway recover`: after a disaster, the record and the bucket are compared and brought together again.
+"""`gaitway recover`: compares the record and the bucket after a disaster, and makes them agree again.
 
 Composition root.
 """
@@ -26,17 +26,18 @@ def recover(
         bool, typer.Option("--adopt", help="Take over what the bucket has and the record does not.")
     ] = False,
     mark: Annotated[
-        bool, typer.Option("--mark", help="Strike from the record what the bucket has lost.")
+        bool, typer.Option("--mark", help="Remove from the record what the bucket has lost.")
     ] = False,
     data: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="The data folder of a `gaitway up` that has ended; without it: the stores GAITWAY_… names.",
+            help="The data folder of a `gaitway up` that has ended; without it, the stores that GAITWAY_… "
+            "name.",
         ),
     ] = None,
 ) -> None:
-    """After a disaster, list what the database and the bucket do not agree on; without flags, change nothing.
+    """After a disaster, list where the database and the bucket disagree; without flags, change nothing.
 
     Exit code 0 if nothing is left to do, 1 if something is.
     """
@@ -53,10 +54,10 @@ def recover(
             left = _recover(settings, wanted)
     except Misconfigured as error:
         raise wrong_usage(
-            f"{error.detail} For the data of `gaitway up` name their folder: --data DIR."
+            f"{error.detail} For the data of `gaitway up`, name its folder: --data DIR."
         ) from None
     except Unavailable as error:
-        complain(f"{error.detail} Then call `gaitway recover` again: what is done already stays done.")
+        complain(f"{error.detail} Then run `gaitway recover` again: what is done already stays done.")
         raise typer.Exit(1) from None
     except ServerFailed as error:
         complain(str(error))
@@ -65,11 +66,11 @@ def recover(
 
 
 def _recover(settings: "StoreSettings", wanted: set[str]) -> int:
-    """How many findings wait to be acted on."""
+    """Returns how many findings are left to act on."""
     from core.adapters.connect import connect_postgres, job_store, object_store
     from core.adapters.postgres import schema
     from core.errors import Conflict, NotFound
-    from core.jobs.recovery import findings
+    from core.jobs.recovery.findings import findings
 
     if wanted:  # A database that was lost altogether is new and empty.
         schema.upgrade(connect_postgres(settings.database_url.get_secret_value(), pool_size=0))
@@ -97,15 +98,15 @@ def _recover(settings: "StoreSettings", wanted: set[str]) -> int:
 def _summary(left: Counter[str]) -> str:
     said = {
         "adopt": "`gaitway recover --adopt` takes over {} of these.",
-        "mark": "`gaitway recover --mark` strikes {} of these from the record; adopt first.",
-        "again": "{} could not be done; call `gaitway recover` again.",
+        "mark": "`gaitway recover --mark` removes {} of these from the record; adopt first.",
+        "again": "{} could not be done; run `gaitway recover` again.",
     }
     return " ".join(said[name].format(left[name]) for name in said if left[name]) or "Nothing is left to do."
 
 
 @contextmanager
 def _settings(data: Path | None) -> "Generator[StoreSettings]":
-    """Where the two stores are. With a data folder, they run as long as this is open."""
+    """The settings of the two stores. With a data folder, the stores run as long as this is open."""
     from core.configuration import read
     from core.settings import StoreSettings
 
@@ -128,7 +129,7 @@ def _settings(data: Path | None) -> "Generator[StoreSettings]":
             server.launch()
         for server in servers:
             server.wait_ready()
-        # Nothing here has a use for Redis.
+        # Nothing here uses Redis.
         variables = {"GAITWAY_REDIS_URL": "unix:///nowhere"}
         for server in servers:
             variables |= server.environment()

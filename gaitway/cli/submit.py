@@ -21,7 +21,7 @@ Assignments = Annotated[
 
 def submit(  # noqa: PLR0913 # A command line's options.
     context: typer.Context,
-    environment: Annotated[str | None, typer.Argument(help="The body and its world, e.g. ant.")] = None,
+    environment: Annotated[str | None, typer.Argument(help="The environment, e.g. ant.")] = None,
     file: Annotated[str | None, typer.Option("--file", "-f", help="JSON of a job; `-` reads stdin.")] = None,
     num_timesteps: Annotated[int | None, typer.Option(help="Environment steps to train for.")] = None,
     seed: Annotated[int | None, typer.Option()] = None,
@@ -64,7 +64,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
 
 
 def assigned(spec: dict[str, Any], text: str) -> None:
-    """Put what `a.b.c=VALUE` says; a value that is JSON is what it means."""
+    """Set a field from `a.b.c=VALUE`; a VALUE that is JSON is read as JSON."""
     path, value = _assignment(text)
     put(spec, path, _value(value))
 
@@ -76,7 +76,7 @@ def _put_given(spec: dict[str, Any], fields: Mapping[str, Any]) -> None:
 
 
 def put(spec: dict[str, Any], path: str, value: Any) -> None:
-    """Set `a.b.c` in nested dicts, making those that are missing. Raises typer.Exit otherwise."""
+    """Set `a.b.c` in nested dicts, creating those that are missing. Raises typer.Exit if one is no dict."""
     *above, last = path.split(".")
     place = spec
     for part in above:
@@ -97,7 +97,7 @@ def _assignment(text: str) -> tuple[str, str]:
 
 
 def _value(text: str) -> Any:
-    """JSON where it is JSON, and the text itself otherwise."""
+    """The parsed value if the text is JSON, otherwise the text itself."""
     try:
         return json.loads(text)
     except ValueError:
@@ -113,5 +113,5 @@ def _read(file: str) -> dict[str, Any]:
     except ValueError as error:
         raise wrong_usage(f"{file} is not JSON: {error}.") from None
     if not isinstance(document, dict):
-        raise wrong_usage(f"{file} holds no JSON object.")
+        raise wrong_usage(f"{file} does not hold a JSON object.")
     return cast("dict[str, Any]", document)

@@ -1,4 +1,4 @@
-"""`gaitway watch` and `gaitway logs`: a job as it goes."""
+"""`gaitway watch` and `gaitway logs`: follow a job."""
 
 from typing import Annotated
 
@@ -13,7 +13,7 @@ from gaitway.views import JobView
 
 
 def watch_job(client: Client, job: JobView, console: Console) -> JobView:
-    """Show the job until it ends; Ctrl-C ends the showing only. Returns the job as it then is."""
+    """Show the job until it ends, and return it as it then is; Ctrl-C ends only the display."""
     console.print(Text(f"Job {job.id}: {job.kind} {job.environment}"), soft_wrap=True)
     try:
         with JobProgress(console) as progress:
@@ -25,7 +25,7 @@ def watch_job(client: Client, job: JobView, console: Console) -> JobView:
             progress.update(job)
     except KeyboardInterrupt:
         again = (
-            f"The job goes on; `gaitway watch {job.id}` shows it again, `gaitway cancel {job.id}` ends it."
+            f"The job continues; `gaitway watch {job.id}` shows it again, `gaitway cancel {job.id}` ends it."
         )
         console.print(Text(again), soft_wrap=True)
         raise typer.Exit(130) from None
@@ -34,7 +34,7 @@ def watch_job(client: Client, job: JobView, console: Console) -> JobView:
 
 
 def tell_what_it_waits_for(client: Client, job: JobView, console: Console) -> None:
-    """One line where no worker that is there could take the job."""
+    """Print one line if no present worker could run the job."""
     if job.status == "queued" and (lacks := client.get(job.id).waiting_for):
         console.print(Text(lacks, style="yellow"), soft_wrap=True)
 
@@ -46,7 +46,7 @@ def ending(job: JobView) -> str:
 
 
 def watch(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
-    """Follow a job live; Ctrl-C stops the watching, not the job. Exit code 1 if the job failed."""
+    """Follow a job live; Ctrl-C stops only the display, not the job. Exit code 1 if the job failed."""
     client = client_of(context)
     found = client.get(job_id(client, job))
     if as_json:
@@ -61,7 +61,7 @@ def watch(context: typer.Context, job: JobName, as_json: AsJson = False) -> None
 def logs(
     context: typer.Context,
     job: JobName,
-    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on until the job ends.")] = False,
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Continue until the job ends.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Print a job's log."""

@@ -11,7 +11,7 @@ State = Literal["pass", "warn", "fail", "skip"]
 
 @dataclass(frozen=True)
 class Check:
-    """state: `skip` where there was nothing to look at. remedy: what to do, unless the detail says it."""
+    """state: `skip` where there was nothing to check. remedy: what to do, unless the detail says it."""
 
     name: str
     state: State
@@ -24,11 +24,11 @@ class Check:
 
 
 class ProbeFailed(Exception):
-    """What a probe printed last, or that it took too long."""
+    """A probe's last line of output, or that it took too long."""
 
 
 def probe(code: str, *, timeout_s: float, environ: Mapping[str, str] | None = None) -> str:
-    """What this code prints in an interpreter of its own, so that whatever hangs or crashes is outside.
+    """The output of this code in an interpreter of its own, so that a hang or crash stays outside.
 
     Raises ProbeFailed.
     """

@@ -1,4 +1,4 @@
-"""Whether a worker of this machine can bind the processes that load a stranger's model."""
+"""Whether a worker of this machine can confine the processes that load a user's model."""
 
 import json
 import os
@@ -23,13 +23,13 @@ print(json.dumps(found))
 """
 _LANDLOCK = (
     "Use Linux 5.13 or newer with Landlock: `landlock` must be in /sys/kernel/security/lsm (the kernel's "
-    "parameter lsm=), and a container's seccomp profile must let its calls through"
+    "parameter lsm=), and a container's seccomp profile must allow its calls"
 )
-_UNCONFINED = "GAITWAY_MODELS=unconfined reads models all the same: for people whom you trust alone."
+_UNCONFINED = "GAITWAY_MODELS=unconfined reads models anyway: only for people whom you trust."
 
 
 def confinement(data: Path) -> Check:
-    """Bind a process as one that reads a model, in the data folder where there is one."""
+    """Confine a process like one that reads a model, in the data folder if there is one."""
     place = data.absolute() if data.is_dir() and os.access(data, os.W_OK) else None
     with tempfile.TemporaryDirectory(prefix="doctor-", dir=place) as folder:
         try:

@@ -1,4 +1,4 @@
-"""What the machine brings: interpreter, JAX, physics, rendering, video, disk, servers."""
+"""Checks of the machine: interpreter, JAX, physics, rendering, video, disk, servers."""
 
 import importlib.util
 import json
@@ -56,7 +56,7 @@ def interpreter() -> Check:
 
 
 def jax_devices() -> Check:
-    """Whether JAX computes, and on what."""
+    """Whether JAX computes, and on which devices."""
     if not _has("jax"):
         return Check("jax", "warn", "JAX is not installed; this machine can be a client only", _WORKER)
     try:
@@ -68,14 +68,14 @@ def jax_devices() -> Check:
     detail = f"JAX {found['version']} on {found['platform']}: {', '.join(found['devices'])}"
     if found["platform"] == "cpu" and has_gpu() and os.environ.get(_DEVICE) != "cpu":
         remedy = f"Install JAX for it: `pip install 'gaitway[worker,cuda]'`; or set {_DEVICE}=cpu."
-        # Where nobody asked for the GPU, workers do without it.
+        # Unless the setting asks for the GPU, workers do without it.
         state = "fail" if os.environ.get(_DEVICE, "").startswith("gpu") else "warn"
         return Check("jax", state, f"{detail}, although there is a GPU", remedy)
     return Check("jax", "pass", detail)
 
 
 def physics() -> Check:
-    """Whether MuJoCo and MJX are those that this version was tested with, and go together."""
+    """Whether MuJoCo and MJX have the same version, the one that Gaitway was tested with."""
     found = {name: _version(name) for name in ("mujoco", "mujoco-mjx")}
     detail = ", ".join(f"{name} {number or 'missing'}" for name, number in found.items())
     pinned = _pins()
@@ -84,30 +84,32 @@ def physics() -> Check:
     if not any(found.values()):
         return Check("physics", "warn", "MuJoCo is not installed; this machine can be a client only", _WORKER)
     if None in found.values() or len(set(found.values())) > 1:
-        return Check("physics", "fail", f"{detail}: they go together only in one version", remedy)
+        return Check("physics", "fail", f"{detail}: both must have the same version", remedy)
     if any(pinned.get(name, number) != number for name, number in found.items()):
         return Check("physics", "warn", f"{detail}; tested with {pinned['mujoco']}", remedy)
     return Check("physics", "pass", detail)
 
 
 def renderer() -> Check:
-    """Which OpenGL draws."""
+    """Which OpenGL renders."""
     if not _has("mujoco"):
         return Check("renderer", "warn", "MuJoCo is not installed; no videos are made here", _WORKER)
     try:
         backend, name = probe(_GL, timeout_s=200).splitlines()[-2:]
     except (ProbeFailed, ValueError) as error:
-        remedy = "Install Debian's packages libegl1 and libgl1-mesa-dri; jobs run without, but make no video."
+        remedy = (
+            "Install Debian's packages libegl1 and libgl1-mesa-dri; jobs run without them, but make no video."
+        )
         return Check("renderer", "fail", str(error), remedy)
     detail = f"{backend}: {name}"
     if has_gpu() and re.search("llvmpipe|softpipe|swrast", name, re.IGNORECASE):
-        remedy = "Give it the driver's graphics libraries (containers: NVIDIA_DRIVER_CAPABILITIES=all)."
-        return Check("renderer", "warn", f"{detail}; it draws in software although there is a GPU", remedy)
+        remedy = "Install the driver's graphics libraries (containers: NVIDIA_DRIVER_CAPABILITIES=all)."
+        return Check("renderer", "warn", f"{detail}; it renders in software although there is a GPU", remedy)
     return Check("renderer", "pass", detail)
 
 
 def encoder() -> Check:
-    """Whether a small H.264 video can be made and read again."""
+    """Whether a small H.264 video can be written and read."""
     if not _has("av"):
         return Check("encoder", "warn", "PyAV is not installed; no videos are made here", _WORKER)
     try:
@@ -122,7 +124,7 @@ def encoder() -> Check:
 
 
 def device(settings: "WorkerSettings | None") -> Check:
-    """Whether what a worker shall run on is there, also where its other settings are missing or wrong."""
+    """Whether a worker's device exists, even if its other settings are missing or wrong."""
     wanted = settings.device if settings is not None else os.environ.get(_DEVICE, "")
     if settings is None and not re.fullmatch(GPUS, wanted):
         return Check("device", "skip", "no settings of a worker")
@@ -133,14 +135,14 @@ def device(settings: "WorkerSettings | None") -> Check:
 
 
 def disk(data: Path) -> Check:
-    """Room where the service keeps its data."""
+    """Free space where the service keeps its data."""
     place = data.absolute()
     while not place.exists():
         place = place.parent
     free_gb = shutil.disk_usage(place).free / 1e9
     detail = f"{free_gb:.1f} GB free at {place}"
     if not os.access(place, os.W_OK):
-        return Check("disk", "fail", f"{place} may not be written to", _OTHER_FOLDER)
+        return Check("disk", "fail", f"{place} is not writable", _OTHER_FOLDER)
     if free_gb < 1:
         return Check("disk", "fail", detail, f"Free at least 1 GB. {_OTHER_FOLDER}")
     if free_gb < 10:
@@ -151,7 +153,7 @@ def disk(data: Path) -> Check:
 
 
 def embedded_servers(*, needed: bool = True) -> Check:
-    """Whether the programs for everything on one machine are there."""
+    """Whether the programs of the embedded servers are installed."""
     if not needed:
         return Check("embedded servers", "skip", "not needed: the settings name other stores")
     found = {
@@ -175,7 +177,7 @@ def _has_postgres() -> bool:
     try:
         from gaitway.embedded.postgres import binary
         from gaitway.embedded.processes import ServerFailed
-    except ImportError:  # The installation is a client's.
+    except ImportError:  # Only the client is installed.
         return False
     try:
         binary("postgres")
@@ -196,6 +198,6 @@ def _version(package: str) -> str | None:
 
 
 def _pins() -> dict[str, str]:
-    """Exact versions that this package's own metadata asks for."""
+    """Exact versions that this package's own metadata requires."""
     found = (re.match(r"([\w.-]+)==([\w.]+)", text) for text in requires("gaitway") or ())
     return {match[1].lower(): match[2] for match in found if match}

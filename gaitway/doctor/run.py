@@ -1,4 +1,4 @@
-"""All checks, one after the other; none keeps another from being made."""
+"""Runs all checks, one after the other, even if some fail."""
 
 import os
 import tempfile
@@ -14,7 +14,7 @@ Checks = Mapping[str, Callable[[], Check]]
 
 
 def examine(data: Path, *, embedded: bool = False) -> Iterator[Check]:
-    """Each check's finding as soon as it is made. embedded: with servers started for this."""
+    """Each check's finding as soon as it is made. embedded: check servers that are started for this."""
     worker = settings.of_a_worker()
     folder = worker.data_dir if worker else data
     yield from _made(
@@ -35,7 +35,7 @@ def examine(data: Path, *, embedded: bool = False) -> Iterator[Check]:
 
 
 def guarded(name: str, check: Callable[[], Check]) -> Check:
-    """The check's finding; that it broke is a finding, too."""
+    """The check's finding; an error in the check is a finding, too."""
     try:
         return check()
     except Exception as error:
@@ -82,7 +82,7 @@ def _embedded() -> Iterator[Check]:
 
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Generator[None]:
-    """With these settings and no others."""
+    """Run with these settings and no others."""
     from core.configuration import SECRETS_DIR, names
 
     before = dict(os.environ)

@@ -1,4 +1,4 @@
-"""What the service leans on: PostgreSQL, Redis and the object store; and the service itself."""
+"""Checks of PostgreSQL, Redis and the object store, and of the service itself."""
 
 import os
 from datetime import UTC, datetime
@@ -20,7 +20,7 @@ _NO_SETTINGS = "no settings that lead to one"
 
 
 def postgresql(settings: "StoreSettings | None") -> Check:
-    """Whether the record can be reached, keeps what it promised, and has tables of this version."""
+    """Whether the record can be reached, is durable, and has tables of this version."""
     if settings is None:
         return Check("postgresql", "skip", _NO_SETTINGS)
     from core.adapters.connect import connect_postgres, job_store
@@ -38,7 +38,7 @@ def postgresql(settings: "StoreSettings | None") -> Check:
         return Check("postgresql", "fail", f"{detail}, which a newer version of Gaitway made", remedy)
     if not found.is_durable:
         remedy = "Set fsync, full_page_writes and synchronous_commit to on."
-        return Check("postgresql", "warn", f"{detail}; a power cut may lose what was promised", remedy)
+        return Check("postgresql", "warn", f"{detail}; a power cut may lose committed data", remedy)
     if found.revision is None:
         return Check("postgresql", "pass", f"PostgreSQL {found.server}; the reconciler will make the tables")
     if found.revision != found.newest:
@@ -67,13 +67,13 @@ def redis(settings: "StoreSettings | None") -> Check:
         remedy = "Set `maxmemory`: without it a flood of jobs takes the machine's memory."
         return Check("redis", "warn", f"{detail}, no maxmemory", remedy)
     if facts.get("maxmemory_policy") != "noeviction":
-        remedy = "Set `maxmemory-policy noeviction`: another one makes Redis forget jobs that wait."
+        remedy = "Set `maxmemory-policy noeviction`: another policy makes Redis forget waiting jobs."
         return Check("redis", "warn", f"{detail}, evicts keys", remedy)
     return Check("redis", "pass", detail)
 
 
 def object_store(settings: "StoreSettings | None") -> Check:
-    """Whether a put, a get, a ranged get, a listing and a delete do what they should."""
+    """Whether a put, a get, a ranged get, a listing and a delete work."""
     if settings is None:
         return Check("object store", "skip", _NO_SETTINGS)
     from core.adapters.connect import object_store
@@ -99,9 +99,9 @@ def clock(settings: "StoreSettings | None") -> Check:
         answer = httpx.get(f"{scheme}://{settings.s3_endpoint}/", timeout=5, verify=verify)
         skew_s = abs((datetime.now(UTC) - parsedate_to_datetime(answer.headers["Date"])).total_seconds())
     except (httpx.HTTPError, KeyError, ValueError, TypeError):
-        return Check("clock", "skip", "the object store does not tell the time")
+        return Check("clock", "skip", "the object store's answer has no time")
     remedy = "Let both machines take their time from NTP (here: `timedatectl set-ntp true`)."
-    # The header has whole seconds, and the answer takes its time.
+    # The header has whole seconds, and the answer takes a while.
     if skew_s > 300:
         return Check("clock", "fail", f"{skew_s:.0f} s away from the object store's", remedy)
     if skew_s > 5:
@@ -123,5 +123,5 @@ def api() -> Check:
     except errors.Unreachable as error:
         return Check("api", "fail", str(error), remedy)
     except ValueError:
-        return Check("api", "fail", f"What answers at {url} is no Gaitway service.", remedy)
+        return Check("api", "fail", f"The server at {url} is not a Gaitway service.", remedy)
     return Check("api", "pass", f"{url} is ready")

@@ -1,4 +1,4 @@
-"""What the environment says, read as the service's processes read it."""
+"""Checks of the environment's settings, read as the service's processes read them."""
 
 import importlib.util
 import os
@@ -17,7 +17,7 @@ _NOT_CONFIGURED = "not configured (the embedded stack will start its own)"
 
 
 def settings() -> Check:
-    """Whether the service's processes would start with them."""
+    """Whether the service's processes would start with these settings."""
     if not _is_installed():
         return Check("settings", "skip", _CLIENT_ONLY)
     if not _is_configured():
@@ -29,7 +29,7 @@ def settings() -> Check:
 
 
 def of_the_stores() -> "StoreSettings | None":
-    """What every process needs; none where there is nothing, or where `settings` finds fault with it."""
+    """The settings that every process needs; None if they are missing or wrong."""
     if not _is_installed():
         return None
     from core.settings import StoreSettings

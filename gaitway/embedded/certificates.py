@@ -1,4 +1,4 @@
-"""Certificates for servers that know each other; valid for longer than anything here lives."""
+"""Certificates for servers that know each other; they outlive anything here."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-# Whatever a clock says.
+# Valid whatever a clock says.
 _FIRST_DAY, _LAST_DAY = datetime(2000, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
 
 
@@ -22,12 +22,12 @@ class Certificate(NamedTuple):
 
 
 def authority(name: str) -> Certificate:
-    """One that signs itself, and may sign others."""
+    """A certificate that signs itself, and may sign others."""
     return _made(name, [name], None)
 
 
 def signed(by: Certificate, names: Sequence[str]) -> Certificate:
-    """One for a server that is reached at these names and addresses."""
+    """A certificate for a server that is reached at these names and addresses."""
     return _made(names[0], names, by)
 
 

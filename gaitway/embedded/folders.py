@@ -13,7 +13,7 @@ _T = TypeVar("_T")
 
 
 def private_folder(folder: Path) -> Path:
-    """The absolute folder, made if need be, for its owner alone. Raises ServerFailed where we may not."""
+    """The absolute folder, made if needed, private to its owner. Raises ServerFailed without permission."""
     folder = folder.expanduser().resolve()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -34,7 +34,7 @@ def _not_ours(folder: Path, error: PermissionError) -> str:
 
 
 def remembered(path: Path, make: Callable[[], _T]) -> _T:
-    """What the file holds (JSON); it is made at the first call, readable by its owner alone."""
+    """The content of the JSON file; made at the first call, readable only by its owner."""
     if path.exists():
         return json.loads(path.read_text())
     value = make()
@@ -43,7 +43,7 @@ def remembered(path: Path, make: Callable[[], _T]) -> _T:
 
 
 def write_private(path: Path, text: str) -> None:
-    """Make or replace the file as a whole, readable by its owner alone."""
+    """Make or replace the file as a whole, readable only by its owner."""
     partial = path.with_suffix(".partial")
     with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
         file.write(text)

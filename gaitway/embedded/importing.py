@@ -12,12 +12,12 @@ from gaitway.importing import ImportRefused, Tell, import_stores
 
 
 def import_folder(data_dir: Path, tell: Tell, *, without_redis: bool = False) -> bool:
-    """Import jobs and models into the database of the same folder; whether all of it could be read.
+    """Import jobs and models into the database of the same folder; returns whether all could be read.
 
     Raises ImportRefused, ServerFailed, Unavailable, Misconfigured.
     """
     if not (data_dir / "objects").is_dir():
-        raise ImportRefused(f"{data_dir} is no data folder of version 0.1.")
+        raise ImportRefused(f"{data_dir} is not a data folder of version 0.1.")
     data_dir = private_folder(data_dir)
     if version_01.is_imported(data_dir):
         tell(f"{data_dir} is imported already.")

@@ -1,4 +1,4 @@
-"""Ctrl-C and its kin, taken where it is safe to stop."""
+"""Ctrl-C and similar signals, handled where it is safe to stop."""
 
 import signal
 from collections.abc import Generator
@@ -20,7 +20,7 @@ class Interrupted(BaseException):
 class Interruption:
     """Counts SIGINT, SIGTERM and SIGHUP; raises Interrupted only where that is allowed.
 
-    So a child that is just being started is never lost between its birth and the note of its id.
+    So a child that is just being started is never lost before its process id is stored.
     Only the main thread may enter it.
     """
 
@@ -55,6 +55,6 @@ class Interruption:
         self.count += 1
         self._last = signal.Signals(number)
         if self._is_allowed:
-            # Once is enough: what the exception unwinds must not be torn by a second signal.
+            # Once is enough: a second signal must not interrupt what the exception unwinds.
             self._is_allowed = False
             raise Interrupted(number)

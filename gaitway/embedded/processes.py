@@ -1,4 +1,4 @@
-"""Child processes that end with their launcher, and what they need of a machine."""
+"""Child processes that end with their launcher, and free ports for them."""
 
 import fcntl
 import os
@@ -15,7 +15,7 @@ from typing import IO
 
 from core.errors import Unavailable
 
-# Runs before the server in its place. PR_SET_PDEATHSIG is 1; a launcher already gone would never signal.
+# Runs first, then becomes the server. PR_SET_PDEATHSIG is 1; a launcher already gone would never signal.
 _END_WITH_PARENT = """
 import ctypes, os, signal, sys
 if sys.platform == "linux":
@@ -25,11 +25,11 @@ if sys.platform == "linux":
 os.execv(sys.argv[2], sys.argv[2:])
 """
 LOCK_PATIENCE_S = 5.0
-_FIRST_PORT, _LAST_PORT = 20_000, 32_000  # below the range that outgoing connections take theirs from
+_FIRST_PORT, _LAST_PORT = 20_000, 32_000  # below the range of outgoing connections
 
 
 class ServerFailed(Exception):
-    """A server did not start or stay; the message ends with the last lines of its log."""
+    """A server did not start or keep running; the message ends with the last lines of its log."""
 
 
 class ServerProcess:
@@ -65,8 +65,8 @@ class ServerProcess:
     ) -> None:
         """Start it; a second one in the same folder raises ServerFailed.
 
-        is_told: its standard input is what `tell` gives it; otherwise it is empty.
-        prefix: a command that becomes another user and then runs the command after it.
+        is_told: its standard input comes from `tell`; otherwise it is empty.
+        prefix: a command that changes the user and then runs the command after it.
         prepare: runs once the folder is locked; a child that inherits the descriptor keeps the lock.
         """
         wrapper = [sys.executable, "-I", "-S", "-c", _END_WITH_PARENT, str(os.getpid())]
@@ -113,11 +113,11 @@ class ServerProcess:
                 return
 
     def log(self) -> str:
-        """What it has said since its start."""
+        """Its output since its start."""
         return self._log.read_text(errors="replace") if self._log.exists() else ""
 
     def log_from(self, offset: int) -> bytes:
-        """The whole lines that it has said since its start, from that byte on."""
+        """The complete lines of its output from byte `offset` on."""
         with self._log.open("rb") as log:
             log.seek(offset)
             said = log.read()
@@ -145,10 +145,10 @@ class ServerProcess:
 
 
 def free_ports(count: int) -> list[int]:
-    """So many different ports that nobody on the loopback interface listens at now."""
+    """`count` different ports at which nothing on the loopback interface listens now."""
     ports: set[int] = set()
     while len(ports) < count:
-        # Not `random`: processes that seed it alike would choose alike.
+        # Not `random`: processes that seed it alike would choose the same ports.
         port = _FIRST_PORT + secrets.randbelow(_LAST_PORT - _FIRST_PORT)
         if are_free([port]):
             ports.add(port)
@@ -156,13 +156,13 @@ def free_ports(count: int) -> list[int]:
 
 
 def are_free(ports: Sequence[int]) -> bool:
-    """Whether nobody on the loopback interface listens at any of them now."""
+    """Whether nothing on the loopback interface listens at any of them now."""
     return all(_is_free(port) for port in ports)
 
 
 def _is_free(port: int) -> bool:
     with socket.socket() as probe:
-        # As servers do it; a connection that lingers from the last run is no hindrance.
+        # As servers do, so that a lingering connection of the last run does not matter.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", port))
@@ -183,6 +183,6 @@ def _locked(path: Path, name: str) -> IO[bytes]:
                 raise ServerFailed(
                     f"Another {name} uses {path.parent}; stop it, or choose another folder."
                 ) from None
-            time.sleep(0.05)  # the one before may be on its way out
+            time.sleep(0.05)  # the one before may be about to end
         else:
             return lock

@@ -5,7 +5,7 @@ from typing import Self
 
 
 class Server(ABC):
-    """A server of one's own: launched, awaited and stopped, or entered as a whole."""
+    """A private server: launched, awaited and stopped, or used as a context manager."""
 
     @abstractmethod
     def launch(self) -> Self:
@@ -13,11 +13,11 @@ class Server(ABC):
 
     @abstractmethod
     def wait_ready(self) -> Self:
-        """Return when it does its work. Raises ServerFailed."""
+        """Return when it is ready. Raises ServerFailed."""
 
     @abstractmethod
     def stop(self) -> None:
-        """No process of it is left."""
+        """End it; none of its processes is left."""
 
     def start(self) -> Self:
         """Return when it is ready. Raises ServerFailed, and leaves no process behind then."""

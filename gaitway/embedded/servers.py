@@ -24,7 +24,7 @@ class EmbeddedServers:
     def start(self) -> Self:
         """Return when all are ready. Raises ServerFailed, and leaves none behind then."""
         try:
-            # PostgreSQL last: at the first start it makes its files, and returns then.
+            # PostgreSQL last: its first launch returns only after it has made its files.
             for server in reversed(self.all):
                 server.launch()
             return self.wait_ready()
@@ -44,7 +44,7 @@ class EmbeddedServers:
             server.process.check()
 
     def stop(self) -> None:
-        with ExitStack() as stopping:  # It stops the others where one cannot be stopped.
+        with ExitStack() as stopping:  # If one cannot be stopped, the others still are.
             for server in self.all:
                 stopping.callback(server.stop)
 

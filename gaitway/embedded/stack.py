@@ -29,7 +29,7 @@ FIRST_PORT = 8000
 _PORTS_TRIED = 100
 _GRACE_S = 30
 _WORKER = "worker-"
-_MOST_RESTARTS = 5  # in so many seconds:
+_MOST_RESTARTS = 5  # within this time:
 _RESTART_WINDOW_S = 60.0
 _LOOK_CLOSER_EVERY_S = 1.0
 
@@ -81,7 +81,7 @@ class Stack:
 
     @property
     def interruption(self) -> Interruption:
-        """Where a caller may let Ctrl-C end its own waits."""
+        """With this, a caller may let Ctrl-C end its own waits."""
         return self._interruption
 
     def __enter__(self) -> Self:
@@ -102,9 +102,9 @@ class Stack:
             self._interruption.__exit__(None, None, None)
 
     def watch(self) -> None:
-        """Keep everything running until Interrupted; what ends by itself is started again.
+        """Keep everything running until Interrupted; a process that ends unexpectedly is started again.
 
-        Raises ServerFailed where it ends again and again.
+        Raises ServerFailed if it keeps ending.
         """
         while True:
             with self._interruption.allowed():
@@ -112,10 +112,10 @@ class Stack:
             self.mend()
 
     def mend(self) -> None:
-        """Start again what has ended by itself. Raises ServerFailed after five times in a minute.
+        """Start again what has ended unexpectedly. Raises ServerFailed after five times in a minute.
 
-        A process that a signal has stopped for half a minute is ended, and then is one of these. The object
-        store is started again, too, when its disk was full and has room again.
+        A process that a signal has stopped for half a minute is ended and started again. So is the object
+        store, when its disk was full and has room again.
         """
         now = time.monotonic()
         if now - self._looked_closer_at >= _LOOK_CLOSER_EVERY_S:
@@ -126,7 +126,7 @@ class Stack:
                 member.due_at = now + self._delay_s(member, now)
             elif member.due_at is not None and now >= member.due_at:
                 member.due_at = None
-                member.process.stop(grace_s=0)  # whatever it left in its group
+                member.process.stop(grace_s=0)  # ends what it has left in its group
                 member.launch()
 
     def _end_what_hangs(self) -> None:
@@ -135,14 +135,14 @@ class Stack:
         weed = self._weed
         if weed is not None and weed.process.pid is not None and weed.needs_restart():
             self._tell(
-                "A write of weed's failed, and it would not write again by itself: it is started again."
+                "A write of weed failed, and it would write no more until a restart: it is started again."
             )
             weed.stop()
             weed.launch()
 
     def _delay_s(self, member: _Member, now: float) -> float:
         name, lines = member.process.name, member.process.last_lines(8)
-        if member.process.status == EXIT_STATUS:  # It is misconfigured: to try again would not help.
+        if member.process.status == EXIT_STATUS:  # It is misconfigured: a restart would not help.
             raise ServerFailed(f"{name} cannot work.\n{lines}")
         while member.restarts and member.restarts[0] < now - _RESTART_WINDOW_S:
             member.restarts.popleft()
@@ -162,12 +162,12 @@ class Stack:
         # They import their modules while the servers start.
         reconciler = self._add_module("reconciler", "worker.reconciler")
         api = self._add_module("api", "api.main", "--port", str(port))
-        # PostgreSQL last: at the first start it makes its files, and returns then.
+        # PostgreSQL last: its first launch returns only after it has made its files.
         for server in reversed(servers.all):
             self._servers.append(_Member(server.process, server.launch, server.stop))
             server.launch()
         with self._interruption.allowed():
-            # Others would take a database or a bucket that is not there yet for a wrong setting.
+            # Other processes would take a missing database or bucket for a wrong setting.
             servers.wait_ready()
         self._where_servers_are = json.dumps(servers.environment())
         for process in (reconciler, api):
@@ -188,7 +188,7 @@ class Stack:
             if self._where_servers_are is not None:
                 process.tell(self._where_servers_are)
 
-        # Workers have had their time when they are stopped.
+        # Workers have already had their grace period.
         stop = partial(process.stop, 0 if name.startswith(_WORKER) else 3)
         self._modules.append(_Member(process, launch, stop))
         launch()
@@ -200,13 +200,13 @@ class Stack:
             **{name: value for name, value in os.environ.items() if name not in leaks},
             "GAITWAY_DATA_DIR": str(self._folder),
             "GAITWAY_GRACE": f"PT{_GRACE_S}S",
-            # The folder it starts in must not lend it modules.
+            # It must not import modules from its working directory.
             "PYTHONSAFEPATH": "1",
             "PYTHONUNBUFFERED": "1",
         }
 
     def _stop(self) -> None:
-        """Workers first, all at once: they save what they have. A second signal ends the wait."""
+        """Stop the workers first, all at once: they save their results. A second signal ends the wait."""
         signals_before = self._interruption.count
         workers = [m.process for m in self._modules if m.process.name.startswith(_WORKER)]
         for worker in workers:
@@ -236,7 +236,7 @@ def _choose_port(wanted: int | None) -> int:
 
 
 def lock_folder(folder: Path) -> IO[str]:
-    """The folder's lock, with this process's id in it for whoever comes second. Raises ServerFailed."""
+    """The folder's lock, with this process's id in it, for a second one's message. Raises ServerFailed."""
     lock = (folder / "stack.lock").open("a+")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

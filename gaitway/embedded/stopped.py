@@ -1,4 +1,4 @@
-"""Noticing processes that a signal has stopped: they neither work nor end, and nobody starts them again."""
+"""Ends processes that a signal has stopped: they neither work nor end, so nothing would restart them."""
 
 import time
 from collections.abc import Callable
@@ -7,13 +7,13 @@ from pathlib import Path
 
 import psutil
 
-# A worker ends what is stopped below it after 20 s, and gives the job back; here is the last resort.
+# A worker ends its stopped children after 20 s and gives the job back; this is the last resort.
 PATIENCE_S = 30.0
 _LONGEST_COMMAND = 60
 
 
 class StoppedProcesses:
-    """Looks at the descendants of this process. patience_s: how long each may stay stopped.
+    """Watches the descendants of this process. patience_s: how long each may stay stopped.
 
     A process under a debugger does not count.
     """
@@ -24,7 +24,7 @@ class StoppedProcesses:
         self._since: dict[psutil.Process, float] = {}
 
     def end(self) -> list[str]:
-        """Kill those that have been stopped for too long; a sentence about each."""
+        """Kill those that have been stopped for too long; returns a sentence about each."""
         now = self._clock()
         self._since = {process: self._since.get(process, now) for process in _stopped()}
         return [

@@ -19,7 +19,7 @@ def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) 
     """Serve until Ctrl-C, SIGTERM or SIGHUP; the exit status."""
     try:
         with Stack(data_dir, port=port, num_workers=num_workers, tell=tell) as stack:
-            print(f"Gaitway is at {stack.url}  (what it offers: {stack.url}/docs)", flush=True)
+            print(f"Gaitway is at {stack.url}  (its interface: {stack.url}/docs)", flush=True)
             print(f"Data and logs are in {stack.data_dir}. Ctrl-C ends it.", flush=True)
             try:
                 stack.watch()
@@ -45,7 +45,7 @@ def port_number(text: str) -> int:
     """A TCP port, for argparse."""
     number = positive(text)
     if number > 65_535:
-        raise argparse.ArgumentTypeError(f"{number} is no port: 1 to 65535")
+        raise argparse.ArgumentTypeError(f"{number} is not a port: 1 to 65535")
     return number
 
 

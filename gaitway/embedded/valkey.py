@@ -20,7 +20,7 @@ _ANSWERS_WITHIN_S = 2.0
 
 
 class Valkey(Server):
-    """A Valkey of one's own on a unix socket, its data in one folder.
+    """A private Valkey on a unix socket, its data in one folder.
 
     append_only: it loads and writes the append-only file of version 0.1.
     """
@@ -44,7 +44,7 @@ class Valkey(Server):
             "unixsocket": str(self._socket),
             "unixsocketperm": "700",
             "dir": str(self._folder),
-            # No file: what is lost here is dispatched again. It would read one of version 0.1 all the same.
+            # No file: lost messages are dispatched again. `unused`, or it would read that of version 0.1.
             "appendonly": "yes" if self._append_only else "no",
             "appenddirname": "appendonlydir" if self._append_only else "unused",
             "save": "",
@@ -62,7 +62,7 @@ class Valkey(Server):
         return self
 
     def _ping(self) -> None:
-        """Raises Unavailable until it serves. Without a client: to import one takes longer than to wait."""
+        """Raises Unavailable until it serves. Without a client, whose import takes longer than the wait."""
         try:
             with socket.socket(socket.AF_UNIX) as connection:
                 connection.settimeout(_ANSWERS_WITHIN_S)

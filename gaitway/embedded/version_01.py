@@ -9,21 +9,21 @@ _IMPORTED = f"{_RECORDS.name}.imported"
 
 
 def tell_if_left(data_dir: Path, tell: Callable[[str], None]) -> None:
-    """Say so where there are records that nobody has imported yet."""
+    """Tell the user if there are records that are not imported yet."""
     if has_records(data_dir):
         tell(
             f"{data_dir} has jobs of version 0.1, which are not listed until they are imported: end the "
-            f"service, call `gaitway import --data {shlex.quote(str(data_dir))}`, and start it again."
+            f"service, run `gaitway import --data {shlex.quote(str(data_dir))}`, and start it again."
         )
 
 
 def has_records(data_dir: Path) -> bool:
-    """Whether there are records that nobody has imported yet."""
+    """Whether there are records that are not imported yet."""
     return (data_dir / _RECORDS).is_dir()
 
 
 def is_imported(data_dir: Path) -> bool:
-    """Whether all that there was is imported."""
+    """Whether the records have been imported."""
     return not has_records(data_dir) and (data_dir / _RECORDS).with_name(_IMPORTED).exists()
 
 
@@ -31,7 +31,7 @@ def set_aside(data_dir: Path) -> Path:
     """Keep the records under another name, by which they count as imported; returns their new place."""
     records, number = data_dir / _RECORDS, 1
     target = records.with_name(_IMPORTED)
-    while target.exists():  # Somebody has used version 0.1 again after an import.
+    while target.exists():  # Version 0.1 was used again after an import.
         number += 1
         target = records.with_name(f"{_IMPORTED}-{number}")
     return records.rename(target)

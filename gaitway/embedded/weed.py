@@ -19,24 +19,24 @@ _OPTIONS = (
     *("-ip=127.0.0.1", "-ip.bind=127.0.0.1"),
     *("-webdav=false", "-admin.ui=false", "-s3.port.iceberg=0", "-s3.port.lance=0", "-s3.iam=false"),
     "-master.telemetry=false",
-    # Otherwise its volume server may ask before the master has elected itself, and asks again 5 s later.
+    # Otherwise its volume server may ask before the master has elected itself, and retry only after 5 s.
     "-master.resumeState=false",
 )
 _PROBE = "gaitway-is-this-store-ready"
 _PORT_TAKEN = ("Port allocation failed", "address already in use")
 _TRIES = 3
-# Its index of names, a LevelDB, writes no more after one write that failed, until it is opened again
-# (github.com/syndtr/goleveldb/pull/362). Opened again, it may need room for eight logs of 16 MiB.
+# After one failed write its name index, a LevelDB, writes no more until it is opened again
+# (github.com/syndtr/goleveldb/pull/362). Opening it may need room for eight logs of 16 MiB.
 _INDEX_IS_STUCK = re.compile(rb"write .*/filerldb2/\S+: ")
 _ROOM_TO_OPEN_BYTES = 8 * 16 * 2**20
 
 
 class _PortTaken(Exception):
-    """weed ended because somebody listens where it should."""
+    """weed ended because one of its ports is taken."""
 
 
 class Weed(Server):
-    """An S3 server of one's own at a loopback port, its data and its keys in one folder."""
+    """A private S3 server at a loopback port, its data and its keys in one folder."""
 
     def __init__(self, folder: Path, bucket: str = "gaitway") -> None:
         self._folder = private_folder(folder)
@@ -54,9 +54,9 @@ class Weed(Server):
         return f"127.0.0.1:{self._ports[0]}"
 
     def launch(self) -> Self:
-        """Start it without waiting, at the ports of the last time if they are free. Raises ServerFailed.
+        """Start it without waiting, at the ports of the last run if they are free. Raises ServerFailed.
 
-        Started again, it keeps its ports: others know them.
+        A restart keeps the ports, because other processes know them.
         """
         self._ports = self._ports or self._choose_ports()
         names = [f"{listener}.{port}" for listener in _LISTENERS for port in ("port", "port.grpc")]
@@ -68,7 +68,7 @@ class Weed(Server):
         return self
 
     def needs_restart(self) -> bool:
-        """Whether it writes no more until it is started again, and can be: a full disk has room again."""
+        """Whether it writes no more until a restart, and can restart: its full disk has room again."""
         said = self.process.log_from(self._heard_bytes)
         self._heard_bytes += len(said)
         self._is_stuck = self._is_stuck or _INDEX_IS_STUCK.search(said) is not None
@@ -80,14 +80,14 @@ class Weed(Server):
             with suppress(_PortTaken):
                 self._wait_until_it_keeps()
                 return self
-            # Somebody took a port between the look and the start: the next look sees that.
+            # A port was taken between the check and the start: the next check sees that.
             self.stop()
             self._ports = []
             self.launch()
         raise ServerFailed(f"weed found other ports taken at each of {_TRIES} starts.")
 
     def stop(self) -> None:
-        # What it acknowledged is in files by then; it would wait half a minute for idle connections.
+        # Acknowledged writes are in files already; else it would wait half a minute for idle connections.
         self.process.stop(grace_s=2)
         for port in self._ports:
             for left in _sockets(port):
@@ -106,7 +106,7 @@ class Weed(Server):
         }
 
     def _wait_until_it_keeps(self) -> None:
-        # Loaded while the servers start already.
+        # Imported here, while the servers are already starting.
         from core.adapters.s3.connection import connect_s3
         from core.adapters.s3.objects import S3ObjectStore
 
@@ -145,7 +145,7 @@ class Weed(Server):
         return remembered(path, lambda: _free_ports(avoided))
 
     def _process_environment(self) -> dict[str, str]:
-        """Nothing of the user's own AWS or SeaweedFS settings; keys that no list of processes shows."""
+        """Without the user's own AWS or SeaweedFS settings; no list of processes shows the keys."""
         return {
             "PATH": os.environ.get("PATH", ""),
             "HOME": str(self._folder),
@@ -156,10 +156,10 @@ class Weed(Server):
         }
 
     def _certificate_files(self) -> tuple[Path, Path]:
-        """What it shows itself at each connection; nobody else ever needs it."""
+        """The certificate that it presents to itself at each connection; nobody else ever needs it."""
         certificate, key = self._folder / "inner.crt", self._folder / "inner.key"
         if not (certificate.exists() and key.exists()):
-            # Imported at the first start alone: that takes longer than making them.
+            # Imported only at the first start: the import takes longer than making them.
             from gaitway.embedded.certificates import authority
 
             made = authority("gaitway-objects")
@@ -169,7 +169,7 @@ class Weed(Server):
 
 
 def _sockets(port: int | str = "*") -> list[Path]:
-    """weed makes one in /tmp for each of its ports, and leaves them there where it is killed."""
+    """The sockets that weed makes in /tmp for its ports; they stay there if it is killed."""
     return list(Path("/tmp").glob(f"seaweedfs-*-{port}.sock"))  # noqa: S108
 
 

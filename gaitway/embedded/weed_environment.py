@@ -1,12 +1,13 @@
-"""What a SeaweedFS of ours is told through its environment, on this machine and in a container."""
+"""The environment variables of our SeaweedFS, on this machine and in a container."""
 
 from collections.abc import Callable
 from pathlib import PurePath
 
 REGION = "us-east-1"
 
-# Its inner ports are open to whoever reaches them. These keys shut the HTTP ones of volumes and filer to all
-# but itself; a certificate that it shows itself shuts gRPC and the master's HTTP, which can delete a bucket.
+# Its inner ports are open to anyone who reaches them. These keys close the HTTP ports of volumes and filer to
+# all but itself. A certificate that it presents to itself closes gRPC and the master's HTTP, which can delete
+# a bucket.
 _SIGNED = ("JWT_SIGNING", "JWT_SIGNING_READ", "JWT_FILER_SIGNING", "JWT_FILER_SIGNING_READ")
 _MUTUAL = (
     *(f"GRPC_{part}" for part in ("MASTER", "VOLUME", "FILER", "S3", "ADMIN", "WORKER", "CLIENT")),
@@ -21,9 +22,9 @@ def weed_environment(
     certificate: PurePath,
     certificate_key: PurePath,
 ) -> dict[str, str]:
-    """Keys that no list of processes shows. inner_key: asked once for each of its doors.
+    """The variables; no list of processes shows their keys. inner_key: called once for each inner port.
 
-    certificate, certificate_key: files of one that signs itself, and nothing else.
+    certificate, certificate_key: files of one that signs only itself.
     """
     return {
         "AWS_ACCESS_KEY_ID": access_key,

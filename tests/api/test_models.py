@@ -125,7 +125,7 @@ def test_a_refused_model_leaves_nothing_behind(stack: Stack) -> None:
 @pytest.mark.parametrize(
     ("body", "media_type", "sentence"),
     [
-        (XML, "application/zip", "The file is no zip"),
+        (XML, "application/zip", "The file is not a zip"),
         (zipped({"model.xml": XML}), "text/xml", "The file is a zip"),
     ],
 )

@@ -137,7 +137,7 @@ def test_without_a_worker_that_could_draw_the_answer_says_so(stack: Stack, devic
     if device:  # It takes nothing but what asks for two GPUs.
         announced(stack, device)
     answer = stack.http.get(ANT)
-    assert "No worker is there" in problem(answer, 503, "no-worker")["detail"]
+    assert "No worker is available" in problem(answer, 503, "no-worker")["detail"]
     assert "retry-after" in answer.headers
     assert stack.queue.num_previews() == 0
 

@@ -6,7 +6,7 @@ from core.jobs.queue import queue_names
 from core.jobs.store import WorkerInfo
 from tests.api.conftest import NOON, Stack
 
-_SENTENCE = "No worker with exactly 4 GPUs is there: the workers here have cpu."
+_SENTENCE = "No worker has exactly 4 GPUs: the workers here have cpu."
 
 
 def test_a_job_that_nobody_can_take_says_so_until_somebody_can(stack: Stack) -> None:
@@ -25,7 +25,7 @@ def test_a_job_says_which_package_nobody_has(stack: Stack) -> None:
     spec = {"kind": "train", "environment": "ant", "physics": "warp"}
     job = stack.http.post("/jobs", json=spec).json()["id"]
     told = stack.http.get(f"/jobs/{job}").json()["waiting_for"]
-    assert told.startswith("No worker here that fits can run the engine warp")
+    assert told.startswith("No suitable worker can run the engine warp")
     announce(stack, "cpu", packages=("dm_control", "warp"))
     assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] is None
 

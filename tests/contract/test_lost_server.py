@@ -229,7 +229,7 @@ def test_a_process_that_stood_still_in_a_transaction_is_told_so(jobs: PostgresJo
             psutil.wait_procs([psutil.Process(pid)], timeout=10)
             connection.exec_driver_sql("SELECT 1")
 
-    with pytest.raises(RecordsUnavailable, match="a transaction that stood still"):
+    with pytest.raises(RecordsUnavailable, match="a transaction that was idle"):
         stand_still()
     jobs.ping()
 

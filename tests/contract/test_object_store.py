@@ -13,7 +13,7 @@ import pytest
 from minio import Minio
 from minio.datatypes import Object
 
-from core.adapters.connect import connect_s3
+from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import ObjectNotFound, Rejected, StorageUnavailable
 from core.storage.objects import ObjectInfo, ObjectStore

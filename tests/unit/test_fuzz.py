@@ -23,7 +23,7 @@ from api.routes.jobs import Listed
 from api.submissions import EXAMPLES, fingerprint, parse
 from core.adapters.cursors import check_cursor
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.configuration import read, variable
+from core.configuration import read
 from core.environments.mjcf.archive import MAX_TOTAL_BYTES, examine
 from core.environments.mjcf.document import parse as parse_xml
 from core.errors import BadModel, Misconfigured, Rejected
@@ -32,6 +32,7 @@ from core.jobs.spec import JOB_SPEC
 from core.jobs.store import entry_number
 from core.jobs.stored_spec import read_spec
 from core.settings import ApiSettings, ReconcilerSettings, WorkerSettings
+from core.variables import variable
 from worker.protocol import MESSAGE
 
 # The same examples each time; the stores and patches of a test serve all of its examples.
@@ -62,7 +63,7 @@ _FULL: dict[str, Any] = {
 _Q_LEARNING: dict[str, Any] = {
     "kind": "train",
     "environment": {"id": "brittle_star", "options": {}},
-    "algorithm": {"kind": "q_learning", "epsilon": {"start": 1.0}, "mapper": {"kind": "leading_arm"}},
+    "algorithm": {"kind": "q_learning", "epsilon": {"start": 1.0}, "action_set": {"kind": "leading_arm"}},
 }
 _DOCUMENTS = [*(example["value"] for example in EXAMPLES.values()), _FULL, _Q_LEARNING]
 

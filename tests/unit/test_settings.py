@@ -6,9 +6,10 @@ from psycopg.conninfo import conninfo_to_dict
 from pydantic_settings import BaseSettings
 from redis.connection import parse_url
 
-from core.configuration import EXIT_STATUS, names, read, stopping_if_misconfigured, variable
-from core.errors import Misconfigured
+from core.configuration import names, read, stopping_if_misconfigured
+from core.errors import EXIT_STATUS, Misconfigured
 from core.settings import ApiSettings, ReconcilerSettings, StoreSettings, WorkerSettings
+from core.variables import variable
 from gaitway.embedded.certificates import authority
 from gaitway.settings_page import OTHERS, page
 

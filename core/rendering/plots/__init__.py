@@ -1,1 +1,1 @@
-"""Pictures of numbers. matplotlib (extra `plots`) is loaded only when one is drawn."""
+"""Plots. matplotlib (extra `plots`) is loaded only when one is drawn."""

@@ -1,4 +1,4 @@
-"""How learning went, episode by episode: the return, and how much was left to chance."""
+"""Learning curves by episode: the return and epsilon."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -17,9 +17,9 @@ _OF_AN_AGENT = re.compile(r"training/agent_(\d+)/episode_reward")
 def from_metrics(rows: Iterable[Mapping[str, Any]], *, title: str = "") -> Any | None:
     """The figure of a run whose metrics have `training/epsilon`; None for any other.
 
-    rows: as `GET /jobs/{id}/metrics` has them. Names: `training/episode_reward`, or of several agents
-    `training/agent_<i>/episode_reward`, likewise `epsilon`; `training/episodes`, how many episodes there were
-    by then, without which rows are counted.
+    rows: as in `GET /jobs/{id}/metrics`. Names: `training/episode_reward`, or for several agents
+    `training/agent_<i>/episode_reward`, likewise `epsilon`; `training/episodes`, the episodes so far; without
+    it, rows are counted.
     """
     table = [row for row in sorted(rows, key=lambda row: row["step"]) if "training/epsilon" in row["values"]]
     table = [row["values"] for row in table if row["values"].get("training/episode_reward") is not None]
@@ -51,7 +51,7 @@ def episode_curves(
 ) -> Any:
     """A figure of the return by episode and, below it, of epsilon.
 
-    returns, epsilon: [points], or [agents, points]. episodes: [points], how many an agent had made by then;
+    returns, epsilon: [points], or [agents, points]. episodes: [points], how many each agent has made so far;
     by default each point is one. The thick line is the moving mean over `window` points (by default a
     twentieth of them), averaged over the agents; the band holds the middle 80 % of agents, and thin lines
     are single points (of one agent) or single agents (of several).
@@ -70,7 +70,7 @@ def episode_curves(
     panels[-1].set_xlabel("episode")
     panels[-1].set_xlim(0, max(1.0, float(x.max())))
     for panel in panels:
-        if len(x) == 1:  # No line leads to a lone point, as of a run of one round.
+        if len(x) == 1:  # A run of one round is one point, which needs a marker to be seen.
             for line in panel.lines:
                 line.set(marker="o", clip_on=False)
         plain(panel)
@@ -78,7 +78,7 @@ def episode_curves(
 
 
 def moving_mean(rows: Floats, window: int) -> Floats:
-    """The mean of each point and the window - 1 before it, of fewer where there are not so many.
+    """The mean of each point and the `window - 1` before it, or of fewer at the beginning.
 
     rows: [agents, points]; returns the same shape.
     """

@@ -1,4 +1,4 @@
-"""The pictures of a tabular agent, from arrays by the names that a trainer gives them."""
+"""The plots of a tabular agent, from arrays under the names that a trainer gives them."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from core.rendering.plots.tables import q_table, visit_counts
 
 
 def pictures(tables: Mapping[str, NDArray[Any]], *, title: str = "") -> dict[str, Any]:
-    """Figures by the name of their file, of those tables that are there; others are passed over.
+    """Figures by the name of their file, one for each known table that is given.
 
     q_table, visits: [states, actions] or [agents, states, actions]. state_names, action_names: text [states]
     and [actions].

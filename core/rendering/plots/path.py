@@ -11,17 +11,17 @@ from core.rendering.plots.style import COLOURS, new_figure, plain
 
 Floats = NDArray[np.floating[Any]]
 
-# More paths than colours share one; then only where they end tells them apart.
+# If there are more paths than colours, some share one and differ only by where they end.
 _MOST_COLOURED = len(COLOURS)
-# A path of a thousand pixels shows no more points than these.
+# A path on a thousand pixels cannot show more points.
 _MOST_POINTS = 2000
 
 
 @dataclass(frozen=True)
 class Walk:
-    """One episode: time [T] in seconds, position [T, 2 or more] in metres, target likewise if it has one.
+    """One episode: time [T] in seconds, position [T, 2 or more] in metres, and a target like it, if any.
 
-    terminated: the environment ended it; otherwise it was cut off.
+    terminated: whether the environment ended it; otherwise it was truncated.
     """
 
     time: Floats
@@ -31,9 +31,9 @@ class Walk:
 
 
 def path_from_above(walks: Sequence[Walk], *, title: str = "") -> Any:
-    """A figure of x and y in metres, at one scale: each episode a line of its own, from its ring to its mark.
+    """A figure of x and y in metres, at one scale: one line per episode, from its ring to its mark.
 
-    One episode is coloured by time, several by their number.
+    A single episode is coloured by time, several by their number.
     """
     figure = new_figure(4.8, title)
     axes = figure.subplots()
@@ -79,7 +79,7 @@ def _in_one_colour(axes: Any, walk: Walk, number: int, count: int) -> None:
 
 
 def _mark(axes: Any, walk: Walk, *, small: bool) -> None:
-    """Start, end, and targets where there are any, above every line."""
+    """Draw start, end and any targets above all lines."""
     size = 0.55 if small else 1.0
     over: dict[str, Any] = {"linestyle": "none", "zorder": 4, "clip_on": False}
     if walk.target is not None:
@@ -116,7 +116,7 @@ def _explain(axes: Any, walks: Sequence[Walk]) -> None:
 
 
 def _widen(axes: Any, walks: Sequence[Walk]) -> None:
-    """A body that stays where it is shall not look like a traveller: at least 10 cm are shown."""
+    """Show at least 10 cm, so that a body that stays in place does not seem to travel."""
     places = np.concatenate([walk.position[:, :2] for walk in walks])
     low, high = places.min(axis=0), places.max(axis=0)
     centre, half = (low + high) / 2, max(0.05, float((high - low).max()) / 2)

@@ -1,4 +1,4 @@
-"""What all pictures of numbers share: size, grid, colours that also those tell apart who see few of them."""
+"""What all plots share: size, grid, and colours that colour-blind readers can tell apart."""
 
 import os
 from pathlib import Path
@@ -14,7 +14,7 @@ _GRID = {"color": "#e3e7eb", "linewidth": 0.8}
 
 
 def new_figure(height_in: float, title: str = "", *, width_in: float = WIDTH_IN) -> Any:
-    """A matplotlib Figure without a window. title: left above everything."""
+    """A matplotlib Figure without a window. title: at the top left."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
@@ -24,14 +24,14 @@ def new_figure(height_in: float, title: str = "", *, width_in: float = WIDTH_IN)
 
 
 def plain(axes: Any) -> None:
-    """No frame but the two axes, and a light grid behind what is drawn."""
+    """Leave only the two axes of the frame, and draw a light grid behind everything."""
     axes.grid(**_GRID)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def save(figure: Any, path: Path) -> None:
-    """Store a PNG, whole or not at all; equal figures give equal bytes."""
+    """Store a PNG, complete or not at all; equal figures give equal bytes."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         figure.savefig(part, dpi=_DPI, format="png", metadata={"Software": None})

@@ -1,4 +1,4 @@
-"""What a tabular agent has learnt, and where it has been: states by actions as heat maps."""
+"""What a tabular agent has learnt and visited: heat maps of states by actions."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,9 +10,9 @@ from core.rendering.plots.style import compact, new_figure
 
 Numbers = NDArray[Any]
 
-# In so small a table each cell has room for its number.
+# In a table up to this size, each cell has room for its number.
 _MOST_STATES, _MOST_ACTIONS = 16, 9
-# With more states than these they run along the width.
+# More states than these run along the width.
 _TALLEST = 48
 _UNTRIED: dict[str, Any] = {"hatch": "////", "edgecolor": "#9aa5b1", "facecolor": "#f4f5f7", "linewidth": 0.0}
 
@@ -53,9 +53,9 @@ def q_table(
 def visit_counts(
     visits: Numbers, *, states: Sequence[str] = (), actions: Sequence[str] = (), title: str = ""
 ) -> Any:
-    """A figure of how often each action was taken in each state, on a logarithmic scale; never is hatched.
+    """A figure of how often each action was taken in each state, on a logarithmic scale; hatched if never.
 
-    visits: [states, actions], or [agents, states, actions], which are added up.
+    visits: [states, actions], or [agents, states, actions], which are summed over the agents.
     """
     from matplotlib.colors import LogNorm
 
@@ -71,7 +71,7 @@ def visit_counts(
 
 
 class _Sheet:
-    """States by actions: states are rows, but many states are columns."""
+    """States by actions: states are the rows, or the columns if there are many."""
 
     def __init__(self, table: Numbers, states: Sequence[str], actions: Sequence[str], title: str) -> None:
         self._lies = table.shape[0] > _TALLEST
@@ -86,7 +86,7 @@ class _Sheet:
         self._axes.tick_params(length=0)
 
     def colour(self, table: Numbers, **style: Any) -> Any:
-        """NaN shows the hatched ground."""
+        """Draw the table; NaN shows the hatched ground."""
         self._axes.patch.set(**_UNTRIED)
         return self._axes.imshow(
             table.T if self._lies else table, aspect="auto", interpolation="nearest", **style
@@ -95,7 +95,7 @@ class _Sheet:
     def write(
         self, table: Numbers, untried: NDArray[np.bool_], image: Any, digits: Callable[[float], str]
     ) -> None:
-        """Each cell's number in black or white, whichever is read better on its colour."""
+        """Write each cell's number in black or white, whichever is more legible on its colour."""
         if not self._is_small:
             return
         for state, action in np.ndindex(*table.shape):
@@ -107,7 +107,7 @@ class _Sheet:
             self._axes.text(action, state, digits(value), **style)
 
     def frame(self, states: Numbers, actions: Numbers, solid: NDArray[np.bool_]) -> None:
-        """Black and white, so that it is seen on any colour."""
+        """Frame cells in black and white, which is visible on any colour."""
         if self._lies:
             self._axes.plot(
                 states, actions, linestyle="none", marker="o", ms=2.2, mfc="white", mec="black", mew=0.4

@@ -145,18 +145,18 @@ class TestAccess:
             refused("has no password and that PostgreSQL wants one", server.as_user("guest"))
 
     def test_a_user_that_is_not_there_is_named(self, server: Server) -> None:
-        refused("no user of the name in GAITWAY_DATABASE_URL", server.as_user("nobody"))
+        refused("no user with the name in GAITWAY_DATABASE_URL", server.as_user("nobody"))
 
     def test_a_user_of_another_account_is_told_so(self, server: Server) -> None:
         with server.ruled("local all guest peer"):
-            refused("only from the system's account", server.as_user("guest"))
+            refused("only from the system account", server.as_user("guest"))
 
     def test_a_user_whom_no_rule_lets_in_is_told_of_the_rules(self, server: Server) -> None:
         with server.ruled():
             refused("add a line to its pg_hba.conf", server.as_user("guest"))
 
     def test_a_database_that_is_not_there_is_named(self, server: Server) -> None:
-        refused("no database of the name at the end", server.url.replace("/gaitway?", "/nowhere?"))
+        refused("no database with the name at the end", server.url.replace("/gaitway?", "/nowhere?"))
 
     def test_a_user_without_rights_is_told_what_to_do(self, server: Server) -> None:
         refused("make it the owner of the database", server.as_user("guest"))
@@ -246,11 +246,11 @@ class TestAddresses:
     @pytest.mark.parametrize("mode", ["prefer", "disable", "require"])
     def test_what_is_no_postgresql_is_refused(self, mode: str) -> None:
         with answering(b"HTTP/1.1 400 Bad Request\r\n\r\n") as url:
-            refused("is no PostgreSQL: correct its host and port", f"{url}?sslmode={mode}")
+            refused("is not PostgreSQL: correct its host and port", f"{url}?sslmode={mode}")
 
     def test_tls_asked_of_a_postgresql_without_it_is_named(self) -> None:
         with answering(b"N") as url:  # Its whole answer to the question for TLS.
-            refused("asks for TLS and that PostgreSQL has none", f"{url}?sslmode=require")
+            refused("asks for TLS, which that PostgreSQL does not offer", f"{url}?sslmode=require")
 
     def test_one_who_says_nothing_is_waited_for_two_seconds(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as silent:

@@ -93,7 +93,7 @@ def test_a_user_without_the_right_is_told_which_it_was(redis_client: redis.Redis
 def test_a_database_that_is_not_there_is_named(redis_client: redis.Redis, valkey: Valkey) -> None:
     with (
         connect_redis(f"{valkey.url}?db=99", retries=0) as client,
-        pytest.raises(RecordsRefuse, match="no database of the number"),
+        pytest.raises(RecordsRefuse, match="no database with the number"),
     ):
         exercise_queue(client)
 
@@ -114,7 +114,7 @@ def test_what_is_no_redis_is_refused() -> None:
     with (
         answering(b"HTTP/1.1 400 Bad Request\r\n\r\n") as port,
         connect_redis(f"redis://127.0.0.1:{port}", retries=0) as client,
-        pytest.raises(RecordsRefuse, match="is no Redis"),
+        pytest.raises(RecordsRefuse, match="is not Redis"),
     ):
         exercise_queue(client)
 

@@ -7,7 +7,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from core.adapters.connect import connect_s3, object_store
+from core.adapters.connect import object_store
+from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.errors import meaning
 from core.adapters.s3.objects import S3ObjectStore
 from core.adapters.startup import exercise_objects
@@ -101,7 +102,7 @@ def test_deleting_what_is_not_there_is_no_error(object_store: S3ObjectStore) -> 
 def test_a_server_that_is_no_object_store_is_refused(status: int, body: bytes) -> None:
     with (
         answering(status, body) as store,
-        pytest.raises(StorageRefuses, match="is no S3 server"),
+        pytest.raises(StorageRefuses, match="is not an S3 server"),
     ):
         store.list("")
 
@@ -144,7 +145,9 @@ class Protected(S3ObjectStore):
         raise StorageRefuses("You may not read.")
 
 
-@pytest.mark.parametrize(("kind", "words"), [(Forgetful, "no cache before it"), (Protected, "may not read")])
+@pytest.mark.parametrize(
+    ("kind", "words"), [(Forgetful, "without a cache in front of it"), (Protected, "may not read")]
+)
 def test_a_probe_that_fails_leaves_nothing_behind(
     kind: type[S3ObjectStore], words: str, settings: WorkerSettings
 ) -> None:

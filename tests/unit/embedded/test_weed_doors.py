@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from core.adapters.connect import connect_s3
+from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from gaitway.embedded.weed import Weed
 from gaitway.embedded.weed_environment import REGION

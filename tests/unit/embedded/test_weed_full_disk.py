@@ -16,7 +16,7 @@ from tests.faults.campaign.disks import Disk, take_own_mounts
 if not take_own_mounts():
     sys.exit("This user may mount no disk.")
 
-from core.adapters.connect import connect_s3
+from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import StorageUnavailable
 from gaitway.embedded.weed import Weed

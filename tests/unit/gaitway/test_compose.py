@@ -14,8 +14,9 @@ import pytest
 import yaml
 from cryptography import x509
 
-from core.configuration import PROCESSES, names, read, variable
+from core.configuration import PROCESSES, names, read
 from core.settings import ApiSettings, StoreSettings, WorkerSettings
+from core.variables import variable
 from gaitway import compose
 from gaitway.settings_page import OTHERS
 

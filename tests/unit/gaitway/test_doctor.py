@@ -15,8 +15,9 @@ from typer.testing import CliRunner
 
 from core.adapters.postgres import schema
 from core.adapters.postgres.connection import connect_postgres
-from core.configuration import SECRETS_DIR, names, variable
+from core.configuration import SECRETS_DIR, names
 from core.settings import WorkerSettings
+from core.variables import variable
 from gaitway.cli.main import app
 from gaitway.doctor import machine, run, services
 from gaitway.doctor import settings as doctor_settings
@@ -73,7 +74,7 @@ def test_settings_of_single_processes_are_looked_at_too(
 def test_a_database_that_a_power_cut_would_hurt_is_a_warning(settings: WorkerSettings) -> None:
     check = services.postgresql(settings)  # The tests' server does not write through.
     assert (check.state, "fsync" in check.remedy) == ("warn", True)
-    assert "a power cut may lose what was promised" in check.detail
+    assert "a power cut may lose committed data" in check.detail
 
 
 @pytest.fixture
@@ -166,7 +167,7 @@ def test_a_clock_that_is_off_is_judged(settings: WorkerSettings, monkeypatch: py
     [
         (200, {"status": "ok"}, "pass", "is ready"),
         (503, {"detail": "Redis does not answer."}, "fail", "is not ready: Redis does not answer."),
-        (200, None, "fail", "is no Gaitway service"),
+        (200, None, "fail", "is not a Gaitway service"),
     ],
 )
 def test_the_api_is_asked_whether_it_is_ready(

@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 import redis
 
-from core.adapters.connect import connect_redis, connect_s3, job_store
+from core.adapters.connect import connect_redis, job_store
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
+from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
-from core.configuration import variable
 from core.errors import IdempotencyKeyReused, ModelNotFound
 from core.jobs import feeds
 from core.jobs.attempts import claim_attempt
@@ -30,6 +30,7 @@ from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import Channel, Dispatch, Entry, Idempotency, JobQuery
 from core.settings import StoreSettings, WorkerSettings
+from core.variables import variable
 from gaitway.embedded.importing import import_folder
 from gaitway.embedded.processes import ServerFailed
 from gaitway.embedded.servers import EmbeddedServers
@@ -414,9 +415,9 @@ class TestNewest:
 
 DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "no JSON": (lambda document: '{"id": "01', "Unterminated string"),
-    "no object": (lambda document: "[]", "no JSON object"),
+    "no object": (lambda document: "[]", "not a JSON object"),
     "no specification": (lambda document: {**document, "spec": None}, "its specification: Input should be"),
-    "another job's": (lambda document: {**document, "id": IDS["queued"]}, f"that of job {IDS['queued']}"),
+    "another job's": (lambda document: {**document, "id": IDS["queued"]}, f"belongs to job {IDS['queued']}"),
     "an unknown status": (lambda document: {**document, "status": "asleep"}, "status"),
     "a number of the wrong kind": (
         lambda document: {**document, "spec": {**document["spec"], "seed": "many"}},
@@ -439,7 +440,7 @@ class TestDamage:
         is_whole, said = old.import_all()
         assert not is_whole
         (line,) = [line for line in said if IDS["failed"] in line]
-        assert "passed over" in line
+        assert "is skipped" in line
         assert re.search(words, line)
         assert set(listed(job_store)) == set(IDS) - {"failed"}
         assert said[-1] == "Jobs: 7 imported, 0 in the record before, 1 not readable."
@@ -610,7 +611,7 @@ class TestModels:
         old.objects.put(f"models/{model_id.removeprefix('sha256:')}/record.json", b'{"id": 1')
         is_whole, said = old.import_all()
         assert not is_whole
-        assert any(model_id in line and "passed over" in line for line in said)
+        assert any(model_id in line and "is skipped" in line for line in said)
         assert {record.id for record in job_store.models()} == set(MODELS.values()) - {model_id}
         with pytest.raises(ModelNotFound):
             job_store.find_model(model_id)
@@ -622,7 +623,7 @@ class TestWhatIsSaid:
         refuse_while_at_work(old.settings)
         old.redis.sadd("gaitway:workers", "host-1", "host-2")
         old.redis.set("gaitway:worker:host-2", "{}", px=60_000)
-        with pytest.raises(ImportRefused, match=r"at work: host-2\."):
+        with pytest.raises(ImportRefused, match=r"still running: host-2\."):
             refuse_while_at_work(old.settings)
 
     def test_every_hundred_jobs_there_is_a_line(self, old: Old) -> None:
@@ -726,7 +727,7 @@ class TestFolder:
     def test_a_folder_of_something_else_is_refused_and_left_as_it_is(self, tmp_path: Path) -> None:
         found = command("--data", str(tmp_path / "nothing"))
         assert found.returncode == 1
-        assert "no data folder of version 0.1" in found.stderr
+        assert "is not a data folder of version 0.1" in found.stderr
         assert not (tmp_path / "nothing").exists()
 
     def test_records_of_a_second_time_are_kept_beside_the_first(self, tmp_path: Path) -> None:

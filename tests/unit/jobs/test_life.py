@@ -356,12 +356,12 @@ def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -
     [
         (
             {"resources": {"accelerator": "cpu", "gpus": 2}},
-            "2 GPUs are asked for, and an accelerator that is a CPU",
+            "The job asks for 2 GPUs, but its accelerator is `cpu`",
             ["/resources/accelerator", "/resources/gpus"],
         ),
         (
             {"kind": "rollout", "policy": {"kind": "zero"}, "resources": {"gpus": 2}},
-            "A rollout runs on one GPU, and 2 are asked for",
+            "A rollout runs on one GPU, but the job asks for 2",
             ["/resources/gpus"],
         ),
         (
@@ -415,7 +415,7 @@ def test_a_job_cannot_go_on_from_worlds_of_warp_on_another_engine_nor_the_other_
         claim = service.claim(job)
         claim.start(device="NVIDIA H200", engine=had, details={})
         claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
-        with pytest.raises(Rejected, match=f"worlds of the engine {had}, and a run on {has}") as caught:
+        with pytest.raises(Rejected, match=f"states of the engine {had}, and a run on {has}") as caught:
             service.submit(resume_from={"job": job.id}, physics=has)
         assert [problem.pointer for problem in caught.value.problems] == ["/physics"]
         assert service.submit(resume_from={"job": job.id}, physics=had)
@@ -429,7 +429,7 @@ def test_a_job_goes_on_in_worlds_that_differ_further_but_in_nothing_else(service
     claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
     further = friction | {"range": [0.4, 1.6]}
     assert service.submit(resume_from={"job": job.id}, randomization=[further, further])
-    with pytest.raises(Rejected, match="differ in geom_friction, this job's in nothing") as caught:
+    with pytest.raises(Rejected, match="randomizes geom_friction, this one nothing") as caught:
         service.submit(resume_from={"job": job.id})
     assert [problem.pointer for problem in caught.value.problems] == ["/randomization"]
 

@@ -15,7 +15,8 @@ from core.jobs.attempts import Claim
 from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.record_copy import copy_record, read_copy
-from core.jobs.recovery import Finding, findings
+from core.jobs.recovery.finding import Finding
+from core.jobs.recovery.findings import findings
 from core.jobs.status import JobStatus, Reason
 from core.jobs.store import JobStore
 from core.storage import keys

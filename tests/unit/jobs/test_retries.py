@@ -100,7 +100,7 @@ def test_what_ends_so_again_and_again_is_the_jobs_own_fault(
     assert job.status == JobStatus.QUEUED
     job = service.fail(job, reason)
     assert (job.status, job.reason) == (JobStatus.FAILED, reason)
-    assert job.message == f"It failed. {most} attempts ended so; there is no other."
+    assert job.message == f"It failed. {most} attempts ended like this; there is no further one."
 
 
 def test_a_bad_card_costs_no_attempt(service: Service) -> None:

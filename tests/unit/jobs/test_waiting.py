@@ -37,15 +37,15 @@ def worker(device: str, state: WorkerState = "ready", **has: Any) -> WorkerInfo:
         (
             {"gpus": 4},
             ["gpu:0", "cpu", "cpu", "gpu:0,1"],
-            "No worker with exactly 4 GPUs is there: the workers here have cpu, gpu:0, gpu:0,1.",
+            "No worker has exactly 4 GPUs: the workers here have cpu, gpu:0, gpu:0,1.",
         ),
         (
             {"accelerator": "gpu"},
             ["cpu", "gpu:0,1"],
-            "No worker with a GPU to itself is there: the workers here have cpu, gpu:0,1.",
+            "No worker has exactly one GPU: the workers here have cpu, gpu:0,1.",
         ),
-        ({"accelerator": "cpu"}, ["gpu:0"], "No worker with a CPU is there: the workers here have gpu:0."),
-        ({}, [], "No worker with one GPU or a CPU is there: no worker is there at all."),
+        ({"accelerator": "cpu"}, ["gpu:0"], "No worker has a CPU: the workers here have gpu:0."),
+        ({}, [], "No worker has one GPU or a CPU: no worker is running."),
     ],
 )
 def test_a_queued_job_says_what_no_worker_has(
@@ -58,7 +58,7 @@ def test_a_queued_job_says_what_no_worker_has(
 def test_devices_that_were_set_aside_are_named_unless_another_worker_fits() -> None:
     job, failed = make_job(resources={"accelerator": "gpu"}), worker("gpu:0", "device_failed")
     assert what_it_waits_for(job, [worker("cpu"), failed]) == (
-        "The device of each worker that fits was set aside: host:gpu:0: A test of the device gpu:0 failed."
+        "The device of each suitable worker was set aside: host:gpu:0: A test of the device gpu:0 failed."
     )
     assert what_it_waits_for(job, [failed, worker("gpu:1", "testing")]) is None
 
@@ -86,7 +86,7 @@ def test_a_job_says_which_package_no_worker_has(
     if sentence is None:
         assert told is None
     else:
-        assert told == (f"No worker here that fits can run {sentence}: install it there, or ask for another.")
+        assert told == (f"No suitable worker can run {sentence}: install it there, or choose another.")
 
 
 def test_a_job_that_began_on_warp_needs_it_again() -> None:

@@ -33,8 +33,8 @@ def test_a_model_without_cameras_has_track_alone() -> None:
     ("asked", "pointer", "said"),
     [
         (["track", "side", "front"], "/video/cameras/2", "no camera 'front'"),
-        (["track", "track"], "/video/cameras/1", r"'track' is there before;"),
-        (["side", "track", 0], "/video/cameras/2", "0 is there before as 'side'"),
+        (["track", "track"], "/video/cameras/1", r"'track' is already listed;"),
+        (["side", "track", 0], "/video/cameras/2", "0 is already listed as 'side'"),
     ],
 )
 def test_of_several_cameras_the_one_at_fault_is_named(
