@@ -2,13 +2,17 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
-from typing import Annotated, Any, Generic, Literal, Self, TypeVar
+from typing import Annotated, Any, Generic, Literal, Self, TypeVar, get_args
 from urllib.parse import quote
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from core.algorithms.catalog import ALGORITHMS
+from core.algorithms.spec import resolve
 from core.environments.info import Device, EnvironmentInfo
+from core.errors import Rejected
 from core.jobs.job import Artifact, ArtifactRole, Job, Progress, UnreadableJob
 from core.jobs.spec import SentSpec
 from core.jobs.status import JobStatus, Reason
@@ -195,6 +199,23 @@ class EnvironmentView(View):
         )
 
 
+class EnvironmentDetails(EnvironmentView):
+    """An environment under the given options, and what a job on it gets by default.
+
+    defaults: every hyperparameter of a job that sets none, by algorithm and device. An algorithm that needs
+    more than its defaults on this environment is left out.
+    """
+
+    defaults: Mapping[str, Mapping[Device, Mapping[str, Any]]]
+
+    @classmethod
+    def of(cls, info: EnvironmentInfo) -> Self:
+        shown = EnvironmentView.of(info)
+        return cls(
+            **{name: getattr(shown, name) for name in EnvironmentView.model_fields}, defaults=_defaults(info)
+        )
+
+
 class AlgorithmView(View):
     """An algorithm, and the JSON Schema of its hyperparameters."""
 
@@ -207,6 +228,15 @@ class Health(View):
     """status: `ok`; anything else is a problem."""
 
     status: str = "ok"
+
+
+def _defaults(info: EnvironmentInfo) -> dict[str, dict[Device, dict[str, Any]]]:
+    found: dict[str, dict[Device, dict[str, Any]]] = {}
+    for kind, row in ALGORITHMS.items():
+        for device in get_args(Device):
+            with suppress(Rejected):
+                found.setdefault(kind, {})[device] = resolve(row.spec(), info, device).model_dump(mode="json")
+    return {kind: devices for kind, devices in found.items() if devices}
 
 
 def _links(job: Job | UnreadableJob) -> dict[str, str]:

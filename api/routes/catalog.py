@@ -6,11 +6,12 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query
 
 from api.dependencies import ServiceDep
+from api.options import OPTIONS_DESCRIPTION, info_under
 from api.problems import refusals
-from api.views import AlgorithmView, EnvironmentView, Listing
+from api.views import AlgorithmView, EnvironmentDetails, EnvironmentView, Listing
 from core.algorithms.catalog import ALGORITHMS
-from core.environments.catalog import ENVIRONMENTS, find
-from core.errors import EnvironmentNotFound, RecordsUnavailable
+from core.environments.catalog import ENVIRONMENTS
+from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
 from core.jobs.store import WorkerInfo
 
 router = APIRouter(tags=["catalog"])
@@ -28,22 +29,41 @@ def list_environments(
     return Listing[EnvironmentView](items=[EnvironmentView.of(info) for info in wanted])
 
 
-@router.get("/environments/{environment_id}", responses=refusals(EnvironmentNotFound))
-def read_environment(environment_id: Annotated[str, Path(examples=["ant"])]) -> EnvironmentView:
-    """One of our own environments."""
-    return EnvironmentView.of(find(environment_id))
+Options = Annotated[
+    str | None,
+    Query(
+        max_length=16_000,
+        description=OPTIONS_DESCRIPTION + " The answer shows the environment under these options.",
+        examples=['{"control": "cpg"}'],
+    ),
+]
+_REFUSALS = refusals(EnvironmentNotFound, Rejected, RecordsUnavailable)
 
 
-@router.get("/environments/playground/{name}", responses=refusals(EnvironmentNotFound))
-def read_playground_environment(name: Annotated[str, Path(examples=["CheetahRun"])]) -> EnvironmentView:
+@router.get("/environments/{environment_id}", responses=_REFUSALS)
+def read_environment(
+    environment_id: Annotated[str, Path(examples=["brittle_star"])],
+    service: ServiceDep,
+    options: Options = None,
+) -> EnvironmentDetails:
+    """One of our own environments, with the hyperparameters that a job on it gets by default."""
+    return EnvironmentDetails.of(info_under(environment_id, options, service.store))
+
+
+@router.get("/environments/playground/{name}", responses=_REFUSALS)
+def read_playground_environment(
+    name: Annotated[str, Path(examples=["CheetahRun"])], service: ServiceDep, options: Options = None
+) -> EnvironmentDetails:
     """One of MuJoCo Playground's environments."""
-    return EnvironmentView.of(find(f"playground/{name}"))
+    return EnvironmentDetails.of(info_under(f"playground/{name}", options, service.store))
 
 
-@router.get("/environments/brax/{name}", responses=refusals(EnvironmentNotFound))
-def read_brax_environment(name: Annotated[str, Path(examples=["ant"])]) -> EnvironmentView:
+@router.get("/environments/brax/{name}", responses=_REFUSALS)
+def read_brax_environment(
+    name: Annotated[str, Path(examples=["ant"])], service: ServiceDep, options: Options = None
+) -> EnvironmentDetails:
     """One of Brax's environments."""
-    return EnvironmentView.of(find(f"brax/{name}"))
+    return EnvironmentDetails.of(info_under(f"brax/{name}", options, service.store))
 
 
 @router.get("/algorithms")

@@ -9,10 +9,11 @@ from anyio import sleep
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import JSONResponse
-from pydantic import Field, JsonValue, TypeAdapter, ValidationError
+from pydantic import Field, JsonValue
 
 from api.dependencies import Parameters, Service, ServiceDep
 from api.files import file_response
+from api.options import OPTIONS_DESCRIPTION, in_the_query, parse_options
 from api.problems import refusals
 from api.views import View
 from core.environments import catalog
@@ -42,7 +43,6 @@ _PATIENCE_S = 5.0
 _GLANCE_S = 0.1
 # The maximum in one preview; the stills of a model's further cameras are asked for one by one.
 _MOST_STILLS = 32
-_OPTIONS: TypeAdapter[dict[str, JsonValue]] = TypeAdapter(dict[str, JsonValue])
 
 
 class Asked(Parameters):
@@ -51,7 +51,7 @@ class Asked(Parameters):
     options: str = Field(
         "{}",
         max_length=16_000,
-        description="The environment's options, as a JSON object.",
+        description=OPTIONS_DESCRIPTION,
         examples=['{"walker": "rodent"}'],
     )
     camera: str | None = Field(
@@ -149,14 +149,13 @@ def _wanted(environment_id: str, asked: Asked, service: Service) -> tuple[Previe
     Raises EnvironmentNotFound, and Rejected with the same messages as for a job.
     """
     catalog.find(environment_id)
-    environment = EnvironmentSpec(id=environment_id, options=_options(asked.options))
+    environment = EnvironmentSpec(id=environment_id, options=parse_options(asked.options))
     try:
         info, options = chosen(environment, service.store)
         cameras = camera_choices(info.cameras)
         camera = None if asked.camera is None else _camera(asked.camera, info.cameras)
     except Rejected as refusal:
-        places = [Problem(_place(problem.pointer), problem.detail) for problem in refusal.problems]
-        raise Rejected(refusal.detail, places, **refusal.facts) from None
+        raise in_the_query(refusal) from None
     shown = cameras[:_MOST_STILLS]
     request = PreviewRequest(
         environment=environment_id,
@@ -169,24 +168,11 @@ def _wanted(environment_id: str, asked: Asked, service: Service) -> tuple[Previe
     return request, camera
 
 
-def _options(text: str) -> dict[str, JsonValue]:
-    try:
-        return _OPTIONS.validate_json(text)
-    except ValidationError:
-        detail = "`options` is not a JSON object."
-        raise Rejected(detail, [Problem("/options", detail)]) from None
-
-
 def _camera(said: str, cameras: Sequence[str]) -> str | int:
     """The camera that a query names, as `camera_choices` calls it."""
     by_number = said.isdecimal() and said not in cameras
     number = model_camera(int(said) if by_number else said, cameras)
     return camera_choices(cameras)[0 if number is None else number + 1]
-
-
-def _place(pointer: str) -> str:
-    """A pointer into a job's document, as the query parameter that matches it."""
-    return pointer.removeprefix("/environment").removeprefix("/video")
 
 
 async def _drawn(wanted: PreviewRequest, service: Service) -> Preview | None:

@@ -50,6 +50,37 @@ def test_an_environment_tells_what_a_job_may_say_about_it(stack: Stack) -> None:
     assert ant["tuned"]["ppo"]["cpu"]["num_envs"] == 256
 
 
+def test_an_environment_is_shown_under_the_options_that_a_job_would_give(stack: Stack) -> None:
+    star = "/environments/brittle_star"
+    plain, steered = (
+        stack.http.get(star, params=params).json() for params in ({}, {"options": '{"control": "cpg"}'})
+    )
+    assert (plain["action_size"], steered["action_size"]) == (50, 36)
+    # What fits a pattern generator and a table is not what fits single joints.
+    assert plain["defaults"]["ppo"]["cpu"]["action_repeat"] == 1
+    assert steered["defaults"]["ppo"]["cpu"]["action_repeat"] == 10
+    assert "q_learning" not in plain["defaults"]
+    assert steered["defaults"]["q_learning"]["cpu"]["state_discretizer"] == {"kind": "arm_towards_target"}
+
+
+@pytest.mark.parametrize(
+    ("options", "pointer", "sentence"),
+    [
+        ("[]", "/options", "not a JSON object"),
+        ('{"control": "mind"}', "/options/control", "'joints'"),
+        ('{"controls": "cpg"}', "/options/controls", "no such option"),
+    ],
+)
+def test_wrong_options_are_refused_with_their_place(
+    options: str, pointer: str, sentence: str, stack: Stack
+) -> None:
+    document = problem(
+        stack.http.get("/environments/brittle_star", params={"options": options}), 422, "invalid-request"
+    )
+    assert document["errors"][0]["pointer"] == pointer
+    assert sentence in document["detail"]
+
+
 def test_every_environment_of_the_catalog_is_listed(stack: Stack) -> None:
     listed = stack.http.get("/environments").json()
     assert {item["id"] for item in listed["items"]} == set(ENVIRONMENTS)
@@ -60,6 +91,7 @@ def test_the_environments_of_a_package_are_listed_by_themselves(stack: Stack) ->
     listed = stack.http.get("/environments", params={"family": "playground"}).json()["items"]
     assert {item["family"] for item in listed} == {"playground"}
     cheetah = stack.http.get("/environments/playground/CheetahRun").json()
+    assert cheetah.pop("defaults")["ppo"]["gpu"]["num_envs"] == 2048
     assert cheetah in listed
     assert (cheetah["observation_size"], cheetah["tuned"]["ppo"]["gpu"]["num_envs"]) == (17, 2048)
     assert stack.http.get("/environments/brax%2Fant").json()["options"]["properties"]["backend"]
