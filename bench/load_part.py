@@ -21,8 +21,9 @@ from core.errors import Conflict
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Progress
 from core.jobs.queue import queue_names
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Entry, JobStore
+from core.reasons import Reason
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
 

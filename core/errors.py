@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from core.reasons import Reason
+
 # The exit status of a misconfigured process, EX_CONFIG in sysexits.h: it tells a supervisor that a restart
 # does not help.
 EXIT_STATUS = 78
@@ -269,6 +271,6 @@ class JobFailed(GaitwayError):
     code = "job-failed"
     title = "The job failed"
 
-    def __init__(self, reason: str, detail: str, **facts: object) -> None:
+    def __init__(self, reason: Reason, detail: str, **facts: object) -> None:
         super().__init__(detail, **facts)
         self.reason = reason

@@ -11,8 +11,8 @@ from pydantic import Field, TypeAdapter
 from core.documents import Stored
 from core.jobs.job import ArtifactRole
 from core.jobs.spec import SentSpec
-from core.jobs.status import Reason
 from core.physics.availability import EngineName
+from core.reasons import Reason
 
 
 class Hello(Stored):

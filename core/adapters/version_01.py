@@ -36,9 +36,10 @@ from core.adapters.redis.errors import reaching_redis
 from core.documents import Stored
 from core.errors import JobNotFound, JobUnreadable, ObjectNotFound
 from core.jobs.job import Artifact, Job, Progress, check_job_id
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry
 from core.jobs.stored_spec import read_spec
+from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models.record import ModelRecord

@@ -14,7 +14,7 @@ from core.algorithms.sharding import Sharding
 class TrainingState(Protocol):
     """Everything that a run's future depends on, besides its settings: a tree of arrays.
 
-    num_updates: [] int32, updates made so far. eval_key: the evaluations' randomness, the same throughout.
+    num_updates: [] int32, updates made so far. eval_key: the random key of every evaluation, never changed.
     """
 
     @property
@@ -52,7 +52,7 @@ S = TypeVar("S", bound=TrainingState)
 
 
 class Algorithm(Protocol[S]):
-    """Made from an environment, resolved settings, a seed and a number of devices.
+    """An algorithm for one run: made from an environment, resolved settings, a seed and a number of devices.
 
     `init`, `update` and `evaluate` are pure and are compiled once; the other methods run on the host.
     Equal seeds give equal runs, bit for bit on a CPU.
@@ -63,17 +63,17 @@ class Algorithm(Protocol[S]):
 
     @property
     def seed(self) -> Any:
-        """What `init` takes: arrays."""
+        """The argument of `init`: arrays."""
         ...
 
     @property
     def hyperparameters(self) -> Any:
-        """What `update` takes besides the state: arrays that may change without compiling again."""
+        """The second argument of `update`: arrays that may change without recompiling."""
         ...
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """Names of what is checked after each update, in the order in which one spoils the next."""
+        """Names of the quantities checked after each update, in the order in which one spoils the next."""
         ...
 
     @property
@@ -83,17 +83,17 @@ class Algorithm(Protocol[S]):
 
     @property
     def format(self) -> Format:
-        """Of its checkpoints."""
+        """The format of its checkpoints."""
         ...
 
     @property
     def header(self) -> Mapping[str, Any]:
-        """What a checkpoint says besides its state."""
+        """What a checkpoint holds besides its state."""
         ...
 
     @property
     def description(self) -> Mapping[str, Any]:
-        """What a checkpoint's header must agree on for this run to resume from it."""
+        """What a checkpoint's header must match for this run to resume from it."""
         ...
 
     @property
@@ -101,8 +101,8 @@ class Algorithm(Protocol[S]):
 
     @property
     def split_fields(self) -> tuple[str, ...]:
-        """The state's fields whose arrays lead with environments, which devices share; the others are whole
-        on every device."""
+        """The state's fields whose first axis is environments, which devices share; the others are whole on
+        every device."""
         ...
 
     def init(self, seed: Any, /) -> S:
@@ -110,7 +110,7 @@ class Algorithm(Protocol[S]):
         ...
 
     def update(self, state: S, hyperparameters: Any, /) -> tuple[S, dict[str, jax.Array], Failure]:
-        """The next state, the update's metrics, and what in it was not finite."""
+        """The next state, the update's metrics, and which quantities were not finite."""
         ...
 
     def evaluated(self, state: S) -> Any:
@@ -118,16 +118,16 @@ class Algorithm(Protocol[S]):
         ...
 
     def evaluate(self, evaluated: Any, key: jax.Array, update: jax.Array, /) -> EpisodeTotals:
-        """Totals of the episodes that try the policy after so many updates; key: the state's eval_key."""
+        """Totals of the episodes that evaluate a policy. key: its state's eval_key; update: num_updates."""
         ...
 
     def training_metrics(self, state: S, sums: Mapping[str, Any], num_updates: int) -> dict[str, float]:
-        """An epoch's metrics by Brax's names. state: after it. sums: of `update`'s metrics over the epoch's
-        `num_updates`, on the host."""
+        """An epoch's metrics by Brax's names. state: after the epoch. sums: `update`'s metrics, summed over
+        the epoch's `num_updates`, on the host."""
         ...
 
     def after_evaluation(self, state: S, totals: EpisodeTotals) -> tuple[S, dict[str, float]]:
-        """The state once it has been evaluated, and the metrics by Brax's names; totals: on the host."""
+        """The state after an evaluation, and its metrics by Brax's names; totals: on the host."""
         ...
 
     def policy(self, state: S) -> bytes:
@@ -135,9 +135,9 @@ class Algorithm(Protocol[S]):
         ...
 
     def tables(self, state: S) -> Mapping[str, NDArray[Any]]:
-        """Arrays that are kept beside the policy, with pictures; empty where there are none to show.
+        """Arrays to store beside the policy, with pictures; empty if the algorithm has none.
 
-        `q_table` and `visits`, [states, actions] or [agents, states, actions], are drawn; `state_names`
-        [states] and `action_names` [actions], of text, are written beside them. Others are only kept.
+        `q_table` and `visits`, [states, actions] or [agents, states, actions], are drawn and labelled with
+        the texts `state_names` [states] and `action_names` [actions]. Others are only stored.
         """
         ...

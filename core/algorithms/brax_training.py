@@ -1,7 +1,7 @@
-"""What is taken from Brax's training code, loaded without Brax's physics.
+"""The parts of Brax's training code that we use, loaded without Brax's physics.
 
-`import brax` loads its bodies, these MJX, and MJX Warp and trimesh: half of the time that a job's imports
-take, for nothing that training needs. The package's own names are loaded when somebody asks for one.
+`import brax` loads its environments, which load MJX, which loads Warp and trimesh: half of a job's import
+time, for nothing that training needs. The package's own names are loaded when one is first used.
 """
 
 import importlib
@@ -11,14 +11,14 @@ from typing import Any
 
 
 def put_off(name: str) -> None:
-    """Let a package's parts be imported without running its `__init__`, until a name of its own is wanted."""
+    """Make a package's modules importable without running its `__init__`, until a name of its own is used."""
     spec = importlib.util.find_spec(name) if name not in sys.modules else None
     if spec is None or spec.loader is None:
         return
     package, loader = importlib.util.module_from_spec(spec), spec.loader
 
     def load(wanted: str) -> Any:
-        if wanted.startswith("__"):  # those that Python itself looks for, and a package may lack
+        if wanted.startswith("__"):  # Python looks for some that a package may lack
             raise AttributeError(wanted)
         if importlib.util.find_spec(f"{name}.{wanted}") is not None:
             return importlib.import_module(f"{name}.{wanted}")

@@ -1,4 +1,4 @@
-"""The algorithms a job may name. To add one: its package, a member of the union, and its row."""
+"""The algorithms a job may name. To add one, write its package and add a member of the union and a row."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -54,6 +54,6 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
 
 
 def loaded(name: str) -> Callable[..., Any]:
-    """What a row's `module:name` names; only now is its code loaded, and with it the numerical stack."""
+    """The object at a row's `module:name`. This call loads its code, and with it the numerical stack."""
     module, _, function = name.partition(":")
     return getattr(import_module(module), function)

@@ -17,13 +17,14 @@ from pydantic import BaseModel
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 from core.errors import JobFailed
+from core.reasons import Reason
 
-_CANNOT_BE_READ = "The checkpoint cannot be read: it is cut off, or no checkpoint of this service."
+_CANNOT_BE_READ = "The checkpoint cannot be read: it is cut off, or not a checkpoint of this service."
 
 
 @dataclass(frozen=True)
 class Format:
-    """How one algorithm writes its checkpoints down. name: stands in each of them."""
+    """The format of one algorithm's checkpoints. name: is written into each of them."""
 
     name: str
 
@@ -40,7 +41,7 @@ class Format:
             parts = _decode(content)
             header, body = parts["header"], parts["state"]
             intact = hashlib.sha256(body).hexdigest() == parts["sha256"]
-        except Exception as error:  # whatever a decoder makes of damaged bytes
+        except Exception as error:  # damaged bytes may make a decoder raise anything
             raise _bad(_CANNOT_BE_READ) from error
         if header["format"] != self.name:
             raise _bad(
@@ -55,7 +56,7 @@ class Format:
     ) -> tuple[dict[str, int], Any]:
         """The counters and the state, in the shape of `template`, a tree of arrays or of their shapes.
 
-        Raises JobFailed("bad_checkpoint") that names what differs.
+        Raises JobFailed("bad_checkpoint"), which names the differences.
         """
         header, saved = self.read(content)
         differences = [
@@ -79,7 +80,7 @@ def kind_of(content: bytes) -> str:
     """Which algorithm wrote the checkpoint. Raises JobFailed where that cannot be read."""
     try:
         _, kind, _ = _decode(content)["header"]["format"].split("-")
-    except Exception as error:  # whatever a decoder makes of damaged bytes
+    except Exception as error:  # damaged bytes may make a decoder raise anything
         raise _bad(_CANNOT_BE_READ) from error
     return kind
 
@@ -114,4 +115,4 @@ def _decode(content: bytes) -> dict[str, Any]:
 
 
 def _bad(detail: str) -> JobFailed:
-    return JobFailed("bad_checkpoint", detail)
+    return JobFailed(Reason.BAD_CHECKPOINT, detail)

@@ -17,10 +17,10 @@ from core.environments.wrappers.vectorized import ENVS
 
 @dataclass(frozen=True)
 class CompiledFunctions(Generic[S]):
-    """Functions that can only run, never compile again: other shapes are an error.
+    """Functions that never compile again: other shapes are an error.
 
-    init: the state before the first update, from a seed. epoch: updates until so many are made, see
-    `updates_until`; it consumes the state it is given. evaluate: see `Algorithm.evaluate`.
+    init: the state before the first update, from a seed. epoch: see `updates_until`; it consumes the state
+    that it is given. evaluate: see `Algorithm.evaluate`.
     """
 
     init: Callable[[Any], S]
@@ -31,7 +31,7 @@ class CompiledFunctions(Generic[S]):
 def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
     """Trace every function; calling the result compiles them, side by side.
 
-    Evaluations have few environments: the first device makes them, with a copy of what they need.
+    Evaluations have few environments, so they run on the first device, with a copy of what they need.
     """
 
     def epoch(state: S, hyperparameters: Any, until: jax.Array) -> tuple[S, dict[str, jax.Array], Failure]:
@@ -55,7 +55,7 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
 
 
 def place(algorithm: Algorithm[S], state: S) -> S:
-    """A state's arrays on the devices that share the run."""
+    """Put a state's arrays on the devices that share the run."""
     if algorithm.sharding.mesh is None:
         return jax.tree.map(jnp.asarray, state)
     return jax.device_put(state, _shardings(algorithm, state))
@@ -71,7 +71,7 @@ def _where(algorithm: Algorithm[S], state: S) -> tuple[dict[str, Any], dict[str,
 
 
 def _shardings(algorithm: Algorithm[S], state: S) -> Any:
-    """Where each array of a state lies: environments are split, all else is everywhere."""
+    """Where each array of a state lies: environments are split, everything else is on every device."""
     sharding = algorithm.sharding
     everywhere: Any = jax.tree.map(lambda _: sharding.of_axes(), cast("Any", state))
     split = {

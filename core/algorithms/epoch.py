@@ -29,13 +29,13 @@ def updates_until(
     hyperparameters: H,
     until: jax.Array,
 ) -> tuple[S, dict[str, jax.Array], F]:
-    """Update until `until` [] int32 updates are made, or one of them brings a value that is not finite.
+    """Update until `until` [] int32 updates are made, or one of them gives a value that is not finite.
 
     update: from a state and hyperparameters to the next state, its metrics, and which of its quantities were
     not finite. Returns the state after the last good update, metrics summed over the good ones, and what went
-    wrong in the bad one. How a run is cut into epochs changes nothing in it.
+    wrong in the bad one. The result of a run does not depend on how it is cut into epochs.
     """
-    # Traced once for both places below, and copied into the second as if it had been traced there.
+    # Traced once for both uses below, and inlined as if the second had traced it, too.
     once = jax.jit(update, inline=True)
 
     def going(carry: tuple[S, Any, F]) -> jax.Array:

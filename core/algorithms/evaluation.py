@@ -1,4 +1,4 @@
-"""Trying a policy: whole episodes side by side, no learning."""
+"""Evaluating a policy: whole episodes side by side, without learning."""
 
 from typing import Any
 
@@ -38,9 +38,8 @@ def run_episodes(
 ) -> EpisodeTotals:
     """One episode in each environment, until it ends or is `episode_length` actions long.
 
-    copies: as many times `num_envs` environments, one after the other, each time with the same starts.
-
-    policy: (observations [N, obs], key) -> (actions [N, act], extras). Stops when the last one has ended.
+    policy: (observations [N, obs], key) -> (actions [N, act], extras). copies: N is `copies * num_envs`, and
+    each copy of the `num_envs` environments has the same starts. Stops when the last episode has ended.
     """
     reset_key, act_key = jax.random.split(key)
     starts = jax.random.split(reset_key, num_envs)
@@ -57,7 +56,7 @@ def run_episodes(
         action, _ = policy(trial.state.obs, jax.random.fold_in(act_key, trial.time))
         state = jax.vmap(environment.step)(trial.state, action)
         seen = {"reward": state.reward, **state.metrics}
-        # An ended episode adds nothing, and its world stands still.
+        # An ended episode adds nothing, and its environment stands still.
         totals = EpisodeTotals(
             {
                 name: total + jnp.where(trial.alive, seen[name], 0.0)
@@ -75,8 +74,8 @@ def run_episodes(
 def evaluation_metrics(totals: EpisodeTotals, action_repeat: int = 1) -> dict[str, float]:
     """Means over the episodes, by Brax's names; totals: arrays on the host.
 
-    action_repeat: environment steps for each action. What is returned is summed over steps, as rewards are;
-    the totals count actions, and an action's metrics are means over its steps (`RepeatedAction`).
+    action_repeat: environment steps per action. The result is summed over steps, as rewards are; the totals
+    count actions, and an action's metrics are means over its steps (`RepeatedAction`).
     """
     summed = {
         name: value if name == "reward" else value * np.float32(action_repeat)

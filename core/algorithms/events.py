@@ -23,7 +23,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The policy of `step` was tried; metrics by Brax's names (`eval/...`)."""
+    """The policy at `step` was evaluated; metrics by Brax's names (`eval/...`)."""
 
     step: int
     metrics: Mapping[str, float]
@@ -31,7 +31,7 @@ class Evaluated:
 
 @dataclass(frozen=True)
 class CheckpointReady:
-    """The budget says to keep this `step`: ask the run for `checkpoint()` now."""
+    """A checkpoint of this `step` is due: ask the run for `checkpoint()` now."""
 
     step: int
 

@@ -20,7 +20,7 @@ Policy = Any  # (observations [B, obs], or several by name, key) -> (actions [B,
 
 @struct.dataclass
 class Starts:
-    """Where an episode that ends begins anew.
+    """The initial states of the episodes that follow ended ones.
 
     pool: fresh initial states [K, ...]. chosen: [num_steps, num_envs] int32, which of them an
     environment gets if its episode ends at that step.
@@ -34,9 +34,9 @@ class Starts:
 class Outcome:
     """What happened at each of T steps in N environments; arrays [T, N].
 
-    fell: 1 where the environment ended the episode, and not its length. effort: mean square of the action's
-    components. metrics: the environment's own, by name, and where its body is. overflow: 1 where the engine
-    lost contacts; None where it cannot. Not told of an episode's last step.
+    fell: 1 where the environment ended the episode, rather than its length. effort: mean square of the
+    action's components. metrics: the environment's own, by name, and its body's position. overflow: 1 where
+    the engine lost contacts, not known of an episode's last step; None if the engine cannot lose any.
     """
 
     reward: jax.Array
@@ -49,7 +49,7 @@ class Outcome:
 
 
 def collect(
-    worlds: VectorEnv,
+    envs: VectorEnv,
     policy: Policy,
     episodes: Episodes,
     keys: jax.Array,
@@ -57,17 +57,17 @@ def collect(
     episode_length: int,
     starts: Starts | None = None,
 ) -> tuple[Episodes, tuple[Transition, Outcome]]:
-    """Act once with each of the keys [num_steps, ...]; what comes out leads with [num_steps, num_envs].
+    """Act once with each of the keys [num_steps, ...]; the results' first axes are [num_steps, num_envs].
 
-    starts: None where every environment goes back to its own first state, which `episodes` then holds.
+    starts: None if every environment returns to its own first state, which `episodes` then holds.
     """
-    where = jax.vmap(body_position(worlds.environment.model, worlds.environment.tracked_body))
+    where = jax.vmap(body_position(envs.environment.model, envs.environment.tracked_body))
 
     def act(episodes: Episodes, given: Any) -> tuple[Episodes, tuple[Transition, Outcome]]:
         key, chosen = given
         action, extras = policy(episodes.state.obs, key)
         fresh = None if starts is None else draw(starts.pool, chosen)
-        reached = worlds.step(episodes.state, action)
+        reached = envs.step(episodes.state, action)
         after = follow(episodes, reached, fresh, episode_length=episode_length)
         transition = Transition(
             observation=episodes.state.obs,
@@ -95,7 +95,7 @@ def collect(
 def cut_into_unrolls(transitions: Transition, unroll_length: int) -> Transition:
     """From [T, N, ...] to [T / unroll_length * N, unroll_length, ...], as Brax's loss takes it.
 
-    Of the next observations only the last of each unroll is kept, [.., 1, ...]: the loss reads no other.
+    Only the last of an unroll's next observations is kept, [.., 1, ...]: the loss reads no other.
     """
 
     def cut(x: jax.Array) -> jax.Array:
@@ -110,10 +110,10 @@ def cut_into_unrolls(transitions: Transition, unroll_length: int) -> Transition:
 def bootstrap_timeouts(
     transitions: Transition, discounting: jax.Array, reward_scaling: jax.Array
 ) -> Transition:
-    """The transitions with those that cut an episode off turned into ends that are worth γ V(s) more.
+    """Turn transitions that cut an episode off into terminations whose reward is higher by γ V(s).
 
-    The value of the step's own observation stands in for that of the one it led to, as in RSL-RL. Values
-    are in units of scaled reward; the loss scales all rewards, so it is taken out here.
+    The value of the step's own observation stands in for that of the next one, as in RSL-RL. Values are in
+    units of scaled reward; the loss scales all rewards, so they are divided by the scale here.
     Source: Rudin et al., Learning to Walk in Minutes (2022), section 3.2; Brax's `bootstrap_on_timeout`.
     """
     extras = cast("dict[str, Any]", transitions.extras)
@@ -126,7 +126,7 @@ def bootstrap_timeouts(
 
 
 def of_whole_episodes(outcome: Outcome, actions_before: jax.Array) -> Outcome:
-    """The outcome without the ends of episodes that, by their length, began before the run did.
+    """The outcome without the ends of episodes that, judged by their length, began before the run.
 
     actions_before: [] int32, how often every environment had acted before.
     """
@@ -147,8 +147,8 @@ def of_whole_episodes(outcome: Outcome, actions_before: jax.Array) -> Outcome:
 def summarise(outcome: Outcome) -> dict[str, jax.Array]:
     """Sums over one update, [] float32: finished episodes, their scores and lengths, and how many fell.
 
-    And means over its steps: the control effort, every metric of the environment by its own name (the speed
-    by a clearer one), and the share in which the engine lost contacts, where there are such.
+    Also means over its steps: the control effort, every metric of the environment by its own name (the speed
+    by a clearer one), and the share of steps in which the engine lost contacts, if it can.
     """
     speed = outcome.metrics.get("x_velocity")
     own = {name: values for name, values in outcome.metrics.items() if name != "x_velocity"}

@@ -1,4 +1,4 @@
-"""The course of a run, whatever is learnt in it: epochs that follow the clock, and what is due between."""
+"""The loop of a run, for any algorithm: epochs sized by the clock, and what is due between them."""
 
 import math
 import time
@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterator, Mapping
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.schedule import Schedule
 from core.errors import JobFailed
+from core.reasons import Reason
 
 
 class Loop:
-    """Counts a run's updates, and says what comes when.
+    """Counts a run's updates, and decides what is due when.
 
-    epoch_s: seconds that an epoch aims at; it changes how often Progress comes, and nothing else.
+    epoch_s: an epoch's target duration in seconds; it only changes how often Progress comes.
     """
 
     def __init__(self, schedule: Schedule, epoch_s: float) -> None:
@@ -34,22 +35,22 @@ class Loop:
 
     @property
     def progress(self) -> dict[str, int]:
-        """What a checkpoint keeps of this."""
+        """The counters that a checkpoint keeps."""
         return {"step": self.step, "updates": self.updates, "evaluated": self._evaluated}
 
     def resume(self, progress: Mapping[str, int]) -> None:
-        """Go on from what a checkpoint kept."""
+        """Continue from the counters that a checkpoint kept."""
         self.updates, self._evaluated = progress["updates"], progress["evaluated"]
 
     def events(
         self, train: Callable[[int], Mapping[str, float]], evaluate: Callable[[], dict[str, float]]
     ) -> Iterator[Event]:
-        """For each epoch Progress, and at their updates Evaluated and CheckpointReady, the last of each at
+        """Yields Progress for each epoch, and Evaluated and CheckpointReady when due, the last of each at
         the end. Phase first_update comes before the first Progress.
 
-        train: until so many updates are made, or a value is not finite; it notes them in `updates`, and
-        returns the epoch's metrics. evaluate: metrics of the present state. Raises JobFailed("diverged")
-        where these are not finite.
+        train: trains until the given number of updates is made or a value is not finite, records the number
+        in `updates`, and returns the epoch's metrics. evaluate: the metrics of the current state.
+        Raises JobFailed("diverged") if an evaluation's metric is not finite.
         """
         yield from self._evaluate_if_due(evaluate)  # a run may be stopped before an evaluation that was due
         if self.updates >= self._schedule.num_updates:
@@ -94,7 +95,7 @@ class Loop:
         bad = [name for name, value in metrics.items() if not math.isfinite(value)]
         if bad:
             raise JobFailed(
-                "diverged",
+                Reason.DIVERGED,
                 f"The evaluation at environment step {self.step} gave a value that is not finite: {bad[0]}.",
                 step=self.step,
                 quantity=bad[0],

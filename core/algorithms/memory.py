@@ -1,8 +1,7 @@
-"""The least memory that a run can do with, known before it begins; imports no numerical code.
+"""The least memory that a run needs, known before it begins; imports no numerical code.
 
-Only what surely lies in memory at the same time is counted: an estimate that is too low lets a run begin that
-may fail later, and one that is too high would refuse a run that fits. bench/memory.py measures how far it is
-from the truth.
+Only what is certainly in memory at the same time is counted: too low an estimate lets a run begin that may
+fail later, and too high an estimate would refuse a run that fits. bench/memory.py measures the error.
 """
 
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ _UNITS = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB")
 
 @dataclass(frozen=True)
 class Part:
-    """Something that lies in each device's memory. bytes: of one of them; lower: what to make smaller."""
+    """Something in each device's memory. bytes: on one device; lower: the settings that make it smaller."""
 
     what: str
     bytes: int
@@ -30,22 +29,22 @@ class Memory:
 
     @property
     def bytes(self) -> int:
-        """Of all parts together."""
+        """The sum over all parts."""
         return sum(part.bytes for part in self.parts)
 
     @property
     def lower(self) -> tuple[str, ...]:
-        """What to make smaller first."""
+        """The settings that make the largest part smaller."""
         return max(self.parts, key=lambda part: part.bytes).lower
 
     def does_not_fit(self, limit_bytes: int, where: str) -> str:
-        """A sentence. where: whose the limit is."""
+        """The error message. where: what has this limit."""
         parts = sorted(self.parts, key=lambda part: -part.bytes)
         named = ", ".join(f"{shown(part.bytes)} for {part.what}" for part in parts if part.bytes)
         *others, last = self.lower
         less = f"{', '.join(others)} or {last}" if others else last
         return (
-            f"The run needs at least {shown(self.bytes)} of memory on its device ({named}), and {where} has "
+            f"The run needs at least {shown(self.bytes)} of memory on its device ({named}), but {where} has "
             f"{shown(limit_bytes)}: lower {less}."
         )
 

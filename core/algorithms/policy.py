@@ -1,4 +1,4 @@
-"""A trained policy, whatever has trained it: for rollouts, videos and notebooks."""
+"""A trained policy of any algorithm: for rollouts, videos and notebooks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from core.environments.rollout import ParametricPolicy
 
 
 class Acting(NamedTuple):
-    """How a policy acts in an environment. environment: itself, or one that also remembers what was decided.
-    act: (parameters, state, key) -> action [action_size]."""
+    """How a policy acts in an environment. environment: the environment itself, or a wrapper of it that
+    remembers decisions. act: (parameters, state, key) -> action [action_size]."""
 
     environment: Environment
     act: ParametricPolicy
@@ -22,10 +22,10 @@ class Acting(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """Functions of parameters that may be exchanged for those of a later checkpoint without a compilation.
+    """A policy's parameters and its functions of them: a later checkpoint's need no new compilation.
 
-    acting: how it acts in an environment such as it was trained in. answer: (parameters, what it looks at,
-    key) -> what it says, for those who have no environment.
+    acting: how it acts in an environment like the one it was trained in. answer: (parameters, observation,
+    key) -> output, for callers without an environment.
     """
 
     parameters: Any

@@ -1,7 +1,7 @@
-"""One run of an algorithm, whichever it is: begin or resume, train, evaluate, keep.
+"""One run of any algorithm: begin or resume, train, evaluate, checkpoint.
 
 The caller keeps control: it pulls events, and between two of them it may store, stop (by not asking for
-more), or ask for a checkpoint of the present state.
+more), or ask for a checkpoint of the current state.
 """
 
 import time
@@ -22,6 +22,7 @@ from core.algorithms.schedule import Schedule
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 from core.errors import JobFailed
+from core.reasons import Reason
 
 
 def make_run(  # noqa: PLR0913 - all of them are named
@@ -37,11 +38,11 @@ def make_run(  # noqa: PLR0913 - all of them are named
     """A run of the algorithm that the settings belong to.
 
     environment: one environment; the algorithm steps copies of it side by side. settings: resolved, see
-    `core.algorithms.spec.resolve`. seed: not used where the run resumes. devices: how many of JAX's share the
-    run; the result is that of one device but for rounding. The others: see `Run`.
+    `core.algorithms.spec.resolve`. seed: not used if the run resumes. devices: how many of JAX's devices
+    share the run; the result differs only by rounding. For the others see `Run`.
 
     Raises Rejected where the settings, the environment or the devices do not go together;
-    JobFailed("bad_model") where the environment lacks what they need, and what `Run` raises.
+    JobFailed("bad_model") where the environment lacks what they need; and whatever `Run` raises.
     """
     algorithm = loaded(ALGORITHMS[settings.algorithm()].algorithm)(
         environment, settings, seed=seed, devices=devices
@@ -53,8 +54,8 @@ class Run(Generic[S]):
     """A run from its beginning, or from a checkpoint, to the end of its budget.
 
     checkpoint_every_steps: environment steps, over all environments, between CheckpointReady events; the last
-    is at the end in any case. resume: a checkpoint; the run resumes from it, with its random keys. epoch_s:
-    seconds that an epoch aims at; it changes how often Progress comes, and nothing else.
+    is always at the end. resume: a checkpoint; the run resumes from it, with its random keys. epoch_s: an
+    epoch's target duration in seconds; it only changes how often Progress comes.
 
     Raises JobFailed("bad_checkpoint") when `resume` is damaged or belongs to a run of another shape.
     """
@@ -89,10 +90,10 @@ class Run(Generic[S]):
         return self._loop.total
 
     def events(self) -> Iterator[Event]:
-        """Train to the end of the budget: Phase trace and compile, then what `Loop.events` says.
+        """Train to the end of the budget: Phase trace and compile, then the events of `Loop.events`.
 
         Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state before
-        the update that brought it.
+        the update that gave it.
         """
         functions = yield from self._prepare()
         yield from self._loop.events(partial(self._train, functions), partial(self._evaluate, functions))
@@ -106,7 +107,7 @@ class Run(Generic[S]):
         return self._algorithm.policy(self._begun)
 
     def tables(self) -> Mapping[str, NDArray[Any]]:
-        """Arrays that are kept beside the policy, with pictures: see `Algorithm.tables`."""
+        """Arrays to store beside the policy, with pictures: see `Algorithm.tables`."""
         return self._algorithm.tables(self._begun)
 
     @property
@@ -151,13 +152,13 @@ class Run(Generic[S]):
         return metrics
 
     def _diverged(self, failure: Failure) -> JobFailed:
-        """The error for a failure in the update that follows the present state."""
+        """The error for a failure in the update after the current state."""
         algorithm = self._algorithm
         quantity = algorithm.quantities[int(np.argmax(failure.quantities))]
         within = int(failure.time_step) * algorithm.env_steps_per_time_step
         step = self.step + min(within, algorithm.settings.env_steps_per_update)
         return JobFailed(
-            "diverged",
+            Reason.DIVERGED,
             f"The {quantity} became non-finite at environment step {step}; the last good state is that of "
             f"step {self.step}.",
             step=step,

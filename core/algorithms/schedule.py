@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Schedule:
-    """What a run of `num_updates` updates does at which of them.
+    """After which of a run's `num_updates` updates an evaluation or a checkpoint is due.
 
     num_evals: evaluations spread evenly, the last at the end. checkpoint_every_steps: environment steps
     between checkpoints, each at the first update that reaches its multiple; None: only at the end.
@@ -17,11 +17,11 @@ class Schedule:
     checkpoint_every_steps: int | None
 
     def evaluation_due(self, update: int) -> bool:
-        """Whether the policy is tried after this many updates."""
+        """Whether the policy is evaluated after this many updates."""
         return self._evaluations(update) > self._evaluations(update - 1)
 
     def checkpoint_due(self, update: int) -> bool:
-        """Whether the state is kept after this many updates."""
+        """Whether a checkpoint is made after this many updates."""
         return update >= self.num_updates or self._checkpoints(update) > self._checkpoints(update - 1)
 
     def next_stop(self, update: int) -> int:

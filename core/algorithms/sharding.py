@@ -1,4 +1,4 @@
-"""Where a run's arrays lie when several devices share it: environments are split, all else is everywhere."""
+"""Where a run's arrays lie when devices share it: environments are split, the rest is on every device."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Tree = TypeVar("Tree")
 
 @dataclass(frozen=True)
 class Sharding:
-    """How arrays lie on the devices of a mesh; None: there is one device, and nothing to say."""
+    """How arrays lie on the devices of a mesh; None: there is only one device."""
 
     mesh: Mesh | None = None
 
@@ -24,13 +24,13 @@ class Sharding:
     def over(cls, num_devices: int, settings: PPOSpec) -> "Sharding":
         """Over JAX's first devices.
 
-        Raises Rejected where there are fewer, or environments or a minibatch cannot be shared out evenly.
+        Raises Rejected if there are fewer, or they cannot share environments or a minibatch evenly.
         """
         if num_devices == 1:
             return cls()
         found = jax.local_devices()
         if len(found) < num_devices:
-            raise Rejected(f"{num_devices} devices were asked for, and JAX finds {len(found)}.")
+            raise Rejected(f"{num_devices} devices were asked for, but JAX finds {len(found)}.")
         settings.check_sharing(num_devices)
         _avoid_a_crash()
         return cls(Mesh(found[:num_devices], (ENVS,)))
@@ -48,7 +48,7 @@ class Sharding:
         return None if self.mesh is None else NamedSharding(self.mesh, PartitionSpec(*axes))
 
     def on_the_first(self, program: Callable[..., Tree]) -> Callable[..., Tree]:
-        """A program that was compiled for one device, for arrays that lie on all of them."""
+        """Let a program that was compiled for one device take arrays that lie on all of them."""
         if self.mesh is None:
             return program
         return lambda *arrays: program(*jax.device_put(arrays, jax.local_devices()[0]))
@@ -61,8 +61,8 @@ class Sharding:
 
 
 def _avoid_a_crash() -> None:
-    """jaxlib 0.11 dies of a segmentation fault where its newer partitioner (Shardy) meets an array without
-    elements in a `shard_map`, and MuJoCo's models are full of them; 0.10 and 0.12 do not."""
+    """jaxlib 0.11's newer partitioner (Shardy) segfaults on an array without elements in a `shard_map`, and
+    MuJoCo's models have many; 0.10 and 0.12 do not."""
     if jax.__version_info__[:2] == (0, 11):
         jax.config.update("jax_use_shardy_partitioner", False)
 

@@ -1,4 +1,4 @@
-"""What every algorithm's hyperparameters tell those who run a job without knowing which algorithm it has."""
+"""What code that runs any algorithm's job can read from its hyperparameters."""
 
 from abc import abstractmethod
 from typing import ClassVar, TypeVar
@@ -12,8 +12,8 @@ from core.errors import Problem, Rejected
 class BaseSpec(Strict):
     """An algorithm's hyperparameters; a subclass adds `kind` and its fields.
 
-    fixed_by_checkpoint: names of what a run that resumes must have in common with its checkpoint; everything
-    else may change. checkpoint_holds_worlds: whether a run goes on in the very worlds that it left.
+    fixed_by_checkpoint: names of the values that a resumed run must share with its checkpoint; all others
+    may change. checkpoint_holds_worlds: whether a resumed run continues in the environments that it left.
     """
 
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = ()
@@ -27,7 +27,7 @@ class BaseSpec(Strict):
     @property
     @abstractmethod
     def num_worlds(self) -> int:
-        """How many worlds a run steps side by side for most of its time."""
+        """How many environments a run steps side by side for most of its time."""
 
     @property
     @abstractmethod
@@ -39,13 +39,13 @@ class BaseSpec(Strict):
         return None
 
     def least_memory(self, environment: EnvironmentInfo, num_devices: int) -> Memory:
-        """What a run under these resolved values certainly needs on each of its devices."""
+        """The memory that a run under these resolved values certainly needs on each of its devices."""
         return Memory([])
 
     def check_sharing(self, num_devices: int) -> None:
         """Raises Rejected where `num_devices` devices cannot share the run: by default, more than one."""
         if num_devices > 1:
-            detail = f"{self.algorithm()} runs on one device, and {num_devices} GPUs are asked for."
+            detail = f"{self.algorithm()} runs on one device, but the job asks for {num_devices} GPUs."
             raise Rejected(detail, [Problem("/resources/gpus", detail)])
 
 
@@ -53,7 +53,7 @@ AnySpec = TypeVar("AnySpec", bound=BaseSpec)
 
 
 def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnySpec:
-    """Every hyperparameter of a run on this device: the job's word, else the tuned one, else the default.
+    """Every hyperparameter of a run on this device: the job's value, else the tuned one, else the default.
 
     Raises Rejected where the values do not go together.
     """
@@ -65,7 +65,7 @@ def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnyS
 
 
 def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:
-    """Raises Rejected where a run under `wanted` cannot go on from a checkpoint of one under `made_with`."""
+    """Raises Rejected if a run under `wanted` cannot resume from a checkpoint of one under `made_with`."""
     names = ("kind",) if type(wanted) is not type(made_with) else wanted.fixed_by_checkpoint
     problems = [
         Problem(f"/algorithm/{name}", f"The checkpoint was made with {name} = {had}; this job has {has}.")
@@ -74,6 +74,6 @@ def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:
     ]
     if problems:
         raise Rejected(
-            "The job cannot go on from that checkpoint. " + " ".join(problem.detail for problem in problems),
+            "The job cannot resume from that checkpoint. " + " ".join(problem.detail for problem in problems),
             problems,
         )

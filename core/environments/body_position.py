@@ -1,4 +1,4 @@
-"""Where a body is, read off its joints: for measuring, where an environment does not tell it itself."""
+"""A body's position, computed from its joints: for metrics that an environment does not report itself."""
 
 from collections.abc import Callable, Mapping
 
@@ -13,10 +13,10 @@ _Position = Callable[[PhysicsState], jax.Array]
 
 
 def body_position(model: mujoco.MjModel, body: int) -> Callable[[PhysicsState], Mapping[str, jax.Array]]:
-    """How to read the body's `height` and `distance_from_origin`, [] each, in metres.
+    """A function that reads the body's `height` and `distance_from_origin`, [] each, in metres.
 
-    The distance is that in space, as in Brax. There is nothing to read of a body that does not travel by
-    joints of its own, and no height of one that stays level.
+    The distance is in three dimensions, as in Brax. The result is empty for a body that does not travel by
+    joints of its own, and has no height for one that stays level.
     """
     position, rises = _position(model, body)
     if position is None:
@@ -31,14 +31,15 @@ def body_position(model: mujoco.MjModel, body: int) -> Callable[[PhysicsState], 
 
 
 def _position(model: mujoco.MjModel, body: int) -> tuple[_Position | None, bool]:
-    """How to read where a body is [3], and whether it can rise; None where its joints do not tell."""
+    """A function that reads a body's position [3], or None if its joints do not determine it; and whether
+    the body can rise."""
     first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     if count == 0 or model.body_parentid[body] != 0:
         return None, False
     start = int(model.jnt_qposadr[first])
     if model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
         return lambda physics: physics.qpos[start : start + 3], True
-    # Slides move it along their axes until a hinge turns those that follow.
+    # Slides move it along fixed axes, up to a hinge, which turns the axes after it.
     kinds = model.jnt_type[first : first + count]
     slides = kinds == mujoco.mjtJoint.mjJNT_SLIDE
     num_slides = int(np.argmin([*slides, False]))

@@ -1,4 +1,4 @@
-"""The environments there are. To add one: a package with `info` and `environment`, and its line here."""
+"""All environments. To add one, write a package with `info` and `environment`, and add its line here."""
 
 import difflib
 from collections.abc import Mapping
@@ -37,20 +37,20 @@ BUILT_IN: dict[str, EnvironmentInfo] = {
         MJCF,
     )
 }
-# Ours first; then those that other packages bring, under the name of the package.
+# Ours first, then those of other packages, under the name of the package.
 ENVIRONMENTS: dict[str, EnvironmentInfo] = BUILT_IN | {
     info.id: info for info in (*playground.INFOS, *brax_registry.INFOS)
 }
-# What those packages have, too, and no worker can load, with the reason.
+# The environments of those packages that no worker can load, with the reason.
 CANNOT: dict[str, str] = playground.CANNOT | brax_registry.CANNOT
 
 
 def find(environment_id: str) -> EnvironmentInfo:
-    """The environment's row. Raises EnvironmentNotFound, with the nearest name and all there are."""
+    """The environment's row. Raises EnvironmentNotFound, with the nearest name and all known ones."""
     if environment_id in ENVIRONMENTS:
         return ENVIRONMENTS[environment_id]
     if environment_id in CANNOT:
-        detail = f"{environment_id!r} cannot be had here: {CANNOT[environment_id]}."
+        detail = f"{environment_id!r} is not available here: {CANNOT[environment_id]}."
     else:
         near = _nearest(environment_id)
         suggestion = f" Did you mean {near!r}?" if near else ""
@@ -61,7 +61,7 @@ def find(environment_id: str) -> EnvironmentInfo:
 
 
 def _nearest(environment_id: str) -> str | None:
-    """The id that is most like it; those of Playground may be meant by their bare names, too."""
+    """The most similar id; Playground's are also found by their bare names."""
     names = {info.id.removeprefix("playground/").lower(): info.id for info in ENVIRONMENTS.values()}
     names |= {name.lower(): name for name in (*ENVIRONMENTS, *CANNOT)}
     near = difflib.get_close_matches(environment_id.lower(), names, n=1)
@@ -69,7 +69,7 @@ def _nearest(environment_id: str) -> str | None:
 
 
 def _known(environment_id: str) -> str:
-    """The ids of the family that it begins with, or ours, and where the others are told."""
+    """The ids of the family that it begins with; otherwise ours, and where to find the others."""
     family, slash, _ = environment_id.partition("/")
     own = [info.id for info in ENVIRONMENTS.values() if slash and info.family == family]
     others = "those of MuJoCo Playground (playground/…) and of Brax (brax/…): GET /environments"
@@ -77,7 +77,7 @@ def _known(environment_id: str) -> str:
 
 
 def parse_options(info: EnvironmentInfo, options: Mapping[str, object]) -> Strict:
-    """The environment's own options, defaults filled in. Raises Rejected with each field that is wrong."""
+    """The environment's own options, defaults filled in. Raises Rejected, with every wrong field."""
     try:
         return info.options.model_validate(dict(options))
     except ValidationError as error:
@@ -86,10 +86,20 @@ def parse_options(info: EnvironmentInfo, options: Mapping[str, object]) -> Stric
         raise Rejected(f"The options of {info.id!r} are not valid. {sentences}", problems) from None
 
 
+def resolve(environment_id: str, options: Mapping[str, object]) -> tuple[EnvironmentInfo, Strict]:
+    """The environment's row under these options, and the options with defaults filled in.
+
+    Raises EnvironmentNotFound, and Rejected with each option that is wrong.
+    """
+    info = find(environment_id)
+    parsed = parse_options(info, options)
+    return info.under(parsed), parsed
+
+
 def make(
     info: EnvironmentInfo, options: Strict, build_engine: "EngineBuilder", model: Path | None = None
 ) -> "Environment":
-    """The environment itself; only now is its code loaded, and with it the numerical stack.
+    """The environment itself. This call loads its code, and with it the numerical stack.
 
     model: the file that the options name, for an environment that takes one.
     """
@@ -100,7 +110,7 @@ def make(
 
 
 def _place(error: Mapping[str, Any], options: object) -> tuple[int | str, ...]:
-    """Where the error is in the options: pydantic's marks of unions are not in them."""
+    """Where the error is in the options, without the union members that pydantic adds to the path."""
     place: list[int | str] = []
     here: Any = options
     last = len(error["loc"]) - 1

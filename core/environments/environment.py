@@ -1,4 +1,4 @@
-"""What an algorithm asks of a body in its world."""
+"""The interface of an environment, as algorithms use it."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol
@@ -19,7 +19,7 @@ class State:
     """One environment after a step; a leading batch axis appears under `jax.vmap`.
 
     obs: [observation_size], or arrays by name. reward, done: [] float32; `done` is 1 where the episode
-    *terminated*: truncation by length is the wrapper's business. metrics: named scalars, the same names
+    *terminated*: a wrapper handles truncation by length. metrics: named scalars, the same names
     at every step. info: arrays that a wrapper or the environment carries from step to step.
     """
 
@@ -32,7 +32,7 @@ class State:
 
 
 class Environment(Protocol):
-    """Pure functions over one world. Built for one engine, and knows nothing of which."""
+    """Pure functions over one environment. It was built with an engine, but does not know which."""
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -41,7 +41,7 @@ class Environment(Protocol):
 
     @property
     def observation_size(self) -> ObservationSize:
-        """Of the one observation, or of each of them by name."""
+        """The size of the one observation, or of each by name."""
         ...
 
     @property
@@ -59,11 +59,11 @@ class Environment(Protocol):
 
     @property
     def tracked_body(self) -> int:
-        """Id of the body whose walk is measured and which the default camera follows."""
+        """Id of the body whose motion is measured and which the default camera follows."""
         ...
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
-        """A fresh initial state, in a world that differs from the model in these fields; see PhysicsState."""
+        """A fresh initial state. model: fields that replace the model's own; see PhysicsState."""
         ...
 
     def step(self, state: State, action: jax.Array) -> State:

@@ -1,4 +1,4 @@
-"""What is known of an environment without loading it: the API reads this and imports no numerical code."""
+"""Facts on an environment that need no loading: the API reads them and imports no numerical code."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -20,20 +20,20 @@ class EnvironmentInfo:
     """One row of the catalog.
 
     factory: `module:function`, called as `factory(options, engine_factory, **arguments)`; see `catalog.make`.
-    observation_size, action_size: with default options. dt: seconds between actions. None where these
-    depend on the model that the options name. takes_model: whether they name one; its file goes to the
-    factory as `model`.
-    cameras: the names the model gives its cameras, in their order; `track` is always there besides.
-    info: what `State.info` names besides the observation, for who reads states from it. has_cpg: whether an
-    action modulates a central pattern generator instead of joints. num_arms: the body's; 1 without any.
-    alike_arms: whether all of them have as many joints.
-    tuned: hyperparameters by algorithm and device, laid under what a job's specification says.
-    arguments: what the factory is told besides. on_a_gpu: which engine `auto` takes on a GPU; the first rule
-    that fits. cannot_run: engines that cannot run it, and why.
-    package: what it loads that a worker may be without, by the name under which it is imported.
-    own_physics: what moves it where none of the engines does; its worlds cannot differ.
-    vary: the fields above that are others under some options, by name; the row itself has them as they are
-    by default.
+    observation_size, action_size: with default options. dt: seconds between actions. All three are None if
+    they depend on the model that the options name. takes_model: whether they name one; the factory gets its
+    file as `model`.
+    cameras: the model's cameras, in their order; `track` is always available, too.
+    info: the entries of `State.info` besides the observation, for code that reads states from it. has_cpg:
+    whether an action modulates a central pattern generator instead of joints. num_arms: the body's; 1 without
+    any. alike_arms: whether all of them have the same number of joints.
+    tuned: hyperparameters by algorithm and device; a job's specification overrides them.
+    arguments: further arguments of the factory. on_a_gpu: the engine that `auto` takes on a GPU, by the first
+    rule that fits. cannot_run: engines that cannot run it, and why.
+    package: what it imports that a worker may lack, by its import name.
+    own_physics: what steps it if no engine does; its model cannot be randomized.
+    vary: the fields above that some options change, by name; the row itself has their values under the
+    default options.
     """
 
     id: str
@@ -61,9 +61,9 @@ class EnvironmentInfo:
 
     @property
     def family(self) -> str:
-        """Whose it is: the package that the id begins with, or `gaitway`."""
+        """The package that the id begins with, or `gaitway`."""
         return self.id.split("/")[0] if "/" in self.id else OUR_FAMILY
 
     def under(self, options: Strict) -> "EnvironmentInfo":
-        """The row as it is under these options, which are its own."""
+        """The row under these options, which must be its own."""
         return self if self.vary is None else replace(self, **self.vary(options))

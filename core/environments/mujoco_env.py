@@ -1,4 +1,4 @@
-"""What the bodies of the catalog have in common: a model, an engine that moves it, and its sizes."""
+"""What our environments share: a model, an engine that steps it, and its sizes."""
 
 from abc import ABC, abstractmethod
 
@@ -11,12 +11,12 @@ from core.environments.environment import State
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 
-# What a body on its way tells of itself: in m and m/s.
+# Metrics of a travelling body, in m and m/s.
 TRAVEL = ("x_position", "y_position", "distance_from_origin", "x_velocity", "y_velocity")
 
 
 class MujocoEnv(ABC):
-    """An environment over one MuJoCo model; a subclass says how it begins, what it sees and what it earns."""
+    """An environment over one MuJoCo model; a subclass defines its start, observation and reward."""
 
     episode_length = 1000
 
@@ -56,7 +56,7 @@ def noisy_start(
     """The model's initial state with uniform noise in ±scale on the positions, and noise on the velocities.
 
     normal_velocity: velocities are normal with deviation `velocity_scale`; otherwise uniform in ± that.
-    velocity_scale: None for `scale`.
+    velocity_scale: `scale` if None.
     """
     key_position, key_velocity = jax.random.split(key)
     fast = scale if velocity_scale is None else velocity_scale
@@ -75,7 +75,7 @@ def travel(position: jax.Array, velocity: jax.Array) -> dict[str, jax.Array]:
 
 
 def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:
-    """The control [nu] for an action [nu] in [-1, 1], whose ends are the ends of the actuators' ranges.
+    """The control [nu] for an action [nu] in [-1, 1]; ±1 is an end of the actuator's range.
 
     An actuator without a range takes the action itself.
     """

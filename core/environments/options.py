@@ -1,4 +1,4 @@
-"""Options that several environments have, and kinds of their values."""
+"""Options that several environments share, and the types of their values."""
 
 from typing import Annotated, Literal
 
@@ -27,26 +27,28 @@ NoiseScale = Annotated[float, Field(ge=0, le=10)]
 
 
 class RunnerOptions(Strict):
-    """What dm_control's walkers earn, and how they are stepped, on a floor (`rodent`) and in a `corridor`."""
+    """The reward and the physics of dm_control's walkers, on a floor (`rodent`) and in a `corridor`."""
 
     forward_reward_weight: Weight = Field(5.0, description="Reward for each metre per second in +x.")
     ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
     healthy_reward: Weight = Field(0.5, description="Reward for each step.")
-    reset_noise_scale: NoiseScale = Field(1e-2, description="Of the initial positions and velocities.")
-    n_frames: int = Field(5, ge=1, le=50, description="Physics steps of a control step.")
-    timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds of a physics step.")
-    solver: Literal["newton", "cg"] = Field("newton", description="On mjx and warp; native keeps Newton.")
-    iterations: int = Field(
-        4, ge=1, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
+    reset_noise_scale: NoiseScale = Field(1e-2, description="Noise on the initial positions and velocities.")
+    n_frames: int = Field(5, ge=1, le=50, description="Physics steps per control step.")
+    timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds per physics step.")
+    solver: Literal["newton", "cg"] = Field(
+        "newton", description="Solver on mjx and warp; native keeps Newton."
     )
-    ls_iterations: int = Field(8, ge=1, le=100, description="Of its line search, on mjx and warp.")
+    iterations: int = Field(
+        4, ge=1, le=100, description="Solver iterations on mjx and warp; native iterates until convergence."
+    )
+    ls_iterations: int = Field(8, ge=1, le=100, description="Line-search iterations on mjx and warp.")
 
 
 def check_survives_its_start(height: float, healthy: tuple[float, float], *, terminates: bool) -> None:
-    """Raises ValueError where every episode would end in its first step; height: where the body begins."""
+    """Raises ValueError if every episode would end in its first step. height: the body's initial height."""
     low, high = healthy
     if terminates and not low <= height <= high:
         raise ValueError(
-            f"the body begins at {height:g} m, outside of healthy_z_range = [{low:g}, {high:g}]: every "
-            "episode would end in its first step; take another range, or terminate_when_unhealthy = false"
+            f"the body starts at {height:g} m, outside healthy_z_range = [{low:g}, {high:g}], so every "
+            "episode would end in its first step; use another range, or terminate_when_unhealthy = false"
         )

@@ -1,4 +1,4 @@
-"""What a job may ask to differ between worlds; imports no numerical code, so that the API may check it."""
+"""What a job may vary between environments; imports no numerical code, so that the API can check it."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
@@ -29,9 +29,10 @@ Kind = Literal["actuator", "body", "geom", "joint"]
 
 @dataclass(frozen=True)
 class FieldInfo:
-    """A field of the model. kind: what has it, None where the whole world does. size: numbers each has.
+    """A field of the model. kind: of the objects that have it, None for the model as a whole. size: numbers
+    per object.
 
-    positive: whether numbers below 0 make no sense. changes_constants: whether MuJoCo derives constants
+    positive: whether negative numbers are refused. changes_constants: whether MuJoCo derives constants
     from it (`mj_setConst`).
     """
 
@@ -60,13 +61,15 @@ FIELDS: dict[FieldName, FieldInfo] = {
 
 
 class Randomization(Strict):
-    """One thing that differs between worlds: a field of MuJoCo's model, changed by a number drawn for each.
+    """One difference between environments: each changes a field of MuJoCo's model by a random number.
 
-    A world keeps its numbers for an episode. They are drawn anew with each fresh start; with
-    `reset_pool_size` 0, once for the run.
+    An environment keeps its numbers for an episode and draws new ones at each fresh start; with
+    `reset_pool_size` 0, it draws them once for the run.
     """
 
-    field: FieldName = Field(description="By MuJoCo's name.", examples=["geom_friction"])
+    field: FieldName = Field(
+        description="A field of the model, by MuJoCo's name.", examples=["geom_friction"]
+    )
     names: list[Name] | None = Field(
         default=None,
         min_length=1,
@@ -77,23 +80,23 @@ class Randomization(Strict):
         default=None,
         ge=0,
         le=9,
-        description="Which of the field's numbers, where it has several (`geom_friction`: 0 sliding, "
-        "1 torsional, 2 rolling); null: all of them alike.",
+        description="Index of the number to change, where the field has several (`geom_friction`: 0 sliding, "
+        "1 torsional, 2 rolling); null: change all of them alike.",
     )
     operation: Literal["scale", "add", "set"] = Field(
-        default="scale", description="What the number does to the model's own value."
+        default="scale", description="How the drawn number changes the model's own value."
     )
     range: Annotated[tuple[float, float], Field(strict=False)] = Field(
         description="[lowest, highest], in MuJoCo's units.", examples=[[0.6, 1.4]]
     )
     distribution: Literal["uniform", "log_uniform"] = "uniform"
     each: bool = Field(
-        default=False, description="A number for each of the names, rather than one for all of them."
+        default=False, description="Draw a number for each of the names, instead of one for all of them."
     )
     draw: Name | None = Field(
         default=None,
-        description="Rules with the same word here use the same draw: their numbers lie equally far up "
-        "their ranges. So a gain and its bias may be scaled together.",
+        description="Rules with the same name here share a draw: their numbers lie at the same fraction of "
+        "their ranges, so that a gain and its bias can be scaled together.",
     )
 
     @model_validator(mode="after")
@@ -103,16 +106,16 @@ class Randomization(Strict):
         if low > high:
             raise ValueError(f"range must be [low, high] with low <= high, not [{low:g}, {high:g}]")
         if self.distribution == "log_uniform" and low <= 0:
-            raise ValueError(f"a log_uniform range must lie above 0, and this one begins at {low:g}")
+            raise ValueError(f"a log_uniform range must be above 0, but this one begins at {low:g}")
         if self.operation == "scale" and low < 0:
-            raise ValueError(f"a scale must not be negative, and this one begins at {low:g}")
+            raise ValueError(f"a scale must not be negative, but this range begins at {low:g}")
         if self.operation == "set" and about.positive and low < 0:
-            raise ValueError(f"{self.field} must not be negative, and this range begins at {low:g}")
+            raise ValueError(f"{self.field} must not be negative, but this range begins at {low:g}")
         if self.axis is not None and self.axis >= about.size:
             numbers = "one number" if about.size == 1 else f"{about.size} numbers"
-            raise ValueError(f"axis = {self.axis}, and {self.field} has {numbers}, counted from 0")
+            raise ValueError(f"axis = {self.axis}, but {self.field} has {numbers}, counted from 0")
         if about.kind is None and (self.names or self.each):
-            raise ValueError(f"{self.field} belongs to the whole world; it takes neither names nor each")
+            raise ValueError(f"{self.field} belongs to the whole model; it takes neither names nor each")
         return self
 
 

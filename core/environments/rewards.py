@@ -1,8 +1,8 @@
-"""What a body can earn, and for how long: pure functions. Weights are applied elsewhere.
+"""Reward and termination terms: pure functions. Weights are applied elsewhere.
 
-The built-in bodies and those that a job makes of terms (`mjcf`) are made of the same ones. Names and forms
-are those common to locomotion tasks: Brax's and Gymnasium's bodies (forward velocity, alive, control cost),
-legged_gym and MuJoCo Playground (velocity tracking, action rate, energy, joint limits).
+The built-in environments and those that a job makes of terms (`mjcf`) use the same functions. Names and forms
+are common to locomotion tasks: Brax and Gymnasium (forward velocity, alive, control cost), legged_gym and
+MuJoCo Playground (velocity tracking, action rate, energy, joint limits).
 """
 
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 
 def velocity(before: jax.Array, after: jax.Array, dt: float) -> jax.Array:
-    """(p' − p) / dt in m/s. before p, after p': in metres, of any shape, which the result has, too."""
+    """(p' − p) / dt in m/s. before p, after p': in metres, of any shape; the result has the same."""
     return (after - before) / dt
 
 
@@ -38,8 +38,8 @@ def height_range(height: jax.Array, bounds: tuple[float, float]) -> jax.Array:
 def survival(healthy: jax.Array, *, terminates: bool) -> tuple[jax.Array, jax.Array]:
     """Whether a step earns the reward for being healthy, and whether it ends the episode: [], 1 or 0 each.
 
-    Where being unhealthy ends the episode, the step that ends it still earns its reward (as in Brax);
-    elsewhere an unhealthy step earns none. healthy: [], 1 or 0.
+    If being unhealthy ends the episode, the step that ends it still earns the reward (as in Brax);
+    otherwise an unhealthy step earns none. healthy: [], 1 or 0.
     """
     return (jnp.ones(()), 1.0 - healthy) if terminates else (healthy, jnp.zeros(()))
 
@@ -67,12 +67,12 @@ def distance(position: jax.Array, target: jax.Array) -> jax.Array:
 def joint_limits(position: jax.Array, low: jax.Array, high: jax.Array, share: float) -> jax.Array:
     """Σ max(0, |q − m| − s h) in rad or m, with m the middle of a joint's range and h half of its width.
 
-    position q, low, high: [joints]; share s: of the range, free of cost. Returns [].
+    position q, low, high: [joints]; share s: the part of the range without cost. Returns [].
     """
     middle, half = (low + high) / 2, (high - low) / 2
     return jnp.sum(jnp.maximum(0.0, jnp.abs(position - middle) - share * half))
 
 
 def contact(num_found: jax.Array) -> jax.Array:
-    """How many of the geoms touch. num_found: [geoms], contacts that each has. Returns []."""
+    """How many of the geoms touch something. num_found: [geoms], contacts of each. Returns []."""
     return jnp.sum(jnp.where(num_found > 0, 1.0, 0.0))

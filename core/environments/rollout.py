@@ -1,4 +1,4 @@
-"""Letting a policy act, and writing down what happens."""
+"""Running a policy in an environment, and recording its episodes."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ Policy = Callable[[Any, jax.Array], jax.Array]
 # (parameters, state, key) -> action: parameters may change without another compilation.
 ParametricPolicy = Callable[[Any, State, jax.Array], jax.Array]
 
-# Where an environment's `info` says that the tracked body should go: [2 or 3], in metres.
+# The entry of an environment's `info` with the tracked body's target position: [2 or 3], in metres.
 TARGET = "target_position"
 
 _STEPS_PER_CALL = 200
@@ -43,7 +43,7 @@ def zero_policy(action_size: int) -> Policy:
 
 @dataclass(frozen=True)
 class _Row:
-    """What is kept of a step; arrays [steps, worlds, ...]."""
+    """What is kept of several steps; arrays [steps, envs, ...]."""
 
     qpos: NDArray[np.float32]
     qvel: NDArray[np.float32]
@@ -70,9 +70,9 @@ class Roller:
     def episodes(
         self, parameters: Any, key: jax.Array, *, num_steps: int, num_episodes: int | None
     ) -> Iterator[Episode]:
-        """Episodes of at most `num_steps` actions, one after the other; endlessly where the number is None.
+        """Episodes of at most `num_steps` actions, one after the other; endless if `num_episodes` is None.
 
-        Episode i depends on the key and on i alone.
+        Episode i depends only on the key and on i.
         """
         first = 0
         while num_episodes is None or first < num_episodes:
@@ -107,7 +107,7 @@ class Roller:
 def rollout(
     environment: Environment, policy: Policy, *, key: jax.Array, num_steps: int, num_episodes: int
 ) -> Trajectory:
-    """Episodes of the policy, each until the environment ends it, or `num_steps` actions."""
+    """Episodes of the policy, each until the environment ends it or `num_steps` actions are taken."""
     roller = Roller(
         environment,
         lambda parameters, state, key: policy(state.obs, key),
@@ -120,7 +120,7 @@ def rollout(
 def initial_positions(
     environment: Environment, seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Where the first episode of a rollout job with this seed begins: qpos [nq]; and its target, if any."""
+    """The initial qpos [nq] of the first episode of a rollout job with this seed, and its target, if any."""
     key = jax.random.fold_in(jax.random.PRNGKey(seed), 0)
     state = jax.jit(environment.reset)(key)
     target = state.info.get(TARGET)
@@ -140,7 +140,7 @@ def footage(roller: Roller, parameters: Any, key: jax.Array, *, dt: float, secon
 
 
 def cut(episode: Episode, num_steps: int) -> Episode:
-    """The first `num_steps` steps; one that is shorter stays as it is."""
+    """The first `num_steps` steps of an episode; a shorter one is returned unchanged."""
     if episode.num_steps <= num_steps:
         return episode
     states = ("time", "qpos", "qvel", "position", "observation")
@@ -156,7 +156,7 @@ def cut(episode: Episode, num_steps: int) -> Episode:
 
 
 def trajectory_of(environment: Environment, episodes: Sequence[Episode], /, **facts: Any) -> Trajectory:
-    """Episodes with what their numbers are about; facts: the environment's id, the seed, the policy."""
+    """Episodes with a description of their numbers; facts: the environment's id, the seed, the policy."""
     body = str(environment.model.body(environment.tracked_body).name)
     about = describe(environment.model, dt_s=environment.dt, tracked_body=body, **facts)
     return Trajectory(list(episodes), about)
@@ -170,9 +170,9 @@ def _advance(
     keys: jax.Array,
     taken: jax.Array,
 ) -> tuple[State, dict[str, Any]]:
-    """`_STEPS_PER_CALL` steps of every world; what is kept of them, [steps, worlds, ...].
+    """`_STEPS_PER_CALL` steps of every environment; returns what is kept of them, [steps, envs, ...].
 
-    The key of step t of an episode depends on the episode's key and on t alone.
+    The key of step t of an episode depends only on the episode's key and on t.
     """
 
     def step(state: State, number: jax.Array) -> tuple[State, dict[str, Any]]:
@@ -187,7 +187,7 @@ def _advance(
 
 def _observed(state: State) -> dict[str, jax.Array]:
     obs = state.obs
-    if isinstance(obs, Mapping):  # one after the other, by their names' order
+    if isinstance(obs, Mapping):  # concatenated, sorted by name
         obs = jnp.concatenate([obs[name] for name in sorted(obs)], axis=-1)
     seen = {"qpos": state.physics.qpos, "qvel": state.physics.qvel, "observation": obs}
     return seen | ({"target": state.info[TARGET]} if TARGET in state.info else {})
@@ -200,7 +200,7 @@ def _episode(
     metrics: Mapping[str, NDArray[np.float32]],
     num_steps: int,
 ) -> Episode:
-    """One world's rows, cut where its episode ends; what it did after that never happened."""
+    """One environment's rows, cut where its episode ends; the steps after that are dropped."""
     ends = np.flatnonzero(steps["done"][:num_steps] > 0)
     length = int(ends[0]) + 1 if len(ends) else num_steps
     states = {name: np.concatenate([first[None], steps[name][:length]]) for name, first in begin.items()}

@@ -25,7 +25,7 @@ _ARRAYS = (
     ("reward", "[T]", "1", "what it got for that"),
 )
 _FIELDS = tuple(name for name, *_ in _ARRAYS)
-# Only where the environment has one.
+# Only if the environment has one.
 _TARGET = ("target", "[T+1, 2 or 3]", "m", "where the tracked body should go, in the world")
 
 
@@ -33,8 +33,8 @@ _TARGET = ("target", "[T+1, 2 or 3]", "m", "where the tracked body should go, in
 class Episode:
     """One episode of T steps; arrays as `_ARRAYS` lists them, float32 but for `time`.
 
-    terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target: as `_TARGET`
-    says, where the environment has one.
+    terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target: see
+    `_TARGET`; None if the environment has none.
     """
 
     time: NDArray[np.float64]
@@ -59,14 +59,14 @@ class Episode:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Episodes, and what their numbers are about; see `describe`."""
+    """Episodes, and a description of their numbers; see `describe`."""
 
     episodes: Sequence[Episode]
     about: Mapping[str, Any]
 
 
 def describe(model: mujoco.MjModel, /, **facts: Any) -> dict[str, Any]:
-    """The file's own explanation: arrays with shapes and units, joints and actuators by name, and `facts`."""
+    """The file's own description: arrays with shapes and units, joints and actuators by name, and `facts`."""
     arrays = _described(*_ARRAYS)
     arrays["episode_<i>/terminated"] = {"shape": "[]", "unit": "", "meaning": "ended by the environment"}
     arrays["episode_<i>/metrics/<name>"] = {"shape": "[T]", "unit": "", "meaning": "the environment's own"}
@@ -120,10 +120,10 @@ def save(path: Path, trajectory: Trajectory) -> None:
 
 
 def load(path: Path) -> Trajectory:
-    """What `save` wrote. Raises ValueError where the file is something else."""
+    """What `save` wrote. Raises ValueError if the file is something else."""
     with np.load(path, allow_pickle=False) as file:
         if "about" not in file.files:
-            raise ValueError(f"{path.name} is no trajectory: it has no `about`.")
+            raise ValueError(f"{path.name} is not a trajectory: it has no `about`.")
         about: dict[str, Any] = json.loads(str(file["about"]))
         if (about.get("format"), about.get("version")) != (FORMAT, VERSION):
             raise ValueError(f"{path.name} is not a {FORMAT} of version {VERSION}.")
@@ -144,7 +144,7 @@ def _episode(file: Any, prefix: str) -> Episode:
 def summary(trajectory: Trajectory) -> dict[str, Any]:
     """Returns, lengths and speeds as JSON. Speed: m/s along x from an episode's start to its end.
 
-    `forward_speed_m_s` is that of all episodes together, `mean` and `std` weigh each the same.
+    `forward_speed_m_s` is that of all episodes together; `mean` and `std` weigh all episodes equally.
     """
     rows = [_summary(episode) for episode in trajectory.episodes]
     columns = ("return", "num_steps", "duration_s", "distance_m", "forward_speed_m_s")

@@ -8,8 +8,9 @@ from typing import Any
 
 from core.errors import IllegalTransition, LeaseLost, StaleJob
 from core.jobs.job import Artifact, Job
-from core.jobs.status import LOSSES, MOST, RETRIED, JobStatus, Reason
+from core.jobs.status import LOSSES, MOST, RETRIED, JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 from core.storage.objects import ObjectStore
 
 # Pauses after the first failed attempt, the second, and so on; the last value applies to all later ones.

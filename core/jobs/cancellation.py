@@ -3,8 +3,9 @@
 from core.errors import JobFinished, RecordsUnavailable, StaleJob
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 
 
 def cancel(job_id: str, *, store: JobStore, queue: JobQueue) -> Job:

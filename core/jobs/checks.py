@@ -51,11 +51,9 @@ def check(spec: JobSpec, store: JobStore) -> None:
 def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[EnvironmentInfo, Strict]:
     """The environment's row of the catalog under these options, and the parsed options. Raises Rejected."""
     try:
-        info = catalog.find(environment.id)
+        info, options = catalog.resolve(environment.id, environment.options)
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
-    options = catalog.parse_options(info, environment.options)
-    info = info.under(options)
     if isinstance(options, MjcfOptions):
         info = _row_of(info, own_model(options, store))
     return info, options

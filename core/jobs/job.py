@@ -11,7 +11,8 @@ from pydantic import Field
 from core.documents import Stored
 from core.errors import IllegalTransition, JobNotFound
 from core.jobs.spec import Accelerator, SentSpec
-from core.jobs.status import LOSSES, NEXT, JobStatus, Reason
+from core.jobs.status import LOSSES, NEXT, JobStatus
+from core.reasons import Reason
 
 JOB_ID = r"[0-9a-f]{12}-[0-9a-f]{10}"
 _JOB_ID = re.compile(JOB_ID)

@@ -47,8 +47,7 @@ def memory_for(spec: JobSpec) -> Mapping[Device, Memory]:
     if not isinstance(spec, TrainSpec):
         return {}
     try:
-        info = catalog.find(spec.environment.id)
-        info = info.under(catalog.parse_options(info, spec.environment.options))
+        info, _ = catalog.resolve(spec.environment.id, spec.environment.options)
         return least_memory(spec, info)
     except GaitwayError:  # A version with other rules accepted it; the attempt says what is wrong.
         return {}

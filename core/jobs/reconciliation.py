@@ -10,9 +10,10 @@ from core.errors import JobNotFound, JobUnreadable, RecordsUnavailable, StaleJob
 from core.jobs.attempts import given_back
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, JobStore
 from core.jobs.submission import hand_over
+from core.reasons import Reason
 
 log = structlog.get_logger()
 

@@ -2,6 +2,8 @@
 
 from enum import StrEnum
 
+from core.reasons import Reason
+
 
 class JobStatus(StrEnum):
     QUEUED = "queued"
@@ -37,28 +39,6 @@ NEXT: dict[JobStatus, frozenset[JobStatus]] = {
     JobStatus.FAILED: frozenset(),
     JobStatus.CANCELLED: frozenset(),
 }
-
-
-class Reason(StrEnum):
-    """Why a job or one of its attempts ended."""
-
-    COMPLETED = "completed"
-    USER_CANCELLED = "user_cancelled"
-    TIMEOUT = "timeout"
-    WORKER_LOST = "worker_lost"
-    WORKER_DRAINED = "worker_drained"
-    TRAINING_KILLED = "training_killed"
-    TRAINING_STALLED = "training_stalled"
-    NATIVE_CRASH = "native_crash"
-    OUT_OF_MEMORY = "out_of_memory"
-    OUT_OF_HOST_MEMORY = "out_of_host_memory"
-    DIVERGED = "diverged"
-    BAD_MODEL = "bad_model"
-    BAD_CHECKPOINT = "bad_checkpoint"
-    NO_DEVICE = "no_device"
-    DEVICE_FAILED = "device_failed"
-    STORAGE_UNAVAILABLE = "storage_unavailable"
-    TRAINING_CRASHED = "training_crashed"
 
 
 # Reasons after which another attempt may follow, and which count against a job's `max_attempts`. A drained

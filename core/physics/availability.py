@@ -1,4 +1,4 @@
-"""Which engines there are, and which one a run gets; imports no numerical code, so that the API may ask."""
+"""The engines, and which one a run gets; imports no numerical code, so that the API can use it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ NO_REFUSALS: Mapping[EngineName, str] = {}
 
 @dataclass(frozen=True)
 class Rule:
-    """What `auto` takes on a GPU: an engine, from a number of environments on. reason: a whole sentence.
+    """What `auto` takes on a GPU: an engine, for at least `least_num_envs` environments. reason: a sentence.
 
-    An environment's row lists its own (`EnvironmentInfo.on_a_gpu`); the figures in their reasons are training
-    steps a second on one H200 under the tuned settings (docs/performance.md).
+    An environment's row lists its rules (`EnvironmentInfo.on_a_gpu`); the figures in their reasons are
+    training steps per second on one H200 under the tuned settings (docs/performance.md).
     """
 
     engine: EngineName
@@ -28,7 +28,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class EngineChoice:
-    """An engine, and one sentence that says why it was taken."""
+    """An engine, and one sentence on why it was chosen."""
 
     name: EngineName
     reason: str
@@ -40,7 +40,7 @@ def has_warp() -> bool:
 
 
 def check_physics(choice: PhysicsChoice, cannot_run: Mapping[EngineName, str] = NO_REFUSALS) -> None:
-    """Raises Rejected where the engine that the job names cannot run the environment.
+    """Raises Rejected if the engine that the job names cannot run the environment.
 
     cannot_run: engines that cannot run it under its options or with its model, and why.
     """
@@ -55,10 +55,10 @@ def choose(
     on_a_gpu: Sequence[Rule] = (),
     cannot_run: Mapping[EngineName, str] = NO_REFUSALS,
 ) -> EngineChoice:
-    """The engine for a job's `physics` on this device. Raises Rejected where it cannot run the environment.
+    """The engine for a job's `physics` on this device. Raises Rejected if it cannot run the environment.
 
-    on_a_gpu: the environment's rules; the first that fits is taken, and MJX without one. cannot_run: as for
-    `check_physics`.
+    on_a_gpu: the environment's rules; the first that fits decides, and MJX is taken if none does. cannot_run:
+    as for `check_physics`.
     """
     check_physics(choice, cannot_run)
     if choice != "auto":

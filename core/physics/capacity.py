@@ -1,4 +1,4 @@
-"""How much room MuJoCo Warp's buffers need: they are allocated once, and what does not fit is lost."""
+"""The size of MuJoCo Warp's buffers: they are allocated once, and what does not fit is lost."""
 
 import math
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from core.physics.model import initial_qpos
 
-# A short trial of a few worlds stands for a long training of thousands, so they get twice its most; a
-# body that touched nothing in it may still fall over later.
+# A short trial of a few worlds stands for a long training of thousands, so the buffers get twice its maximum;
+# a body that touched nothing in the trial may still fall over later.
 _ROOM = 2.0
 _LEAST_CONTACTS, _LEAST_ROWS = 8, 24
 _NUM_TRIALS, _TRIAL_S, _MOST_STEPS, _STEPS_PER_CONTROL = 8, 2.0, 1000, 20
@@ -18,10 +18,10 @@ _NUM_TRIALS, _TRIAL_S, _MOST_STEPS, _STEPS_PER_CONTROL = 8, 2.0, 1000, 20
 
 @dataclass(frozen=True)
 class Demand:
-    """The most that one world asked for at any step.
+    """The most that one world needed at any step.
 
-    contacts: contacts, or pairs of geoms near enough to be looked at, whichever are more: MuJoCo Warp
-    keeps both in buffers of one size. rows: constraint rows (contacts, joint limits, friction, equalities).
+    contacts: contacts, or pairs of geoms near enough to be checked, whichever are more: MuJoCo Warp keeps
+    both in buffers of one size. rows: constraint rows (contacts, joint limits, friction, equalities).
     """
 
     contacts: int
@@ -37,17 +37,17 @@ class Capacity:
 
 
 def capacity(demand: Demand, num_worlds: int) -> Capacity:
-    """Room for `num_worlds` worlds that may ask for twice the demand, and for a little in any case."""
+    """Room for `num_worlds` worlds that may need twice the demand, and always for a little."""
     contacts = max(_LEAST_CONTACTS, math.ceil(_ROOM * demand.contacts))
     return Capacity(num_worlds * contacts, max(_LEAST_ROWS, math.ceil(_ROOM * demand.rows)))
 
 
 def measure(model: mujoco.MjModel, pairs: NDArray[np.integer], *, seed: int = 0) -> Demand:
-    """What a few worlds ask for while random controls move them from the start of an episode.
+    """What a few worlds need while random controls move them from the start of an episode.
 
-    In every other trial each control is at one of its ends, where a policy that learns often holds it.
-    pairs: [P, 2], the geoms that may touch. C MuJoCo steps the worlds, on the host: some seconds of their
-    time, a fraction of one of ours.
+    In every other trial each control is at one of its ends, where a learning policy often holds it.
+    pairs: [P, 2], the geoms that may touch. C MuJoCo steps the worlds on the host: a few simulated seconds,
+    in a fraction of a second.
     """
     random = np.random.default_rng(seed)
     limited = model.actuator_ctrllimited.astype(bool)
@@ -69,10 +69,10 @@ def measure(model: mujoco.MjModel, pairs: NDArray[np.integer], *, seed: int = 0)
 
 
 def num_near(model: mujoco.MjModel, data: mujoco.MjData, pairs: NDArray[np.integer]) -> int:
-    """How many of these pairs [P, 2] of geoms are so near that their bounding spheres touch.
+    """How many of these pairs [P, 2] of geoms have bounding spheres that touch.
 
-    A plane, and whatever else has no bounding sphere, reaches as far as it is wide. MuJoCo Warp looks at
-    these pairs or at fewer, because it asks for bounding boxes, too.
+    For a plane, the distance along its normal counts. MuJoCo Warp checks these pairs or fewer, because it
+    also tests bounding boxes.
     """
     if len(pairs) == 0:
         return 0

@@ -27,7 +27,7 @@ class _Builder:
     ) -> Engine:
         unknown = sorted(set(derived) - set(DERIVED_FIELDS))
         if unknown:
-            raise ValueError(f"No engine computes {unknown}; there are {DERIVED_FIELDS}.")
+            raise ValueError(f"No engine computes {unknown}; the derived fields are {DERIVED_FIELDS}.")
         match self.name:
             case "native":
                 from core.physics.native import NativeEngine
@@ -53,6 +53,6 @@ class _Builder:
 def engine_builder(name: EngineName) -> EngineBuilder:
     """What an environment calls to get its engine.
 
-    Building raises JobFailed where the worker has not got the engine, or the engine cannot run the model.
+    Building raises JobFailed if the worker lacks the engine, or the engine cannot run the model.
     """
     return _Builder(name)

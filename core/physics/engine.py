@@ -1,4 +1,4 @@
-"""The seam between bodies and the programs that move them."""
+"""The interface between environments and the physics engines that step them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -24,14 +24,14 @@ DERIVED_FIELDS = (
     "xpos",
     "xquat",
 )
-# What the engine `warp` adds to them by itself: [] float32, 1 where the step lost contacts or constraint
-# rows because its buffers were full. The other engines' worlds come back as NaN, or cannot overflow.
+# The engine `warp` always adds this one: [] float32, 1 where the step lost contacts or constraint rows
+# because its buffers were full. The other engines return NaN for such a world, or cannot overflow.
 OVERFLOW = "overflow"
 
-# Fields of the model that a world may have to itself, with the names that `mujoco.batch` gives them. No
-# engine draws another structure from their values, but for `dof_frictionloss`: where the model has none,
-# MJX makes no room for any. Constants that MuJoCo derives from them (`CONSTANTS`) are not computed anew:
-# whoever changes a mass brings them along.
+# Fields of the model that may differ between worlds, by their names in `mujoco.batch`. Their values do not
+# change the structure of an engine's model, except `dof_frictionloss`: where the model has none, MJX makes no
+# room for any. Constants that MuJoCo derives from them (`CONSTANTS`) are not recomputed: code that changes a
+# mass must pass them, too.
 MODEL_FIELDS = (
     "actuator_acc0",
     "actuator_biasprm",
@@ -55,7 +55,7 @@ MODEL_FIELDS = (
     "opt.gravity",
     "tendon_invweight0",
 )
-# What `mj_setConst` derives from masses, inertias, armatures, gears and where bodies are.
+# What `mj_setConst` derives from masses, inertias, armatures, gears and the positions of bodies.
 CONSTANTS = ("actuator_acc0", "body_invweight0", "body_subtreemass", "dof_invweight0", "tendon_invweight0")
 
 ModelFields = Mapping[str, jax.Array]
@@ -67,9 +67,9 @@ class PhysicsState:
     """The integration state of one world, and the fields that its environment reads.
 
     qpos: [nq], qvel: [nv], act: [na], qacc_warmstart: [nv], time: [] in seconds; all float32.
-    derived: the fields the engine was built for, by MuJoCo's names and shapes; and `OVERFLOW` of `warp`.
-    model: of `MODEL_FIELDS` those in which this world differs from the engine's model, in MuJoCo's shapes;
-    float32. They stay as they are from step to step, and begin anew with an episode.
+    derived: the fields the engine was built for, by MuJoCo's names and shapes; with `warp` also `OVERFLOW`.
+    model: those of `MODEL_FIELDS` in which this world differs from the engine's model, in MuJoCo's shapes;
+    float32. They stay the same during an episode.
     """
 
     qpos: jax.Array
@@ -83,7 +83,7 @@ class PhysicsState:
 
 def _to_state_dict(state: PhysicsState) -> dict[str, Any]:
     named = {field.name: getattr(state, field.name) for field in fields(state)}
-    # Worlds without fields of their own are stored as they were before there were such.
+    # An empty `model` is left out, so that a state without it is stored as before `model` existed.
     return {
         name: serialization.to_state_dict(value) for name, value in named.items() if name != "model" or value
     }
@@ -102,9 +102,9 @@ serialization.register_serialization_state(PhysicsState, _to_state_dict, _from_s
 
 
 def check_model_fields(given: ModelFields) -> None:
-    """Raises ValueError where a world cannot have such a field to itself."""
+    """Raises ValueError for a field that cannot differ between worlds."""
     if unknown := sorted(set(given) - set(MODEL_FIELDS)):
-        raise ValueError(f"No world can have {unknown} to itself; there are {MODEL_FIELDS}.")
+        raise ValueError(f"Worlds cannot differ in {unknown}, only in {MODEL_FIELDS}.")
 
 
 class Engine(Protocol):
@@ -116,9 +116,9 @@ class Engine(Protocol):
         ...
 
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
-        """The state in time 0 with these positions [nq] and velocities [nv], derived fields computed.
+        """The state at time 0 with these positions [nq] and velocities [nv], derived fields computed.
 
-        model: in which fields of the model this world differs from the engine's; see PhysicsState.
+        model: the fields in which this world differs from the engine's model; see PhysicsState.
         """
         ...
 
@@ -129,9 +129,9 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """What a body can do with when the solver's cost counts: so many iterations, damping or not.
+    """Solver settings that are enough for a body, for engines on which the solver is expensive.
 
-    implicit_damping: Euler's implicit joint damping, which costs one more factorisation each substep.
+    implicit_damping: Euler's implicit joint damping, which costs one more factorisation per substep.
     """
 
     iterations: int
@@ -141,11 +141,11 @@ class SolverSettings:
 
 
 class EngineBuilder(Protocol):
-    """Makes the engine of a run; an environment calls it once, and never learns which engine it got."""
+    """Makes the engine of a run; an environment calls it once, and does not know which engine it gets."""
 
     @property
     def name(self) -> str:
-        """The engine's: for environments of other packages, which step by themselves and must know."""
+        """The engine's name, for environments of other packages, which step themselves and must know it."""
         ...
 
     def __call__(
@@ -159,6 +159,6 @@ class EngineBuilder(Protocol):
         """An engine that computes these derived fields.
 
         accelerated: the solver settings for engines on an accelerator (`mjx`, `warp`), where each iteration
-        is dear; `native` always keeps the model's own, and so does every engine when it is None.
+        is expensive; `native` always keeps the model's own, and so does every engine when it is None.
         """
         ...

@@ -1,8 +1,8 @@
-"""A NumPy function as a node of a compiled program, in such a way that JAX can keep the program on disk.
+"""A NumPy function as a node of a compiled program that JAX can still cache on disk.
 
-JAX keeps no program with one of its own callbacks: it holds an address of this process. Here, on a CPU,
-the program holds a name instead. XLA's foreign function interface calls one C function, made by ctypes, for
-every host function there is, with the name that says which of them is meant.
+JAX caches no program with one of its own callbacks, because the program holds an address of this process.
+Here, on a CPU, the program holds a name instead: XLA's foreign function interface calls one C function, made
+by ctypes, for all host functions, and passes it the name of the one to run.
 """
 
 import ctypes
@@ -23,21 +23,21 @@ Floats = NDArray[np.float32]
 HostFunction = Callable[..., Sequence[Floats]]
 
 _TARGET = "gaitway_host_call"
-# For the life of the process: nobody tells how long a compiled program may still call by a name.
+# Never emptied: nothing tells when the last compiled program that uses a name is gone.
 _functions: dict[str, HostFunction] = {}
 
 
 def host_call(
     function: HostFunction, name: str, shapes: Sequence[tuple[int, ...]], *arguments: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """What `function` returns for the arguments, float32 all: arrays of these shapes.
+    """What `function` returns for the arguments: arrays of these shapes; everything is float32.
 
-    Under `jax.vmap` it is called once, and all arrays have the mapped axes in front. It must call no JAX,
-    keep none of its arguments (they are JAX's memory), and depend on nothing else, so that it does not
-    matter how often it is called. An exception ends the program with a JaxRuntimeError that tells of it.
+    Under `jax.vmap` it is called once, and all arrays have the mapped axes in front. It must not call JAX or
+    keep its arguments (they are JAX's memory), and must depend on nothing else, so that it does not matter
+    how often it is called. An exception ends the program with a JaxRuntimeError that contains it.
 
-    name: says what the function does, in every process: a program that was kept on disk runs whatever the
-    process that loads it has under that name. Of two functions with one name the first is called.
+    name: identifies what the function does, in every process: a program that was cached on disk runs the
+    function that the loading process has under that name. Of two functions with one name the first is called.
     """
     results = tuple(jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes)
     given = [jnp.asarray(argument, jnp.float32) for argument in arguments]
@@ -47,7 +47,7 @@ def host_call(
         return tuple(call(*given, name=name))
 
     def on_the_host(*arrays: Any) -> Sequence[Floats]:
-        # These are JAX's arrays, and JAX must not be called in here: they become NumPy's at once.
+        # JAX's arrays become NumPy's at once, because JAX must not be called in here.
         return tuple(function(*map(np.asarray, arrays)))
 
     return jax.pure_callback(on_the_host, results, *given, vmap_method="broadcast_all")
@@ -55,18 +55,18 @@ def host_call(
 
 @cache
 def _is_registered() -> bool:
-    """Whether XLA takes the handler; a version of XLA with another interface refuses it."""
+    """Whether XLA accepts the handler; a version of XLA with another interface refuses it."""
     try:
         jax.ffi.register_ffi_target(_TARGET, jax.ffi.pycapsule(_handle), platform="cpu")
     except RuntimeError as error:
-        warnings.warn(f"Compiled programs are not kept between jobs: {error}", stacklevel=2)
+        warnings.warn(f"Compiled programs are not cached between jobs: {error}", stacklevel=2)
         return False
     return True
 
 
 @ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(CallFrame))
 def _handle(frame: Any) -> int | None:
-    """XLA's call; NULL, or an error that XLA then owns. No exception may leave it."""
+    """XLA's call. Returns NULL, or an error that XLA then owns; no exception may leave it."""
     try:
         if claim_version(frame.contents):
             return None
@@ -80,10 +80,10 @@ def _handle(frame: Any) -> int | None:
 def _call(frame: CallFrame) -> None:
     name = string_of(frame.attributes)
     if name not in _functions:
-        raise LookupError(f"This process has no host function of the name {name}.")
+        raise LookupError(f"This process has no host function named {name}.")
     results = arrays_of(frame.results)
     values = _functions[name](*arrays_of(frame.arguments))
     for result, value in zip(results, values, strict=True):
         if value.shape != result.shape:
-            raise ValueError(f"A result has the shape {value.shape} and should have {result.shape}.")
+            raise ValueError(f"A result has the shape {value.shape}, but should have {result.shape}.")
         result[...] = value

@@ -5,22 +5,23 @@ from pathlib import Path
 
 from core.errors import JobFailed
 from core.physics.availability import has_warp
+from core.reasons import Reason
 
 
 def check_warp() -> None:
-    """Raises JobFailed("no_device") where this worker cannot build the engine `warp`."""
+    """Raises JobFailed("no_device") if this worker cannot build the engine `warp`."""
     if not has_warp():
         raise JobFailed(
-            "no_device",
-            "The job asks for the engine 'warp', and this worker does not have it. Install it there with "
+            Reason.NO_DEVICE,
+            "The job asks for the engine 'warp', which this worker does not have. Install it there with "
             "`pip install 'gaitway[warp]'`, or ask for 'auto', 'native' or 'mjx'.",
         )
 
 
 def keep_kernels(folder: Path) -> None:
-    """Kernels that Warp compiles are kept in this folder, unless WARP_CACHE_PATH names another.
+    """Keep the kernels that Warp compiles in this folder, unless WARP_CACHE_PATH names another.
 
-    To be called before the first engine is built: Warp looks once. Raises JobFailed without Warp.
+    Call it before the first engine is built: Warp reads the setting once. Raises JobFailed without Warp.
     """
     check_warp()
     import warp

@@ -11,17 +11,17 @@ from mujoco import mjx
 
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
 
-# What only a whole substep computes: forces, and with them the sensors of forces and accelerations.
+# Only a whole substep computes these: forces, and the sensors of forces and accelerations.
 _OF_THE_LAST_SUBSTEP = ("qfrc_actuator", "sensordata")
-# Fields that MJX does not promise to keep on every implementation.
+# Fields that not every implementation of MJX has.
 _INTERNAL = ("cinert",)
 _CARRIED = ("time", "qpos", "qvel", "act", "qacc_warmstart")
 
 
 class MjxEngine:
-    """`mjx.step`, over a Data that is built anew around a constant one at each substep.
+    """`mjx.step`, over a Data that is rebuilt from a constant one at each substep.
 
-    So a state holds nothing but its own few arrays, and `jax.tree.map(where, ...)` over states is right.
+    A state therefore holds only its own few arrays, and `jax.tree.map(where, ...)` over states is right.
     """
 
     name = "mjx"
@@ -68,9 +68,9 @@ class MjxEngine:
         return self._model.tree_replace(dict(fields)) if fields else self._model
 
     def _fresh(self, model: Any, data: Any) -> Any:
-        """The same data, its fields that follow from position and velocity computed."""
+        """The same data, with the fields that follow from position and velocity recomputed."""
         if "sensordata" in self._derived:
-            # Sensors may read anything; what they do not read, the compiler drops.
+            # Sensors may read anything; the compiler drops what they do not read.
             data = mjx.sensor_pos(model, mjx.fwd_position(model, data))
             return mjx.sensor_vel(model, mjx.fwd_velocity(model, data))
         data = mjx.com_pos(model, mjx.kinematics(model, data))

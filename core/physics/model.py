@@ -1,4 +1,4 @@
-"""Where models come from, and what is changed in them before they are stepped."""
+"""Loading models, and changing them before they are stepped."""
 
 import copy
 from importlib.util import find_spec
@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:  # What only reads a model shall not load JAX.
+if TYPE_CHECKING:  # Code that only reads a model must not load JAX.
     from core.physics.engine import SolverSettings
 
 _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
@@ -36,7 +36,7 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _brax_assets() -> Path:
-    # `import brax` would load every environment of Brax's, which takes seconds.
+    # `import brax` would load all of Brax's environments, which takes seconds.
     brax = find_spec("brax")
     if brax is None or brax.origin is None:
         raise ModuleNotFoundError("The brax package is not installed; it brings the models.")
@@ -53,7 +53,7 @@ def initial_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
 
 
 def with_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
-    """A copy of the model under these solver settings; without any, an unchanged copy."""
+    """A copy of the model with these solver settings; if None, an unchanged copy."""
     changed = copy.copy(model)
     if settings is None:
         return changed
@@ -67,5 +67,5 @@ def with_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> muj
 
 
 def model_field(model: Any, name: str) -> Any:
-    """The field of a model, of MuJoCo's or an engine's own; those of its options are called `opt.…`."""
+    """A field of a model, MuJoCo's or an engine's; fields of its options are called `opt.…`."""
     return getattr(model.opt, name.removeprefix("opt.")) if name.startswith("opt.") else getattr(model, name)

@@ -23,7 +23,7 @@ _Move = Callable[[Batch, NDArray[np.intp] | None], None]
 class NativeEngine:
     """`mujoco.batch` behind a call to the host; under `jax.vmap` one call moves all worlds on all cores.
 
-    Worlds are float64 inside and float32 outside. A world that is not finite, or of which MuJoCo reports
+    Worlds are float64 inside and float32 outside. A world that is not finite, or for which MuJoCo reports
     an error or a warning (an unstable state, a full contact buffer), comes back as NaN.
     """
 
@@ -36,7 +36,7 @@ class NativeEngine:
         self._fingerprint = _fingerprint(model, num_substeps, derived)
         blank = mujoco.MjData(model)
         carried = ("time", "qpos", "qvel", "act", "qacc_warmstart")
-        # A callback is not given fields without elements: there is nothing in them to bring or fetch.
+        # Fields without elements are not passed to the callback.
         self._carried = tuple(name for name in carried if np.size(getattr(blank, name)))
         self._derived = derived
         stage = mujoco.mjtStage.mjSTAGE_VEL if derived else mujoco.mjtStage.mjSTAGE_NONE
@@ -86,14 +86,14 @@ class NativeEngine:
 
 
 class _Batches:
-    """The host's side: a `Batch` for each number of worlds, and each set of fields that they differ in."""
+    """The host's side: a `Batch` for each number of worlds and each set of fields that they differ in."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = copy.copy(model)
-        # MuJoCo would put an unstable world back to its beginning and go on; we want to hear of it.
+        # MuJoCo would reset an unstable world and continue; it must be reported instead.
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._batches: dict[tuple[int, frozenset[str]], Batch] = {}
-        # A Batch must not be used by two threads at once, and JAX may call back from any of its own.
+        # Two threads must not use a Batch at once, and JAX may call back from any of its threads.
         self._lock = threading.Lock()
 
     def move(self, move: _Move, given: Mapping[str, Floats], wanted: tuple[str, ...]) -> tuple[Floats, ...]:
@@ -113,7 +113,7 @@ class _Batches:
         return tuple(result.reshape((*worlds, *result.shape[1:])) for result in results)
 
     def _batch(self, num_worlds: int, own_fields: frozenset[str]) -> Batch:
-        # What one call expands, another would have to put back: so each set of fields has its own.
+        # A later call would have to undo what `expand` did, so each set of fields has its own Batch.
         key = (num_worlds, own_fields)
         if key not in self._batches:
             self._batches[key] = Batch(self._model, num_worlds, nthread=min(num_worlds, num_cores()))
@@ -121,9 +121,9 @@ class _Batches:
 
 
 def _broken(batch: Batch, move: _Move) -> NDArray[np.bool_]:
-    """Moves the batch; which of its worlds [nsim] are not to be believed afterwards.
+    """Moves the batch; returns which of its worlds [nsim] are invalid afterwards.
 
-    A world that is not finite stays where it is: MuJoCo would log several lines for every substep of it.
+    A world that is not finite is not moved: MuJoCo would log several lines for each of its substeps.
     """
     broken = ~np.isfinite(batch.state).all(axis=1)
     batch.warning[...] = 0

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-# Says what it compiles and where, line by line, otherwise.
+# Otherwise Warp logs every kernel that it compiles.
 wp.config.log_level = wp.LOG_WARNING
 
 from mujoco.mjx.third_party import mujoco_warp as mjw  # noqa: E402
@@ -20,9 +20,9 @@ from core.physics.warp_step import Substep  # noqa: E402
 
 Move = Literal["forward", "step"]
 
-# An H200 steps ants (1 iteration) and rodents (4) faster, by 5 and 1 %, where none is asked for.
+# Without the check, an H200 steps ants (1 iteration) and rodents (4) 5 % and 1 % faster.
 _FEW_ITERATIONS = 4
-# Bits of `overflow` that tell of a solver which stopped at its limit, as it is meant to, not of lost rows.
+# Bits of `overflow` for a solver that stopped at its limit, as intended, rather than for lost rows.
 _NOT_LOST = mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS
 LOST = int(mjw.OverflowType.ALL & ~_NOT_LOST)
 
@@ -30,8 +30,8 @@ LOST = int(mjw.OverflowType.ALL & ~_NOT_LOST)
 class WarpBuffers:
     """Buffers for each device, each number of worlds, and each set of fields that the worlds differ in.
 
-    inputs, outputs: the fields that a call brings and fetches, by MuJoCo's names, with their sizes; fields
-    of the model that every world has to itself are brought after them.
+    inputs, outputs: the fields that a call takes and returns, by MuJoCo's names, with their sizes; after the
+    inputs come the fields of the model that the worlds differ in.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class WarpBuffers:
             pairs = mjw.put_model(model).nxn_geom_pair_filtered.numpy()
         self._demand = measure(model, pairs)
         self._batches: dict[tuple[str, int, tuple[str, ...]], _Batch] = {}
-        # One world's kernels are those of thousands: they compile while JAX traces and compiles its programs.
+        # One world uses the same kernels as thousands: they compile while JAX traces and compiles.
         in_advance = ThreadPoolExecutor(1)
         self._kernels = in_advance.submit(self._batch, 1, ()) if wp.is_cuda_available() else None
         in_advance.shutdown(wait=False)
@@ -56,7 +56,7 @@ class WarpBuffers:
     def move(self, move: Move, own: tuple[str, ...], given: Any, after: Any, overflow: Any) -> None:
         """given: [N, sum of inputs]; after: [N, sum of outputs]; overflow: [N], bits of OverflowType.
 
-        own: the fields of the model that `given` brings after the inputs.
+        own: the fields of the model that `given` holds after the inputs.
         """
         key = (given.device.alias, given.shape[0], own)
         if key not in self._batches:
@@ -75,7 +75,7 @@ class WarpBuffers:
         )
         if "opt.gravity" in own:
             model.opt.gravity = wp.array(np.tile(self._model.opt.gravity, (num_worlds, 1)), dtype=wp.vec3)
-        # A loop in a graph asks after each iteration whether another is needed: dearer than a few of them.
+        # A loop in a graph checks after each iteration whether to continue: dearer than a few iterations.
         model.opt.graph_conditional = self._model.opt.iterations > _FEW_ITERATIONS
         model.opt.warn_overflow = 0  # it would print a line from the kernel for every world and step
         room = capacity(self._demand, num_worlds)
@@ -85,9 +85,9 @@ class WarpBuffers:
 
 
 class _Batch:
-    """Buffers for so many worlds, and the programs over them: on a GPU, each one CUDA graph.
+    """Buffers for one number of worlds, and the programs over them: on a GPU, each is one CUDA graph.
 
-    A call copies into `given` and out of `after`, so the graphs hold whatever buffers JAX hands in.
+    A call copies into `given` and out of `after`, so the graphs stay valid whatever buffers JAX passes.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class _Batch:
         elif move in self._graphs:
             wp.capture_launch(self._graphs[move])
         else:
-            program()  # loads the kernels and allocates, which a graph's capture should not
+            program()  # loads the kernels and allocates, which must not happen during a capture
             with wp.ScopedCapture() as capture:
                 program()
             self._graphs[move] = capture.graph
@@ -175,7 +175,7 @@ class _Batch:
 def program(buffers: WarpBuffers, move: Move, own: tuple[str, ...]) -> Callable[..., Any]:
     """The move as a function of JAX arrays: [1, inputs] to ([1, outputs], [1] int32); `vmap` makes 1 many.
 
-    own: the fields of the model that the worlds differ in, and bring.
+    own: the fields of the model that the worlds differ in, which they pass.
     """
 
     def call(
@@ -183,7 +183,7 @@ def program(buffers: WarpBuffers, move: Move, own: tuple[str, ...]) -> Callable[
     ) -> None:
         buffers.move(move, own, given, after, overflow)
 
-    # Graphs are ours: Warp's own would be captured anew for each pair of buffers that JAX comes with.
+    # We capture graphs ourselves: Warp would capture one again for each pair of buffers that JAX passes.
     return wp.jax_callable(
         call, num_outputs=2, graph_mode=wp.JaxCallableGraphMode.NONE, vmap_method="broadcast_all"
     )

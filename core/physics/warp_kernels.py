@@ -9,14 +9,14 @@ from typing import Any
 
 import warp as wp
 
-_BLOCK_DIM = 256  # Warp's own, where a launch does not say
+_BLOCK_DIM = 256  # Warp's default
 
 
 def load_kernels(programs: Iterable[Callable[[], None]], device: Any) -> None:
-    """Compile and load the kernels that programs of launches need, without running them.
+    """Compile and load the kernels that these programs launch, without running them.
 
-    Warp compiles a module at its first launch, one after the other: half a minute for the forty modules of
-    a substep. Compilers run side by side, though: 12 s on 16 cores. What is in Warp's cache is only loaded.
+    Warp compiles each module at its first launch, one after the other: half a minute for the forty modules of
+    a substep. Side by side they take 12 s on 16 cores. Modules in Warp's cache are only loaded.
 
     programs: must launch the same kernels whatever the arrays hold.
     """
@@ -29,9 +29,9 @@ def load_kernels(programs: Iterable[Callable[[], None]], device: Any) -> None:
 
 @contextmanager
 def _launches_noted() -> Generator[dict[tuple[Any, int], None]]:
-    """The (module, size of thread blocks) of launches, which do not happen; loops are entered once.
+    """Records the (module, size of thread blocks) of launches instead of launching; loops run once.
 
-    Only for this thread. Warp has no dry run of its own.
+    Affects only this thread. Warp has no dry run of its own.
     """
     needed, thread = dict[tuple[Any, int], None](), threading.get_ident()
     launch, launch_tiled, capture_while = wp.launch, wp.launch_tiled, wp.capture_while

@@ -1,4 +1,4 @@
-"""A substep of MuJoCo Warp in which what is independent of each other goes on at the same time."""
+"""A substep of MuJoCo Warp whose independent parts run at the same time."""
 
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
@@ -11,12 +11,12 @@ _ONE_STAGE = (mjw.IntegratorType.EULER, mjw.IntegratorType.IMPLICITFAST)
 
 
 class Substep:
-    """`mujoco_warp.step`, in the order of a graph instead of a line.
+    """`mujoco_warp.step` as a graph of kernels instead of a sequence.
 
-    A substep is some ninety short kernels, and a small body's time is that of their launches: the ant's
-    (4096 worlds) takes 4.5 µs a kernel on an H200. Contacts and their rows, the inertia matrix, and the
-    forces that follow from velocity need nothing of each other once bodies have their places, so a CUDA
-    graph that is captured over three streams runs them side by side. On a CPU they follow each other.
+    A substep is some ninety short kernels, and for a small body their launches take the time: the ant's
+    (4096 worlds) takes 4.5 µs per kernel on an H200. Contacts and their rows, the inertia matrix, and the
+    forces that follow from velocity do not depend on each other once the bodies' positions are known, so a
+    CUDA graph that is captured over three streams runs them side by side. On a CPU they run in sequence.
 
     Cameras, lights, energies and sensors are left out: no physics depends on them. A model whose sensors
     are read, or that sleeps, integrates in several stages or has callbacks takes MuJoCo Warp's own step.
@@ -58,7 +58,7 @@ class Substep:
             mjw.implicit(model, data)
 
     def _beside(self, index: int) -> AbstractContextManager[Any]:
-        """What is launched inside begins after what was launched before, and nobody waits for its end."""
+        """Launches inside begin after earlier ones; later ones do not wait for them until `_join`."""
         return wp.ScopedStream(self._streams[index]) if self._streams else nullcontext()
 
     def _join(self, index: int) -> None:

@@ -1,7 +1,7 @@
-"""XLA's foreign function interface as ctypes sees it: as much of it as `host_call` needs.
+"""The part of XLA's foreign function interface that `host_call` needs, in ctypes.
 
-Source: `xla/ffi/api/c_api.h`, which jaxlib brings along (`jax.ffi.include_dir()`); equal for all fields
-that are named here in its versions 0.1 to 0.5 (jax 0.10 to 0.12).
+Source: `xla/ffi/api/c_api.h`, which comes with jaxlib (`jax.ffi.include_dir()`). The fields named here are
+the same in its versions 0.1 to 0.5 (jax 0.10 to 0.12).
 """
 
 import ctypes
@@ -10,7 +10,7 @@ from ctypes import POINTER, c_char_p, c_int, c_int64, c_size_t, c_void_p
 import numpy as np
 from numpy.typing import NDArray
 
-# The oldest version that XLA takes, as nothing newer is used.
+# The oldest version that XLA accepts, because nothing newer is used.
 _VERSION = (0, 1)
 _METADATA_EXTENSION = 1
 _FLOAT32 = 11
@@ -22,11 +22,11 @@ class _Version(ctypes.Structure):
 
 
 class _Metadata(ctypes.Structure):
-    _fields_ = (("size", c_size_t), ("version", _Version))  # and more, which is ours to leave alone
+    _fields_ = (("size", c_size_t), ("version", _Version))  # and more fields, which stay untouched
 
 
 class _Extension(ctypes.Structure):
-    """The head of any extension, and what follows it if it asks for metadata."""
+    """The head of any extension, and the field that follows it if it asks for metadata."""
 
     _fields_ = (("size", c_size_t), ("type", c_int), ("next", c_void_p), ("metadata", POINTER(_Metadata)))
 
@@ -43,7 +43,7 @@ class _Buffer(ctypes.Structure):
 
 
 class _Buffers(ctypes.Structure):
-    """Arguments, or results."""
+    """A call's arguments or results."""
 
     _fields_ = (
         ("size", c_size_t),
@@ -59,7 +59,7 @@ class _String(ctypes.Structure):
 
 
 class _Attributes(ctypes.Structure):
-    """A program's constants; ours has one, a string."""
+    """A call's constants; ours has one, a string."""
 
     _fields_ = (
         ("size", c_size_t),
@@ -105,7 +105,7 @@ class CallFrame(ctypes.Structure):
 
 
 def claim_version(frame: CallFrame) -> bool:
-    """Whether XLA only asks for the interface's version that the handler keeps to; if so, it is told."""
+    """Whether XLA only asks which version of the interface the handler implements; if so, sets it."""
     if not frame.extension or frame.extension.contents.type != _METADATA_EXTENSION:
         return False
     version = frame.extension.contents.metadata.contents.version
@@ -120,9 +120,9 @@ def arrays_of(buffers: _Buffers) -> list[NDArray[np.float32]]:
 
 def _array(buffer: _Buffer) -> NDArray[np.float32]:
     if buffer.dtype != _FLOAT32:
-        raise TypeError(f"A buffer has XLA's type {buffer.dtype}, and only float32 ({_FLOAT32}) is taken.")
+        raise TypeError(f"A buffer has XLA's type {buffer.dtype}; only float32 ({_FLOAT32}) is accepted.")
     shape = tuple(buffer.dims[: buffer.rank])
-    if not buffer.data:  # nothing is in it
+    if not buffer.data:  # it is empty
         return np.empty(shape, np.float32)
     memory = (ctypes.c_float * int(np.prod(shape))).from_address(buffer.data)
     return np.ndarray(shape, np.float32, memory)  # pyright: ignore[reportArgumentType] - numpy takes it
@@ -135,7 +135,7 @@ def string_of(attributes: _Attributes) -> str:
 
 
 def error_of(frame: CallFrame, error: BaseException) -> int | None:
-    """The exception as XLA's own; XLA frees it."""
+    """The exception as an XLA error, which XLA frees."""
     code = _RESOURCE_EXHAUSTED if isinstance(error, MemoryError) else _INTERNAL
     message = f"{type(error).__name__}: {error}".encode()
     return frame.api.contents.create_error(_Error(ctypes.sizeof(_Error), None, message, code))

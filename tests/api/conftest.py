@@ -26,8 +26,9 @@ from core.errors import JobFinished, RecordsUnavailable, StorageUnavailable, Una
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry, JobQuery
+from core.reasons import Reason
 from core.settings import ApiSettings
 from core.storage import keys
 

@@ -140,9 +140,13 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         (rollout(kind="constant", action=[0, 2]), "/policy/action/1", "less than or equal to 1, not 2"),
         (corridor() | {"video": {"camera": "walker/back"}}, "/video/camera", "walker/sideon"),
         (corridor(walker="rodent") | {"video": {"camera": 5}}, "/video/camera", "by number 0 to 4"),
-        (corridor(walker="rodent") | {"physics": "mjx"}, "/physics", "no contacts of ellipsoids with boxes"),
+        (
+            corridor(walker="rodent") | {"physics": "mjx"},
+            "/physics",
+            "no contacts between ellipsoids and boxes",
+        ),
         (corridor(gap_length=[2, 1]), "/environment/options/gap_length", "low ≤ high"),
-        (corridor(gap_length=[1, 50]), "/environment/options", "gap_length reaches 50 m"),
+        (corridor(gap_length=[1, 50]), "/environment/options", "gap_length goes up to 50 m"),
         (
             corridor(walker="humanoid") | {"kind": "rollout", "policy": {"kind": "constant", "action": [1]}},
             "/policy/action",

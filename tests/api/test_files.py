@@ -7,7 +7,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job
 from tests.api.problems import problem
 

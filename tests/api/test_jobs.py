@@ -10,8 +10,9 @@ from sqlalchemy import text
 
 from core.jobs.job import utc_now
 from core.jobs.reconciliation import Reconciler
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
+from core.reasons import Reason
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.problems import pointers, problem
 

@@ -28,8 +28,9 @@ from core.environments.catalog import ENVIRONMENTS
 from core.errors import GaitwayError, Rejected
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import WorkerInfo
+from core.reasons import Reason
 from core.settings import ApiSettings, StoreSettings, WorkerSettings
 from core.storage import keys
 from tests.api.conftest import ARTIFACT, NOON, Stack, serving

@@ -18,8 +18,9 @@ from structlog.testing import capture_logs
 from api import following
 from core.jobs import feeds
 from core.jobs.feeds import compact
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Entry
+from core.reasons import Reason
 from tests.api.conftest import NOON, Attempt, Stack, job, serving
 from tests.api.problems import pointers, problem
 

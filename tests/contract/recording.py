@@ -11,8 +11,9 @@ import psycopg
 
 from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Entry, JobStore, WorkerInfo
+from core.reasons import Reason
 from core.user_models.record import ModelRecord
 
 NOW = datetime(2026, 11, 21, 12, 0, 0, tzinfo=UTC)

@@ -47,7 +47,7 @@ FRESH = tuple(name for name in DERIVED_FIELDS if name != "qfrc_actuator")
 
 
 @dataclass(frozen=True)
-class Bench:
+class CompiledEngine:
     """An engine for the body above; its functions compiled once, for one world and for three."""
 
     model: mujoco.MjModel
@@ -60,14 +60,14 @@ class Bench:
 
 
 @pytest.fixture(scope="module", params=["native", "mjx", "warp"])
-def bench(request: pytest.FixtureRequest) -> Bench:
+def bench(request: pytest.FixtureRequest) -> CompiledEngine:
     name: EngineName = request.param
     if name == "warp":
         request.getfixturevalue("warp_kernels")
     model = mujoco.MjModel.from_xml_string(BODY)
     engine = engine_builder(name)(model, NUM_SUBSTEPS, DERIVED_FIELDS)
     reset, step = jax.jit(engine.reset), jax.jit(engine.step)
-    return Bench(
+    return CompiledEngine(
         model,
         engine,
         reset,
@@ -102,7 +102,7 @@ def world(state: PhysicsState, index: int) -> PhysicsState:
     return jax.tree.map(lambda leaf: leaf[index], state)
 
 
-def test_a_state_has_mujocos_shapes_in_float32(bench: Bench) -> None:
+def test_a_state_has_mujocos_shapes_in_float32(bench: CompiledEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     data = mujoco.MjData(bench.model)
     for state in (bench.reset(qpos[0], qvel[0]), bench.step(bench.reset(qpos[0], qvel[0]), ctrl[0])):
@@ -113,7 +113,7 @@ def test_a_state_has_mujocos_shapes_in_float32(bench: Bench) -> None:
         assert {leaf.dtype for leaf in jax.tree.leaves(state)} == {np.dtype(np.float32)}
 
 
-def test_a_reset_begins_at_rest_where_it_was_told(bench: Bench) -> None:
+def test_a_reset_begins_at_rest_where_it_was_told(bench: CompiledEngine) -> None:
     qpos, qvel, _ = start(bench.model, 3)
     state = bench.reset_many(qpos, qvel)
     np.testing.assert_array_equal(state.qpos, qpos)
@@ -123,7 +123,7 @@ def test_a_reset_begins_at_rest_where_it_was_told(bench: Bench) -> None:
     assert not np.any(state.qacc_warmstart)
 
 
-def test_steps_follow_plain_mujoco(bench: Bench) -> None:
+def test_steps_follow_plain_mujoco(bench: CompiledEngine) -> None:
     # 20 steps: the ball falls on the floor and the arm swings, so contacts and joints both act.
     qpos, qvel, ctrl = start(bench.model, 3)
     state = bench.reset(qpos[1], qvel[1])
@@ -137,7 +137,7 @@ def test_steps_follow_plain_mujoco(bench: Bench) -> None:
         )
 
 
-def test_the_solvers_guess_is_carried_from_step_to_step(bench: Bench) -> None:
+def test_the_solvers_guess_is_carried_from_step_to_step(bench: CompiledEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     state = bench.step(bench.step(bench.reset(qpos[0], qvel[0]), ctrl[0]), ctrl[0])
     data = reference(bench.model, qpos[0], qvel[0], ctrl[0], 2)
@@ -145,7 +145,7 @@ def test_the_solvers_guess_is_carried_from_step_to_step(bench: Bench) -> None:
     np.testing.assert_allclose(state.qacc_warmstart, data.qacc_warmstart, rtol=bench.tolerance, atol=0.05)
 
 
-def test_derived_fields_describe_the_state_that_is_returned(bench: Bench) -> None:
+def test_derived_fields_describe_the_state_that_is_returned(bench: CompiledEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     resting = bench.reset(qpos[2], qvel[2])
     for state in (resting, bench.step(resting, ctrl[2])):
@@ -156,7 +156,7 @@ def test_derived_fields_describe_the_state_that_is_returned(bench: Bench) -> Non
             np.testing.assert_allclose(state.derived[name], getattr(data, name), atol=2e-6, err_msg=name)
 
 
-def test_the_actuators_force_is_the_last_substeps(bench: Bench) -> None:
+def test_the_actuators_force_is_the_last_substeps(bench: CompiledEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     state = bench.step(bench.reset(qpos[2], qvel[2]), ctrl[2])
     data = reference(bench.model, qpos[2], qvel[2], ctrl[2], 1)
@@ -165,7 +165,7 @@ def test_the_actuators_force_is_the_last_substeps(bench: Bench) -> None:
     np.testing.assert_allclose(state.derived["qfrc_actuator"], data.qfrc_actuator, atol=1e-5)
 
 
-def test_many_worlds_move_as_each_would_alone(bench: Bench) -> None:
+def test_many_worlds_move_as_each_would_alone(bench: CompiledEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     together = bench.step_many(bench.reset_many(qpos, qvel), ctrl)
     for index in range(3):
@@ -190,7 +190,7 @@ def test_worlds_may_lie_on_two_axes(name: EngineName, request: pytest.FixtureReq
         np.testing.assert_array_equal(nested.derived["xpos"][index], flat.derived["xpos"])
 
 
-def test_equal_arguments_give_equal_results_whatever_came_between(bench: Bench) -> None:
+def test_equal_arguments_give_equal_results_whatever_came_between(bench: CompiledEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     state = bench.reset_many(qpos, qvel)
     first = bench.step_many(state, ctrl)
@@ -202,7 +202,7 @@ def test_equal_arguments_give_equal_results_whatever_came_between(bench: Bench) 
 
 @pytest.mark.parametrize("broken", ["a control that is not a number", "a speed past all reason"])
 def test_a_world_that_breaks_is_not_a_number_and_its_neighbours_do_not_mind(
-    bench: Bench, broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bench: CompiledEngine, broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
     qpos, qvel, ctrl = start(bench.model, 3)

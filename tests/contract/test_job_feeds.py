@@ -14,8 +14,9 @@ import pytest
 
 from core.errors import JobNotFound, LeaseLost, Rejected
 from core.jobs.job import Job, Progress, new_job_id
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Chunk, Entry, JobQuery, JobStore, Mark, entry_number
+from core.reasons import Reason
 from tests.contract.recording import (
     LEASE,
     NOW,

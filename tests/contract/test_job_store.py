@@ -22,8 +22,9 @@ from core.errors import (
     StaleJob,
 )
 from core.jobs.job import Job, Progress, UnreadableJob, new_job_id
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, Idempotency, JobQuery, JobStore
+from core.reasons import Reason
 from core.user_models.record import Description
 from tests.contract.recording import (
     LEASE,

@@ -9,8 +9,9 @@ import pytest
 
 from core.errors import JobExists, JobNotFound, LeaseLost, StaleJob
 from core.jobs.job import Job, new_job_id
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, JobStore
+from core.reasons import Reason
 from tests.contract.recording import (
     LEASE,
     MODEL,

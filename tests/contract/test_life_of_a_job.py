@@ -24,9 +24,10 @@ from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import NEXT, JobStatus, Reason
+from core.jobs.status import NEXT, JobStatus
 from core.jobs.store import Entry
 from core.jobs.submission import submit
+from core.reasons import Reason
 
 LEASE = timedelta(minutes=5)
 SPEC = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", "max_attempts": 3})

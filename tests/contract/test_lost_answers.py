@@ -15,8 +15,9 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import JobExists, JobNotFound, LeaseLost, RecordsUnavailable, StaleJob
 from core.jobs.attempts import Claim, claim_attempt
 from core.jobs.job import Job, Progress
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, Idempotency, JobQuery
+from core.reasons import Reason
 from tests.contract.recording import (
     LEASE,
     MODEL,

@@ -96,7 +96,7 @@ CHANGES: Mapping[str, Callable[[mujoco.MjModel], None]] = {
 
 
 @dataclass(frozen=True)
-class Bench:
+class RandomizedEngine:
     """The worlds of `CHANGES` on an engine; tolerance: how near to plain MuJoCo it must stay."""
 
     engine: Engine
@@ -134,7 +134,7 @@ SLOW_MJX = pytest.param("mjx", marks=[pytest.mark.slow, pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope="module", params=["native", SLOW_MJX, "warp"])
-def bench(request: pytest.FixtureRequest) -> Bench:
+def bench(request: pytest.FixtureRequest) -> RandomizedEngine:
     name: EngineName = request.param
     if name == "warp":
         request.getfixturevalue("warp_kernels")
@@ -145,7 +145,7 @@ def bench(request: pytest.FixtureRequest) -> Bench:
     end = start
     for _ in range(NUM_STEPS):
         end = step_many(end, np.tile(CTRL, (len(MODELS), 1)))
-    return Bench(engine, start, end, step_many, 2e-5 if name == "native" else 2e-3)
+    return RandomizedEngine(engine, start, end, step_many, 2e-5 if name == "native" else 2e-3)
 
 
 def reference(model: mujoco.MjModel) -> mujoco.MjData:
@@ -157,7 +157,7 @@ def reference(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 @pytest.mark.parametrize("name", list(CHANGES))
-def test_a_world_moves_as_plain_mujoco_with_its_model_does(bench: Bench, name: str) -> None:
+def test_a_world_moves_as_plain_mujoco_with_its_model_does(bench: RandomizedEngine, name: str) -> None:
     world = list(CHANGES).index(name)
     data, nominal = reference(MODELS[name]), reference(NOMINAL)
     if name != "nothing":  # the change can be seen
@@ -184,12 +184,14 @@ def test_derived_fields_are_those_of_each_worlds_own_model(
                 np.testing.assert_allclose(state.derived[field][world], getattr(data, field), atol=5e-6)
 
 
-def test_a_worlds_fields_stay_as_they_are(bench: Bench) -> None:
+def test_a_worlds_fields_stay_as_they_are(bench: RandomizedEngine) -> None:
     for name, values in fields_of(list(MODELS.values())).items():
         np.testing.assert_array_equal(bench.end.model[name], values)
 
 
-def test_worlds_without_fields_of_their_own_come_and_go_between_those_that_have_some(bench: Bench) -> None:
+def test_worlds_without_fields_of_their_own_come_and_go_between_those_that_have_some(
+    bench: RandomizedEngine,
+) -> None:
     # As many worlds as there are with fields of their own: nothing of theirs may stay behind.
     num_worlds = len(MODELS)
     plain = jax.vmap(bench.engine.reset)(np.tile(QPOS, (num_worlds, 1)), np.tile(QVEL, (num_worlds, 1)))
@@ -203,7 +205,7 @@ def test_worlds_without_fields_of_their_own_come_and_go_between_those_that_have_
     assert np.abs(own.qpos - before.qpos).max() > 1e-4
 
 
-def test_one_field_alone_is_enough(bench: Bench) -> None:
+def test_one_field_alone_is_enough(bench: RandomizedEngine) -> None:
     state = jax.vmap(bench.engine.reset, (None, None, 0))(
         QPOS, QVEL, {"opt.gravity": jnp.asarray([[0.0, 0, -9.81], [0, 0, 0]])}
     )
@@ -211,7 +213,7 @@ def test_one_field_alone_is_enough(bench: Bench) -> None:
     assert float(after.qvel[0, 2]) < float(after.qvel[1, 2])
 
 
-def test_a_field_that_no_world_can_have_to_itself_is_refused(bench: Bench) -> None:
+def test_a_field_that_no_world_can_have_to_itself_is_refused(bench: RandomizedEngine) -> None:
     with pytest.raises(ValueError, match="geom_size"):
         bench.engine.reset(jnp.asarray(QPOS), jnp.asarray(QVEL), {"geom_size": jnp.zeros(3)})
 

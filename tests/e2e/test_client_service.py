@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from gaitway import Client, Conflict, NotFound, NotReady, Rejected, WaitTimeout
 from gaitway.cli.main import app
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack

@@ -119,6 +119,21 @@ def test_the_stack_serves_has_its_workers_and_ends_with_nothing_left(launch: Lau
     assert stack.family() == []
 
 
+def test_the_stack_serves_with_several_processes_of_the_api(
+    launch: Launch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GAITWAY_API_PROCESSES", "2")
+    stack = launch()
+    url = stack.url()
+    assert httpx.get(f"{url}/readyz").status_code == 200
+    # The one that the stack started, and the two that answer.
+    assert eventually(lambda: len(_of_the_api(stack)) == 3, 10)
+    stack.process.send_signal(signal.SIGINT)
+    _, told = stack.process.communicate(timeout=30)
+    assert stack.process.returncode == 0, told
+    assert stack.family() == []
+
+
 @pytest.mark.parametrize(
     ("seconds", "number"), [(0.6, signal.SIGINT), (1.2, signal.SIGTERM), (2.0, signal.SIGHUP)]
 )
@@ -202,6 +217,15 @@ def test_tables_of_a_newer_version_end_the_start_with_what_to_do(launch: Launch,
     assert stack.process.returncode == 1
     assert "A newer version of Gaitway made the tables" in told
     assert stack.family() == []
+
+
+def _of_the_api(stack: Launched) -> list[psutil.Process]:
+    """The process of `api.main`, and those that it started to serve."""
+    (parent,) = stack.named("api.main")
+    return [
+        parent,
+        *(child for child in parent.children() if "resource_tracker" not in " ".join(child.cmdline())),
+    ]
 
 
 def _says_that_its_disk_was_full(stack: Launched) -> bool:

@@ -24,9 +24,10 @@ from core.jobs.job import Job
 from core.jobs.queue import JobQueue, queue_names
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
 from core.jobs.submission import submit
+from core.reasons import Reason
 from core.storage.objects import ObjectStore
 from gaitway.embedded.postgres import Postgres
 

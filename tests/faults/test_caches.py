@@ -13,8 +13,9 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import StorageUnavailable
 from core.jobs.job import utc_now
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 from core.storage import keys
 from tests.faults.bench import Bench
 from worker.compile_cache import session

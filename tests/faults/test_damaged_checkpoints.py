@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from core.jobs.job import Job
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 from tests.faults.bench import Bench
 
 NEWEST = "checkpoint-000000000020.msgpack"

@@ -21,8 +21,9 @@ from core.jobs import feeds
 from core.jobs.job import Job
 from core.jobs.orphans import sweep
 from core.jobs.reconciliation import Reconciler
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 from core.settings import WorkerSettings
 from core.storage import keys
 from core.user_models.record import ModelRecord

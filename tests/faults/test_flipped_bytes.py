@@ -14,7 +14,8 @@ from core.adapters.s3.objects import S3ObjectStore
 from core.errors import ObjectNotFound, StorageUnavailable
 from core.jobs import feeds
 from core.jobs.attempts import Claim
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from core.storage.objects import ObjectStore
 from gaitway.embedded.processes import free_ports
 from gaitway.embedded.weed import Weed

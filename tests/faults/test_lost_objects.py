@@ -13,7 +13,8 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.jobs.attempts import Claim, claim_attempt, new_secret
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from core.settings import WorkerSettings
 from gaitway.embedded.weed import Weed
 from tests.contract.recording import Database, watch

@@ -26,9 +26,10 @@ from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job, utc_now
 from core.jobs.reconciliation import Reconciler
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Entry, Idempotency, JobQuery
 from core.jobs.submission import submit
+from core.reasons import Reason
 from core.retry import retry_while_unavailable
 from tests.contract.recording import Database, watch
 from tests.faults.bench import unused_servers, wait_until

@@ -22,8 +22,9 @@ from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, Entry
+from core.reasons import Reason
 from core.settings import WorkerSettings
 from gaitway.embedded.valkey import Valkey
 from tests.contract.recording import Database, watch

@@ -8,7 +8,8 @@ import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.jobs.attempts import claim_attempt, new_secret
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from tests.compiling import compiling_quickly
 from tests.faults.bench import SPEC, Bench
 from worker.supervision.supervisor import Supervisor

@@ -12,7 +12,8 @@ import pytest
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import utc_now
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from tests.faults.bench import Bench
 from worker.host.device_lock import slot
 

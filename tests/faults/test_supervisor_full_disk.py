@@ -13,8 +13,9 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.rq.queue import RQQueue
 from core.errors import Misconfigured, RecordsUnavailable
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.submission import submit
+from core.reasons import Reason
 from core.rendering.gl import RenderingFailed
 from core.settings import WorkerSettings
 from tests.faults.bench import SPEC, Bench

@@ -13,8 +13,9 @@ import pytest
 
 from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import Job
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 from core.retry import retry_while_unavailable
 from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import Outages, Watch, pooled

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from tests.faults.bench import Bench
 
 _LIMIT = 2**28  # 0.25 GiB; the probe would go on to 4 GiB.

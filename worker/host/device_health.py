@@ -15,8 +15,8 @@ from pathlib import Path
 import structlog
 
 from core.devices import gpu_indices
-from core.jobs.status import Reason
 from core.jobs.store import WorkerState
+from core.reasons import Reason
 from core.retry import CalledOff, pause
 from worker.host.child import environment, kill, launch, tail
 from worker.host.device_lock import SlotTaken, slots

@@ -13,8 +13,9 @@ from core.documents import Stored
 from core.errors import Conflict, NotFound
 from core.jobs.attempts import Claim
 from core.jobs.job import Job
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 from core.storage.objects import ObjectStore
 from worker.supervision.outcome import Outcome
 

@@ -3,7 +3,8 @@
 import signal
 from dataclasses import dataclass
 
-from core.jobs.status import RETRIED, JobStatus, Reason
+from core.jobs.status import RETRIED, JobStatus
+from core.reasons import Reason
 from worker.host.memory import LESS_MEMORY
 from worker.protocol import Failed, Finished
 from worker.stop_signals import DRAIN_SIGNAL, Stop

@@ -11,6 +11,7 @@ from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.own_model import engines_that_cannot, model_of
 from core.jobs.spec import TrainSpec
 from core.physics.availability import EngineName
+from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
@@ -71,7 +72,7 @@ def _lent_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> A
                 notes += [*damages, f"Step {candidate.step} of job {source.job} is taken instead."]
             return candidate
         damages.append(damage)
-    raise JobFailed("bad_checkpoint", " ".join(damages))
+    raise JobFailed(Reason.BAD_CHECKPOINT, " ".join(damages))
 
 
 def _fetch(checkpoint: Artifact, objects: ObjectStore, path: Path) -> str | None:
@@ -116,8 +117,9 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
         record = library.find(model_id, claim.store)
         model = (keys.model_source(model_id), claim.objects, spool / "model")
         if all(f"sha256:{_load(*model)}" != model_id for _ in range(_READINGS)):
-            raise JobFailed("bad_model", f"The model {model_id} is damaged: its bytes are not those sent.")
+            detail = f"The model {model_id} is damaged: its bytes are not those sent."
+            raise JobFailed(Reason.BAD_MODEL, detail)
     except NotFound:
-        raise JobFailed("bad_model", f"The model {model_id} was deleted before the job began.") from None
+        raise JobFailed(Reason.BAD_MODEL, f"The model {model_id} was deleted before the job began.") from None
     cannot = dict(engines_that_cannot(record.description))
     return task.model_copy(update={"model": "model", "engines_that_cannot": cannot})

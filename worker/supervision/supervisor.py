@@ -15,7 +15,8 @@ from core.jobs.attempts import Claim
 from core.jobs.job import Job
 from core.jobs.own_model import model_of
 from core.jobs.spec import TrainSpec
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from core.retry import CalledOff, retry_while_unavailable
 from core.settings import WorkerSettings
 from worker.compile_cache.session import Caches
@@ -88,7 +89,7 @@ class Supervisor:
         except SlotTaken as error:
             return Outcome(None, Reason.WORKER_LOST, str(error))
         except JobFailed as error:
-            return Outcome(JobStatus.FAILED, Reason(error.reason), error.detail)
+            return Outcome(JobStatus.FAILED, error.reason, error.detail)
         except (NotFound, Rejected) as error:
             return Outcome(JobStatus.FAILED, Reason.BAD_CHECKPOINT, error.detail)
         except Unavailable as error:

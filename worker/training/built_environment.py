@@ -20,6 +20,7 @@ from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
 from core.physics.choose import EngineChoice, choose, engine_builder
+from core.reasons import Reason
 from worker.protocol import Started, Task
 from worker.training.compilations import keep_programs, keep_warp_kernels
 
@@ -64,11 +65,9 @@ def build_environment(task: Task) -> BuiltEnvironment:
     found, num_devices = jax.devices(), len(gpu_indices(task.device)) or 1
     if device == "gpu" and (found[0].platform != "gpu" or len(found) < num_devices):
         raise JobFailed(
-            "device_failed", f"The worker serves {task.device}, but JAX finds only {_named(found)}."
+            Reason.DEVICE_FAILED, f"The worker serves {task.device}, but JAX finds only {_named(found)}."
         )
-    info = catalog.find(task.spec.environment.id)
-    options = catalog.parse_options(info, task.spec.environment.options)
-    info = info.under(options)
+    info, options = catalog.resolve(task.spec.environment.id, task.spec.environment.options)
     if task.model:
         info = replace(info, cannot_run=task.engines_that_cannot)
     num_worlds = _num_worlds(task.spec, info, device) // num_devices

@@ -2,7 +2,7 @@
 
 import re
 
-from core.jobs.status import Reason
+from core.reasons import Reason
 from worker.host.disk import is_full, what_to_do
 from worker.host.memory import LESS_MEMORY
 from worker.protocol import Failed

@@ -5,7 +5,7 @@ import jax
 from core.algorithms.memory import Memory
 from core.environments.info import Device
 from core.errors import JobFailed
-from core.jobs.status import Reason
+from core.reasons import Reason
 from worker.host.memory import allowed_bytes
 
 

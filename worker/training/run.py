@@ -10,7 +10,7 @@ from pathlib import Path
 
 from core.errors import GaitwayError, JobFailed
 from core.jobs.spec import RolloutSpec, TrainSpec
-from core.jobs.status import Reason
+from core.reasons import Reason
 from worker.protocol import Failed, Finished, PhaseEnded, Task
 from worker.training.event_writer import EventWriter
 from worker.training.failure import failure
@@ -25,7 +25,7 @@ def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
         device = task.device
         stopped = _dispatch(task, events, stopping)
     except JobFailed as error:
-        events.send(Failed(reason=Reason(error.reason), message=error.detail))
+        events.send(Failed(reason=error.reason, message=error.detail))
     except GaitwayError as error:
         events.send(Failed(reason=Reason.TRAINING_CRASHED, message=error.detail))
     except Exception as error:  # Every way to end must reach the job's record.

@@ -150,9 +150,9 @@ class Report:
             self._warned = True
             self.events.send(
                 Noted(
-                    text=f"By step {step}, the engine's buffers were too small for some worlds, and contacts "
-                    "were lost (training/physics_overflow is the share of steps). Ask for another engine "
-                    "by `physics` if that matters."
+                    text=f"By step {step}, the engine's buffers were too small for some environments, and "
+                    "contacts were lost (training/physics_overflow is the share of steps). Choose another "
+                    "engine by `physics` if that matters."
                 )
             )
 

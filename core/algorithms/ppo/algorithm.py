@@ -26,7 +26,7 @@ from core.environments.wrappers.action_repeat import repeat_action
 class PPO:
     """See `core.algorithms.algorithm.Algorithm`. The policy is Brax's file of parameters.
 
-    devices share environments and each minibatch in equal parts. Raises Rejected where they cannot.
+    devices: how many share environments and each minibatch in equal parts. Raises Rejected if they cannot.
     """
 
     quantities = QUANTITIES

@@ -9,5 +9,5 @@ FORMAT = Format("gaitway-ppo-2")
 
 
 def header(description: Mapping[str, Any]) -> dict[str, Any]:
-    """What a checkpoint says of a run. A bound that is not set is left out: some are older than the bound."""
+    """A checkpoint's header. An unset bound is left out: some checkpoints are older than the bound."""
     return {name: value for name, value in description.items() if value is not None}

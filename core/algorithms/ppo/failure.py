@@ -1,4 +1,4 @@
-"""Whether an update brought a value that is not finite, and where."""
+"""Whether an update gave a value that is not finite, and where."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import PPONetworkParams, Transition
 from core.algorithms.experience import Outcome
 
-# What is looked at after each update, in the order in which one spoils the next.
+# Checked after each update, in the order in which one spoils the next.
 QUANTITIES = (
     "observation",
     "reward",

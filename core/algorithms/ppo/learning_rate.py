@@ -7,10 +7,10 @@ import jax.numpy as jnp
 def adapt_to_kl(
     learning_rate: jax.Array, kl_mean: jax.Array, desired_kl: jax.Array, bounds: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
-    """The next learning rate []: a 1.5th where the policy moved too far, 1.5 times where it hardly moved.
+    """The next learning rate []: divided by 1.5 if the policy moved too far, times 1.5 if it hardly moved.
 
     kl_mean: [], the mean divergence of the policy from the one that acted. Too far is more than twice
-    `desired_kl`; hardly is less than half of it, and more than nothing. bounds: lowest and highest rate.
+    `desired_kl`; hardly is less than half of it, but above 0. bounds: lowest and highest rate.
     Source: brax.training.agents.ppo.optimizer.adaptive_kl_learning_rate, after RSL-RL (Rudin et al., 2022).
     """
     lowest, highest = bounds

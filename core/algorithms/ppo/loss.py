@@ -1,4 +1,4 @@
-"""What an update's gradient is taken of: Brax's loss, on one minibatch."""
+"""The function that an update differentiates: Brax's loss, on one minibatch."""
 
 from collections.abc import Callable
 from typing import Any
@@ -22,7 +22,7 @@ def loss_of(
 ) -> Loss:
     """(parameters, minibatch [unrolls, unroll_length, ...], key) -> (loss [], its parts by Brax's names).
 
-    networks: those that do not normalise: that is done once for the batch, not in every minibatch.
+    networks: do not normalise, because that is done once for the batch, not in every minibatch.
     Source: Schulman et al., Proximal Policy Optimization Algorithms (2017), eq. 9.
     """
     clips_values = settings.clipping_epsilon_value is not None

@@ -17,17 +17,17 @@ _COPIES = 4
 def least_memory(settings: "PPOSpec", environment: "EnvironmentInfo", num_devices: int) -> Memory:
     """Bytes on each device, all in float32.
 
-    Left out, because they cannot be bounded from below without loading the body: the engine's own arrays,
-    activations, the next observations and the copies that XLA makes while it shuffles. Sizes that are not
-    known count as 0.
+    Left out, because they cannot be bounded from below without loading the environment: the engine's own
+    arrays, activations, the next observations and the copies that XLA makes while it shuffles. Unknown
+    sizes count as 0.
     """
     observation, action = environment.observation_size or 0, environment.action_size or 0
     transitions = settings.batch_size * settings.num_minibatches * settings.unroll_length // num_devices
     numbers = observation + action + _SCALARS
-    # The policy's output are a mean and a deviation for each component.
+    # The policy puts out a mean and a deviation for each component.
     parameters = perceptron([observation, *settings.policy_hidden_layer_sizes, 2 * action])
     parameters += perceptron([observation, *settings.value_hidden_layer_sizes, 1])
-    worlds = settings.num_envs // num_devices
+    num_envs = settings.num_envs // num_devices
     return Memory(
         (
             Part(
@@ -40,7 +40,7 @@ def least_memory(settings: "PPOSpec", environment: "EnvironmentInfo", num_device
                 FLOAT_BYTES * _COPIES * parameters,
                 ("policy_hidden_layer_sizes", "value_hidden_layer_sizes"),
             ),
-            # Their observations; what else a world has depends on the body.
-            Part(f"{worlds:,} worlds", FLOAT_BYTES * worlds * (observation + 1), ("num_envs",)),
+            # Their observations; the rest of their state depends on the model.
+            Part(f"{num_envs:,} environments", FLOAT_BYTES * num_envs * (observation + 1), ("num_envs",)),
         )
     )

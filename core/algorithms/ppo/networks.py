@@ -22,7 +22,7 @@ from core.environments.environment import ObservationSize
 
 @dataclass(frozen=True)
 class PolicyConfig:
-    """What must be known of a policy besides its parameters; the hyperparameters of these names."""
+    """What inference needs besides a policy's parameters: the hyperparameters of these names."""
 
     activation: str = "swish"
     policy_obs_key: str = "state"
@@ -32,15 +32,15 @@ class PolicyConfig:
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> "PolicyConfig":
-        """From more facts than these; one that is not told is as by default."""
+        """From facts that may include others; a missing one takes its default."""
         return cls(**{name: facts[name] for name in asdict(cls()) if name in facts})
 
 
 @struct.dataclass
 class PolicyParams:
-    """What Brax saves and its inference functions take, (normaliser, policy, value), and their design.
+    """What Brax saves and its inference functions take, (normaliser, policy, value), and their config.
 
-    It is taken apart like that triple; where one is asked for, a bare triple does for the default design.
+    Iterates like that triple; a bare triple can replace it if the config is the default.
     """
 
     normalizer: RunningStatisticsState
@@ -57,7 +57,7 @@ def make_networks(
 ) -> PPONetworks:
     """The policy and value networks. normalize: whether they take raw observations, or normalised ones.
 
-    Raises ValueError where the observations have names, and none is the one the settings speak of.
+    Raises ValueError if the observations have names, and the one that the settings name is missing.
     """
     preprocess: Any = identity_observation_preprocessor
     if normalize:

@@ -1,4 +1,4 @@
-"""A trained policy on its own: out of a checkpoint, into a file that Brax reads, and as a function."""
+"""A trained policy: read from a checkpoint, written to a file that Brax reads, and as a function."""
 
 import io
 import json
@@ -21,12 +21,13 @@ from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import Environment, ObservationSize, State
 from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed
+from core.reasons import Reason
 
 Inference = Callable[[Any, jax.Array], jax.Array]
-# (normaliser, policy, value), of the default design
+# (normaliser, policy, value), with the default config
 Triple = tuple[Any, Any, Any]
 
-# All that a policy file names besides plain containers.
+# Everything that a policy file names besides plain containers.
 _ALLOWED = {
     ("brax.training.acme.running_statistics", "NormalizationMode"),
     ("brax.training.acme.running_statistics", "RunningStatisticsState"),
@@ -42,7 +43,7 @@ _ALLOWED = {
 def make_inference(params: PolicyParams | Triple, *, deterministic: bool = True) -> Inference:
     """(observations [..., obs], key) -> actions [..., act] in [-1, 1]; pure, to be jitted by the caller.
 
-    Where the policy was trained on several observations, it takes them by name, and looks at its own.
+    A policy that was trained on several observations takes them by name, and reads its own.
     The networks' sizes are read from the parameters. deterministic: the mode of the action's
     distribution instead of a sample; the key is then not used.
     """
@@ -90,11 +91,11 @@ def policy_from_checkpoint(content: bytes) -> PolicyParams:
 def write_policy(params: PolicyParams | Triple) -> bytes:
     """The file that `brax.io.model.load_params` reads: equal parameters give equal bytes.
 
-    A design that is not the default follows as JSON, where Brax does not look.
+    A config other than the default follows as JSON, which Brax does not read.
     """
     file = io.BytesIO()
     pickler = _PolicyPickler(file, protocol=4)
-    pickler.fast = True  # otherwise the bytes tell which equal strings are one object
+    pickler.fast = True  # otherwise the bytes depend on which equal strings are one object
     pickler.dump(jax.tree.map(np.asarray, tuple(params)))  # the map also brings dicts into one order
     if (config := _config(params)) != PolicyConfig():
         file.write(json.dumps(asdict(config)).encode())
@@ -102,23 +103,23 @@ def write_policy(params: PolicyParams | Triple) -> bytes:
 
 
 def read_policy(content: bytes) -> PolicyParams:
-    """Back from a policy file, running no code that it names besides that of arrays.
+    """The policy in a file. Of the code that the file names, only that of arrays runs.
 
-    Raises JobFailed("bad_checkpoint") for anything else than a policy.
+    Raises JobFailed("bad_checkpoint") for anything other than a policy.
     """
     try:
         file = io.BytesIO(content)
         normalizer, policy, value = _PolicyUnpickler(file).load()
         rest = file.read()
         config = PolicyConfig.of(json.loads(rest)) if rest else PolicyConfig()
-    except Exception as error:  # whatever a decoder makes of damaged bytes
-        raise JobFailed("bad_checkpoint", "This is not a policy file, or it is damaged.") from error
+    except Exception as error:  # damaged bytes may make a decoder raise anything
+        raise JobFailed(Reason.BAD_CHECKPOINT, "This is not a policy file, or it is damaged.") from error
     return PolicyParams(normalizer, policy, value, config)
 
 
 class _PolicyPickler(pickle.Pickler):
     def reducer_override(self, obj: Any, /) -> Any:
-        # JAX's arrays would be written with private names of the JAX at hand.
+        # JAX's arrays would be written with private names of the installed JAX.
         if isinstance(obj, jax.Array):
             return np.asarray(obj).__reduce__()
         # Python 3.11.0 to 3.11.3 would write `getattr`, and others the value.
@@ -135,7 +136,7 @@ class _PolicyUnpickler(pickle.Unpickler):
 
 
 def _member(kind: object, name: str) -> Enum:
-    """What Python 3.11.0 to 3.11.3 means where it writes a member of an enumeration."""
+    """An enumeration's member, as Python 3.11.0 to 3.11.3 writes it."""
     if not (isinstance(kind, type) and issubclass(kind, Enum)):
         raise pickle.UnpicklingError(f"{kind}.{name} does not belong in a policy")
     return kind[name]

@@ -54,43 +54,49 @@ class PPOSpec(BaseSpec):
         default=1,
         ge=1,
         le=1000,
-        description="Environment steps for which an action is held; their rewards add up. Every number "
-        "of steps here still counts environment steps, except in unroll_length.",
+        description="Environment steps per action; their rewards are summed. All step counts are in "
+        "environment steps, except unroll_length.",
     )
     random_initial_episode_length: bool = Field(
         default=False,
-        description="Begin the run as if every environment were somewhere in its first episode, so that they "
-        "are not all cut off at once, now and for ever after (RSL-RL's init_at_random_ep_len).",
+        description="Start each environment's first episode with a random step count, so that episodes are "
+        "not all cut off at the same step, then or later (RSL-RL's init_at_random_ep_len).",
     )
     reset_pool_size: int = Field(
         default=128,
         ge=0,
         le=2**16,
-        description="Fresh initial states drawn for each update, from which the episodes that begin in it "
-        "take theirs at random. 0: every environment goes back to its own first state, as in Brax.",
+        description="Fresh initial states drawn per update; each episode that begins in it starts from a "
+        "random one of them. 0: every environment returns to its own first state, as in Brax.",
     )
     unroll_length: int = Field(
-        default=10, ge=1, le=10_000, description="Actions between two looks at the value function."
+        default=10,
+        ge=1,
+        le=10_000,
+        description="Actions per unroll; the value function bootstraps at its end.",
     )
-    batch_size: int = Field(default=256, ge=1, le=2**20, description="Unrolls in a minibatch.")
+    batch_size: int = Field(default=256, ge=1, le=2**20, description="Unrolls per minibatch.")
     num_minibatches: int = Field(default=8, ge=1, le=10_000)
     num_updates_per_batch: int = Field(default=4, ge=1, le=1000, description="Passes over each batch.")
     learning_rate: float = Field(
-        default=3e-4, gt=0, le=1, description="Adam's; with ADAPTIVE_KL the one to begin with."
+        default=3e-4, gt=0, le=1, description="Adam's learning rate; with ADAPTIVE_KL, the initial one."
     )
     learning_rate_schedule: Literal["NONE", "ADAPTIVE_KL"] = Field(
         default="NONE",
-        description="ADAPTIVE_KL: after each minibatch, lower the learning rate where the policy has moved "
-        "further than desired_kl, and raise it where it has hardly moved.",
+        description="ADAPTIVE_KL: after each minibatch, lower the learning rate if the KL divergence exceeds "
+        "twice desired_kl, and raise it if it is below half of desired_kl.",
     )
     desired_kl: float = Field(
-        default=0.01, gt=0, le=100, description="ADAPTIVE_KL: how far the policy may move in an update."
+        default=0.01,
+        gt=0,
+        le=100,
+        description="ADAPTIVE_KL: target KL divergence of the policy from the one that acted.",
     )
     learning_rate_schedule_min_lr: float = Field(
-        default=1e-5, gt=0, le=1, description="ADAPTIVE_KL: never lower than this."
+        default=1e-5, gt=0, le=1, description="ADAPTIVE_KL: lower bound of the learning rate."
     )
     learning_rate_schedule_max_lr: float = Field(
-        default=1e-2, gt=0, le=1, description="ADAPTIVE_KL: never higher than this."
+        default=1e-2, gt=0, le=1, description="ADAPTIVE_KL: upper bound of the learning rate."
     )
     entropy_cost: float = Field(default=1e-3, ge=0, le=10)
     discounting: float = Field(default=0.97, gt=0, le=1)
@@ -101,8 +107,8 @@ class PPOSpec(BaseSpec):
         default=None,
         gt=0,
         le=1e6,
-        description="How far a value may move in an update, in units of scaled reward, before the loss stops "
-        "rewarding it. null: no bound.",
+        description="Bound on how far the loss lets a value estimate move in an update, in units of scaled "
+        "reward. null: no bound.",
     )
     vf_loss_coefficient: float = Field(default=0.5, ge=0, le=100)
     max_grad_norm: float | None = Field(
@@ -110,37 +116,37 @@ class PPOSpec(BaseSpec):
     )
     bootstrap_on_timeout: bool = Field(
         default=False,
-        description="Learn from the step that cuts an episode off, with the value of its observation as "
-        "what would have followed. false: that step is left out.",
+        description="Learn from the step that cuts an episode off, with its observation's value in place of "
+        "what would have followed. false: leave that step out.",
     )
     normalize_observations: bool = Field(
-        default=True, description="Show the networks observations with mean 0 and deviation 1."
+        default=True, description="Normalise the networks' observations to mean 0 and deviation 1."
     )
     normalize_observations_max_abs_value: float | None = Field(
         default=None,
         gt=0,
         le=1e6,
-        description="Bound on normalised observations, in deviations from the mean. null: none, as in Brax.",
+        description="Bound on normalised observations, in standard deviations. null: no bound, as in Brax.",
     )
     normalize_advantage: bool = True
     num_evals: int = Field(
         default=10, ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end."
     )
-    num_eval_envs: int = Field(default=16, ge=1, le=2**16, description="Episodes in an evaluation.")
+    num_eval_envs: int = Field(default=16, ge=1, le=2**16, description="Episodes per evaluation.")
     deterministic_eval: bool = True
     policy_hidden_layer_sizes: LayerSizes = [32, 32, 32, 32]
     value_hidden_layer_sizes: LayerSizes = [256, 256, 256, 256, 256]
     activation: Activation = Field(
-        default="swish", description="Between the layers of both networks; by Brax's names."
+        default="swish", description="Activation function of both networks, by Brax's name."
     )
     policy_obs_key: ObservationName = Field(
         default="state",
-        description="What the policy sees, where an environment has several observations by name.",
+        description="The policy's observation, in an environment with several observations by name.",
     )
     value_obs_key: ObservationName = Field(
         default="state",
-        description="What the value function sees, where an environment has several: more than the policy, "
-        "say (`privileged_state`).",
+        description="The value function's observation, in an environment with several by name; it may hold "
+        "more than the policy's (`privileged_state`).",
     )
 
     @property
@@ -177,7 +183,7 @@ class PPOSpec(BaseSpec):
         return self.num_timesteps
 
     def refusal(self, environment: EnvironmentInfo, device: Device) -> Rejected | None:
-        """The same as what Brax asserts, and what it does not look at."""
+        """Refuses what Brax's assertions refuse, and what Brax does not check."""
         return (
             _uneven_batch(self, device)
             or _crossed_learning_rates(self)
@@ -188,7 +194,7 @@ class PPOSpec(BaseSpec):
         return memory.least_memory(self, environment, num_devices)
 
     def check_sharing(self, num_devices: int) -> None:
-        """Worlds and minibatches are dealt out in equal parts."""
+        """Devices share environments and minibatches in equal parts."""
         problems = [
             Problem(
                 f"/algorithm/{name}",
@@ -228,11 +234,11 @@ def _crossed_learning_rates(settings: PPOSpec) -> Rejected | None:
 
 
 def _unknown_observation(settings: PPOSpec, environment: EnvironmentInfo) -> Rejected | None:
-    """The catalog's environments have one observation each, which goes by Brax's name for it."""
+    """The catalog's environments have one observation each, under Brax's name for it."""
     problems = [
         Problem(
             f"/algorithm/{name}",
-            f"{environment.id} has one observation, 'state', and none that is called {key!r}.",
+            f"{environment.id} has one observation, 'state', and none called {key!r}.",
         )
         for name in ("policy_obs_key", "value_obs_key")
         if (key := getattr(settings, name)) != "state"

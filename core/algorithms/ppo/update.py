@@ -1,4 +1,4 @@
-"""One PPO update, and many of them in one compiled loop of any length."""
+"""The state of a PPO run, and one update of it."""
 
 from dataclasses import dataclass
 from typing import Any, cast
@@ -43,9 +43,9 @@ ADAM = optax.scale_by_adam()
 class TrainingState:
     """Everything that a run's future depends on, besides its settings.
 
-    learning_rate: [] float32, that of the last minibatch, from which an adaptive one goes on; 0 before the
-    first. num_updates: [] int32, updates made so far. key: the next update's randomness. eval_key: the
-    evaluations' randomness, the same throughout.
+    learning_rate: [] float32, that of the last minibatch, from which an adaptive one continues; 0 before the
+    first. num_updates: [] int32, updates made so far. key: the next update's random key. eval_key: the random
+    key of every evaluation, never changed.
     """
 
     params: PPONetworkParams
@@ -62,8 +62,8 @@ class TrainingState:
 class Learner:
     """The pure functions of a run, for one environment and the settings that fix shapes.
 
-    sharding: the devices that share it. What a run computes does not depend on them but for rounding: random
-    numbers and minibatches are drawn for all environments at once, and then shared out.
+    sharding: the devices that share it. Except for rounding, the results do not depend on them: random
+    numbers and minibatches are drawn for all environments at once, and then split.
     """
 
     environment: Environment
@@ -119,7 +119,7 @@ class Learner:
         normalizer = state.normalizer
         if settings.normalize_observations:
             normalizer = running_statistics.update(normalizer, batch.observation)
-            # What the policy said is comparable with what it says now only under the same normaliser.
+            # The policy's old and new outputs are comparable only under the same normaliser.
             seen_by = state.normalizer if self._adapts_to_kl else normalizer
             normalize = normalization(settings.normalize_observations_max_abs_value)
             batch = batch._replace(
@@ -157,13 +157,13 @@ class Learner:
         return self.settings.bootstrap_on_timeout or self.settings.clipping_epsilon_value is not None
 
     def _actions_before(self, state: TrainingState) -> jax.Array:
-        """How often every environment has acted, [] int32; beyond an episode's length it may be fewer."""
+        """How often every environment has acted, [] int32; a lower bound beyond an episode's length."""
         per_update = self.settings.actions_per_update
         enough = -(-self.settings.actions_per_episode // per_update)
         return jnp.minimum(state.num_updates, enough) * per_update
 
     def _starts(self, key: jax.Array) -> Starts | None:
-        """Where the episodes of one update begin: made anew from its key, so that no state need hold them."""
+        """Initial states of one update's episodes: drawn from its key, so that no state has to hold them."""
         settings = self.settings
         if settings.returns_to_first_state:
             return None

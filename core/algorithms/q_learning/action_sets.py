@@ -12,6 +12,7 @@ from core.algorithms.q_learning.options import ActionList, ActionSetOptions, Arm
 from core.environments.cpg.roles import roles_for
 from core.environments.environment import Environment
 from core.errors import JobFailed
+from core.reasons import Reason
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def make_action_set(options: ActionSetOptions, environment: Environment) -> Acti
     size = jax.eval_shape(action_set.act, jax.ShapeDtypeStruct((readers,), jnp.int32)).shape[0]
     if size != environment.action_size:
         raise JobFailed(
-            "bad_model",
+            Reason.BAD_MODEL,
             f"The action set's actions have {size} components, the environment's {environment.action_size}.",
         )
     return action_set
@@ -85,6 +86,6 @@ def _of_the_generator(environment: Environment, name: str) -> Callable[[jax.Arra
     method = part_of(environment, name, None)
     if method is None:
         raise JobFailed(
-            "bad_model", "The environment has no central pattern generator that an action set could set."
+            Reason.BAD_MODEL, "The environment has no central pattern generator that an action set could set."
         )
     return method

@@ -14,6 +14,7 @@ from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.base import Wrapped
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, ModelFields
+from core.reasons import Reason
 
 # What the environment below keeps in `State.info`, besides what is there.
 _OBSERVATION = "inner_observation"
@@ -50,7 +51,7 @@ class Tabular:
         """Raises JobFailed("bad_checkpoint") where a table of this shape is one of another environment."""
         if shape != self.shape:
             raise JobFailed(
-                "bad_checkpoint",
+                Reason.BAD_CHECKPOINT,
                 f"The table is {list(shape)}, and this environment needs {list(self.shape)}.",
             )
 
@@ -100,10 +101,11 @@ def _check_what_is_seen(state_discretizer: StateDiscretizerOptions, environment:
     if missing:
         told = ", ".join(sorted(state.info)) or "nothing besides its observation"
         raise JobFailed(
-            "bad_model",
+            Reason.BAD_MODEL,
             f"The state discretizer looks at {', '.join(missing)}, and the environment tells {told}.",
         )
     seen = environment.observation_size
     size = seen["state"] if isinstance(seen, Mapping) else seen
     if isinstance(state_discretizer, ObservationGrid) and (beyond := state_discretizer.beyond(size)):
-        raise JobFailed("bad_model", f"The observation has {size} components, and none of index {beyond[0]}.")
+        detail = f"The observation has {size} components, and none of index {beyond[0]}."
+        raise JobFailed(Reason.BAD_MODEL, detail)

@@ -35,7 +35,7 @@ def least_memory(settings: "QLearningSpec", environment: "EnvironmentInfo") -> M
                 ("replay.buffer_size", "agents"),
             ),
             Part(
-                f"{settings.num_worlds:,} worlds",
+                f"{settings.num_worlds:,} environments",
                 FLOAT_BYTES * settings.num_worlds * (observation + 1),
                 ("num_envs", "agents"),
             ),

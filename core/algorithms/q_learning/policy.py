@@ -18,6 +18,7 @@ from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed
+from core.reasons import Reason
 
 _STORED_NAMES = {"state_discretizer": "indexer", "action_set": "mapper"}
 _NAMES = {stored: name for name, stored in _STORED_NAMES.items()}
@@ -62,7 +63,7 @@ def read_policy(content: bytes) -> LearntTable:
     """Back from a policy file. Raises JobFailed("bad_checkpoint") for anything else."""
     header, state = FORMAT.read(content)
     if state["table"].ndim != 2:
-        raise JobFailed("bad_checkpoint", "This is a checkpoint, and no policy file.")
+        raise JobFailed(Reason.BAD_CHECKPOINT, "This is a checkpoint, and no policy file.")
     return LearntTable(state["table"], state["visits"], header)
 
 

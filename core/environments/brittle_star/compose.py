@@ -1,4 +1,4 @@
-"""A brittle star of biorobot's in an aquarium of biorobot's, as that library composes them."""
+"""A biorobot brittle star in a biorobot aquarium, as that library composes them."""
 
 from importlib import import_module
 from typing import Any
@@ -13,12 +13,13 @@ from core.environments.brittle_star.options import (
 )
 from core.environments.dm_control.dm_control_import import without_a_display
 from core.errors import JobFailed
+from core.reasons import Reason
 
 
 def composed(options: Options) -> mujoco.MjSpec:
     """The specification: a free disk with arms, on the ground between walls; the task's target or sand.
 
-    Raises JobFailed("bad_model") where biorobot, which brings both, is not installed.
+    Raises JobFailed("bad_model") if biorobot, which brings both, is not installed.
     """
     with without_a_display():
         arena, star = _arena(options), _star(options)
@@ -54,7 +55,7 @@ def _module(name: str) -> Any:
         return import_module(name)
     except ModuleNotFoundError as error:
         raise JobFailed(
-            "bad_model",
-            f"Brittle stars and their aquarium come with biorobot, and this worker lacks it ({error}). "
+            Reason.BAD_MODEL,
+            f"Brittle stars and their aquarium come with biorobot, which this worker lacks ({error}). "
             "Install it there with `pip install 'gaitway[brittle-star]'`, or ask for another environment.",
         ) from error

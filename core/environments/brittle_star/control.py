@@ -1,4 +1,4 @@
-"""What an action is."""
+"""What an action controls."""
 
 from core.environments.brittle_star.options import Options
 from core.environments.cpg.actions import steered_by_oscillators
@@ -6,7 +6,7 @@ from core.environments.environment import Environment
 
 
 def controlled(star: Environment, options: Options) -> Environment:
-    """The star under `options.control`; itself where actions are the joints' own."""
+    """The star under `options.control`; unchanged if actions are the joints' own."""
     match options.control:
         case "joints":
             return star

@@ -1,4 +1,4 @@
-"""Brittle stars that learn to move. Source: biorobot's environments; the physics are our engines'."""
+"""Brittle stars that learn to move. Source: biorobot's environments; our engines compute the physics."""
 
 from collections.abc import Mapping
 
@@ -50,10 +50,10 @@ def light_escape(options: LightEscapeOptions, build_engine: EngineBuilder) -> En
 
 
 class BrittleStar(MujocoEnv):
-    """Reward: by how much the task's potential has grown. Ends where the task says so.
+    """Reward: the growth of the task's potential. An episode ends when the task is done.
 
-    Of every state, `info` has `disk_position` [3] in the world, in metres; `disk_rotation` [3], roll, pitch
-    and yaw in rad; and what the task adds. An action's ends are the ends of the joints' ranges, or of the
+    In every state, `info` has `disk_position` [3] in the world, in metres; `disk_rotation` [3], roll, pitch
+    and yaw in rad; and what the task adds. An action of ±1 is an end of the joints' ranges, or of the
     torques'.
     """
 
@@ -110,13 +110,13 @@ class BrittleStar(MujocoEnv):
         )
 
     def _observe(self, physics: PhysicsState, measured: Measured) -> jax.Array:
-        """Those that were asked for, in biorobot's order."""
+        """The observables of the options, in biorobot's order."""
         of_the_body = {name: observe_body(physics, name) for name in OF_THE_BODY if name in self._observed}
         every = {**of_the_body, **measured.observables}
         return jnp.concatenate([every[name] for name in self._observed])
 
     def _metrics(self, before: PhysicsState, after: PhysicsState, measured: Measured) -> dict[str, jax.Array]:
-        """Where the disk is and how fast it goes: m, m/s."""
+        """The disk's position and velocity: m, m/s."""
         x, y, height = after.qpos[:3]
         velocity = (after.qpos - before.qpos)[:2] / self.dt
         return {
@@ -131,7 +131,7 @@ class BrittleStar(MujocoEnv):
 
 
 def _derived(observed: list[str]) -> tuple[str, ...]:
-    """The fields that engines shall compute for these observables."""
+    """The fields that engines compute for these observables."""
     forces = not {"joint_actuator_force", "actuator_force"}.isdisjoint(observed)
     contacts = "segment_contact" in observed
     return (*(("qfrc_actuator",) if forces else ()), *(("sensordata",) if contacts else ()))

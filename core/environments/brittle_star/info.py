@@ -16,20 +16,20 @@ from core.environments.brittle_star.options import (
 from core.environments.info import EnvironmentInfo
 from core.physics.availability import Rule
 
-# MJX writes every joint out into one program: with so many, 84 s of a processor went into compiling it.
+# MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
 _MOST_SEGMENTS_ON_MJX = 50
 _ON_A_GPU = (
     Rule("warp", 1, "Measured on an H200: 243 k actions/s in training, 21 k by native on 16 cores."),
-    Rule("native", 1, "MJX steps 7.7 k a second on an H200, C MuJoCo 20 k on one core."),
+    Rule("native", 1, "MJX takes 7.7 k steps/s on an H200, C MuJoCo 20 k on one core."),
 )
 
 
 def _under(options: Options) -> Mapping[str, Any]:
-    """The fields of the row that are others under these options."""
+    """The fields of the row that these options change."""
     total = sum(options.segments)
     return {
         "observation_size": sum(size_of(name, total) for name in observed(options)),
-        # Of a pattern generator's: see `core.environments.cpg.encoding`, which loads JAX.
+        # A pattern generator's size: `core.environments.cpg.encoding.action_size`, but that loads JAX.
         "action_size": 2 * total if options.control == "joints" else 7 * options.num_arms + 1,
         "has_cpg": options.control == "cpg",
         "num_arms": options.num_arms,
@@ -45,8 +45,8 @@ def _cannot_run(num_segments: int) -> Mapping[str, str]:
     if num_segments <= _MOST_SEGMENTS_ON_MJX:
         return {}
     return {
-        "mjx": f"These are {num_segments} segments, and with more than {_MOST_SEGMENTS_ON_MJX} MJX does not "
-        "compile in time. Ask for native or warp, or for fewer segments."
+        "mjx": f"The star has {num_segments} segments, and MJX does not compile in time with more than "
+        f"{_MOST_SEGMENTS_ON_MJX}. Choose native or warp, or fewer segments."
     }
 
 
@@ -78,7 +78,7 @@ DIRECTED = _row(
 UNDIRECTED = _row(
     "brittle_star_undirected",
     "undirected",
-    "biorobot's brittle star in an aquarium, rewarded for leaving the middle.",
+    "biorobot's brittle star in an aquarium, rewarded for moving away from the middle.",
     UndirectedOptions,
 )
 LIGHT_ESCAPE = _row(

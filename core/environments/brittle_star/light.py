@@ -1,4 +1,4 @@
-"""How light falls on the ground, and how much of it a point gets. As biorobot's light_escape has it."""
+"""How light falls on the ground, and how much of it a point gets, as in biorobot's light_escape."""
 
 from importlib import import_module
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from core.environments.brittle_star.options import LIGHT_MAP_RESOLUTION, LightEscapeOptions
 
 _GROUND = "groundplane"
-# A picture shows darkness so bright, that one sees the star in it.
+# The brightness of darkness in a picture, so that the star can be seen in it.
 _DARKEST = 0.3
 
 
@@ -36,10 +36,10 @@ def light_map(options: LightEscapeOptions) -> NDArray[np.float32]:
 
 
 def light_at(light: jax.Array, half_lengths: tuple[int, int], position: jax.Array) -> jax.Array:
-    """The light [N] at points [N, 2] in metres, between the pixels of [rows, columns] in proportion.
+    """The light [N] at points [N, 2] in metres, interpolated linearly between the pixels [rows, columns].
 
     A pixel's value is that of its corner of least x and greatest y. Beyond a wall, which arms may reach
-    through, there is the light at its foot.
+    through, the light is that at the wall.
     """
     size = jnp.asarray(half_lengths, jnp.float32)
     across, up = jnp.moveaxis((position + size) / (2 * size), -1, 0)
@@ -54,7 +54,7 @@ def light_at(light: jax.Array, half_lengths: tuple[int, int], position: jax.Arra
 
 
 def show(model: mujoco.MjModel, light: NDArray[np.float32]) -> None:
-    """Let the ground of the model (changed) look as light falls on it."""
+    """Paint the light on the ground of the model (changed)."""
     texture = model.texture(_GROUND)
     start, height, width = (int(number[0]) for number in (texture.adr, texture.height, texture.width))
     pixels = model.tex_data[start : start + 3 * height * width].reshape(height, width, 3)

@@ -1,4 +1,4 @@
-"""The composed brittle star as it is stepped: biorobot's physics, without what nothing reads."""
+"""The composed brittle star as it is stepped: biorobot's physics, without sensors that nothing reads."""
 
 import mujoco
 import numpy as np
@@ -6,7 +6,7 @@ import numpy as np
 from core.environments.brittle_star.compose import composed
 from core.environments.brittle_star.options import DISK, DISK_RADIUS_M, DirectedOptions, Options, observed
 
-# What a picture is fitted to, in metres: the star's surroundings, not the whole arena.
+# The extent that a picture shows, in metres: the star's surroundings, not the whole arena.
 _EXTENT_M = 4.0
 _START_HEIGHT_M = 0.11
 _FREE_BODY = "BrittleStarMorphology/"
@@ -15,14 +15,14 @@ _FREE_BODY = "BrittleStarMorphology/"
 def star_model(options: Options) -> mujoco.MjModel:
     """The star in its aquarium; the numeric `init_qpos` is where it begins.
 
-    A fixed target stands where it is to be. Without contacts with the walls, slides with limits and a ball
-    joint take the free joint's place: the same coordinates and the same motion, up to the limits.
+    A fixed target is put in its place. Without contacts with the walls, slides with limits and a ball joint
+    replace the free joint: the coordinates and the motion are the same, up to the limits.
     """
     spec = composed(options)
     spec.option.timestep = options.timestep
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP  # as biorobot has it
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP  # as in biorobot
     spec.stat.extent = _EXTENT_M
-    for light in spec.lights:  # without, one sees no arm lift
+    for light in spec.lights:  # without it, a lifted arm is hard to see
         light.diffuse = [0.6] * 3
     reads_contacts = "segment_contact" in observed(options)
     for sensor in list(spec.sensors):
@@ -40,7 +40,7 @@ def star_model(options: Options) -> mujoco.MjModel:
 
 
 def _shape_disk(spec: mujoco.MjSpec, num_arms: int) -> None:
-    """biorobot's disk is a pentagon with five sockets for arms: this one has a side and a socket for each."""
+    """Give the disk a side and a socket for each arm; biorobot's is a pentagon with five sockets."""
     half = np.pi / num_arms
     inner = DISK_RADIUS_M * np.cos(half) / 2
     _repeat(
@@ -58,7 +58,7 @@ def _repeat(
     radius: float | None = None,
     size: tuple[float, float] | None = None,
 ) -> None:
-    """So many geoms of this kind around the disk, from the angle `first` on; otherwise as there were five."""
+    """Put `number` geoms of this kind around the disk, from the angle `first` on, in place of the five."""
     disk = spec.body(DISK)
     old = [geom for geom in disk.geoms if f"_{kind}_" in geom.name]
     like = old[0]
@@ -81,7 +81,7 @@ def _repeat(
 
 
 def _bound(spec: mujoco.MjSpec, reach: list[float]) -> None:
-    """The disk's centre stays within ± reach [2], in metres; the walls are only seen."""
+    """Keep the disk's centre within ± reach [2], in metres; the walls are only for show."""
     for geom in list(spec.worldbody.geoms):
         if geom.name.endswith("_wall_collider"):
             spec.delete(geom)

@@ -6,7 +6,7 @@ from biorobot.brittle_star.mjcf.morphology.parts.arm import MJCFBrittleStarArm
 
 
 class EvenStar(MJCFBrittleStarMorphology):
-    """biorobot has five places for arms; this has as many as there are arms. With five it is biorobot's."""
+    """A star with a place for each arm; biorobot's has five. With five arms the two are equal."""
 
     def _build_arms(self) -> None:
         specification = self.morphology_specification

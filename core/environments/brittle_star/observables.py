@@ -18,15 +18,15 @@ LightObservable = Literal["segment_light_intake", "disk_light_intake"]
 
 OF_THE_BODY: tuple[BodyObservable, ...] = get_args(BodyObservable)
 OF_THE_TARGET: tuple[TargetObservable, ...] = get_args(TargetObservable)
-# What a State's `info` tells of the target.
+# What a State's `info` holds about the target.
 OF_THE_WAY = ("target_position", "xy_direction_to_target", "xy_distance_to_target")
 OF_THE_LIGHT: tuple[LightObservable, ...] = get_args(LightObservable)
-# What engines compute for an observation alone.
+# Engines compute these only for the observation.
 DEAR: tuple[BodyObservable, ...] = ("joint_actuator_force", "actuator_force", "segment_contact")
 
 
 def size_of(observable: str, num_segments: int) -> int:
-    """How many numbers it is, of a star of so many segments in all."""
+    """How many numbers the observable has; num_segments: of all arms together."""
     match observable:
         case "joint_position" | "joint_velocity" | "joint_actuator_force" | "actuator_force":
             return 2 * num_segments

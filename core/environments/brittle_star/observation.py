@@ -13,9 +13,9 @@ NUM_ROOT_POSITIONS, NUM_ROOT_VELOCITIES = 7, 6
 def observe_body(physics: PhysicsState, name: BodyObservable) -> jax.Array:
     """The observable [n]; joints come in pairs, in the disk's plane and out of it.
 
-    The disk's velocities are those of the world's axes. Every joint has one motor and no gear, so that the
-    motor's force is the joint's. Contacts are normal forces summed over a segment, in N: with the motors'
-    forces they are of the last physics step.
+    The disk's velocities are along the world's axes. Every joint has one motor and no gear, so the motor's
+    force is the joint's. Contacts are normal forces summed over a segment, in N; they and the motors' forces
+    are those of the last physics step.
     """
     match name:
         case "joint_position":

@@ -1,4 +1,4 @@
-"""What a job may ask of a brittle star: its body, its arena, its task."""
+"""A job's options for a brittle star: its body, its arena, its task."""
 
 import math
 from collections.abc import Mapping
@@ -19,11 +19,11 @@ from core.environments.brittle_star.observables import (
 from core.environments.cpg.options import CPGOptions
 from core.environments.options import NoiseScale
 
-# Of biorobot's morphology, whose name stands before everything of it.
+# biorobot puts its morphology's name before the names of all its parts.
 DISK = "BrittleStarMorphology/central_disk"
 TARGET_RADIUS_M = 0.2
 DISK_RADIUS_M = 0.125
-# Along the ground plane's texture, for each metre of the arena's half lengths.
+# Pixels of the ground plane's texture per metre of the arena's half lengths.
 LIGHT_MAP_RESOLUTION = 50
 _TIMESTEP_S = 0.002
 _FIRST_SEGMENT_M, _TAPER_M = 0.125, 0.075
@@ -31,18 +31,18 @@ _MOST_STEPS = 100_000
 _MOST_SEGMENTS = 96
 _Metres = Annotated[int, Field(ge=1, le=50)]
 _Point = Annotated[tuple[float, float], Field(strict=False)]
-_OBSERVED = "What the observation is made of. null: all; under `cpg` all but forces and contacts, which cost."
+_OBSERVED = "Observables to include. null: all; with `cpg`, all but the costly forces and contacts."
 
 
 class BrittleStarOptions(Strict):
-    """The body, the arena, the physics and what is observed: alike for all tasks."""
+    """The body, the arena, the physics and the observation: the same for all tasks."""
 
-    num_arms: int = Field(5, ge=3, le=8, description="Evenly around the disk.")
+    num_arms: int = Field(5, ge=3, le=8, description="Arms, evenly around the disk.")
     num_segments_per_arm: int | list[int] = Field(
-        5, description="Of every arm, or of each; 0 leaves an arm out."
+        5, description="Segments of every arm, or a list with those of each arm; 0 leaves an arm out."
     )
     actuation: Literal["p_control", "torque_control"] = Field(
-        "p_control", description="What moves a joint: a servo that an action gives an angle, or a torque."
+        "p_control", description="What an action sets at a joint: a servo's target angle, or a torque."
     )
     control: Literal["joints", "cpg"] = Field(
         "joints",
@@ -50,52 +50,55 @@ class BrittleStarOptions(Strict):
         "pattern generator that moves them.",
     )
     cpg: CPGOptions = Field(
-        CPGOptions.model_validate({}), description="Of the pattern generator, where there is one."
+        CPGOptions.model_validate({}), description="The pattern generator, with `control` = `cpg`."
     )
     arena_size: Annotated[tuple[_Metres, _Metres], Field(strict=False)] = Field(
         (10, 5), description="Half lengths in x and y, in metres."
     )
     walls: Literal["bound", "contacts"] = Field(
         "bound",
-        description="`contacts`: every segment touches the walls, as in biorobot. `bound`: the disk stops at "
-        "them, which costs next to nothing; arms reach through.",
+        description="`contacts`: every segment collides with the walls, as in biorobot. `bound`: only the "
+        "disk stops at them, at almost no cost; arms reach through.",
     )
-    random_initial_rotation: bool = Field(False, description="About the vertical, in each episode.")
+    random_initial_rotation: bool = Field(
+        False, description="Start each episode with a random rotation about the vertical."
+    )
     joint_randomization_noise_scale: NoiseScale = Field(
-        0.01, description="Of the joints' initial positions and velocities, uniform in ± this: rad, rad/s."
+        0.01,
+        description="Noise on the joints' initial positions and velocities, uniform in ± this: rad, rad/s.",
     )
     num_physics_steps_per_control_step: int = Field(10, ge=1, le=100)
-    time_scale: float = Field(2.0, ge=0.25, le=5, description="A physics step is this times 2 ms.")
+    time_scale: float = Field(2.0, ge=0.25, le=5, description="A physics step takes this times 2 ms.")
     simulation_time: float = Field(20.0, gt=0, le=4000, description="Seconds until an episode is cut off.")
     iterations: int = Field(
-        4, ge=1, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
+        4, ge=1, le=100, description="Solver iterations on mjx and warp; native iterates until convergence."
     )
-    ls_iterations: int = Field(8, ge=1, le=100, description="Of its line search, on mjx and warp.")
+    ls_iterations: int = Field(8, ge=1, le=100, description="Line-search iterations on mjx and warp.")
 
     @property
     def segments(self) -> list[int]:
-        """How many each arm has, [num_arms]."""
+        """The number of segments of each arm, [num_arms]."""
         given = self.num_segments_per_arm
         return [given] * self.num_arms if isinstance(given, int) else given
 
     @property
     def timestep(self) -> float:
-        """Seconds of a physics step."""
+        """Seconds per physics step."""
         return _TIMESTEP_S * self.time_scale
 
     @property
     def dt(self) -> float:
-        """Seconds of a control step."""
+        """Seconds per control step."""
         return self.timestep * self.num_physics_steps_per_control_step
 
     @property
     def episode_length(self) -> int:
-        """Control steps that fill the simulation's time; without the rounding of a quotient."""
+        """Control steps that fill the simulation time, free of the quotient's rounding error."""
         return math.ceil(round(self.simulation_time / self.dt, 6))
 
     @property
     def start_x(self) -> float:
-        """Where the disk begins, in metres."""
+        """The disk's initial x, in metres."""
         return 0.0
 
     @property
@@ -113,44 +116,44 @@ class BrittleStarOptions(Strict):
         if min(counts, default=0) < 0:
             raise ValueError("must not be negative")
         if sum(counts) == 0:
-            raise ValueError("there must be a segment at least: a disk alone cannot move")
+            raise ValueError("there must be at least one segment: a disk alone cannot move")
         return given
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if len(self.segments) != self.num_arms:
             raise ValueError(
-                f"num_segments_per_arm names {len(self.segments)} arms, and num_arms = {self.num_arms}"
+                f"num_segments_per_arm lists {len(self.segments)} arms, but num_arms = {self.num_arms}"
             )
         if (total := sum(self.segments)) > _MOST_SEGMENTS:
             raise ValueError(
-                f"these are {total} segments, and {_MOST_SEGMENTS} are the most: with more the model does "
-                "not compile in time"
+                f"the arms have {total} segments; at most {_MOST_SEGMENTS} are allowed: with more the model "
+                "does not compile in time"
             )
         if self.episode_length > _MOST_STEPS:
             raise ValueError(
-                f"simulation_time = {self.simulation_time:g} s are {self.episode_length} control steps of "
-                f"{self.dt:g} s, and {_MOST_STEPS} are the most"
+                f"simulation_time = {self.simulation_time:g} s is {self.episode_length} control steps of "
+                f"{self.dt:g} s; at most {_MOST_STEPS} are allowed"
             )
         if self.control == "cpg":
             self.cpg.check_steps(self.dt)
         room = min(self.arena_size[0] - abs(self.start_x), self.arena_size[1])
         if room < self.reach:
             raise ValueError(
-                f"arena_size = {list(self.arena_size)} leaves {room:g} m around the disk where it begins, "
-                f"and the arms reach {self.reach:.2f} m"
+                f"arena_size = {list(self.arena_size)} leaves {room:g} m around the disk's initial position, "
+                f"but the arms reach {self.reach:.2f} m"
             )
         return self
 
 
 class DirectedOptions(BrittleStarOptions):
-    """Besides: where the target is."""
+    """A brittle star, its arena, and the target that it should reach."""
 
     target_position: _Point | None = Field(
         None, description="x and y in metres; null: drawn for each episode, at `target_distance`."
     )
     target_distance: float = Field(
-        3.0, gt=0, description="From the middle of the arena, in metres; the direction is drawn."
+        3.0, gt=0, description="Metres from the middle of the arena; the direction is drawn."
     )
     observables: list[BodyObservable | TargetObservable] | None = Field(
         None, min_length=1, description=_OBSERVED
@@ -162,36 +165,38 @@ class DirectedOptions(BrittleStarOptions):
             distance, nearest = self.target_distance, min(self.arena_size)
             if distance > nearest:
                 raise ValueError(
-                    f"target_distance = {distance:g} m leaves the arena, of which a wall is at {nearest:g} m"
+                    f"target_distance = {distance:g} m is beyond the arena's nearest wall, at {nearest:g} m"
                 )
         else:
             distance = math.hypot(*self.target_position)
             if any(abs(x) > size for x, size in zip(self.target_position, self.arena_size, strict=True)):
                 raise ValueError(
-                    f"target_position = {list(self.target_position)} is outside of the arena, "
+                    f"target_position = {list(self.target_position)} is outside the arena, "
                     f"± {list(self.arena_size)} m"
                 )
         if distance < TARGET_RADIUS_M:
             raise ValueError(
-                f"the target is {distance:g} m from where the star begins, and within {TARGET_RADIUS_M:g} m "
-                "it is reached"
+                f"the target is {distance:g} m from the star's initial position, and within "
+                f"{TARGET_RADIUS_M:g} m it counts as reached"
             )
         return self
 
 
 class UndirectedOptions(BrittleStarOptions):
-    """Nothing besides."""
+    """A brittle star and its arena."""
 
     observables: list[BodyObservable] | None = Field(None, min_length=1, description=_OBSERVED)
 
 
 class LightEscapeOptions(BrittleStarOptions):
-    """Besides: how the light falls."""
+    """A brittle star, its arena, and the light that it should escape."""
 
     light_perlin_noise_scale: int = Field(
         0, ge=0, le=200, description="Patches of light and shadow along each side of the arena; 0: none."
     )
-    light_seed: int = Field(0, ge=0, lt=2**32, description="The patches are drawn from it alone.")
+    light_seed: int = Field(
+        0, ge=0, lt=2**32, description="Seed of the patches; the job's has no effect on them."
+    )
     observables: list[BodyObservable | LightObservable] | None = Field(
         None, min_length=1, description=_OBSERVED
     )
@@ -216,7 +221,7 @@ Options = DirectedOptions | UndirectedOptions | LightEscapeOptions
 
 
 def observed(options: Options) -> list[str]:
-    """The names of what is observed, in biorobot's order."""
+    """The names of the observables, in biorobot's order."""
     of_the_task: Mapping[type[Options], tuple[str, ...]] = {
         DirectedOptions: OF_THE_TARGET,
         UndirectedOptions: (),

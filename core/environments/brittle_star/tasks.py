@@ -1,4 +1,4 @@
-"""What a brittle star is to do. Rewards and observables as in biorobot's environments of the same names."""
+"""The brittle star's tasks. Rewards and observables as in biorobot's environments of the same names."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -19,10 +19,10 @@ _TARGET_HEIGHT_M = 0.05
 
 @struct.dataclass
 class Measured:
-    """What a task finds in a state. potential: [], the reward of a step is by how much it grows.
+    """What a task measures in a state. potential: []; a step's reward is its growth.
 
-    done: [], 1 where the task is done. observables: arrays [n] by biorobot's names. info, metrics: what a
-    State's have besides those of every brittle star.
+    done: [], 1 where the task is done. observables: arrays [n] by biorobot's names. info, metrics: what the
+    task adds to a State's.
     """
 
     potential: jax.Array
@@ -39,14 +39,14 @@ class Task(Protocol):
         ...
 
     def draw(self, key: jax.Array) -> Named:
-        """What stays the same for an episode, for the State's info."""
+        """What stays the same for an episode; it is kept in the State's info."""
         ...
 
     def measure(self, physics: PhysicsState, drawn: Named) -> Measured: ...
 
 
 class Directed:
-    """To come nearer to a target, which is reached at its edge. It is no part of the physics."""
+    """Come nearer to a target, which counts as reached at its edge. The target has no physics."""
 
     derived = ()
 
@@ -80,7 +80,7 @@ class Directed:
 
 
 class Undirected:
-    """To get away from the middle of the arena."""
+    """Get away from the middle of the arena."""
 
     derived = ()
 
@@ -93,7 +93,7 @@ class Undirected:
 
 
 class LightEscape:
-    """To get into the dark, with as much of the body as can be, seen from above."""
+    """Get into the dark, with as much of the body as possible, seen from above."""
 
     derived = ("geom_xpos",)
 
@@ -102,7 +102,7 @@ class LightEscape:
         self._capsules = np.array([number for number, name in enumerate(names) if name.endswith("_capsule")])
         radius, half_length = model.geom_size[self._capsules, :2].T
         disk = float(model.geom(f"{DISK}_pentagon_collider").size[0])
-        # As biorobot reckons them: a capsule's ends count as half a disk each.
+        # As in biorobot, each end of a capsule counts as half a disk.
         areas = np.append(np.pi * radius**2 + 4 * radius * half_length, np.pi * disk**2)
         self._shares = jnp.asarray(areas / areas.sum(), jnp.float32)
         self._half_lengths, self._start_x = options.arena_size, options.start_x

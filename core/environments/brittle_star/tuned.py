@@ -25,7 +25,7 @@ _CPU: Mapping[str, Any] = {
     "normalize_observations": True,
 }
 _GPU = {**_CPU, "num_timesteps": 20_000_000, "num_evals": 4, "num_envs": 2048, "batch_size": 1024}
-# A pattern generator takes some time to do as it is told: an action is held for 0.4 s.
+# A pattern generator takes some time to follow an action, so each is held for 0.4 s.
 _GENERATOR: Mapping[str, Any] = {
     "action_repeat": 10,
     "unroll_length": 5,
@@ -35,12 +35,12 @@ _GENERATOR: Mapping[str, Any] = {
     "learning_rate": 1e-3,
     "discounting": 0.8,
 }
-# A metre is the unit of the first two tasks' reward, the whole range of light that of the third.
+# The unit of the first two tasks' reward is a metre; that of the third is the whole range of light.
 _REWARD_SCALING = {DirectedOptions: 100.0, UndirectedOptions: 100.0, LightEscapeOptions: 1000.0}
 
 
 def ppo(options: Options) -> Mapping[Device, Mapping[str, Any]]:
-    """What fits PPO, on joints or on the parameters of a pattern generator."""
+    """PPO's hyperparameters, for joints or for the parameters of a pattern generator."""
     scaling = _REWARD_SCALING[type(options)]
     common = {"reward_scaling": scaling, "episode_length": options.episode_length}
     if options.control == "joints":

@@ -1,4 +1,4 @@
-"""A star that is steered by its oscillators: an action says what these tend to, and they move the joints."""
+"""A star that its oscillators steer: an action sets what they tend to, and they move the joints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -29,8 +29,8 @@ _PREFIX = "cpg_"
 class CPGActions(Wrapped):
     """An environment of joint actions, with oscillators before it.
 
-    Its action [7 num_arms + 1] is what `encoding` says. The oscillators' state is in `State.info`, each of
-    the fields of `Oscillators` [2 num_arms] as cpg_<name>. oscillators: [nu], which one moves which actuator.
+    `encoding` defines its action [7 num_arms + 1]. `State.info` holds the oscillators' state, each field of
+    `Oscillators` [2 num_arms] as cpg_<name>. oscillators: [nu], the oscillator that moves each actuator.
     """
 
     num_arms: int
@@ -62,11 +62,11 @@ class CPGActions(Wrapped):
         return _with(self.environment.step(state, joints), after)
 
     def leading_arm(self, arm: jax.Array | int) -> jax.Array:
-        """The action [7 num_arms + 1] that has this arm [] lead."""
+        """The action [7 num_arms + 1] that makes this arm [] lead."""
         return self.of_roles(roles_under(arm, self.num_arms))
 
     def of_roles(self, roles: jax.Array) -> jax.Array:
-        """The action [7 num_arms + 1] that has every arm play its role [num_arms]."""
+        """The action [7 num_arms + 1] that makes every arm play its role [num_arms]."""
         gait = self.options.gait
         rowing = Gait(2 * pi * gait.frequency_hz, gait.sweep, gait.stroke, gait.lift, 2 * pi * gait.lag)
         return encode(modulation(roles, rowing), self.options)

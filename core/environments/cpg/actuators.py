@@ -1,4 +1,4 @@
-"""Which oscillator moves which actuator: told by the actuators' names, not by their order."""
+"""Which oscillator moves which actuator, by the actuators' names and not by their order."""
 
 import re
 
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.errors import JobFailed
+from core.reasons import Reason
 
 _NAME = re.compile(r"arm_(?P<arm>\d+)_.*?(?P<plane>in_plane|out_of_plane)")
 
@@ -23,8 +24,8 @@ def _oscillator(actuator: str, num_arms: int) -> int:
     found = _NAME.search(actuator)
     if found is None or int(found["arm"]) >= num_arms:
         raise JobFailed(
-            "bad_model",
-            f"A CPG of {num_arms} arms does not know what to do with the actuator {actuator!r}: its name "
-            "must say arm and plane, as in 'arm_0_segment_2_in_plane_joint'.",
+            Reason.BAD_MODEL,
+            f"A CPG of {num_arms} arms cannot use the actuator {actuator!r}: its name must give an arm and a "
+            "plane, as in 'arm_0_segment_2_in_plane_joint'.",
         )
     return 2 * int(found["arm"]) + (found["plane"] == "out_of_plane")

@@ -14,8 +14,8 @@ from core.environments.cpg.oscillators import Modulation
 
 
 class Bounds(Protocol):
-    """What the ends of an action mean: amplitudes lie in [0, amplitude], offsets in ± offset, both in the
-    unit of the output, and the frequency that all oscillators share in [0, frequency] rad/s."""
+    """What the ends of an action mean: amplitudes lie in [0, max_amplitude], offsets in ± max_offset, both in
+    the unit of the output, and the frequency that all oscillators share in [0, max_frequency] rad/s."""
 
     @property
     def max_amplitude(self) -> float: ...

@@ -1,4 +1,4 @@
-"""Steps in time. Both solve the coupled system: every slope is that of the whole state."""
+"""Steps in time. Both solve the coupled system: each slope is that of the whole state."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -42,7 +42,7 @@ def advance(
 ) -> Oscillators:
     """The oscillators after dt seconds under one modulation, in num_steps equal steps.
 
-    Phases come back in [0, 2π): in float32 a phase that grows for ever loses its fractions.
+    Phases are wrapped to [0, 2π), because in float32 a phase that grows for ever loses precision.
     """
 
     def step(now: Oscillators, _: None) -> tuple[Oscillators, None]:

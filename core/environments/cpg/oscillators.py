@@ -1,4 +1,4 @@
-"""Amplitude-controlled phase oscillators: what drives them, how they change, and what they put out.
+"""Amplitude-controlled phase oscillators: their input, their dynamics and their output.
 
 Source: Ijspeert, Crespi, Ryczko & Cabelguen, From swimming to walking with a salamander robot driven by a
 spinal cord model (Science, 2007), supporting material; Sproewitz, Moeckel, Maye & Ijspeert, Learning to move
@@ -15,9 +15,9 @@ from flax import struct
 
 @struct.dataclass
 class Oscillators:
-    """Where n oscillators are; all fields [..., n].
+    """The state of n oscillators; all fields [..., n].
 
-    It also serves for their derivative by time, as states and derivatives have the same fields.
+    It also serves as their time derivative, which has the same fields.
     """
 
     phases: jax.Array
@@ -29,11 +29,11 @@ class Oscillators:
 
 @struct.dataclass
 class Modulation:
-    """What a controller sets, and the oscillators then tend to.
+    """What a controller sets and the oscillators then tend to.
 
     amplitudes (R of the paper), offsets (X): [..., n]. frequencies (ω): [..., n] in rad/s, or [..., 1] for
-    one that all share. phase_biases (φ_ij): [..., n, n], by how much j shall be ahead of i; read only where i
-    and j are coupled, and antisymmetric if it is to be reached.
+    one that all share. phase_biases (φ_ij): [..., n, n], by how much j should be ahead of i; read only where
+    i and j are coupled, and reachable only if antisymmetric.
     """
 
     amplitudes: jax.Array
@@ -44,8 +44,8 @@ class Modulation:
 
 @struct.dataclass
 class Network:
-    """What stays as it is. weights (w_ij): [n, n], how strongly i follows j, per second and unit of j's
-    amplitude. The gains (a_i) are twice the rate, in 1/s, at which amplitudes and offsets come to rest."""
+    """The constants. weights (w_ij): [n, n], how strongly i follows j, per second and unit of j's amplitude.
+    The gains (a_i) are twice the rate, in 1/s, at which amplitudes and offsets settle."""
 
     weights: jax.Array
     amplitude_gain: float
@@ -61,7 +61,7 @@ def at_rest(phases: jax.Array) -> Oscillators:
 def derivative(network: Network, modulation: Modulation, now: Oscillators) -> Oscillators:
     """The time derivative of the whole state.
 
-    φ'_i = ω_i + Σ_j w_ij r_j sin(φ_j - φ_i - φ_ij);  r''_i = a (a/4 (R_i - r_i) - r'_i);  the offset as r.
+    φ'_i = ω_i + Σ_j w_ij r_j sin(φ_j - φ_i - φ_ij);  r''_i = a (a/4 (R_i - r_i) - r'_i);  the offset like r.
     Source: Sproewitz et al. (2008), eq. 1-3.
     """
     ahead = now.phases[..., None, :] - now.phases[..., :, None] - modulation.phase_biases

@@ -1,14 +1,14 @@
 """Rowing: what each arm does for the star to move in the direction of one of them.
 
 The leading arm is held up. The arms beside it row: they sweep in the plane, and some part of a period later
-move up and down, so that they sweep back on the ground and forward above it, both sides in step. An arm
-right opposite the leading one, which there is in a star of an even number, trails: it moves up and down with
-the others, and does not sweep. So it passes the rhythm on from one side to the other; were it still, nothing
-would, and the star would walk in a curve.
+move up and down, so that they sweep back on the ground and forward above it, both sides in step. With an even
+number of arms, the one opposite the leading one trails: it moves up and down with the others, but does not
+sweep. That passes the rhythm from one side to the other; if it stood still, nothing would, and the star would
+walk in a curve.
 
-Source: the leading-arm modulation of the tutorial notebook for five arms, here for any number and by roles:
-the bias between two oscillators depends on the roles of their arms alone, so that arms which choose their own
-roles row as well as arms that are told.
+Source: the leading-arm modulation of the tutorial notebook for five arms, here for any number and by roles.
+The bias between two oscillators depends only on the roles of their arms, so arms that choose their own roles
+row as well as arms whose roles are set together.
 """
 
 from enum import IntEnum
@@ -24,8 +24,8 @@ from core.environments.cpg.oscillators import Modulation
 
 
 class Role(IntEnum):
-    """What an arm does. Left and right are those of who looks from above in the direction of the walk, where
-    arms are numbered counter-clockwise; the notebook calls them the other way round."""
+    """What an arm does. Left and right are as seen from above, in the direction of the walk; arms are
+    numbered counter-clockwise. The notebook swaps the two names."""
 
     LEADING = 0
     LEFT = 1
@@ -34,15 +34,15 @@ class Role(IntEnum):
 
 
 def roles_for(num_arms: int) -> tuple[Role, ...]:
-    """Those that a star of so many arms has a use for: nobody trails in one of an odd number."""
+    """The roles in a star of `num_arms` arms: with an odd number, no arm trails."""
     return tuple(Role)[: 3 + (num_arms % 2 == 0)]
 
 
 @struct.dataclass
 class Gait:
-    """How rowers row. frequency in rad/s; in the unit of the output, sweep: the amplitude in the plane,
-    stroke: that out of it, lift: how far the leading arm is held up; lag: by how many rad the stroke is
-    behind the sweep, the notebook's by a quarter of a period."""
+    """How arms row. frequency: in rad/s. In the unit of the output, sweep: the amplitude in the plane,
+    stroke: that out of it, lift: how far the leading arm is held up. lag: of the stroke behind the sweep, in
+    rad; the notebook's is a quarter of a period."""
 
     frequency: float
     sweep: float
@@ -51,14 +51,14 @@ class Gait:
     lag: float = np.pi / 2
 
 
-# By role: whether an arm moves in the plane, whether out of it, and whether it is held up.
+# For each role: whether the arm moves in the plane, whether it moves out of it, and whether it is held up.
 _SWEEPS = np.array([0, 1, 1, 0], np.float32)
 _STROKES = np.array([0, 1, 1, 1], np.float32)
 _IS_UP = np.array([1, 0, 0, 0], np.float32)
 
 
 def _between(**ahead: float) -> NDArray[np.float32]:
-    """[4, 4]: by how much the second role is ahead of the first, and behind it the other way round."""
+    """[4, 4], antisymmetric: by how much the second role is ahead of the first."""
     table = np.zeros((len(Role),) * 2, np.float32)
     for pair, bias in ahead.items():
         first, second = (Role[name.upper()] for name in pair.split("_"))
@@ -66,8 +66,8 @@ def _between(**ahead: float) -> NDArray[np.float32]:
     return table
 
 
-# Those who row have consistent biases, so that they lock whoever they are. The leading arm's own amplitude is
-# 0, so that nobody follows it, and its biases matter only while its amplitude falls; they are the notebook's.
+# Rowing arms have consistent biases, so they lock in any combination. The leading arm's own amplitude is 0,
+# so no arm follows it, and its biases matter only while its amplitude falls; they are the notebook's.
 _IN_PLANE = _between(right_left=np.pi, right_leading=np.pi / 4, leading_left=np.pi / 4)
 _OUT_OF_PLANE = _between(leading_right=np.pi / 4, left_leading=np.pi / 4)
 
@@ -75,11 +75,11 @@ _OUT_OF_PLANE = _between(leading_right=np.pi / 4, left_leading=np.pi / 4)
 def roles_under(leading_arm: jax.Array | int, num_arms: int) -> jax.Array:
     """[..., num_arms] int32: what each arm does where `leading_arm` [...] leads.
 
-    Half of the others on each side; where their number is odd, the arm opposite to the leading one is
+    Half of the others are on each side; if their number is odd, the arm opposite the leading one is
     TRAILING.
     """
     steps = np.arange(num_arms)
-    # By the number of steps from the leading arm, around in the order of the arms.
+    # Indexed by the number of arms after the leading one.
     table = np.where(2 * steps < num_arms, Role.LEFT, Role.RIGHT)
     table = np.where(2 * steps == num_arms, Role.TRAILING, table)
     table[0] = Role.LEADING
@@ -88,7 +88,7 @@ def roles_under(leading_arm: jax.Array | int, num_arms: int) -> jax.Array:
 
 
 def modulation(roles: jax.Array, gait: Gait) -> Modulation:
-    """For arms in these roles [..., num_arms], which may be any."""
+    """The modulation for arms in any roles [..., num_arms]."""
     in_plane, out_of_plane, offset = (jnp.asarray(table)[roles] for table in (_SWEEPS, _STROKES, _IS_UP))
     zeros = jnp.zeros_like(in_plane)
     return Modulation(
@@ -100,7 +100,7 @@ def modulation(roles: jax.Array, gait: Gait) -> Modulation:
 
 
 def _biases(roles: jax.Array, lag: jax.Array | float) -> jax.Array:
-    """[..., 3 num_arms]: in the order of the edges."""
+    """Phase biases [..., 3 num_arms], in the order of the edges."""
     # The right side sweeps half a period from the left, and strokes in step with it.
     left, right = (roles == role for role in (Role.LEFT, Role.RIGHT))
     within = jnp.where(left, -lag, jnp.where(right, np.pi - lag, 0.0))

@@ -1,7 +1,7 @@
 """The network of a star of arms: each has an oscillator in the plane and one out of it.
 
-Oscillator 2k moves arm k in the plane and 2k + 1 out of it. The two of an arm are coupled, and so are those
-of a kind of neighbouring arms, all around.
+Oscillator 2k moves arm k in the plane and 2k + 1 out of it. The two of an arm are coupled, and so are
+oscillators of the same kind in neighbouring arms, all around.
 """
 
 import jax
@@ -17,12 +17,12 @@ def num_oscillators(num_arms: int) -> int:
 
 def edges(num_arms: int) -> NDArray[np.intp]:
     """[3 num_arms, 2]: the couplings. First within each arm, in the plane to out of it; then from each arm to
-    the next one in the plane; then out of it.
+    the next one, in the plane; then the same out of it.
 
-    Raises ValueError for fewer arms than make a ring.
+    Raises ValueError for too few arms to form a ring.
     """
     if num_arms < FEWEST_ARMS:
-        raise ValueError(f"A star needs {FEWEST_ARMS} arms at least, not {num_arms}.")
+        raise ValueError(f"A star needs at least {FEWEST_ARMS} arms, not {num_arms}.")
     arm = np.arange(num_arms)
     following = np.roll(arm, -1)
     within, in_plane, out_of_plane = (

@@ -1,4 +1,4 @@
-"""Importing what looks for a display when it is imported."""
+"""Importing dm_control without a display."""
 
 import os
 from collections.abc import Generator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def without_a_display() -> Generator[None]:
-    """Whatever of dm_control is imported here looks for no display; the renderer's setting stays."""
+    """Modules of dm_control that are imported inside look for no display; the renderer's setting stays."""
     before = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"
     try:

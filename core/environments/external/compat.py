@@ -1,4 +1,4 @@
-"""What environments of other packages have in common: these bring reset and step of their own."""
+"""What environments of other packages share; they bring their own reset and step."""
 
 from typing import Any
 
@@ -8,12 +8,12 @@ import mujoco
 
 
 def plain_key(key: jax.Array) -> jax.Array:
-    """The key as two numbers, as these packages have it: they keep it among their state's arrays."""
+    """The key as two numbers, as these packages keep it among their state's arrays."""
     return jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
 
 
 def as_float(value: Any) -> jax.Array:
-    """float32, whether it was a number of Python's, a truth or an array: states keep their form."""
+    """A Python number, a bool or an array as float32, so that states keep their types."""
     return jnp.asarray(value).astype(jnp.float32)
 
 

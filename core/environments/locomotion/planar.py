@@ -1,4 +1,4 @@
-"""What the hopper and the planar walker share: a torso on x, z and pitch, which must not fall."""
+"""The hopper and the planar walker: a torso on x, z and pitch that must not fall."""
 
 from collections.abc import Callable
 
@@ -88,7 +88,7 @@ class PlanarWalker(MujocoEnv):
 
 def is_inside(value: jax.Array, bounds: tuple[float, float | None]) -> jax.Array:
     """Whether each value lies strictly between the bounds; no upper bound where it is None."""
-    # Not terms.height_range: in Brax these bodies' bounds are themselves unhealthy, and so is NaN.
+    # Not rewards.height_range: in Brax these bodies' bounds are themselves unhealthy, and so is NaN.
     low, high = bounds
     above = value > low
     return above if high is None else above & (value < high)

@@ -1,6 +1,6 @@
-"""The file that a model comes as: one XML, or a zip of it and its meshes and textures.
+"""A model's uploaded file: one XML, or a zip of it and its meshes and textures.
 
-Checked without unpacking anything, and without MuJoCo: the API does it before it stores a byte.
+The API checks it before it stores a byte, without unpacking it and without MuJoCo.
 """
 
 import io
@@ -21,27 +21,27 @@ MAX_REFERENCES, MAX_FOLDERS = 5000, 8
 MAX_FILE_BYTES = 64 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
 MAX_XML_BYTES = 16 * 2**20
-# No mesh and no texture packs so well; a little that does is harmless.
+# No mesh or texture compresses this well; a small file that does is harmless.
 _MAX_RATIO, _HARMLESS_BYTES = 100, 2**20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _DOCUMENTS = (".xml", ".mjcf", ".urdf")
-# As much as every file system takes.
+# The longest name that every file system accepts.
 _MAX_NAME_BYTES = 255
-# Their roots.
+# Root elements.
 _MJCF, _URDF = "mujoco", "robot"
-# Elements whose file is a document, too.
+# Elements whose file is also a document.
 _INCLUDING = ("include", "model")
-# Of several documents that no other includes, the one that is meant.
+# Names of the main document, if several are included by no other.
 _MAIN = ("scene", "model")
 _ZIP = b"PK\x03\x04"
-# What zipfile raises at files that are none, or not whole.
+# What zipfile raises for a file that is not a zip, or is damaged.
 _BROKEN = (zipfile.BadZipFile, EOFError, OSError, RuntimeError, ValueError)
 _LITTER = ("__MACOSX", ".DS_Store")
 
 
 @dataclass(frozen=True)
 class Archive:
-    """main: the document's path among the files; is_urdf: what it is. names: of all files, in the archive."""
+    """main: the main document's path; is_urdf: whether it is URDF. names: of all files in the archive."""
 
     body: bytes
     main: str
@@ -49,7 +49,7 @@ class Archive:
     names: tuple[str, ...]
 
     def unpack(self, folder: Path) -> Path:
-        """Write the files below an empty folder; where the main document is then."""
+        """Write the files below an empty folder; returns the path of the main document."""
         for name in self.names:
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -62,10 +62,10 @@ def is_zip(body: bytes) -> bool:
 
 
 def examine(body: bytes) -> Archive:
-    """What is in the file. Raises BadModel where it may not be unpacked, or lacks what it names."""
+    """The file's content. Raises BadModel if it may not be unpacked, or lacks files that it names."""
     if not is_zip(body):
         if len(body) > MAX_XML_BYTES:
-            raise BadModel(f"The document has {len(body):,} bytes, and {MAX_XML_BYTES:,} are allowed.")
+            raise BadModel(f"The document has {len(body):,} bytes; {MAX_XML_BYTES:,} are allowed.")
         document = parse("the document", body)
         main = "model.xml"
         if document.references:
@@ -91,15 +91,15 @@ def _content(body: bytes, name: str) -> bytes:
         return body
     try:
         with zipfile.ZipFile(io.BytesIO(body)) as archive, archive.open(name) as file:
-            # Never more than was announced, whatever is packed.
+            # zipfile never reads more than the announced size.
             return file.read(MAX_FILE_BYTES)
     except (*_BROKEN, zlib.error) as error:
         raise BadModel(f"{name!r} cannot be unpacked: {error}.") from None
 
 
 def _names(body: bytes) -> list[str]:
-    """The files in a zip. Raises BadModel for what could hurt once it is unpacked."""
-    if body.count(b"PK\x01\x02") > 2 * MAX_FILES:  # Each entry begins so; a mesh may hold these bytes, too.
+    """The files in a zip. Raises BadModel for anything that would be harmful to unpack."""
+    if body.count(b"PK\x01\x02") > 2 * MAX_FILES:  # An entry's signature; a mesh may hold it, too.
         raise BadModel(f"The zip has more than {MAX_FILES:,} entries.")
     try:
         with zipfile.ZipFile(io.BytesIO(body)) as archive:
@@ -107,15 +107,15 @@ def _names(body: bytes) -> list[str]:
     except _BROKEN as error:
         raise BadModel(f"The zip cannot be read: {error}.") from None
     if len(entries) > MAX_FILES:
-        raise BadModel(f"The zip has {len(entries):,} entries, and {MAX_FILES:,} are allowed.")
+        raise BadModel(f"The zip has {len(entries):,} entries; {MAX_FILES:,} are allowed.")
     files = [entry for entry in entries if not entry.is_dir() and not _is_litter(entry.filename)]
     for entry in entries:
         _check_entry(entry)
     total, packed = sum(entry.file_size for entry in files), max(1, len(body))
     if total > MAX_TOTAL_BYTES:
-        raise BadModel(f"Unpacked, the zip has {total:,} bytes, and {MAX_TOTAL_BYTES:,} are allowed.")
+        raise BadModel(f"Unpacked, the zip has {total:,} bytes; {MAX_TOTAL_BYTES:,} are allowed.")
     if total > _HARMLESS_BYTES and total / packed > _MAX_RATIO:
-        raise BadModel(f"The zip unpacks to {total / packed:.0f} times its size; {_MAX_RATIO} is the most.")
+        raise BadModel(f"The zip unpacks to {total / packed:.0f} times its size; {_MAX_RATIO} are allowed.")
     names = [entry.filename for entry in files]
     folded = [name.casefold() for name in names]
     if twice := next((name for name in names if folded.count(name.casefold()) > 1), None):
@@ -134,25 +134,25 @@ def _check_entry(entry: zipfile.ZipInfo) -> None:
     name = entry.filename
     parts = name.removesuffix("/").split("/")
     if name.startswith("/") or "\\" in name or ":" in name or not name.isprintable():
-        raise BadModel(f"{name!r} is no path below the archive.")
+        raise BadModel(f"{name!r} is not a path inside the archive.")
     if any(part in ("", ".", "..") for part in parts) or len(parts) > 20:
-        raise BadModel(f"{name!r} is no path below the archive.")
+        raise BadModel(f"{name!r} is not a path inside the archive.")
     if any(len(part.encode()) > _MAX_NAME_BYTES for part in parts):
-        raise BadModel(f"{name[:60]!r}… is too long: a file's name may have {_MAX_NAME_BYTES} bytes.")
+        raise BadModel(f"{name[:60]!r}… is too long: {_MAX_NAME_BYTES} bytes are allowed in a file's name.")
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         raise BadModel(f"{name!r} is a link or a device; only files and folders are allowed.")
     if entry.flag_bits & 1:
         raise BadModel(f"{name!r} is encrypted.")
     if entry.compress_type not in _METHODS:
-        raise BadModel(f"{name!r} is packed in a way other than `deflate`.")
+        raise BadModel(f"{name!r} is not compressed with `deflate`.")
     limit = MAX_XML_BYTES if name.lower().endswith(_DOCUMENTS) else MAX_FILE_BYTES
     if entry.file_size > limit:
-        raise BadModel(f"{name!r} has {entry.file_size:,} bytes, and {limit:,} are allowed.")
+        raise BadModel(f"{name!r} has {entry.file_size:,} bytes; {limit:,} are allowed.")
 
 
 def _included(documents: Mapping[str, Document]) -> list[str]:
-    """The documents that another one may mean; it may count their folder from several places."""
+    """The documents that another one may include, whichever folder its paths start from."""
     meant = {
         posixpath.basename(reference.file)
         for document in documents.values()
@@ -173,24 +173,25 @@ def _main(documents: Mapping[str, Document]) -> str:
         raise BadModel("The zip has no .xml or .urdf that no other includes.")
     raise BadModel(
         f"The zip has {len(free)} documents that no other includes ({', '.join(sorted(free)[:5])}): call the "
-        "one that is meant scene.xml or model.xml."
+        "main one scene.xml or model.xml."
     )
 
 
 def _check_root(name: str, document: Document) -> None:
     if document.root not in (_MJCF, _URDF):
-        raise BadModel(f"{name}: its root is <{document.root[:60]}>, and MJCF's is <mujoco>, URDF's <robot>.")
+        raise BadModel(f"{name}: its root is <{document.root[:60]}>, but MJCF's is <mujoco>, URDF's <robot>.")
 
 
 def _check_references(main: str, documents: Mapping[str, Document], names: list[str]) -> None:
-    """Every file that some document names is in the archive, whichever folder MuJoCo counts it from."""
+    """Raises BadModel unless every file that a document names is in the archive, whichever folder MuJoCo
+    starts from."""
     folders = ["", *{folder for document in documents.values() for folder in document.folders}]
     if len(folders) > MAX_FOLDERS:
         raise BadModel(f"The documents look for files in more than {MAX_FOLDERS} folders.")
     if sum(len(document.references) for document in documents.values()) > MAX_REFERENCES:
         raise BadModel(f"The documents name more than {MAX_REFERENCES:,} files.")
     known = set(names)
-    # What is included may count its paths from the folder of whatever includes it, or goes along with it.
+    # Paths in an included document may start from the folder of the main document or of any included one.
     least_deep = min(_depth(name) for name in (main, *_included(documents)))
     for name, document in documents.items():
         bases = {posixpath.dirname(main), posixpath.dirname(name)}
@@ -206,7 +207,7 @@ def _check_references(main: str, documents: Mapping[str, Document], names: list[
             file = reference.file.removeprefix("package://")
             for folder in folders:
                 _check_inside(name, posixpath.join(folder, file), file, depth)
-            # Alone with the compiler's `strippath`, and in every URDF.
+            # The basename alone counts with the compiler's `strippath`, and in every URDF.
             paths = {
                 posixpath.normpath(posixpath.join(base, folder, said))
                 for base in bases
@@ -218,12 +219,12 @@ def _check_references(main: str, documents: Mapping[str, Document], names: list[
 
 
 def _depth(name: str) -> int:
-    """How many folders of the archive the file is in."""
+    """How many folders of the archive the file is below."""
     return name.count("/")
 
 
 def _check_inside(name: str, path: str, said: str, depth: int) -> None:
-    """Raises BadModel where the path leaves the archive, counted from a folder so deep in it."""
+    """Raises BadModel if the path leaves the archive when it starts in a folder of this depth."""
     climbs = posixpath.normpath(path).split("/").count("..")
     if said.startswith("/") or "\\" in said or ":" in said or climbs > depth:
         raise BadModel(f"{name} names {said!r}, which is outside the archive.")

@@ -1,4 +1,4 @@
-"""From a job's words to functions of a step: here a term learns where in the arrays its parts are."""
+"""From a job's terms to functions of a step: each term is bound to its parts' places in the arrays."""
 
 from typing import assert_never
 
@@ -46,7 +46,7 @@ from core.environments.mjcf.vocabulary.terminations import (
 
 
 def reward(term: RewardTerm, parts: ModelIndex) -> BoundTerm:  # noqa: C901 # A table.
-    """What the term measures in a step, [], before its weight and sign."""
+    """The term's value in a step, [], before its weight and sign."""
     match term:
         case ForwardVelocity():
             return _forward_velocity(term, parts)
@@ -96,7 +96,7 @@ def termination(term: TerminationTerm, parts: ModelIndex) -> BoundTerm:
 
 
 def observation(term: ObservationTerm, parts: ModelIndex) -> BoundTerm:  # noqa: C901 # A table.
-    """What the term shows after a step, [n]."""
+    """The term's observation after a step, [n]."""
     match term:
         case Qpos():
             seen = observations.visible_positions(parts, term.root_position)

@@ -1,4 +1,4 @@
-"""Whether the terms of a job go together with the model that it names."""
+"""Whether the terms of a job fit the model that it names."""
 
 import difflib
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,7 @@ from core.errors import Problem
 
 _OPTIONS = "/environment/options"
 _MOST_NAMES = 20
-# The fields of terms that name something, and of what kind.
+# The fields of terms that name parts of the model, and the kind of part.
 _NAMING: dict[str, Kind] = {
     "body": "body",
     "target": "body",
@@ -33,7 +33,7 @@ _NAMING: dict[str, Kind] = {
 
 
 def problems(options: MjcfOptions, model: Inventory) -> list[Problem]:
-    """Each place where the options ask for what the model has not got."""
+    """Each place where the options name something that the model does not have."""
     found = list(_of_name(options.root, f"{_OPTIONS}/root", "body", model))
     for field in ("reward", "observation", "termination"):
         terms: Sequence[Strict] = getattr(options, field) or ()
@@ -76,7 +76,7 @@ def _of_root(root: str, pointer: str, model: Inventory) -> Iterator[Problem]:
 def _of_movement(
     term: ForwardVelocity | VelocityTracking | Distance, root: str, pointer: str, model: Inventory
 ) -> Iterator[Problem]:
-    """What would be the same in every step: such a term teaches nothing."""
+    """Terms that would be the same in every step, which teaches nothing."""
     body = term.body or root
     if isinstance(term, Distance):
         if term.target == body:
@@ -103,7 +103,7 @@ def _of_name(name: str | None, pointer: str, kind: Kind, model: Inventory) -> It
     elif known:
         hint = f"it has {', '.join(known[:_MOST_NAMES])}{', …' if len(known) > _MOST_NAMES else ''}."
     else:
-        hint = "it has none that has a name."
+        hint = "it has none with a name."
     yield Problem(pointer, f"The model has no {what} {name!r}; {hint}")
 
 
@@ -117,7 +117,7 @@ def _of_reset(reset: Reset, model: Inventory) -> Iterator[Problem]:
         for joint in model.joints:
             start = {"free": joint.qpos_start + 3, "ball": joint.qpos_start}.get(joint.type)
             if start is not None and not any(reset.qpos[start : start + 4]):
-                detail = f"The orientation of the joint {joint.name!r} is no quaternion: [0, 0, 0, 0]."
+                detail = f"The orientation of the joint {joint.name!r} is not a quaternion: [0, 0, 0, 0]."
                 yield Problem(f"{_OPTIONS}/reset/qpos/{start}", detail)
     known = model.keyframes
     there = reset.keyframe in known if isinstance(reset.keyframe, str) else (reset.keyframe or 0) < len(known)

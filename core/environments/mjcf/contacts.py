@@ -1,4 +1,4 @@
-"""Contacts, in the same words on every engine: as sensors that count them."""
+"""Contacts, the same on every engine: sensors count them."""
 
 import mujoco
 
@@ -6,19 +6,19 @@ _PREFIX = "gaitway:touches:"
 
 
 def sensor_name(geom: str, against: str | None) -> str:
-    """Of the sensor that counts a geom's contacts, with one other geom or with any."""
+    """The name of the sensor that counts a geom's contacts, with one other geom or with any."""
     return f"{_PREFIX}{geom}" if against is None else f"{_PREFIX}{geom}:{against}"
 
 
 def is_ours(sensor: str) -> bool:
-    """Whether a sensor was added by us."""
+    """Whether we added the sensor."""
     return sensor.startswith(_PREFIX)
 
 
 def add_sensors(spec: mujoco.MjSpec, contacts: list[tuple[str, str | None]]) -> None:
-    """A sensor for each (geom, the one it is to touch), behind those that the model has.
+    """Add a sensor for each (geom, the one it must touch), after those of the model.
 
-    They read what the last physics step found. Names that are not there fail at compilation.
+    They read the contacts of the last physics step. Unknown names fail at compilation.
     """
     for geom, against in contacts:
         sensor = spec.add_sensor(
@@ -26,7 +26,7 @@ def add_sensors(spec: mujoco.MjSpec, contacts: list[tuple[str, str | None]]) -> 
             type=mujoco.mjtSensor.mjSENS_CONTACT,
             objtype=mujoco.mjtObj.mjOBJ_GEOM,
             objname=geom,
-            # Which of the contact's numbers (a bit: "found", how many there are), unsorted, of one contact.
+            # The data to read (bit 0: "found", the number of contacts), unsorted, for one contact.
             intprm=[1, 0, 1],
         )
         if against is not None:

@@ -1,4 +1,4 @@
-"""What is in a compiled model."""
+"""The contents of a compiled model."""
 
 from collections.abc import Callable
 from typing import Any, Literal
@@ -42,7 +42,7 @@ def inventory(model: mujoco.MjModel) -> Inventory:
 def root_of(model: mujoco.MjModel) -> int:
     """The first body with a free joint, else the first with a slide, else the first below the world.
 
-    A scene may begin with things that are bolted down.
+    A scene may begin with fixed objects.
     """
     for wanted in ("free", "slide"):
         for body in range(1, model.nbody):
@@ -52,7 +52,7 @@ def root_of(model: mujoco.MjModel) -> int:
 
 
 def height_of(model: mujoco.MjModel, qpos: np.ndarray, body: int) -> float:
-    """Of the body in metres, in these positions [nq]."""
+    """The body's height in metres, in these positions [nq]."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)

@@ -1,4 +1,4 @@
-"""An XML document of a model, read for what it names; entities and numbers that are none are refused."""
+"""A model's XML document, read for the files that it names; entities and non-finite numbers are refused."""
 
 from dataclasses import dataclass, field
 from xml.parsers import expat
@@ -7,7 +7,7 @@ from core.errors import BadModel
 
 _MAX_ELEMENTS, _MAX_DEPTH = 200_000, 200
 _NOT_FINITE = {"nan", "inf", "infinity"}
-# What may be one of these words without being a number.
+# Attributes that may be one of these words without being a number.
 _WORDS = {"name", "class", "childclass", "model", "filename", "file"}
 
 
@@ -21,7 +21,7 @@ class Reference:
 
 @dataclass
 class Document:
-    """root: the outermost element. folders: where the compiler is told to look for files."""
+    """root: the outermost element. folders: where the compiler looks for files."""
 
     root: str = ""
     references: list[Reference] = field(default_factory=list[Reference])
@@ -29,13 +29,13 @@ class Document:
 
 
 class _Refused(Exception):
-    """In the middle of a document."""
+    """Raised while a document is being parsed."""
 
 
 def parse(name: str, body: bytes) -> Document:
-    """What the document names. Raises BadModel for one that is no XML, or declares a type or entities.
+    """What the document names. Raises BadModel if it is not XML, or declares a type or entities.
 
-    Without a document type there are no entities but XML's own five, and nothing can be expanded.
+    Without a document type only XML's own five entities exist, so nothing can be expanded.
     """
     document = Document()
     parser = expat.ParserCreate()
@@ -48,7 +48,9 @@ def parse(name: str, body: bytes) -> Document:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
         if depth > _MAX_DEPTH or count > _MAX_ELEMENTS:
-            raise _Refused(f"it has more than {_MAX_ELEMENTS:,} elements, or {_MAX_DEPTH} inside each other")
+            raise _Refused(
+                f"it has more than {_MAX_ELEMENTS:,} elements, or more than {_MAX_DEPTH} nested ones"
+            )
         document.root = document.root or element
         for attribute, value in attributes.items():
             _note(document, element, attribute, value)
@@ -64,7 +66,7 @@ def parse(name: str, body: bytes) -> Document:
     except _Refused as refusal:
         raise BadModel(f"{name}, line {parser.CurrentLineNumber}: {refusal}.") from None
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise BadModel(f"{name} is no XML: {error}.") from None
+        raise BadModel(f"{name} is not XML: {error}.") from None
     return document
 
 
@@ -76,4 +78,4 @@ def _note(document: Document, element: str, attribute: str, value: str) -> None:
     elif attribute not in _WORDS:
         wrong = [word for word in value.split() if word.lstrip("+-").lower() in _NOT_FINITE]
         if wrong:
-            raise _Refused(f"{attribute} of <{element}> is {wrong[0]}, and must be a finite number")
+            raise _Refused(f"{attribute} of <{element}> is {wrong[0]}, but must be a finite number")

@@ -1,4 +1,4 @@
-"""A body made of a user's own model and of terms."""
+"""An environment made of a user's own model and of terms."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +24,7 @@ from core.environments.mujoco_env import MujocoEnv, noisy_start, scaled_to_contr
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import initial_qpos
+from core.reasons import Reason
 
 _SECONDS_PER_ACTION = 0.02
 _LOWEST, _HIGHEST = 0.4, 2.0
@@ -31,23 +32,23 @@ _OF_THE_BODY = ("x_position", "y_position", "height", "x_velocity", "y_velocity"
 
 
 def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None = None) -> "Mjcf":
-    """The body under these options, of the file that holds the model.
+    """The environment under these options. model: the file that holds the model.
 
-    Raises JobFailed("bad_model") where there is none, it does not compile, or the terms do not fit it.
+    Raises JobFailed("bad_model") if there is none, it does not compile, or the terms do not fit it.
     """
     if model is None:
-        raise JobFailed("bad_model", f"The file of the model {options.model} is not here.")
+        raise JobFailed(Reason.BAD_MODEL, f"The file of the model {options.model} is missing.")
     with read(model) as spec:
         original = inventory(compiled(spec))
         if found := problems(options, original):
-            raise JobFailed("bad_model", " ".join(problem.detail for problem in found))
+            raise JobFailed(Reason.BAD_MODEL, " ".join(problem.detail for problem in found))
         return Mjcf(options, original, compiled(spec, options.timestep, options.contacts), build_engine)
 
 
 class Mjcf(MujocoEnv):
-    """Reward: the sum of the terms, each by its weight. Ends where one of the terminations says so.
+    """Reward: the weighted sum of the terms. An episode ends when one of the termination terms says so.
 
-    An action's ends are the ends of the controls' ranges; without a range it is the control itself.
+    An action of ±1 is an end of a control's range; without a range, the action is the control itself.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class Mjcf(MujocoEnv):
         return jnp.concatenate([term.measure(context) for term in self._seen])
 
     def _of_the_body(self, state: State, physics: PhysicsState) -> dict[str, jax.Array]:
-        """Where the root is and how fast it goes: m, m/s."""
+        """The root's position and velocity: m, m/s."""
         position = self._position(physics)
         velocity = rewards.velocity(self._position(state.physics), position, self.dt)
         distance = rewards.distance(position[:2], state.info["start"][:2])
@@ -136,7 +137,7 @@ def _default_ends(parts: Inventory, height: float) -> Sequence[TerminationTerm]:
 
 
 def _start(model: mujoco.MjModel, options: MjcfOptions) -> np.ndarray:
-    """Positions [nq] at an episode's begin, before noise."""
+    """Positions [nq] at the start of an episode, before noise."""
     reset = options.reset
     if reset.qpos is not None:
         return np.array(reset.qpos)

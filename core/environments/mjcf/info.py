@@ -13,45 +13,49 @@ from core.environments.mjcf.vocabulary.rewards import RewardTerm
 from core.environments.mjcf.vocabulary.terminations import TerminationTerm
 from core.physics.availability import Rule
 
-# Seconds of a physics step.
+# Seconds per physics step.
 SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
 
-ModelId = Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$", description="What `POST /models` answered.")]
+ModelId = Annotated[
+    str, Field(pattern=r"^sha256:[0-9a-f]{64}$", description="The id that `POST /models` returned.")
+]
 
 
 class MjcfOptions(Strict):
-    """A model, and what a body made of it earns, sees and may not do; all but the model has a default."""
+    """A user's model with its reward, observation and termination terms; only the model has no default."""
 
     model: ModelId
     root: Name | None = Field(
-        default=None, description="The body that terms mean which name none; null: the first that can travel."
+        default=None,
+        description="Body of the terms that name no body; null: the first body that can travel.",
     )
     reward: Annotated[list[RewardTerm], Field(min_length=1, max_length=64)] | None = Field(
-        default=None, description="Added up; null: forward_velocity, alive, and control_cost of weight 0.05."
+        default=None,
+        description="Terms to sum; null: forward_velocity, alive, and control_cost of weight 0.05.",
     )
     observation: Annotated[list[ObservationTerm], Field(min_length=1, max_length=64)] | None = Field(
-        default=None, description="One after the other; null: qpos and qvel."
+        default=None, description="Terms to concatenate, in this order; null: qpos and qvel."
     )
     termination: Annotated[list[TerminationTerm], Field(max_length=64)] | None = Field(
         default=None,
-        description="Any of them ends the episode; null: for a body that can travel, height_range from "
-        "0.4 to 2 times its height at the begin.",
+        description="Terms, any of which ends the episode; null: for a body that can travel, height_range "
+        "from 0.4 to 2 times its initial height.",
     )
     reset: Reset = Reset()
     n_frames: int | None = Field(
-        default=None, ge=1, le=1000, description="Physics steps for each action; null: as fill 0.02 s."
+        default=None, ge=1, le=1000, description="Physics steps per action; null: as many as fill 0.02 s."
     )
     timestep: float | None = Field(
         default=None,
         ge=SHORTEST_STEP_S,
         le=LONGEST_STEP_S,
-        description="Seconds of a physics step; null: the model's.",
+        description="Seconds per physics step; null: the model's.",
     )
     solver: Literal["newton", "cg"] = Field(
-        default="newton", description="On mjx and warp; native keeps the model's."
+        default="newton", description="Constraint solver on mjx and warp; native keeps the model's."
     )
-    iterations: int = Field(default=4, ge=1, le=100, description="Of the solver, on mjx and warp.")
-    ls_iterations: int = Field(default=8, ge=1, le=100, description="Of its line search, on mjx and warp.")
+    iterations: int = Field(default=4, ge=1, le=100, description="Solver iterations on mjx and warp.")
+    ls_iterations: int = Field(default=8, ge=1, le=100, description="Line-search iterations on mjx and warp.")
 
     @model_validator(mode="after")
     def _has_a_metric_for_each_term(self) -> Self:
@@ -63,20 +67,20 @@ class MjcfOptions(Strict):
 
     @property
     def contacts(self) -> list[tuple[str, str | None]]:
-        """The geoms that some term asks about, each with the one that it is to touch, None for any."""
+        """Geoms whose contacts some term counts, each with the geom it must touch; None for any."""
         terms = [*(self.reward or []), *(self.termination or [])]
         asked = [(geom, term.against) for term in terms if term.kind == "contact" for geom in term.geoms]
         return list(dict.fromkeys(asked))
 
 
 def metric_names(terms: list[RewardTerm]) -> list[str]:
-    """Of each term: `reward_`, and its name or its kind."""
+    """The metric of each term: `reward_`, then its name or its kind."""
     return [f"reward_{term.name or term.kind}" for term in terms]
 
 
 INFO = EnvironmentInfo(
     id="mjcf",
-    description="A model of your own (POST /models); terms say what it earns, what it sees and when it ends.",
+    description="Your own model (POST /models); terms define its reward, its observation and when it ends.",
     factory="core.environments.mjcf.environment:make",
     observation_size=None,
     action_size=None,

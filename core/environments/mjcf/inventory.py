@@ -1,4 +1,4 @@
-"""What a model has, by name; the API checks terms against it, so nothing numerical is imported."""
+"""A model's parts, by name; the API checks terms against them, so this imports no numerical code."""
 
 from typing import Literal
 
@@ -8,7 +8,7 @@ Kind = Literal["body", "geom", "joint", "sensor"]
 
 
 class Joint(Stored):
-    """qpos_start, qvel_start: where it begins in qpos and qvel. range: rad or m; None where it has none."""
+    """qpos_start, qvel_start: its first index in qpos and qvel. range: rad or m; None if it has none."""
 
     name: str
     type: Literal["free", "ball", "slide", "hinge"]
@@ -19,7 +19,7 @@ class Joint(Stored):
 
 
 class Actuator(Stored):
-    """control_range: of `ctrl`; None where it has none, and an action is the control itself."""
+    """control_range: of `ctrl`; None if it has none, and the action is the control itself."""
 
     name: str
     control_range: tuple[float, float] | None = None
@@ -45,10 +45,10 @@ class Sizes(Stored):
 
 
 class Inventory(Stored):
-    """A compiled model's parts. Bodies and geoms without a name are left out; of others it is empty.
+    """A compiled model's parts. Bodies and geoms without a name are left out; other parts have empty names.
 
     root: the first body that can travel, else the first. has_free_joint: whether the root has one.
-    travels: whether it can leave its place. initial_height: the root's in metres, as the model begins.
+    travels: whether it can leave its place. initial_height: the root's in metres, in the initial state.
     """
 
     joints: list[Joint]
@@ -67,7 +67,7 @@ class Inventory(Stored):
     timestep_s: float
 
     def names(self, kind: Kind) -> list[str]:
-        """Of the parts of a kind that have a name; of joints, those that have a range."""
+        """The names of a kind of parts; only of joints that have a range."""
         match kind:
             case "body":
                 return self.bodies

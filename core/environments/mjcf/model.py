@@ -10,25 +10,26 @@ import mujoco
 from core.environments.mjcf.archive import examine
 from core.environments.mjcf.contacts import add_sensors
 from core.errors import BadModel, JobFailed
+from core.reasons import Reason
 
 
 @contextmanager
 def read(file: Path) -> Generator[mujoco.MjSpec]:
-    """The specification in a file as it was uploaded; inside, compilation finds its meshes.
+    """The specification in an uploaded file; inside the context, compilation finds its meshes.
 
-    Raises JobFailed("bad_model"), with MuJoCo's own words where it cannot read it.
+    Raises JobFailed("bad_model"), with MuJoCo's own message, if MuJoCo cannot read it.
     """
     try:
         archive = examine(file.read_bytes())
     except BadModel as error:
-        raise JobFailed("bad_model", error.detail) from None
+        raise JobFailed(Reason.BAD_MODEL, error.detail) from None
     with tempfile.TemporaryDirectory(prefix=".model-", dir=file.parent) as folder:
         main = archive.unpack(Path(folder))
         try:
             spec = mujoco.MjSpec.from_file(str(main))
         except (ValueError, mujoco.FatalError) as error:
-            raise JobFailed("bad_model", _sentence(error, folder)) from None
-        # Files reserve gigabytes for the contacts of each world: what is needed is known when it is.
+            raise JobFailed(Reason.BAD_MODEL, _sentence(error, folder)) from None
+        # Files may reserve gigabytes for contacts; -1 lets MuJoCo allocate what it needs.
         spec.nconmax = spec.njmax = -1
         if archive.is_urdf:
             _add_motors(spec)
@@ -45,11 +46,11 @@ def compiled(
     try:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise JobFailed("bad_model", _sentence(error, spec.modelfiledir)) from None
+        raise JobFailed(Reason.BAD_MODEL, _sentence(error, spec.modelfiledir)) from None
 
 
 def _add_motors(spec: mujoco.MjSpec) -> None:
-    """URDF knows joints with a greatest effort, and no actuators: one motor for each, as strong as that."""
+    """Give each joint a motor: URDF has no actuators, but joints with a greatest effort."""
     for joint in spec.joints:
         if joint.actfrcrange[1] > 0:
             spec.add_actuator(
@@ -63,6 +64,6 @@ def _add_motors(spec: mujoco.MjSpec) -> None:
 
 
 def _sentence(error: Exception, folder: str) -> str:
-    """MuJoCo's words in one line, without where we put the file."""
+    """MuJoCo's message in one line, without our folder's path."""
     words = " ".join(str(error).replace(folder, "").split())
     return f"MuJoCo cannot compile the model: {words[:500]}"

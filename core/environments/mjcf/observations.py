@@ -1,4 +1,4 @@
-"""What of a state a body can see: which numbers, and in which order."""
+"""Which numbers of a state an observation term reads, and in which order."""
 
 from typing import Literal
 
@@ -13,7 +13,7 @@ from core.environments.mjcf.step_context import ModelIndex
 def visible_positions(
     parts: ModelIndex, root_position: Literal["all", "height", "none"] | None
 ) -> np.ndarray:
-    """Places in qpos that are seen: without the root's x and y, without its z, too, or all."""
+    """Places in qpos that are observed: all, all but the root's x and y, or all but its x, y and z."""
     start = parts.free_joint(parts.root)
     if start is None or root_position == "all":
         hidden = []
@@ -25,7 +25,7 @@ def visible_positions(
 
 
 def sensor_places(parts: ModelIndex, names: list[str] | None) -> np.ndarray:
-    """Places in sensordata: of the named sensors in their order, or of all that the model came with."""
+    """Places in sensordata: of the named sensors in their order, or of all of the model's own."""
     if names is not None:
         return parts.sensors(names)
     own = [sensor for sensor in range(parts.model.nsensor) if not is_ours(parts.model.sensor(sensor).name)]
@@ -39,7 +39,7 @@ def positions(xpos: jax.Array, bodies: np.ndarray, origin: int) -> jax.Array:
 
 
 def limited_joints(parts: ModelIndex, names: list[str] | None) -> np.ndarray:
-    """Numbers of these joints; without names, of all hinges and slides that have a range."""
+    """Numbers of these joints; if None, of all hinges and slides that have a range."""
     if names is not None:
         return np.array([parts.model.joint(name).id for name in names])
     kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)

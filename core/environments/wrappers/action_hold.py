@@ -1,4 +1,4 @@
-"""Acting more slowly than the world steps, seen step by step: for rollouts and videos.
+"""Acting less often than the environment steps, one step at a time: for rollouts and videos.
 
 In training a held action is one step (`action_repeat`).
 """
@@ -12,13 +12,13 @@ from core.environments.environment import State
 from core.environments.wrappers.base import Wrapped
 from core.physics.engine import NOMINAL, ModelFields
 
-# What is kept in `State.info`, besides what is there.
+# Entries that are added to `State.info`.
 _HELD, _STEPS = "held_action", "steps_taken"
 
 
 @dataclass(frozen=True)
 class ActionHold(Wrapped):
-    """The environment step by step, which remembers the action that is held, and since when."""
+    """The environment step by step; it remembers the last action and the number of steps."""
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         return _remembering(self.environment.reset(key, model), jnp.zeros(self.action_size), jnp.int32(0))
@@ -30,7 +30,7 @@ class ActionHold(Wrapped):
 
     @staticmethod
     def due_or_held(state: State, num_steps: int, due: jax.Array) -> jax.Array:
-        """[action_size]: what is due, once in so many steps; in the others the last step's action."""
+        """[action_size]: `due` once in `num_steps` steps; otherwise the last step's action."""
         return jnp.where(state.info[_STEPS] % num_steps == 0, due, state.info[_HELD])
 
 

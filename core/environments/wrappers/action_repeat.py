@@ -1,4 +1,4 @@
-"""Acting more slowly than the world steps: one action, held for several steps."""
+"""Acting less often than the environment steps: one action is held for several steps."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,10 +16,10 @@ from core.physics.engine import NOMINAL, OVERFLOW, ModelFields
 class RepeatedAction(Wrapped):
     """An environment in which every action is taken `num_repeats` times, and rewards add up.
 
-    A step that ends the episode is the last one taken. Metrics are means over `num_repeats` steps, to which
-    those that are not taken add nothing: `num_repeats` times as much is what an action did. (Brax keeps
-    those of the last step, and loses what happened in the others.) Of an engine that tells it, `OVERFLOW`
-    is 1 where any of the steps lost contacts.
+    A step that ends the episode is the last one taken. Metrics are means over `num_repeats` steps, where
+    steps that are not taken count as 0, so an action's sum is `num_repeats` times its metric. (Brax keeps
+    only the metrics of the last step.) If the engine has `OVERFLOW`, it is 1 if any of the steps lost
+    contacts.
     """
 
     num_repeats: int
@@ -42,7 +42,7 @@ class RepeatedAction(Wrapped):
             seen = (after.reward, dict(after.metrics), after.physics.derived.get(OVERFLOW))
             return select(ended, state, after), jax.tree.map(lambda x: jnp.where(ended, 0.0, x), seen)
 
-        # `done` may still tell of the episode before this one.
+        # `done` may still be that of the last episode.
         running = replace(state, done=jnp.zeros_like(state.done))
         last, (rewards, metrics, lost) = jax.lax.scan(again, running, length=self.num_repeats)
         means = {name: jnp.sum(values) / self.num_repeats for name, values in metrics.items()}
@@ -53,5 +53,5 @@ class RepeatedAction(Wrapped):
 
 
 def repeat_action(environment: Environment, num_repeats: int) -> Environment:
-    """The environment with every action taken `num_repeats` times; itself where that is once."""
+    """The environment with every action taken `num_repeats` times; unchanged if that is once."""
     return environment if num_repeats == 1 else RepeatedAction(environment, num_repeats)

@@ -17,10 +17,10 @@ Tree = TypeVar("Tree")
 class Episodes:
     """`num_envs` environments, each somewhere in an episode.
 
-    state: after the last step, already a fresh start where an episode ended; its `done` says so (1 for
-    a termination or a truncation). first: every environment's own first state, where it goes back to
-    that; None where fresh starts come from a pool. truncated: [num_envs], 1 where the last step cut an
-    episode off that had not terminated. length: [num_envs] int32, actions taken in the running episode.
+    state: after the last step, already a fresh start where an episode ended; `done` is 1 there, after a
+    termination or a truncation. first: every environment's own first state, if it returns to that; None if
+    fresh starts come from a pool. truncated: [num_envs], 1 where the last step cut an episode off that had
+    not terminated. length: [num_envs] int32, actions taken in the running episode.
     score: [num_envs], rewards summed over it. ended_length, ended_score: [num_envs], those of the
     episode that the last step ended, and 0 elsewhere.
     """
@@ -34,9 +34,9 @@ class Episodes:
     ended_score: jax.Array
 
 
-def start_episodes(worlds: VectorEnv, key: jax.Array, num_envs: int, *, keep_first: bool = False) -> Episodes:
-    """`num_envs` fresh episodes; keep_first: remember their first states, to go back to them."""
-    state = fresh_states(worlds, key, num_envs)
+def start_episodes(envs: VectorEnv, key: jax.Array, num_envs: int, *, keep_first: bool = False) -> Episodes:
+    """`num_envs` fresh episodes; keep_first: remember their first states, to return to them."""
+    state = fresh_states(envs, key, num_envs)
     zeros = jnp.zeros(num_envs)
     count = jnp.zeros(num_envs, jnp.int32)
     return Episodes(
@@ -53,25 +53,25 @@ def start_episodes(worlds: VectorEnv, key: jax.Array, num_envs: int, *, keep_fir
 def begun_at_random(episodes: Episodes, key: jax.Array, *, episode_length: int) -> Episodes:
     """The same episodes, as if each had already run for a random number of actions below `episode_length`.
 
-    So their ends are spread over time from the first on, and not all at once.
+    Their ends are then spread over time from the start.
     Source: `init_at_random_ep_len` of RSL-RL (Rudin et al., Learning to Walk in Minutes, 2022).
     """
     length = jax.random.randint(key, episodes.length.shape, 0, episode_length, jnp.int32)
     return replace(episodes, length=length)
 
 
-def fresh_states(worlds: VectorEnv, key: jax.Array, num_states: int) -> State:
-    """Initial states [num_states, ...], each from a key of its own."""
-    return worlds.reset(jax.random.split(key, num_states))
+def fresh_states(envs: VectorEnv, key: jax.Array, num_states: int) -> State:
+    """Initial states [num_states, ...], each from its own key."""
+    return envs.reset(jax.random.split(key, num_states))
 
 
 def draw(pool: State, chosen: jax.Array) -> State:
-    """The states [num_envs, ...] with the numbers `chosen` [num_envs] of a pool."""
+    """The states [num_envs, ...] of a pool with the indices `chosen` [num_envs]."""
     return jax.tree.map(lambda x: jnp.take(x, chosen, axis=0, mode="clip"), pool)
 
 
 def step_episodes(
-    worlds: VectorEnv,
+    envs: VectorEnv,
     episodes: Episodes,
     action: jax.Array,
     starts: State | None = None,
@@ -80,11 +80,11 @@ def step_episodes(
 ) -> Episodes:
     """Every episode one action [num_envs, action_size] later.
 
-    Where one ends, physics, observation and info become those of `starts` [num_envs, ...]: a reset in
-    every step would cost as much as the step. None: those of the environment's own first state, as in
-    Brax; raises ValueError where these were not kept. Reward, done and metrics stay those of the step.
+    Where one ends, physics, observation and info become those of `starts` [num_envs, ...], because a reset in
+    every step would cost as much as the step. None: those of the environment's own first state, as in Brax;
+    raises ValueError if these were not kept. Reward, done and metrics stay those of the step.
     """
-    state = worlds.step(episodes.state, action)
+    state = envs.step(episodes.state, action)
     return follow(episodes, state, starts, episode_length=episode_length)
 
 
@@ -92,7 +92,7 @@ def follow(episodes: Episodes, state: State, starts: State | None, *, episode_le
     """The episodes after a step that led to `state` [num_envs, ...]; see step_episodes."""
     fresh = episodes.first if starts is None else starts
     if fresh is None:
-        raise ValueError("Where do ended episodes begin anew? Their first states were not kept.")
+        raise ValueError("There are no states to restart from: give `starts`, or keep the first states.")
     length = episodes.length + 1
     score = episodes.score + state.reward
     cut_off = jnp.where(length >= episode_length, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""What an environment around another passes on unchanged."""
+"""The base of environments that wrap another one."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from core.environments.environment import Environment, ObservationSize
 
 @dataclass(frozen=True)
 class Wrapped:
-    """Body, times, sizes and names are those of the environment inside."""
+    """Model, times and sizes are those of the environment inside."""
 
     environment: Environment
 

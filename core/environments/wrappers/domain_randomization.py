@@ -1,4 +1,4 @@
-"""Worlds that differ: an environment whose every start draws fields of the model (domain randomisation).
+"""Domain randomisation: an environment whose every fresh start draws fields of the model.
 
 Source: Peng et al., Sim-to-Real Transfer of Robotic Control with Dynamics Randomization (2018);
 Brax's `randomization_fn` and MuJoCo Playground's `domain_randomize`, which draw once for a run.
@@ -21,8 +21,9 @@ from core.environments.wrappers.base import Wrapped
 from core.errors import JobFailed
 from core.physics.engine import CONSTANTS, NOMINAL, ModelFields
 from core.physics.model import model_field
+from core.reasons import Reason
 
-# Enough for each world of a batch to see others than its neighbours; constants are derived for each.
+# Enough for neighbouring environments to differ; MuJoCo's constants are derived for each model.
 NUM_MODELS = 1024
 _Floats = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ _Floats = NDArray[np.float64]
 class RandomizedEnvironment(Wrapped):
     """An environment in which every fresh start takes one of the models of a pool.
 
-    pool: fields of the model [NUM_MODELS, ...]; the same for every seed, which decides who takes which.
+    pool: fields of the model [NUM_MODELS, ...], the same for every seed; the key of a start picks one.
     """
 
     pool: Mapping[str, NDArray[np.float32]]
@@ -47,10 +48,10 @@ class RandomizedEnvironment(Wrapped):
 
 
 def randomize(environment: Environment, rules: Sequence[Randomization]) -> Environment:
-    """The environment with these things different in each episode; itself where there are none.
+    """The environment, randomised by these rules in each episode; unchanged if there are none.
 
-    Raises JobFailed("bad_model") where the model has not got what a rule names, or a rule makes of it what
-    cannot be: a negative friction, say.
+    Raises JobFailed("bad_model") if the model lacks what a rule names, or if a rule gives an impossible
+    value, such as a negative friction.
     """
     return RandomizedEnvironment(environment, draw_models(environment.model, rules)) if rules else environment
 
@@ -58,7 +59,7 @@ def randomize(environment: Environment, rules: Sequence[Randomization]) -> Envir
 def draw_models(model: mujoco.MjModel, rules: Sequence[Randomization]) -> dict[str, NDArray[np.float32]]:
     """The fields [NUM_MODELS, ...] that the rules change, and the constants that MuJoCo derives from them.
 
-    Rules are applied one after the other, so two may change the same numbers. Raises as `randomize`.
+    Rules are applied one after the other, so two may change the same numbers. Raises like `randomize`.
     """
     fields: dict[FieldName, _Floats] = {
         rule.field: np.repeat(
@@ -79,7 +80,7 @@ def _apply(model: mujoco.MjModel, values: _Floats, rule: Randomization, seed: st
     """Changes the field [NUM_MODELS, ...] in place."""
     rows, owners = _rows(model, rule)
     numbers = _numbers(rule, seed, owners.max(initial=0) + 1)[:, owners]  # [NUM_MODELS, rows]
-    # Without rows of its own, a field is the one row of a matrix.
+    # A field without rows becomes a matrix of one row.
     matrix = values.reshape(NUM_MODELS, -1, FIELDS[rule.field].size)
     columns = slice(None) if rule.axis is None else slice(rule.axis, rule.axis + 1)
     before = matrix[:, rows, columns]
@@ -104,9 +105,9 @@ def _numbers(rule: Randomization, seed: str, count: int) -> _Floats:
 
 
 def _rows(model: mujoco.MjModel, rule: Randomization) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The rows of the field that the rule is about, and of each the number of the object that it belongs to.
+    """The rows of the field that the rule changes, and for each row the index of its random number.
 
-    A number per object, or always 0 where one number is for all.
+    The index is that of the object the row belongs to, or always 0 if all objects share one number.
     """
     kind = FIELDS[rule.field].kind
     if kind is None:
@@ -119,14 +120,14 @@ def _rows(model: mujoco.MjModel, rule: Randomization) -> tuple[NDArray[np.intp],
 
 
 def _rows_of(model: mujoco.MjModel, field: str, number: int) -> list[int]:
-    """A joint has as many rows as degrees of freedom in fields of those; all else has one row."""
+    """In `dof_` fields, a joint has a row per degree of freedom; everything else has one row."""
     if not field.startswith("dof_"):
         return [number]
     return np.flatnonzero(model.dof_jntid == number).tolist()
 
 
 def _names(model: mujoco.MjModel, kind: Kind) -> list[str]:
-    """In MuJoCo's order; empty where something has none."""
+    """Names in MuJoCo's order; empty for an object without one."""
     counts = {"actuator": len(model.actuator_gear), "body": model.nbody, "geom": model.ngeom}
     get = getattr(model, kind)
     return [str(get(number).name) for number in range(counts.get(kind, model.njnt))]
@@ -135,22 +136,22 @@ def _names(model: mujoco.MjModel, kind: Kind) -> list[str]:
 def _find(kind: str, name: str, known: Sequence[str]) -> int:
     if name in known:
         return known.index(name)
-    named = ", ".join(filter(None, known)) or "none that has a name"
+    named = ", ".join(filter(None, known)) or "none with a name"
     raise _bad(f"randomization: the model has no {kind} {name!r}; there are {named}.")
 
 
 def _check(model: mujoco.MjModel, name: FieldName, values: _Floats) -> None:
     if FIELDS[name].positive and values.min(initial=0.0) < 0:
-        raise _bad(f"randomization: {name} becomes negative in some worlds ({values.min():g}).")
+        raise _bad(f"randomization: {name} becomes negative in some environments ({values.min():g}).")
     if (
         name in ("body_mass", "body_inertia")
         and (values[:, np.asarray(model_field(model, name)) > 0] <= 0).any()
     ):
-        raise _bad(f"randomization: {name} becomes 0 in some worlds, and nothing could move such a body.")
+        raise _bad(f"randomization: {name} becomes 0 in some environments; such a body could not be stepped.")
     if name == "dof_frictionloss" and values[:, model.dof_frictionloss == 0].any():
         raise _bad(
-            "randomization: dof_frictionloss is given to joints that have none in the model, and engines "
-            "make room only for those that have; name those that have."
+            "randomization: some of these joints have no dof_frictionloss in the model, and engines make "
+            "room only for joints that have it; name only those."
         )
 
 
@@ -167,4 +168,4 @@ def _constants(model: mujoco.MjModel, fields: Mapping[FieldName, _Floats]) -> di
 
 
 def _bad(detail: str) -> JobFailed:
-    return JobFailed("bad_model", detail)
+    return JobFailed(Reason.BAD_MODEL, detail)

@@ -1,4 +1,4 @@
-"""An environment many times side by side, on one device or on several."""
+"""Many copies of an environment side by side, on one device or on several."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ ENVS = "envs"
 class VectorEnv:
     """`reset` and `step` of many environments at once.
 
-    mesh: devices along the axis ENVS, each of which moves its own part of the worlds and knows nothing of
-    the others; None for one device. What comes out does not depend on it.
+    mesh: devices along the axis ENVS, each of which steps its own part of the environments, independently of
+    the others; None for one device. The results do not depend on it.
     """
 
     environment: Environment
@@ -41,7 +41,7 @@ class VectorEnv:
         if self.mesh is None:
             return jax.vmap(function)
         part: Any = PartitionSpec(ENVS)
-        # Physics may be a call out of the program, of which the compiler does not know how to split it.
+        # Physics may be a call out of the program, which the compiler does not know how to split.
         return jax.shard_map(
             jax.vmap(function), mesh=self.mesh, in_specs=part, out_specs=part, check_vma=False
         )

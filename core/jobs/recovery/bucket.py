@@ -11,8 +11,9 @@ from core.jobs.lost_feeds import chunks_beyond
 from core.jobs.orphans import batches, folders
 from core.jobs.record_copy import read_copy
 from core.jobs.recovery.finding import Finding, Sizes, is_there, sizes_of
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
 

@@ -46,11 +46,11 @@ def test_a_replay_buffer_has_the_size_of_the_arrays_it_is() -> None:
 
 def test_the_sentence_says_what_is_needed_what_there_is_and_what_to_lower() -> None:
     settings = ppo(batch_size=2**20, num_minibatches=8, unroll_length=1000, num_envs=2**20)
-    # 2^20 * 8 * 1000 transitions of 156 bytes are 1.19 TiB; 2^20 worlds of 28 floats, 112 MiB.
+    # 2^20 * 8 * 1000 transitions of 156 bytes are 1.19 TiB; 2^20 environments of 28 floats, 112 MiB.
     assert settings.least_memory(ANT, 1).does_not_fit(80 * GIB, "the largest GPU of a worker") == (
         "The run needs at least 1.19 TiB of memory on its device (1.19 TiB for the 8,388,608,000 transitions "
-        "of one update, 112 MiB for 1,048,576 worlds, 4.2 MiB for networks of 275,185 parameters with their "
-        "gradient and Adam's moments), and the largest GPU of a worker has 80 GiB: lower batch_size, "
+        "of one update, 112 MiB for 1,048,576 environments, 4.2 MiB for networks of 275,185 parameters with "
+        "their gradient and Adam's moments), but the largest GPU of a worker has 80 GiB: lower batch_size, "
         "num_minibatches or unroll_length."
     )
 

@@ -25,7 +25,7 @@ def test_what_two_devices_cannot_share_evenly_is_refused(
 
 
 def test_more_devices_than_there_are_is_refused() -> None:
-    with pytest.raises(Rejected, match="1000 devices were asked for, and JAX finds"):
+    with pytest.raises(Rejected, match="1000 devices were asked for, but JAX finds"):
         Sharding.over(1000, PPOSpec())
 
 

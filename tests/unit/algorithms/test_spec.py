@@ -35,7 +35,7 @@ def test_a_lowest_learning_rate_above_the_highest_is_refused() -> None:
 
 def test_an_observation_that_the_environment_does_not_have_is_refused() -> None:
     refused = refusal(value_obs_key="privileged_state")
-    assert refused.detail == "ant has one observation, 'state', and none that is called 'privileged_state'."
+    assert refused.detail == "ant has one observation, 'state', and none called 'privileged_state'."
     assert pointers(refused) == ["/algorithm/value_obs_key"]
 
 

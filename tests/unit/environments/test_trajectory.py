@@ -91,7 +91,7 @@ def test_equal_trajectories_give_equal_bytes(two_episodes: Trajectory, tmp_path:
 
 def test_another_npz_is_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
-    with pytest.raises(ValueError, match="is no trajectory"):
+    with pytest.raises(ValueError, match="is not a trajectory"):
         trajectory.load(tmp_path / "other.npz")
     np.savez(tmp_path / "newer.npz", about=np.array('{"format": "gaitway-trajectory", "version": 2}'))
     with pytest.raises(ValueError, match="version 1"):

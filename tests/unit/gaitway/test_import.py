@@ -27,8 +27,9 @@ from core.jobs.attempts import claim_attempt
 from core.jobs.deletion import delete
 from core.jobs.job import Artifact, Job, Progress
 from core.jobs.reconciliation import Reconciler
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Dispatch, Entry, Idempotency, JobQuery
+from core.reasons import Reason
 from core.settings import StoreSettings, WorkerSettings
 from core.variables import variable
 from gaitway.embedded.importing import import_folder

@@ -11,9 +11,10 @@ from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Artifact, Job
 from core.jobs.record_copy import copy_records
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry, JobStore
 from core.jobs.submission import submit
+from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
 

@@ -17,8 +17,9 @@ from core.jobs import feeds
 from core.jobs.attempts import Claim
 from core.jobs.deletion import delete
 from core.jobs.job import new_job_id
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry
+from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from tests.unit.jobs.making import NOON

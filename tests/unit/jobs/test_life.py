@@ -33,9 +33,10 @@ from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_record, copy_records, read_copy
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import Idempotency, JobQuery
 from core.jobs.submission import submit
+from core.reasons import Reason
 from core.storage import keys
 from core.user_models.record import ModelRecord
 from tests.unit.jobs.making import NOON, make_job

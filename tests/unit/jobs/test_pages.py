@@ -13,7 +13,7 @@ PAGES = Path(__file__).parents[3] / "docs"
 # Of a model of the reader's own: tests/unit/environments/mjcf/test_check.py holds it to its model.
 JOBS = [
     job
-    for page in sorted(PAGES.glob("*.md"))
+    for page in sorted(PAGES.rglob("*.md"))
     for job in re.findall(r"-d '(\{\"kind\"[^']*\})'", page.read_text())
     if '"mjcf"' not in job
 ]

@@ -17,8 +17,9 @@ from core.jobs.job import Job
 from core.jobs.record_copy import copy_record, read_copy
 from core.jobs.recovery.finding import Finding
 from core.jobs.recovery.findings import findings
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
+from core.reasons import Reason
 from core.storage import keys
 from core.user_models.record import ModelRecord
 from tests.conftest import Databases

@@ -13,7 +13,8 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.jobs.attempts import PAUSES
 from core.jobs.job import Job
 from core.jobs.reconciliation import Reconciler
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from tests.unit.jobs.playing import LEASE, PlayedWorker
 
 

@@ -8,7 +8,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from core.errors import IllegalTransition
 from core.jobs.job import Job
-from core.jobs.status import NEXT, JobStatus, Reason
+from core.jobs.status import NEXT, JobStatus
+from core.reasons import Reason
 from tests.unit.jobs.making import NOON, make_job
 
 FINAL = (JobStatus.SUCCEEDED, JobStatus.FAILED, JobStatus.CANCELLED)

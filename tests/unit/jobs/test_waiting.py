@@ -6,9 +6,9 @@ import pytest
 
 from core.jobs.job import Artifact
 from core.jobs.queue import queue_names
-from core.jobs.status import Reason
 from core.jobs.store import WorkerInfo, WorkerState
 from core.jobs.waiting import what_it_waits_for, why_left_to_others
+from core.reasons import Reason
 from tests.unit.jobs.making import NOON, make_job
 
 

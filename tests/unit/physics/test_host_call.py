@@ -84,7 +84,7 @@ def test_a_failure_ends_the_program_with_its_sentence_and_nothing_else(way: str)
 @pytest.mark.parametrize(
     ("value", "says"),
     [
-        (lambda x: (np.zeros(2, np.float32),), r"shape \(2,\) and should have \(\)"),
+        (lambda x: (np.zeros(2, np.float32),), r"shape \(2,\), but should have \(\)"),
         (lambda x: (x, x), "longer"),
         (lambda x: np.float32(1), "TypeError"),
     ],
@@ -106,7 +106,7 @@ def test_a_lack_of_memory_is_told_as_such() -> None:
 def test_a_program_whose_function_this_process_has_not_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     program = jax.jit(lambda x: host_call(lambda x: (x,), "gone", [()], x)).lower(jnp.float32(0)).compile()
     monkeypatch.delitem(module._functions, "gone")
-    with pytest.raises(jax.errors.JaxRuntimeError, match="no host function of the name gone"):
+    with pytest.raises(jax.errors.JaxRuntimeError, match="no host function named gone"):
         jax.block_until_ready(program(jnp.float32(2.0)))
 
 
@@ -117,7 +117,7 @@ def test_where_xla_refuses_the_handler_the_callback_takes_over(monkeypatch: pyte
     module._is_registered.cache_clear()
     monkeypatch.setattr(jax.ffi, "register_ffi_target", refuse)
     try:
-        with pytest.warns(UserWarning, match="not kept between jobs: another version"):
+        with pytest.warns(UserWarning, match="not cached between jobs: another version"):
             lowered = jax.jit(lambda x, y: weighed(x, y)).lower(jnp.zeros(3), jnp.float32(2.0))
         assert module._TARGET not in lowered.as_text()
         assert float(lowered.compile()(jnp.ones(3), jnp.float32(2.0))[1]) == 3.0

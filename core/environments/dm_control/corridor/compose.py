@@ -1,4 +1,4 @@
-"""A walker of dm_control's in a corridor of dm_control's, as that library composes them."""
+"""A dm_control walker in a dm_control corridor, as that library composes them."""
 
 from importlib import import_module
 from typing import Any
@@ -10,12 +10,13 @@ from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.dm_control.dm_control_import import without_a_display
 from core.errors import JobFailed
+from core.reasons import Reason
 
 
 def composed(options: CorridorOptions) -> tuple[mujoco.MjSpec, list[float]]:
     """The specification of the walker in its corridor, and where it stands upright.
 
-    The latter: position and quaternion [7] of the free joint, on the ground plane of z = 0. Equal options
+    The latter is the position and quaternion [7] of the free joint, on the ground plane z = 0. Equal options
     give equal corridors: lengths are drawn from `arena_seed` alone.
     Raises JobFailed("bad_model") where dm_control, which brings both, is not installed.
     """
@@ -69,7 +70,7 @@ def _module(name: str) -> Any:
         return import_module(name)
     except ModuleNotFoundError as error:
         raise JobFailed(
-            "bad_model",
-            f"Corridors and their walkers come with dm_control, and this worker does not have it ({error}). "
+            Reason.BAD_MODEL,
+            f"Corridors and their walkers come with dm_control, which this worker does not have ({error}). "
             "Install it there with `pip install 'gaitway[dm-control]'`, or ask for another environment.",
         ) from error

@@ -34,7 +34,10 @@ def make(options: CorridorOptions, build_engine: EngineBuilder) -> "Corridor":
 
 
 class Corridor(MujocoEnv):
-    """Reward: forward speed + distance + being up - the action's cost. Ends in a gap or out of the range."""
+    """Reward: forward speed + distance + being up - the action's cost.
+
+    An episode ends when the trunk falls into a gap or leaves the healthy range.
+    """
 
     def __init__(self, options: CorridorOptions, build_engine: EngineBuilder) -> None:
         model = corridor_model(options)
@@ -50,7 +53,7 @@ class Corridor(MujocoEnv):
             tracked_body=WALKERS[options.walker].trunk,
         )
         self.episode_length = options.episode_length
-        # The noise shall not push it into the ground, which would throw it up.
+        # Noise must not push it into the ground, which would throw it up.
         self.initial_qpos = self.initial_qpos.at[2].add(options.reset_noise_scale)
         self._options = options
         self._num_hidden = hidden
@@ -90,7 +93,7 @@ class Corridor(MujocoEnv):
         return State(physics, self._observe(physics), reward, done, metrics, state.info)
 
     def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:
-        """[3], in metres, of the trunk and all that hangs on it: the walker, and nothing of the arena."""
+        """[3], in metres, of the trunk's subtree: the walker, without the arena."""
         return physics.derived["subtree_com"][self.tracked_body]
 
     def _num_behind(self, x: jax.Array) -> jax.Array:
@@ -102,8 +105,8 @@ class Corridor(MujocoEnv):
         return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel, seen])
 
     def _ahead(self, at: jax.Array, number: int) -> jax.Array:
-        """[3 number]: of each next gap or wall how far ahead of `at` [x, y] it begins and ends, and how far
-        to the left the middle of the way past it is; what is farther than _SIGHT_M is shown as there."""
+        """[3 number]: for each next gap or wall, how far ahead of `at` [x, y] it begins and ends, and how far
+        to the left the middle of the way past it is. Distances are capped at _SIGHT_M."""
         nothing = jnp.tile(jnp.array([jnp.inf, jnp.inf, 0.0]), (number, 1))
         first = self._num_behind(at[0]).astype(jnp.int32)
         rows = jax.lax.dynamic_slice(jnp.concatenate([self._obstacles, nothing]), (first, 0), (number, 3))

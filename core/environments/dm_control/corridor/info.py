@@ -11,7 +11,7 @@ from core.environments.info import Device, EnvironmentInfo
 from core.environments.options import Range, RunnerOptions, Weight, check_survives_its_start
 from core.physics.availability import Rule
 
-# How long dm_control makes the first platform, in metres, and how far in front of the first wall it leaves.
+# The length of dm_control's first platform, and the space it leaves before the first wall, in metres.
 FIRST_PLATFORM_M = 6.0
 _BEFORE_THE_FIRST_WALL_M = 2.0
 _MOST_OBSTACLES = 200
@@ -31,34 +31,40 @@ Drawn = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_not_
 
 
 class _Place(Strict):
-    """Who walks, and where."""
+    """The walker and its arena."""
 
     walker: Walker = Field("ant", description="`humanoid` is dm_control's CMU humanoid (2020).")
     arena: Arena = Field("gaps", description="Platforms with gaps, walls from both sides, or neither.")
     corridor_length: float = Field(40.0, ge=8, le=400, description="Metres.")
     corridor_width: float = Field(5.0, gt=0, le=50, description="Metres.")
-    platform_length: Drawn = Field((1.5, 2.0), description="Of `gaps`: each platform's length, in metres.")
-    gap_length: Drawn = Field((0.05, 0.2), description="Of `gaps`: each gap's length, in metres.")
-    wall_gap: Drawn = Field((5.0, 6.0), description="Of `walls`: from one wall to the next, in metres.")
-    wall_width: Drawn = Field((1.0, 2.0), description="Of `walls`: how far each reaches in, in metres.")
-    wall_height: float = Field(2.0, gt=0, le=10, description="Of `walls`, in metres.")
-    arena_seed: int = Field(123456, ge=0, lt=2**32, description="The lengths are drawn from it alone.")
-    start_x: float = Field(5.0, ge=0, description="Where it begins; the first platform ends at 6 m.")
+    platform_length: Drawn = Field((1.5, 2.0), description="`gaps`: length of each platform, in metres.")
+    gap_length: Drawn = Field((0.05, 0.2), description="`gaps`: length of each gap, in metres.")
+    wall_gap: Drawn = Field((5.0, 6.0), description="`walls`: from one wall to the next, in metres.")
+    wall_width: Drawn = Field((1.0, 2.0), description="`walls`: how far each wall reaches in, in metres.")
+    wall_height: float = Field(2.0, gt=0, le=10, description="`walls`: their height, in metres.")
+    arena_seed: int = Field(
+        123456, ge=0, lt=2**32, description="Seed of the lengths; the job's seed has no effect on them."
+    )
+    start_x: float = Field(
+        5.0, ge=0, description="The walker's initial x, in metres; the first platform ends at 6 m."
+    )
 
 
 class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's fields come first.
-    """Who walks, where, what it earns, and the physics."""
+    """The walker, its arena, its reward and the physics."""
 
     distance_reward_weight: Weight = Field(5.0, description="Reward for each metre in +x.")
     terminate_when_unhealthy: bool = Field(
-        True, description="Otherwise it costs the healthy reward. A fall below the ground always ends it."
+        True,
+        description="false: an unhealthy step only loses the healthy reward. A fall below the ground always "
+        "ends the episode.",
     )
     healthy_z_range: Range | None = Field(
-        None, description="Healthy heights of the trunk, in metres; null: what fits the walker."
+        None, description="Healthy heights of the trunk, in metres; null: a range that fits the walker."
     )
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
     num_next_obstacles: int = Field(
-        0, ge=0, le=10, description="So many of the gaps or walls ahead are shown to it."
+        0, ge=0, le=10, description="How many of the gaps or walls ahead the observation includes."
     )
     episode_length: int = Field(
         1000, ge=1, le=100_000, description="Control steps until an episode is cut off."
@@ -66,7 +72,7 @@ class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's f
 
     @property
     def healthy_range(self) -> tuple[float, float]:
-        """What `healthy_z_range` says, or else what fits the walker."""
+        """`healthy_z_range`, or a range that fits the walker if it is null."""
         return self.healthy_z_range or WALKERS[self.walker].healthy_z_range
 
     @model_validator(mode="after")
@@ -90,7 +96,7 @@ class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's f
         most = room - WALKERS[self.walker].reach / 2
         if self.start_x > most:
             raise ValueError(
-                f"start_x = {self.start_x:g} m leaves no room to stand: it may be {most:g} m at most here"
+                f"start_x = {self.start_x:g} m leaves no room to stand: at most {most:g} m fits here"
             )
         height, terminates = WALKERS[self.walker].standing_height, self.terminate_when_unhealthy
         check_survives_its_start(height, self.healthy_range, terminates=terminates)
@@ -101,8 +107,8 @@ def _check_gaps(options: CorridorOptions) -> None:
     behind = options.corridor_length - FIRST_PLATFORM_M
     if options.gap_length[1] >= behind:
         raise ValueError(
-            f"gap_length reaches {options.gap_length[1]:g} m, and behind the first platform "
-            f"({FIRST_PLATFORM_M:g} m) the corridor has {behind:g} m left"
+            f"gap_length goes up to {options.gap_length[1]:g} m, but behind the first platform "
+            f"({FIRST_PLATFORM_M:g} m) the corridor has only {behind:g} m left"
         )
     if options.platform_length[0] <= 0:
         raise ValueError("platform_length must be above 0")
@@ -113,8 +119,8 @@ def _check_walls(options: CorridorOptions, needed: float) -> None:
     passage = options.corridor_width - options.wall_width[1]
     if passage < needed:
         raise ValueError(
-            f"wall_width reaches {options.wall_width[1]:g} m, which leaves {passage:g} m of the corridor's "
-            f"{options.corridor_width:g} m to pass; the {options.walker} needs {needed:g} m"
+            f"wall_width goes up to {options.wall_width[1]:g} m, which leaves {passage:g} m of the "
+            f"corridor's {options.corridor_width:g} m to pass; the {options.walker} needs {needed:g} m"
         )
     if options.wall_gap[0] <= 0 or options.wall_width[0] <= 0:
         raise ValueError("wall_gap and wall_width must be above 0")
@@ -124,13 +130,13 @@ def _check_walls(options: CorridorOptions, needed: float) -> None:
 def _check_number(number: float, what: str) -> None:
     if number > _MOST_OBSTACLES:
         raise ValueError(
-            f"these lengths may make {number:.0f} {what}, and {_MOST_OBSTACLES} are the most: "
+            f"these lengths can give {number:.0f} {what}; at most {_MOST_OBSTACLES} are allowed, because "
             "each costs time at every step"
         )
 
 
 def _under(options: CorridorOptions) -> Mapping[str, Any]:
-    """The fields of the row that are others under these options."""
+    """The fields of the row that these options change."""
     walker = WALKERS[options.walker]
     hidden = 2 if options.exclude_current_positions_from_observation else 0
     own = {"episode_length": options.episode_length, **_held(options)}
@@ -152,7 +158,7 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
 
 
 def _held(options: CorridorOptions) -> Mapping[str, Any]:
-    """What is tuned for the ant alone: with a new action each 0.01 s it explores by trembling."""
+    """What is tuned for the ant alone: with a new action every 0.01 s its exploration is only a tremble."""
     if options.walker != "ant":
         return {}
     num_steps = round(_ANT_ACTS_EVERY_S / (options.timestep * options.n_frames))
@@ -163,8 +169,8 @@ def _cannot_run(options: CorridorOptions) -> Mapping[str, str]:
     if not WALKERS[options.walker].has_ellipsoids or options.arena == "empty":
         return {}
     return {
-        "mjx": f"MJX has no contacts of ellipsoids with boxes: the {options.walker} has parts of the one "
-        f"kind, the arena {options.arena!r} of the other. Ask for native or warp, or for the arena 'empty'."
+        "mjx": f"MJX has no contacts between ellipsoids and boxes: the {options.walker} has ellipsoids, and "
+        f"the arena {options.arena!r} has boxes. Choose native or warp, or the arena 'empty'."
     }
 
 
@@ -183,7 +189,7 @@ _CPU = {
     "normalize_observations_max_abs_value": 10.0,
     "random_initial_episode_length": True,
 }
-# As many actions of each world in an update as on a CPU, 80: with 20 the value function diverged.
+# 80 actions per environment and update, as on a CPU: with 20 the value function diverged.
 _GPU = {
     **_CPU,
     "num_timesteps": 30_000_000,
@@ -193,12 +199,13 @@ _GPU = {
     "num_minibatches": 32,
 }
 _TUNED: Mapping[Device, Mapping[str, Any]] = {"cpu": _CPU, "gpu": _GPU}
-_MANY_PAIRS = "Platforms make many pairs of shapes, of which MJX looks at all."
+_MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."
 _ANT_ACTS_EVERY_S = 0.04
 
 INFO = EnvironmentInfo(
     id="corridor",
-    description="dm_control's ant, rodent or humanoid in a corridor with gaps or walls; to run in +x.",
+    description="dm_control's ant, rodent or humanoid, rewarded for running in +x in a corridor with gaps or "
+    "walls.",
     factory="core.environments.dm_control.corridor.environment:make",
     package="dm_control",
     options=CorridorOptions,

@@ -1,4 +1,4 @@
-"""The composed corridor with what costs time taken out of it."""
+"""The composed corridor, without the parts that cost time."""
 
 from itertools import pairwise
 from math import copysign
@@ -12,15 +12,15 @@ from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.walkers import WALKERS
 
 _SETTLING_S = 3.0
-# What a picture is fitted to, in metres: the walker's surroundings, not forty metres of corridor.
+# The extent that a picture shows, in metres: the walker's surroundings, not forty metres of corridor.
 _EXTENT_M = 4.0
 # A group that is not drawn: the rodent's skin shows the body, and its geoms would stick out of it.
 _HIDDEN = 3
-# Platforms that are nearer than this touch.
+# Platforms that are nearer than this touch each other.
 _SEAM_M = 1e-6
-# Bits of contype (the arena's) and conaffinity (the walker's): all parts meet the ground, the trunk sides.
+# Bits of contype (arena) and conaffinity (walker): all parts touch the ground, only the trunk the sides.
 _GROUND, _SIDES = 1, 2
-# What MJX looks at and solves for at most, the nearest first; the other engines need no such bound.
+# The most that MJX solves for and checks, nearest first; the other engines need no such bound.
 _CONTACT_POINTS, _GEOM_PAIRS = 32, 64
 
 
@@ -28,8 +28,8 @@ def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
     """The walker at the start of its corridor; the numeric `init_qpos` is how it stands there.
 
     The trunk and all limbs touch the ground, platforms and obstacles; the trunk alone touches the planes
-    that bound the corridor; the walker does not touch itself. Friction cones are pyramids, and there is no
-    search for slipping afterwards: MJX and MuJoCo Warp have no such thing.
+    that bound the corridor; the walker does not touch itself. Friction cones are pyramidal, without noslip
+    iterations, which MJX and MuJoCo Warp do not have.
     """
     spec, upright = composed(options)
     info = WALKERS[options.walker]
@@ -57,8 +57,8 @@ def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
 
 
 class Obstacle(NamedTuple):
-    """A gap or a wall. begin, end: where it is for who walks in +x, and y: the middle of the way past it,
-    0 for a gap; all in metres."""
+    """A gap or a wall. begin, end: its extent in x; y: the middle of the way past it, 0 for a gap; all in
+    metres."""
 
     begin: float
     end: float
@@ -69,7 +69,7 @@ def obstacles(model: mujoco.MjModel) -> list[Obstacle]:
     """The gaps or walls in the order of their ends; none in an empty corridor."""
     geoms = [model.geom(index) for index in range(model.ngeom)]
     extents = {g.name: (float(g.pos[0] - g.size[0]), float(g.pos[0] + g.size[0])) for g in geoms}
-    # A wall reaches in from one side by twice size[1]: the middle of what it leaves is as far from the axis.
+    # A wall reaches 2 size[1] in from one side, so the middle of what it leaves is size[1] from the axis.
     walls = [
         Obstacle(*extents[g.name], -copysign(g.size[1], g.pos[1]))
         for g in geoms
@@ -82,7 +82,7 @@ def obstacles(model: mujoco.MjModel) -> list[Obstacle]:
 
 
 def _filter(geom: mujoco.MjsGeom, trunk: str) -> None:
-    """What may touch what; a part that was made to touch nothing stays so."""
+    """Set what the geom may touch; one that touches nothing stays so."""
     if not geom.contype and not geom.conaffinity:
         return
     if geom.parent.name.startswith("walker/"):
@@ -93,7 +93,7 @@ def _filter(geom: mujoco.MjsGeom, trunk: str) -> None:
 
 
 def _mend_the_ground(spec: mujoco.MjSpec, options: CorridorOptions) -> None:
-    """No plane ten metres below the gaps, which nothing reaches; and no hole behind the last platform."""
+    """Remove the plane ten metres below the gaps, which nothing reaches, and the hole after the platforms."""
     for geom in list(spec.worldbody.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom.group != _HIDDEN:
             spec.delete(geom)
@@ -104,7 +104,7 @@ def _mend_the_ground(spec: mujoco.MjSpec, options: CorridorOptions) -> None:
 
 
 def _pave(spec: mujoco.MjSpec, *, squares_per_m: float) -> None:
-    """Squares on the ground, so that a picture shows how fast it passes."""
+    """Draw squares on the ground, so that a picture shows the walker's speed."""
     spec.add_texture(
         name="ground",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -124,13 +124,13 @@ def _pave(spec: mujoco.MjSpec, *, squares_per_m: float) -> None:
 
 
 def _light(spec: mujoco.MjSpec, trunk: str) -> None:
-    """The ant brings none: one above it that goes along, as the others have."""
+    """Add a light that follows the ant; the other walkers bring their own."""
     if not spec.lights:
         spec.body(trunk).add_light(pos=[0, 0, 4], mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM)
 
 
 def _start(model: mujoco.MjModel, upright: list[float], *, settles: bool) -> list[float]:
-    """Positions [nq]: upright on the ground, and settled there if it stands by itself."""
+    """Positions [nq]: upright on the ground, and settled there if the walker stands without control."""
     data = mujoco.MjData(model)
     data.qpos[:7] = upright
     if settles:

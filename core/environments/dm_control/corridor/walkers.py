@@ -1,4 +1,4 @@
-"""What is known of the walkers without loading them; the numbers were read from the composed models."""
+"""Facts about the walkers that need no loading; the numbers were read from the composed models."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ class WalkerInfo:
 
     source: `module:class` of dm_control. trunk: the body whose height counts and which the camera follows.
     num_positions, num_velocities: nq and nv, the free joint included. reach: metres from the trunk to the
-    farthest tip as it stands. standing_height, healthy_z_range: metres of the trunk above the ground;
-    docs/environments/corridor.md says what was measured. settles: whether it stands when it does nothing.
-    has_ellipsoids: among the parts that touch the arena. cameras: in their order.
+    farthest tip when it stands. standing_height, healthy_z_range: height of the trunk above the ground, in
+    metres; docs/environments/corridor.md has the measurements. settles: whether it stands without control.
+    has_ellipsoids: whether parts that touch the arena are ellipsoids. cameras: in their order.
     """
 
     source: str

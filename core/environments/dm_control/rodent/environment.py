@@ -20,7 +20,7 @@ def make(options: RodentOptions, build_engine: EngineBuilder) -> "Rodent":
 
 
 class Rodent(MujocoEnv):
-    """Reward: forward speed + being up - the action's cost. It may end when the torso is too low or high."""
+    """Reward: forward speed + being up - the action's cost. May end when the torso is too low or too high."""
 
     def __init__(self, options: RodentOptions, build_engine: EngineBuilder) -> None:
         model = rodent_model(options.timestep)
@@ -33,11 +33,11 @@ class Rodent(MujocoEnv):
             model,
             build_engine(model, options.n_frames, _DERIVED, accelerated=accelerated),
             num_substeps=options.n_frames,
-            # Each body: 10 numbers of its inertia and 6 of its velocity.
+            # For each body: 10 numbers of its inertia and 6 of its velocity.
             observation_size=model.nq - hidden + model.nv + 16 * (model.nbody - 1) + model.nv,
             tracked_body="torso",
         )
-        # The noise shall not push it into the floor, which would throw it up.
+        # Noise must not push it into the floor, which would throw it up.
         self.initial_qpos = self.initial_qpos.at[2].add(options.reset_noise_scale)
         self._options = options
         self._num_hidden = hidden
@@ -73,7 +73,7 @@ class Rodent(MujocoEnv):
         return physics.derived["subtree_com"][self.tracked_body]
 
     def _observe(self, physics: PhysicsState) -> jax.Array:
-        """Positions, velocities, each body's inertia and velocity as MuJoCo has them, actuators' forces."""
+        """Positions, velocities, each body's inertia and velocity as in MuJoCo, actuators' forces."""
         return jnp.concatenate(
             [
                 physics.qpos[self._num_hidden :],

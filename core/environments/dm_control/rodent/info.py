@@ -14,18 +14,20 @@ STANDING_HEIGHT_M = 0.047
 class RodentOptions(RunnerOptions):
     """What a run may change about the rodent, its reward and its physics."""
 
-    terminate_when_unhealthy: bool = Field(True, description="Otherwise it costs the healthy reward.")
+    terminate_when_unhealthy: bool = Field(
+        True, description="false: an unhealthy step only loses the healthy reward."
+    )
     healthy_z_range: Range = Field(
         (0.03, 0.3),
         description=f"Healthy heights of the torso, in metres: it stands at {STANDING_HEIGHT_M}, runs above "
         "0.033, and has fallen below 0.03.",
     )
     exclude_current_positions_from_observation: bool = Field(False, description="Hide x and y.")
-    # With two iterations of Newton's method the body flies apart, in float64, too.
+    # With two iterations of Newton's method the body flies apart, even in float64.
     iterations: int = Field(
-        4, ge=3, le=100, description="Of the solver, on mjx and warp; native goes on to the end."
+        4, ge=3, le=100, description="Solver iterations on mjx and warp; native iterates until convergence."
     )
-    ls_iterations: int = Field(8, ge=4, le=100, description="Of its line search, on mjx and warp.")
+    ls_iterations: int = Field(8, ge=4, le=100, description="Line-search iterations on mjx and warp.")
 
     @model_validator(mode="after")
     def _stands(self) -> Self:
@@ -48,7 +50,7 @@ INFO = EnvironmentInfo(
     options=RodentOptions,
     on_a_gpu=(
         Rule("warp", 1, "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),
-        Rule("native", 1, "MJX compiles its training for many minutes, for 21 k steps/s on an H200."),
+        Rule("native", 1, "MJX takes many minutes to compile the training, for 21 k steps/s on an H200."),
     ),
     tuned={
         "ppo": {
@@ -69,7 +71,7 @@ INFO = EnvironmentInfo(
             },
             "gpu": {
                 "num_timesteps": 30_000_000,
-                "num_evals": 1,  # 7.6 s of four minutes: a second one would be more than 5 % of the run.
+                "num_evals": 1,  # 7.6 s of four minutes: two would take more than 5 % of the run.
                 "num_envs": 2048,
                 "unroll_length": 10,
                 "batch_size": 512,

@@ -6,19 +6,20 @@ from pathlib import Path
 import mujoco
 
 from core.errors import JobFailed
+from core.reasons import Reason
 
 _SETTLING_S = 2.0
-# What a picture is fitted to: not the floor.
+# The extent that a picture shows: the body, not the floor.
 _EXTENT_M = 1.0
-# A group that is not drawn: the skin shows the body, and what it is made of would stick out of it.
+# A group that is not drawn: the skin shows the body, and its geoms would stick out of it.
 _HIDDEN = 3
 
 
 def rodent_model(timestep: float) -> mujoco.MjModel:
     """The rat with a free joint, above an endless floor; its `init_qpos` is how it stands at rest.
 
-    Everything touches the floor, and nothing else: what runs is carried by the floor alone, and MJX has
-    no contacts of ellipsoids with boxes. Sensors are left out, because nothing reads them.
+    Every part touches only the floor, which alone carries a running rat: MJX has no contacts between
+    ellipsoids and boxes. Sensors are left out, because nothing reads them.
     Raises JobFailed("bad_model") where dm_control, which brings the body, is not installed.
     """
     spec = mujoco.MjSpec.from_file(str(_xml()))
@@ -38,7 +39,7 @@ def rodent_model(timestep: float) -> mujoco.MjModel:
 
 
 def _add_floor(spec: mujoco.MjSpec) -> None:
-    """A plane of squares of 0.1 m; friction and stiffness are the file's own for the body."""
+    """Add a plane of 0.1 m squares; friction and stiffness are those that the file gives the body."""
     spec.add_texture(
         name="floor",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -62,7 +63,7 @@ def _add_floor(spec: mujoco.MjSpec) -> None:
 
 
 def _at_rest(model: mujoco.MjModel) -> list[float]:
-    """Positions [nq] above the origin once the body, let go where the file has it, has settled."""
+    """Positions [nq] above the origin after the body has settled from the file's initial position."""
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, round(_SETTLING_S / model.opt.timestep))
     data.qpos[:2] = 0
@@ -74,8 +75,8 @@ def _xml() -> Path:
     found = find_spec("dm_control")
     if found is None or found.origin is None:
         raise JobFailed(
-            "bad_model",
-            "The rodent's body comes with dm_control, and this worker does not have it. Install it there "
+            Reason.BAD_MODEL,
+            "The rodent's body comes with dm_control, which this worker does not have. Install it there "
             "with `pip install 'gaitway[dm-control]'`, or ask for another environment.",
         )
     return Path(found.origin).parent / "locomotion" / "walkers" / "assets" / "rodent.xml"

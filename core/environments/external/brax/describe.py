@@ -11,24 +11,24 @@ from core.environments.external.brax.info import BACKENDS, TABLE
 
 
 def table() -> dict[str, Any]:
-    """What the installed package does for each name in its registry, and under each physics of its."""
+    """Facts on each environment in the installed package's registry, under each of its physics."""
     from brax import envs
 
     found: dict[str, Any] = {}
     cannot: dict[str, str] = {}
-    for name in envs._envs:  # pyright: ignore[reportPrivateUsage] - it has no list for others
+    for name in envs._envs:  # pyright: ignore[reportPrivateUsage] - it has no public list
         if name == "fast":
             cannot[name] = "it is made for Brax's own tests: it has no body"
             continue
         try:
             found[name] = facts({backend: Brax(name, backend) for backend in BACKENDS})
-        except Exception as error:  # whatever keeps a package of others from stepping
+        except Exception as error:  # a foreign package may fail with anything
             cannot[name] = f"brax {version('brax')} cannot step it with jax {jax.__version__} ({error})"
     return {"package": f"brax {version('brax')}", "environments": found, "cannot": cannot}
 
 
 def facts(by_backend: dict[str, Brax]) -> dict[str, Any]:
-    """What there is to know of an environment; all but dt is the same under each physics."""
+    """The facts on an environment; all but dt are the same under each physics."""
     one = by_backend["generalized"]
     return {
         "observation_size": one.observation_size,

@@ -17,8 +17,9 @@ from core.environments.external.brax.info import EPISODE_LENGTH, BraxOptions
 from core.environments.external.compat import as_float, plain_key, root_of
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
+from core.reasons import Reason
 
-# So begin the names of what only Brax's physics understands, in `info`.
+# The prefix in `info` of arrays that only Brax's physics understands.
 PIPELINE = "pipeline/"
 
 
@@ -30,17 +31,17 @@ def make(options: BraxOptions, build_engine: EngineBuilder, name: str) -> "Brax"
 def load(name: str, backend: str) -> Any:
     """The package's own object."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it tells everybody that its environments are not maintained
+        warnings.simplefilter("ignore")  # it warns that its environments are not maintained
         from brax import envs
 
         return envs.get_environment(name, backend=backend)
 
 
 class Brax:
-    """The package's own reset and step. Of its physics' state, what the next step reads is carried.
+    """The package's own reset and step. A state carries those arrays of its physics that later steps read.
 
     `physics` has the positions and velocities, which all of Brax's physics have in MuJoCo's order;
-    `info` the rest, as `pipeline/` and Brax's name.
+    `info` has the rest, as `pipeline/` and Brax's name.
     """
 
     episode_length = EPISODE_LENGTH
@@ -62,7 +63,7 @@ class Brax:
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         if model:
-            raise JobFailed("bad_model", "Brax's own physics has no worlds that differ.")
+            raise JobFailed(Reason.BAD_MODEL, "Brax's own physics cannot randomize the model.")
         return self._ours(self._theirs.reset(plain_key(key)))
 
     def step(self, state: State, action: jax.Array) -> State:
@@ -72,7 +73,7 @@ class Brax:
             known[name] if name in known else jnp.zeros(leaf.shape, leaf.dtype)
             for name, leaf in zip(self._names, self._shapes, strict=True)
         ]
-        # What it leaves alone is taken for what it says now: `done` may tell of the episode before.
+        # Reward and done start at 0: a step that does not set them must not repeat the last episode's.
         nothing = jnp.zeros(())
         pipeline = jax.tree.unflatten(self._tree, leaves)
         before = self._state(pipeline, state.obs, nothing, nothing, dict(state.metrics), info)

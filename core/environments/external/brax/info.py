@@ -29,10 +29,10 @@ BACKENDS: tuple[Backend, ...] = ("generalized", "spring", "positional", "mjx")
 class BraxOptions(Strict):
     """Brax's environments with their own defaults."""
 
-    backend: Backend = Field("generalized", description="Which of Brax's physics moves the body.")
+    backend: Backend = Field("generalized", description="The Brax physics pipeline that steps the body.")
 
 
-# Brax's registry comes without settings. The same task has ours; the others have PPO's defaults.
+# Brax's registry has no tuned settings. A task that is also ours has ours; the others have PPO's defaults.
 _TWINS = {
     "ant": ANT,
     "halfcheetah": HALF_CHEETAH,
@@ -45,10 +45,10 @@ _TWINS = {
 
 
 def _row(name: str, facts: Mapping[str, Any]) -> EnvironmentInfo:
-    why = f"{FAMILY}/{name} is moved by Brax's own physics: choose it by options.backend, without `physics`."
+    why = f"{FAMILY}/{name} has Brax's own physics: choose it by options.backend and leave `physics` out."
     cannot: dict[EngineName, str] = {"native": why, "mjx": why, "warp": why}
     twin = _TWINS.get(name)
-    also = f" The task of {twin.id!r}, which runs on this service's engines." if twin else ""
+    also = f" {twin.id!r} is the same task on this service's engines." if twin else ""
 
     def vary(options: BraxOptions) -> dict[str, Any]:
         return {"dt": facts["dt"][options.backend], "own_physics": f"brax {options.backend}"}
@@ -78,5 +78,5 @@ def _read() -> tuple[tuple[EnvironmentInfo, ...], dict[str, str]]:
     return rows, {f"{FAMILY}/{name}": why for name, why in table["cannot"].items()}
 
 
-# INFOS: those that step. CANNOT: why the others of the package's registry cannot, by id.
+# INFOS: the environments that step. CANNOT: by id, why the others in the package's registry do not.
 INFOS, CANNOT = _read()

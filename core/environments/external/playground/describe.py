@@ -12,19 +12,19 @@ _MENAGERIE = (
     "its body is in MuJoCo Menagerie, which Playground fetches from the network when it is first loaded; "
     "workers fetch nothing. Send the body to POST /models, and use the environment 'mjcf'"
 )
-# What our PPO has another word for, or none: fresh starts come from `reset_pool_size`.
+# Settings that our PPO names differently or lacks: fresh starts come from `reset_pool_size`.
 _NOT_OURS = ("num_resets_per_eval",)
 
 
 def table() -> dict[str, Any]:
-    """What the installed package says of each name in its registry."""
+    """Facts on each environment in the installed package's registry."""
     package = import_module("mujoco_playground")
     cannot: dict[str, list[str]] = {}
     found: dict[str, Playground] = {}
     for name in package.dm_control_suite.ALL_ENVS:
         try:
             found[name] = Playground(name, "jax")
-        except Exception as error:  # whatever keeps a package of others from loading one of its own
+        except Exception as error:  # a foreign package may fail with anything
             why = (
                 f"playground {version('playground')} cannot load it with MuJoCo {version('mujoco')} ({error})"
             )

@@ -22,12 +22,13 @@ from core.physics.engine import (
     PhysicsState,
     check_model_fields,
 )
+from core.reasons import Reason
 
-# What a step of MJX reads of the Data before it; everything else follows from these.
+# The fields of the last Data that a step of MJX reads; everything else follows from these.
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
-# Also read by it, and set by a reset: where targets are.
+# It also reads these, the positions of targets, which a reset sets.
 _MOCAP = ("mocap_pos", "mocap_quat")
-# Where `info` tells those who draw an episode where its target is: the body of the name `target`.
+# The entry of `info` that holds the position of the body `target`, for drawing an episode.
 _TARGET = "target_position"
 
 
@@ -40,22 +41,22 @@ def make(options: NoOptions, build_engine: EngineBuilder, name: str) -> "Playgro
 
 
 def load(name: str, implementation: Literal["jax", "warp"]) -> Any:
-    """The package's own object. Only its control suite is asked, because that downloads nothing."""
+    """The package's own object. Only its control suite is used, because that downloads nothing."""
     try:
         suite: Any = import_module("mujoco_playground").dm_control_suite
     except ModuleNotFoundError as error:
         raise JobFailed(
-            "bad_model",
-            f"The environment comes from the package playground, which this worker has not got ({error}). "
-            f"`pip install 'gaitway[worker,playground]'` brings it.",
+            Reason.BAD_MODEL,
+            f"The environment comes with the package playground, which this worker does not have ({error}). "
+            f"Install it there with `pip install 'gaitway[worker,playground]'`.",
         ) from error
     return suite.load(name, config_overrides={"impl": implementation})
 
 
 class Playground:
-    """The package's own reset and step, around a Data that is built anew at each step.
+    """The package's own reset and step, around a Data that is rebuilt at each step.
 
-    So a state holds a few arrays: on Warp, a Data shares its contacts with all worlds, and
+    A state therefore holds only a few arrays. On Warp, all worlds share a Data's contacts, so
     `jax.tree.map(where, ...)` over two of them would be wrong. `info` is the environment's own.
     """
 
@@ -78,7 +79,7 @@ class Playground:
             return self._ours(self._theirs.reset(plain_key(key)), model)
 
     def step(self, state: State, action: jax.Array) -> State:
-        # What it leaves alone is taken for what it says now: `done` may tell of the episode before.
+        # Reward and done start at 0: a step that does not set them must not repeat the last episode's.
         nothing = jnp.zeros(())
         data = self._data(state.physics)
         before = self._state(data, state.obs, nothing, nothing, dict(state.metrics), dict(state.info))
@@ -87,7 +88,7 @@ class Playground:
 
     @contextmanager
     def _in_a_world_of(self, fields: ModelFields) -> Generator[None]:
-        """Their functions take the model from here; they are only traced, one after the other."""
+        """Put these fields in the model that the package's functions read; tracing is not concurrent."""
         nominal = self._theirs._mjx_model
         if fields:
             self._theirs._mjx_model = nominal.tree_replace(dict(fields))
@@ -128,9 +129,9 @@ class Playground:
 
 
 def _drawn(model: mujoco.MjModel) -> mujoco.MjModel:
-    """The model, its mocap bodies fixed where the model has them: a drawing has no mocap data.
+    """The model with its mocap bodies fixed in their initial places, because a drawing has no mocap data.
 
-    A stepping C MuJoCo would do the same with it, because Playground moves none of them during an episode.
+    C MuJoCo would step it the same way, because Playground moves none of them during an episode.
     """
     fixed = copy.copy(model)
     fixed.body_mocapid[:] = -1

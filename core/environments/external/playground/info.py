@@ -12,10 +12,10 @@ FAMILY = "playground"
 TABLE = Path(__file__).parent / "table.json"
 
 _STEPS_ITSELF: dict[EngineName, str] = {
-    "native": "MuJoCo Playground's environments step MJX by themselves: ask for mjx or warp, or for nothing."
+    "native": "MuJoCo Playground's environments step MJX themselves: choose mjx or warp, or omit `physics`."
 }
-# What Playground tunes for a GPU with 2048 worlds: a budget that MJX on a CPU has done in an hour or two. An
-# update has the actions of each world, and the gradient steps, that it has there.
+# Playground tunes for 2048 environments on a GPU. On a CPU, MJX finishes this budget in an hour or two; an
+# update has as many actions per environment, and as many gradient steps, as on the GPU.
 _ON_A_CPU = {"num_timesteps": 3_000_000, "num_envs": 256, "batch_size": 128, "reset_pool_size": 32}
 
 
@@ -24,7 +24,7 @@ def _row(name: str, facts: Mapping[str, Any], shared: Mapping[str, Any]) -> Envi
     tuned: dict[Device, dict[str, Any]] = {"cpu": {**ppo, **_ON_A_CPU}, "gpu": ppo}
     return EnvironmentInfo(
         id=f"{FAMILY}/{name}",
-        description=f"{name} of MuJoCo Playground (DeepMind Control Suite), as its package has it.",
+        description=f"{name} of MuJoCo Playground (DeepMind Control Suite), as in its package.",
         factory="core.environments.external.playground.environment:make",
         package="mujoco_playground",
         arguments={"name": name},
@@ -46,5 +46,5 @@ def _read() -> tuple[tuple[EnvironmentInfo, ...], dict[str, str]]:
     return rows, cannot
 
 
-# INFOS: those that can be loaded. CANNOT: why the others of the package's registry cannot, by id.
+# INFOS: the environments that can be loaded. CANNOT: by id, why the others in the package's registry cannot.
 INFOS, CANNOT = _read()

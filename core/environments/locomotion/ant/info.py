@@ -20,7 +20,7 @@ class AntOptions(Strict):
     terminate_when_unhealthy: bool = True
     healthy_z_range: Range = Field((0.2, 1.0), description="Healthy heights of the torso, in metres.")
     contact_force_range: Range = Field((-1.0, 1.0), description="Without effect, as contact_cost_weight.")
-    reset_noise_scale: NoiseScale = Field(0.1, description="Of the initial positions and velocities.")
+    reset_noise_scale: NoiseScale = Field(0.1, description="Noise on the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
 
 

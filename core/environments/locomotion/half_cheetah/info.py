@@ -13,7 +13,7 @@ class HalfCheetahOptions(Strict):
 
     forward_reward_weight: Weight = Field(1.0, description="Reward for each metre per second in +x.")
     ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
-    reset_noise_scale: NoiseScale = Field(0.1, description="Of the initial positions and velocities.")
+    reset_noise_scale: NoiseScale = Field(0.1, description="Noise on the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x.")
 
 

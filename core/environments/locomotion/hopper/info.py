@@ -16,11 +16,11 @@ class HopperOptions(Strict):
     healthy_reward: Weight = Field(1.0, description="Reward for each step.")
     terminate_when_unhealthy: bool = True
     healthy_state_range: Range = Field(
-        (-100.0, 100.0), description="Every joint's angle and velocity must lie inside; its own units."
+        (-100.0, 100.0), description="Healthy angles and velocities of every joint, each in its own unit."
     )
     healthy_z_range: OpenRange = Field((0.7, None), description="Healthy heights of the torso, in metres.")
     healthy_angle_range: Range = Field((-0.2, 0.2), description="Healthy pitches of the torso, in radians.")
-    reset_noise_scale: NoiseScale = Field(5e-3, description="Of the initial positions and velocities.")
+    reset_noise_scale: NoiseScale = Field(5e-3, description="Noise on the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x.")
 
 

@@ -33,7 +33,7 @@ class Humanoid(MujocoEnv):
             model,
             build_engine(model, _NUM_SUBSTEPS, _DERIVED, accelerated=accelerated),
             num_substeps=_NUM_SUBSTEPS,
-            # Each body: its inertia [3, 3] and mass; its linear and angular velocity.
+            # For each body: its inertia [3, 3] and mass; its linear and angular velocity.
             observation_size=model.nq - hidden + model.nv + 10 * num_bodies + 6 * num_bodies + model.nv,
             tracked_body="torso",
         )
@@ -73,7 +73,7 @@ class Humanoid(MujocoEnv):
     def _observe(self, physics: PhysicsState) -> jax.Array:
         """Positions, velocities, each body's inertia and mass, each body's velocities, joint torques.
 
-        Inertia is about the whole body's centre of mass. A linear velocity is the one of the body's own
+        Inertia is about the whole body's centre of mass. A linear velocity is that of the body's own
         centre of mass, weighted by its share of the whole mass.
         """
         # cinert: 6 of the inertia, 3 of mass times offset from the whole's centre of mass, 1 mass.

@@ -16,7 +16,7 @@ class HumanoidOptions(Strict):
     healthy_reward: Weight = Field(5.0, description="Reward for each step.")
     terminate_when_unhealthy: bool = True
     healthy_z_range: Range = Field((1.0, 2.0), description="Healthy heights of the torso, in metres.")
-    reset_noise_scale: NoiseScale = Field(1e-2, description="Of the initial positions and velocities.")
+    reset_noise_scale: NoiseScale = Field(1e-2, description="Noise on the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
 
 

@@ -39,7 +39,7 @@ class InvertedPendulum(MujocoEnv):
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
-        # Not terms.upright, a cosine: as in Brax, what is bounded is the hinge's angle.
+        # Not rewards.upright, a cosine: Brax bounds the hinge's angle.
         done = jnp.where(jnp.abs(physics.qpos[1]) > _LARGEST_TILT, 1.0, 0.0)
         return State(physics, _observe(physics), jnp.ones(()), done, {}, state.info)
 

@@ -74,7 +74,7 @@ class Reacher(MujocoEnv):
             physics.derived["cvel"][self._second_link, 3:],
         )
         # cvel is taken at the arm's centre of mass. Brax adds the tip's offset in the link's frame, not in
-        # the world's, and so do we: this is the observation that its policies and tuned settings are for.
+        # the world's, and so do we: Brax's policies and tuned settings are for this observation.
         centre = physics.derived["subtree_com"][self._base]
         offset = physics.derived["xpos"][self._second_link] - centre + _TIP
         velocity = linear + jnp.cross(angular, offset)

@@ -17,7 +17,7 @@ class Walker2dOptions(Strict):
     terminate_when_unhealthy: bool = True
     healthy_z_range: Range = Field((0.8, 2.0), description="Healthy heights of the torso, in metres.")
     healthy_angle_range: Range = Field((-1.0, 1.0), description="Healthy pitches of the torso, in radians.")
-    reset_noise_scale: NoiseScale = Field(5e-3, description="Of the initial positions and velocities.")
+    reset_noise_scale: NoiseScale = Field(5e-3, description="Noise on the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x.")
 
 

@@ -1,4 +1,4 @@
-"""What a body can see, in a job's words; `mjcf.observations` says where it is."""
+"""The observation terms of a job; `mjcf.observations` finds them in the state."""
 
 from typing import Annotated, Literal
 
@@ -14,8 +14,8 @@ class Qpos(Strict):
     kind: Literal["qpos"] = "qpos"
     root_position: Literal["all", "height", "none"] | None = Field(
         default=None,
-        description="What of the root's free joint's x, y, z is seen; null: the height, and all that a "
-        "model without a free joint has.",
+        description="Which of x, y and z of the root's free joint to include; null: the height. A model "
+        "without a free joint keeps all positions.",
     )
 
 
@@ -26,7 +26,7 @@ class Qvel(Strict):
 
 
 class PreviousAction(Strict):
-    """What was done last; zeros at an episode's begin."""
+    """The previous action; zeros at the start of an episode."""
 
     kind: Literal["previous_action"] = "previous_action"
 
@@ -38,17 +38,17 @@ class Activation(Strict):
 
 
 class Sensors(Strict):
-    """What the model's sensors read; those of forces and accelerations, at the last physics step."""
+    """The model's sensors; those of forces and accelerations are read at the last physics step."""
 
     kind: Literal["sensors"] = "sensors"
-    names: Names | None = Field(default=None, description="Which, in this order; null: all there are.")
+    names: Names | None = Field(default=None, description="The sensors, in this order; null: all.")
 
 
 class BodyPositions(OfBodies):
-    """Where bodies are in the world, in metres."""
+    """Positions of bodies in the world, in metres."""
 
     kind: Literal["body_positions"] = "body_positions"
-    relative: bool = Field(default=False, description="To the root, along the world's axes.")
+    relative: bool = Field(default=False, description="Relative to the root, along the world's axes.")
 
 
 class BodyOrientations(OfBodies):

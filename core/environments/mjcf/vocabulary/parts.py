@@ -1,4 +1,4 @@
-"""What terms of several kinds say of a model's parts; imports no numerical code."""
+"""Fields that several kinds of terms share; imports no numerical code."""
 
 from typing import Annotated
 
@@ -22,15 +22,15 @@ Direction = Annotated[Vector, AfterValidator(_not_zero)]
 
 
 class OfBody(Strict):
-    body: Name | None = Field(default=None, description="By name; null: the root.")
+    body: Name | None = Field(default=None, description="The body's name; null: the root.")
 
 
 class OfBodies(Strict):
-    bodies: Names | None = Field(default=None, description="By name; null: all but the world.")
+    bodies: Names | None = Field(default=None, description="The bodies' names; null: all but the world.")
 
 
 class OfAxis(OfBody):
-    axis: Direction = Field(default=(0.0, 0.0, 1.0), description="In the body's own frame.")
+    axis: Direction = Field(default=(0.0, 0.0, 1.0), description="An axis in the body's own frame.")
 
 
 class OfHeight(OfBody):
@@ -38,5 +38,7 @@ class OfHeight(OfBody):
 
 
 class OfContact(Strict):
-    geoms: Names = Field(description="By name.")
-    against: Name | None = Field(default=None, description="The geom that counts; null: any.")
+    geoms: Names = Field(description="The geoms' names.")
+    against: Name | None = Field(
+        default=None, description="Count only contacts with this geom; null: with any."
+    )

@@ -1,4 +1,4 @@
-"""How an episode begins, in a job's words."""
+"""How an episode begins: a job's options."""
 
 from typing import Annotated, Literal, Self
 
@@ -10,19 +10,19 @@ from core.environments.options import NoiseScale
 
 
 class Reset(Strict):
-    """How an episode begins; without anything, as the model says, and with a little noise."""
+    """How an episode begins; by default in the model's initial state with a little noise."""
 
     keyframe: Name | Annotated[int, Field(ge=0)] | None = Field(
         default=None,
-        description="By name or number; null: the model's custom numeric `init_qpos`, or `qpos0`.",
+        description="By name or number; null: the model's custom numeric `init_qpos`, or else `qpos0`.",
     )
     qpos: Annotated[list[float], Field(min_length=1, max_length=10_000)] | None = Field(
-        default=None, description="Positions, in MuJoCo's order."
+        default=None, description="Initial positions, in MuJoCo's order."
     )
-    position_noise: NoiseScale = Field(default=0.01, description="Uniform within ± this: m, rad.")
-    velocity_noise: NoiseScale = Field(default=0.01, description="m/s, rad/s.")
+    position_noise: NoiseScale = Field(default=0.01, description="Uniform in ± this: m, rad.")
+    velocity_noise: NoiseScale = Field(default=0.01, description="See velocity_distribution: m/s, rad/s.")
     velocity_distribution: Literal["uniform", "normal"] = Field(
-        default="uniform", description="Uniform within ± velocity_noise, or normal with it as deviation."
+        default="uniform", description="Uniform in ± velocity_noise, or normal with that standard deviation."
     )
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""What a body can earn, in a job's words; `core.environments.rewards` computes it."""
+"""The reward terms of a job; `core.environments.rewards` computes them."""
 
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -19,7 +19,7 @@ from core.environments.options import Weight
 
 
 class _Reward(Strict):
-    """weight: what the term is multiplied by. name: of its metric, `reward_<name>`; null: its kind."""
+    """weight: multiplies the term. name: its metric is `reward_<name>`; null: its kind."""
 
     sign: ClassVar[float] = 1.0
 
@@ -28,28 +28,30 @@ class _Reward(Strict):
 
 
 class _Cost(_Reward):
-    """Of a cost, a positive weight is what it takes away."""
+    """A term that is subtracted where its weight is positive."""
 
     sign: ClassVar[float] = -1.0
 
 
 class ForwardVelocity(OfBody, _Reward):
-    """How fast a body, or the centre of mass of all that hangs on it, moves in a direction, in m/s."""
+    """Speed of a body, or of its subtree's centre of mass, in a direction, in m/s."""
 
     kind: Literal["forward_velocity"] = "forward_velocity"
-    direction: Direction = Field(default=(1.0, 0.0, 0.0), description="In the world; of any length.")
+    direction: Direction = Field(default=(1.0, 0.0, 0.0), description="A vector in the world, of any length.")
     of: Literal["body", "centre_of_mass"] = "body"
 
 
 class VelocityTracking(OfBody, _Reward):
-    """1 at the wanted horizontal velocity, less the further from it."""
+    """1 at the target horizontal velocity, and less the further the velocity is from it."""
 
     kind: Literal["velocity_tracking"] = "velocity_tracking"
     velocity: Annotated[tuple[float, float], Field(strict=False)] = Field(
-        description="Wanted, [forward, left] in m/s."
+        description="The target velocity, [forward, left] in m/s."
     )
-    tolerance: float = Field(default=0.5, gt=0, le=100, description="In m/s: so far off it is worth 1/e.")
-    frame: Literal["body", "world"] = Field(default="body", description="Whose x and y are forward and left.")
+    tolerance: float = Field(default=0.5, gt=0, le=100, description="Error at which the term is 1/e, in m/s.")
+    frame: Literal["body", "world"] = Field(
+        default="body", description="The frame whose x and y are forward and left."
+    )
 
 
 class Upright(OfAxis, _Reward):
@@ -77,22 +79,22 @@ class ControlCost(_Cost):
 
 
 class Energy(_Cost):
-    """The power that the actuators give and take, in W."""
+    """The actuators' absolute power, in W."""
 
     kind: Literal["energy"] = "energy"
 
 
 class ActionRate(_Cost):
-    """The squared norm of what changed in the action."""
+    """The squared norm of the action's change since the last step."""
 
     kind: Literal["action_rate"] = "action_rate"
 
 
 class Distance(OfBody, _Cost):
-    """From a body to a point, or to another body, in metres."""
+    """The distance from a body to a point, or to another body, in metres."""
 
     kind: Literal["distance"] = "distance"
-    point: Vector | None = Field(default=None, description="In the world, in metres.")
+    point: Vector | None = Field(default=None, description="A point in the world, in metres.")
     target: Name | None = Field(default=None, description="The other body.")
 
     @model_validator(mode="after")
@@ -103,17 +105,19 @@ class Distance(OfBody, _Cost):
 
 
 class JointLimits(_Cost):
-    """How far joints are beyond the middle part of their ranges, in rad or m, added up."""
+    """The sum of how far joints are outside the middle part of their ranges, in rad or m."""
 
     kind: Literal["joint_limits"] = "joint_limits"
     joints: Names | None = Field(
-        default=None, description="By name; null: all hinges and slides with a range."
+        default=None, description="The joints' names; null: all hinges and slides with a range."
     )
-    share: float = Field(default=0.95, gt=0, le=1, description="Of a range, about its middle, that is free.")
+    share: float = Field(
+        default=0.95, gt=0, le=1, description="The part of a range, around its middle, that costs nothing."
+    )
 
 
 class Contact(OfContact, _Reward):
-    """How many of the named geoms touch something; give a negative weight where they should not."""
+    """How many of the named geoms touch something; a negative weight discourages it."""
 
     kind: Literal["contact"] = "contact"
 

@@ -1,4 +1,4 @@
-"""What ends an episode, in a job's words."""
+"""The termination terms of a job."""
 
 from typing import Annotated, Literal
 
@@ -21,7 +21,7 @@ class NotUpright(OfAxis):
         default=0.0,
         ge=-1,
         lt=1,
-        description="Cosine of the axis' angle to the vertical: so much is upright.",
+        description="Least cosine of the axis' angle to the vertical that still counts as upright.",
     )
 
 

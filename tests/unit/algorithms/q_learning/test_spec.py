@@ -202,7 +202,7 @@ def test_a_table_of_another_shape_or_another_algorithm_cannot_go_on() -> None:
 
 
 def test_several_gpus_are_refused() -> None:
-    with pytest.raises(Rejected, match="runs on one device, and 2 GPUs are asked for"):
+    with pytest.raises(Rejected, match="runs on one device, but the job asks for 2 GPUs"):
         parsed(**VALID).check_sharing(2)
 
 

@@ -251,19 +251,19 @@ def test_equal_seeds_give_equal_patches_of_light_and_the_ground_shows_them() -> 
     [
         ("brittle_star", {"num_arms": 0}, "num_arms: Input should be greater than or equal to 3"),
         ("brittle_star", {"num_arms": 9}, "num_arms: Input should be less than or equal to 8"),
-        ("brittle_star", {"num_segments_per_arm": 0}, "there must be a segment at least"),
+        ("brittle_star", {"num_segments_per_arm": 0}, "there must be at least one segment"),
         ("brittle_star", {"num_segments_per_arm": -1}, "num_segments_per_arm: must not be negative"),
-        ("brittle_star", {"num_segments_per_arm": [5, 5]}, "names 2 arms, and num_arms = 5"),
-        ("brittle_star", {"num_segments_per_arm": 20}, "these are 100 segments, and 96 are the most"),
+        ("brittle_star", {"num_segments_per_arm": [5, 5]}, "lists 2 arms, but num_arms = 5"),
+        ("brittle_star", {"num_segments_per_arm": 20}, "100 segments; at most 96 are allowed"),
         ("brittle_star", {"arena_size": [10, 0]}, "arena_size.1: Input should be greater than or equal to 1"),
         ("brittle_star", {"arena_size": [1, 1], "num_segments_per_arm": 10}, "the arms reach 1.04 m"),
-        ("brittle_star", {"target_distance": 6.0}, "target_distance = 6 m leaves the arena"),
-        ("brittle_star", {"target_position": [11, 0]}, "is outside of the arena, ± [10, 5] m"),
-        ("brittle_star", {"target_position": [0.1, 0.1]}, "within 0.2 m it is reached"),
+        ("brittle_star", {"target_distance": 6.0}, "target_distance = 6 m is beyond the arena"),
+        ("brittle_star", {"target_position": [11, 0]}, "is outside the arena, ± [10, 5] m"),
+        ("brittle_star", {"target_position": [0.1, 0.1]}, "within 0.2 m it counts as reached"),
         (
             "brittle_star",
             {"simulation_time": 4000, "num_physics_steps_per_control_step": 5},
-            "100000 are the most",
+            "at most 100000 are allowed",
         ),
         ("brittle_star", {"observables": ["segment_light_intake"]}, "observables.0: Input should be"),
         ("brittle_star_undirected", {"target_distance": 3.0}, "target_distance: there is no such option"),
@@ -281,7 +281,7 @@ def test_mjx_is_refused_for_more_segments_than_it_compiles_in_time() -> None:
         info.under(catalog.parse_options(info, {"num_segments_per_arm": number})) for number in (10, 11)
     )
     assert choose("mjx", "gpu", 64, few.on_a_gpu, few.cannot_run).name == "mjx"
-    with pytest.raises(Rejected, match="55 segments, and with more than 50 MJX does not compile in time"):
+    with pytest.raises(Rejected, match="55 segments, and MJX does not compile in time with more than 50"):
         choose("mjx", "gpu", 64, many.on_a_gpu, many.cannot_run)
 
 

@@ -112,7 +112,7 @@ def test_an_actuator_of_no_arm_is_named(name: str) -> None:
 def test_steps_that_diverge_are_refused_with_the_number_that_does_not() -> None:
     # Phases: 2 · 3 · 20 · 1 = 120/s; over 0.04 s that is 4.8, and Euler bears 2.
     coarse = CPGOptions(integrator="euler")
-    with pytest.raises(ValueError, match="num_steps must be 3 at least"):
+    with pytest.raises(ValueError, match="raise num_steps to at least 3"):
         steered_by_oscillators(joints(), 3, coarse)
     assert steered_by_oscillators(joints(), 3, CPGOptions(integrator="euler", num_steps=3)).num_arms == 3
 
@@ -120,10 +120,10 @@ def test_steps_that_diverge_are_refused_with_the_number_that_does_not() -> None:
 @pytest.mark.parametrize(
     ("gait", "sentence"),
     [
-        (GaitOptions(frequency_hz=3), r"gait.frequency_hz = 3 is more than max_frequency_hz = 2"),
-        (GaitOptions(sweep=0.7), r"gait.sweep = 0.7 is more than max_amplitude = 0.6"),
-        (GaitOptions(sweep=0.1, stroke=0.7), r"gait.stroke = 0.7 is more than max_amplitude"),
-        (GaitOptions(sweep=0.6, stroke=0.6, lift=-0.9), r"gait.lift = 0.9 is more than max_offset = 0.8"),
+        (GaitOptions(frequency_hz=3), r"gait.frequency_hz = 3 is above max_frequency_hz = 2"),
+        (GaitOptions(sweep=0.7), r"gait.sweep = 0.7 is above max_amplitude = 0.6"),
+        (GaitOptions(sweep=0.1, stroke=0.7), r"gait.stroke = 0.7 is above max_amplitude"),
+        (GaitOptions(sweep=0.6, stroke=0.6, lift=-0.9), r"gait.lift = 0.9 is above max_offset = 0.8"),
     ],
 )
 def test_a_gait_that_no_action_can_ask_for_is_refused(gait: GaitOptions, sentence: str) -> None:

@@ -214,7 +214,7 @@ def test_out_of_the_healthy_range_ends_it_or_costs_the_reward() -> None:
 def test_a_range_in_which_it_cannot_begin_is_refused_where_that_would_end_it() -> None:
     # The notebook's, which was made for an ant.
     options: dict[str, Any] = {"walker": "rodent", "healthy_z_range": [0.2, 1.0]}
-    assert "the body begins at 0.047 m, outside of healthy_z_range = [0.2, 1]" in refusal(**options)
+    assert "the body starts at 0.047 m, outside healthy_z_range = [0.2, 1]" in refusal(**options)
     catalog.parse_options(
         catalog.find("corridor"), {"arena": "empty", "terminate_when_unhealthy": False, **options}
     )
@@ -311,13 +311,13 @@ def test_a_walker_that_lies_is_not_healthy() -> None:
     ("options", "sentence"),
     [
         ({"gap_length": [0.3, 0.2]}, "gap_length: [0.3, 0.2] is not [low, high] with low ≤ high"),
-        ({"gap_length": [1, 34]}, "gap_length reaches 34 m"),
+        ({"gap_length": [1, 34]}, "gap_length goes up to 34 m"),
         ({"gap_length": [-0.1, 0.2]}, "gap_length: must not be negative"),
         ({"corridor_width": 1.0}, "corridor_width = 1 m is too narrow: the ant needs 2 m"),
         ({"corridor_width": 0.4, "walker": "rodent"}, "the rodent needs 0.6 m"),
         ({"arena": "walls", "wall_width": [1, 4]}, "which leaves 1 m of the corridor's 5 m to pass"),
         ({"platform_length": [0, 0.1], "gap_length": [0, 0]}, "platform_length must be above 0"),
-        ({"platform_length": [0.05, 0.1], "gap_length": [0, 0.1]}, "680 platforms, and 200 are the most"),
+        ({"platform_length": [0.05, 0.1], "gap_length": [0, 0.1]}, "680 platforms; at most 200 are allowed"),
         ({"start_x": 6.0}, "start_x = 6 m leaves no room to stand"),
         ({"walker": "dog"}, "walker: Input should be 'ant', 'rodent' or 'humanoid'"),
         ({"arena": "maze"}, "arena: Input should be 'empty', 'gaps' or 'walls'"),
@@ -342,7 +342,7 @@ def test_mjx_is_refused_where_ellipsoids_meet_boxes() -> None:
     ]:
         row = info.under(catalog.parse_options(info, {"walker": walker, "arena": arena}))
         if refused:
-            with pytest.raises(Rejected, match="no contacts of ellipsoids with boxes"):
+            with pytest.raises(Rejected, match="no contacts between ellipsoids and boxes"):
                 choose("mjx", "gpu", 64, row.on_a_gpu, row.cannot_run)
         else:
             assert choose("mjx", "gpu", 64, row.on_a_gpu, row.cannot_run).name == "mjx"

@@ -120,7 +120,7 @@ def test_an_inventory_names_what_is_there() -> None:
             "never moves",
         ),
         ({"reward": [{"kind": "distance", "target": "ball"}]}, PROBE, "/reward/0/target", "to itself"),
-        ({"reset": {"qpos": [0.0] * 8}}, PROBE, "/reset/qpos/3", "of the joint 'root' is no quaternion"),
+        ({"reset": {"qpos": [0.0] * 8}}, PROBE, "/reset/qpos/3", "of the joint 'root' is not a quaternion"),
         ({"reset": {"qpos": [0.0]}}, PROBE, "/reset/qpos", "8 positions (nq); 1 were given"),
         ({"reset": {"keyframe": "low"}}, PROBE, "/reset/keyframe", "it has 1, among them raised"),
         ({"reset": {"keyframe": 1}}, PROBE, "/reset/keyframe", "no keyframe 1"),

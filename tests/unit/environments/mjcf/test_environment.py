@@ -233,5 +233,5 @@ def test_a_term_that_does_not_fit_the_file_ends_the_job_with_the_reason(tmp_path
 
 def test_without_its_file_there_is_no_body() -> None:
     info = catalog.find("mjcf")
-    with pytest.raises(JobFailed, match="is not here"):
+    with pytest.raises(JobFailed, match="is missing"):
         catalog.make(info, catalog.parse_options(info, {"model": MODEL}), engine_builder("native"))

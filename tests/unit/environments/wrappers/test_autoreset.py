@@ -117,5 +117,5 @@ def test_a_world_whose_episode_ends_starts_anew_from_what_was_drawn_for_it() -> 
 
 def test_without_a_start_to_go_to_it_is_a_mistake() -> None:
     episodes = start_episodes(WORLDS, jax.random.PRNGKey(0), 1)
-    with pytest.raises(ValueError, match="first states were not kept"):
+    with pytest.raises(ValueError, match="no states to restart from"):
         step_episodes(WORLDS, episodes, jnp.zeros((1, 1)), episode_length=3)

@@ -127,7 +127,7 @@ def test_equal_rules_give_equal_models() -> None:
         (rule("actuator_gear", 1, 2, names=["motor"]), "no actuator 'motor'; there are servo"),
         (rule("dof_damping", -2, 0, operation="add"), "dof_damping becomes negative"),
         (rule("body_mass", 0, 0), "body_mass becomes 0"),
-        (rule("dof_frictionloss", 0.1, 0.2, operation="set"), "joints that have none"),
+        (rule("dof_frictionloss", 0.1, 0.2, operation="set"), "no dof_frictionloss in the model"),
     ],
 )
 def test_what_the_model_has_not_got_or_cannot_be_ends_the_job(wrong: Randomization, says: str) -> None:
@@ -145,7 +145,7 @@ def test_what_the_model_has_not_got_or_cannot_be_ends_the_job(wrong: Randomizati
         ({"range": [-1, 1], "operation": "set"}, "geom_friction must not be negative"),
         ({"axis": 3}, "geom_friction has 3 numbers"),
         ({"field": "body_mass", "axis": 1}, "body_mass has one number"),
-        ({"field": "opt.gravity", "each": True}, "belongs to the whole world"),
+        ({"field": "opt.gravity", "each": True}, "belongs to the whole model"),
         ({"field": "geom_size"}, "geom_friction"),
         ({"names": []}, "at least 1"),
         ({"rnage": [0, 1]}, "not permitted"),

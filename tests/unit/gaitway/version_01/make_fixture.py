@@ -28,7 +28,8 @@ from core.jobs.cancellation import cancel
 from core.jobs.durability import keep_record
 from core.jobs.job import Job, utc_now
 from core.jobs.spec import JOB_SPEC
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from core.jobs.store import Idempotency
 from core.jobs.submission import submit
 from core.user_models import library

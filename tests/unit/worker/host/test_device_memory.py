@@ -7,7 +7,7 @@ import pytest
 
 from core.algorithms.memory import Memory, Part
 from core.errors import JobFailed
-from core.jobs.status import Reason
+from core.reasons import Reason
 from worker.host.device_memory import device_memory
 from worker.host.memory import allowed_bytes
 from worker.training.memory import check_memory

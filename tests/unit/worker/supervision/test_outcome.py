@@ -4,7 +4,8 @@ from signal import SIGABRT, SIGBUS, SIGILL, SIGSEGV
 
 import pytest
 
-from core.jobs.status import JobStatus, Reason
+from core.jobs.status import JobStatus
+from core.reasons import Reason
 from worker.protocol import Failed, Finished
 from worker.stop_signals import DRAIN_SIGNAL, Stop
 from worker.supervision.outcome import judge

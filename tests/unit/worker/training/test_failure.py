@@ -4,7 +4,7 @@ import errno
 
 import pytest
 
-from core.jobs.status import Reason
+from core.reasons import Reason
 from worker.training.failure import failure
 
 # As JAX 0.11.2 said it on an H100.
