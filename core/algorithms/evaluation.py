@@ -1,5 +1,6 @@
 """Evaluating a policy: whole episodes side by side, without learning."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -9,6 +10,9 @@ from flax import struct
 
 from core.environments.environment import Environment, State
 from core.environments.wrappers.autoreset import select
+
+# (observations [N, obs], or several by name, key) -> (actions [N, act], extras)
+Policy = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
 
 
 @struct.dataclass
@@ -29,7 +33,7 @@ class _Trial:
 
 def run_episodes(
     environment: Environment,
-    policy: Any,
+    policy: Policy,
     key: jax.Array,
     *,
     num_envs: int,

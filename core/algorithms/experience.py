@@ -9,13 +9,12 @@ import jax.numpy as jnp
 from flax import struct
 
 from core.algorithms.brax_training import Transition
+from core.algorithms.evaluation import Policy
 from core.environments.body_position import body_position
 from core.environments.environment import State
 from core.environments.wrappers.autoreset import Episodes, draw, follow
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
-
-Policy = Any  # (observations [B, obs], or several by name, key) -> (actions [B, act], extras)
 
 
 @struct.dataclass

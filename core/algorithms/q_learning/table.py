@@ -4,6 +4,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+Scalar = Float[Array, ""] | float
+Table = Float[Array, "S A"]
 
 
 class Transitions(NamedTuple):
@@ -14,20 +18,22 @@ class Transitions(NamedTuple):
     be learnt.
     """
 
-    row: jax.Array
-    choice: jax.Array
-    reward: jax.Array
-    next_row: jax.Array
-    ended: jax.Array
-    weight: jax.Array
+    row: Int[Array, " N"]
+    choice: Int[Array, " N"]
+    reward: Float[Array, " N"]
+    next_row: Int[Array, " N"]
+    ended: Float[Array, " N"]
+    weight: Float[Array, " N"]
 
 
-def greedy(table: jax.Array, rows: jax.Array) -> jax.Array:
+def greedy(table: Table, rows: Int[Array, "*rows"]) -> Int[Array, "*rows"]:
     """The best columns [...] int32 of these rows [...], of equal ones the first."""
     return jnp.argmax(table[rows], axis=-1).astype(jnp.int32)
 
 
-def epsilon_greedy(table: jax.Array, rows: jax.Array, epsilon: jax.Array, key: jax.Array) -> jax.Array:
+def epsilon_greedy(
+    table: Table, rows: Int[Array, "*rows"], epsilon: Scalar, key: jax.Array
+) -> Int[Array, "*rows"]:
     """The best columns [...] int32, but with probability epsilon [] any.
 
     Source: Sutton & Barto, Reinforcement Learning (2018), section 2.2.
@@ -38,7 +44,7 @@ def epsilon_greedy(table: jax.Array, rows: jax.Array, epsilon: jax.Array, key: j
     return jnp.where(explores, any_column, greedy(table, rows))
 
 
-def td_errors(table: jax.Array, steps: Transitions, discounting: jax.Array) -> jax.Array:
+def td_errors(table: Table, steps: Transitions, discounting: Scalar) -> Float[Array, " N"]:
     """[N]: r + γ max_a Q(s', a) - Q(s, a), without the middle term where the episode ended.
 
     Source: Watkins & Dayan, Q-learning (1992); Sutton & Barto (2018), eq. 6.8.
@@ -48,13 +54,13 @@ def td_errors(table: jax.Array, steps: Transitions, discounting: jax.Array) -> j
 
 
 def learn(
-    table: jax.Array,
+    table: Table,
     steps: Transitions,
-    errors: jax.Array,
-    learning_rate: jax.Array,
+    errors: Float[Array, " N"],
+    learning_rate: Scalar,
     *,
     compound: bool = False,
-) -> tuple[jax.Array, jax.Array]:
+) -> tuple[Table, Table]:
     """The table [S, A] after these transitions, and how many each of its cells had, [S, A] float32.
 
     All errors [N] are taken before any of it is learnt. A cell that n of the transitions visit takes one
