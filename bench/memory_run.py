@@ -22,8 +22,9 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from pydantic import TypeAdapter
 
     from bench.device_memory import peak_bytes
-    from core.algorithms.catalog import ALGORITHMS, AlgorithmSpec, loaded
+    from core.algorithms.catalog import AlgorithmSpec
     from core.algorithms.events import Phase, Progress
+    from core.algorithms.run import make_run
     from core.algorithms.spec import resolve
     from core.environments import catalog
     from core.physics.choose import choose, engine_builder
@@ -38,16 +39,14 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         engine = choose("auto", device, settings.num_worlds, row.on_a_gpu).name
     began = time.perf_counter()
     environment = catalog.make(row, options, engine_builder(engine))
-    trainer = loaded(ALGORITHMS[settings.algorithm()].trainer)(
-        environment, settings, seed=0, checkpoint_every_steps=None
-    )
+    run = make_run(environment, settings, seed=0, checkpoint_every_steps=None)
     grown = _Growth()
-    for event in trainer.events():
+    for event in run.events():
         if isinstance(event, Phase) and event.name == "compile":
             grown.begin()
         if isinstance(event, Progress):
             break
-    checkpoint_bytes = len(trainer.checkpoint())
+    checkpoint_bytes = len(run.checkpoint())
     grown_bytes = grown.end() + checkpoint_bytes
     return {
         "least_bytes": settings.least_memory(row, 1).bytes,

@@ -34,7 +34,7 @@ Options = Annotated[
     Query(
         max_length=16_000,
         description=OPTIONS_DESCRIPTION + " The answer shows the environment under these options.",
-        examples=['{"control": "cpg"}'],
+        examples=["{}"],
     ),
 ]
 _REFUSALS = refusals(EnvironmentNotFound, Rejected, RecordsUnavailable)

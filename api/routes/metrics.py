@@ -40,7 +40,7 @@ class Measured(Parameters):
 def read_metrics(
     job_id: JobId, asked: Annotated[Measured, Query()], service: ServiceDep, request: Request
 ) -> Metrics | Response:
-    """All metrics so far; where a later attempt measured a step again, its newer values."""
+    """Metrics, at most `limit` rows; where a later attempt measured a step again, its newer values."""
     entries = service.read_feed(
         job_id, "events", after=entry_number(asked.after), kind="metrics", limit=asked.limit
     )

@@ -12,7 +12,7 @@ from core.algorithms.sharding import Sharding
 
 
 class TrainingState(Protocol):
-    """Everything that a run's future depends on, besides its settings: a tree of arrays.
+    """Everything that a run's future depends on, besides its settings: a `flax.struct.dataclass` of arrays.
 
     num_updates: [] int32, updates made so far. eval_key: the random key of every evaluation, never changed.
     """
@@ -55,6 +55,7 @@ class Algorithm(Protocol[S]):
     """An algorithm for one run: made from an environment, resolved settings, a seed and a number of devices.
 
     `init`, `update` and `evaluate` are pure and are compiled once; the other methods run on the host.
+    `evaluated` is also called on shapes, so it may only select.
     Equal seeds give equal runs, bit for bit on a CPU.
     """
 
@@ -110,7 +111,8 @@ class Algorithm(Protocol[S]):
         ...
 
     def update(self, state: S, hyperparameters: Any, /) -> tuple[S, dict[str, jax.Array], Failure]:
-        """The next state, the update's metrics, and which quantities were not finite."""
+        """The next state, with `num_updates` one higher; the update's metrics, always the same names, which
+        an epoch adds up; and which quantities were not finite."""
         ...
 
     def evaluated(self, state: S) -> Any:

@@ -45,8 +45,8 @@ class Loop:
     def events(
         self, train: Callable[[int], Mapping[str, float]], evaluate: Callable[[], dict[str, float]]
     ) -> Iterator[Event]:
-        """Yields Progress for each epoch, and Evaluated and CheckpointReady when due, the last of each at
-        the end. Phase first_update comes before the first Progress.
+        """Yields Progress for each epoch, and Evaluated and CheckpointReady when due; CheckpointReady at the
+        end in any case. Phase first_update precedes the first Progress.
 
         train: trains until the given number of updates is made or a value is not finite, records the number
         in `updates`, and returns the epoch's metrics. evaluate: the metrics of the current state.

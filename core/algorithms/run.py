@@ -93,13 +93,16 @@ class Run(Generic[S]):
         """Train to the end of the budget: Phase trace and compile, then the events of `Loop.events`.
 
         Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state before
-        the update that gave it.
+        the update that gave it; after a bad evaluation, the state that was evaluated.
         """
         functions = yield from self._prepare()
         yield from self._loop.events(partial(self._train, functions), partial(self._evaluate, functions))
 
     def checkpoint(self) -> bytes:
-        """The whole state of the run: equal states give equal bytes. Valid between two events."""
+        """The whole state of the run: equal states give equal bytes.
+
+        Valid between two events; in a run that resumes, also before the first.
+        """
         return self._algorithm.format.pack(self._algorithm.header, self._loop.progress, self._begun)
 
     def policy(self) -> bytes:

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import jax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.spec import BaseSpec
 from core.environments.wrappers.vectorized import ENVS
 from core.errors import Rejected
 
@@ -21,7 +21,7 @@ class Sharding:
     mesh: Mesh | None = None
 
     @classmethod
-    def over(cls, num_devices: int, settings: PPOSpec) -> "Sharding":
+    def over(cls, num_devices: int, settings: BaseSpec) -> "Sharding":
         """Over JAX's first devices.
 
         Raises Rejected if there are fewer, or they cannot share environments or a minibatch evenly.

@@ -19,7 +19,7 @@ class NoOptions(Strict):
 class EnvironmentInfo:
     """One row of the catalog.
 
-    factory: `module:function`, called as `factory(options, engine_factory, **arguments)`; see `catalog.make`.
+    factory: `module:function`, called as `factory(options, build_engine, **arguments)`; see `catalog.make`.
     observation_size, action_size: with default options. dt: seconds between actions. All three are None if
     they depend on the model that the options name. takes_model: whether they name one; the factory gets its
     file as `model`.

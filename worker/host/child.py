@@ -121,8 +121,8 @@ class TrainingProcess:
     """Started at once. `messages` and `lines` end when the process, and all it started, have ended.
 
     command: the program; it is given the spool and the descriptor to write messages to. spool, data_dir:
-    absolute, for it starts in the spool. models: whether it confines itself when it loads a user's model
-    (worker/confinement/own_files.py).
+    absolute, for it starts in the spool. slot_fds: of the device's locks, which it holds to its end. models:
+    whether it confines itself when it loads a user's model (worker/confinement/own_files.py).
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class TrainingProcess:
         return self._child.pid
 
     def messages(self) -> Iterator[Message]:
-        """Its messages, in order. A line that its death cut short is skipped."""
+        """Its messages, in order. A line that is none, such as one that its death cut short, is logged."""
         with self._messages as pipe:
             for line in _lines(pipe, _LONGEST_MESSAGE):
                 try:

@@ -202,7 +202,7 @@ class PostgresJobStore:
 
     # ---- feeds -----------------------------------------------------------------------------------
 
-    def record(  # As in the seam.
+    def record(
         self,
         job_id: str,
         token: str,

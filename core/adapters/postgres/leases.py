@@ -63,7 +63,7 @@ def beat(connection: Connection, lease: timedelta) -> None:
             },
         )
     )
-    # After the clock was set back, no lease may end later than one lease from now.
+    # After the clock was set back: a lease that ends more than four leases from now is cut to one.
     connection.execute(
         update(jobs)
         .where(jobs.c.status.in_(_HELD), jobs.c.lease_until > NOW + 4 * lease)

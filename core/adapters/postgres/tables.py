@@ -12,6 +12,7 @@ idempotency_keys   the submissions of the last day that came with a key
 pulse       one row: when the reconciler last reached this database
 
 Documents are JSON stored as text: PostgreSQL's JSON types refuse the character U+0000, which a log may hold.
+Labels are JSONB, for their index.
 """
 
 from typing import Any

@@ -11,7 +11,7 @@ from core.algorithms.ppo.spec import PPOSpec
 class Hyperparameters:
     """What may change without recompiling; [] float32 each, infinite where a bound is not set.
 
-    Whether values are clipped at all, and whether the learning rate adapts, is compiled in.
+    Everything else is compiled in.
     """
 
     learning_rate: jax.Array

@@ -21,7 +21,7 @@ class PPOSpec(BaseSpec):
     """Proximal policy optimisation (Schulman et al., 2017).
 
     A field that is not given takes the value tuned for the environment and the device, if there is
-    one, and otherwise the default shown here; `GET /environments/{id}` lists the tuned values.
+    one, and otherwise the default shown here; `GET /environments/{id}` shows the result.
     """
 
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = (

@@ -47,7 +47,7 @@ class QLearning:
     ) -> None:
         settings.check_sharing(devices)
         if settings.state_discretizer is None or settings.action_set is None:
-            raise Rejected("Q-learning needs an `state_discretizer` and a `action_set`.")
+            raise Rejected("Q-learning needs a `state_discretizer` and an `action_set`.")
         self.settings = settings
         self.seed = agent_keys(settings.agents, seed)
         self.hyperparameters = Hyperparameters.of(settings)

@@ -68,7 +68,7 @@ class QLearningSpec(BaseSpec):
     """Tabular Q-learning (Watkins & Dayan, 1992).
 
     A field that is not given takes the value tuned for the environment and the device, if there is one,
-    and otherwise the default shown here; `GET /environments/{id}` lists the tuned values.
+    and otherwise the default shown here; `GET /environments/{id}` shows the result.
     """
 
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = (

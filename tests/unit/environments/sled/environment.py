@@ -30,6 +30,8 @@ def make(options: NoOptions, build_engine: EngineBuilder) -> "Sled":
 class Sled(MujocoEnv):
     """Reward: the velocity in +x, in m/s."""
 
+    episode_length = 100
+
     def __init__(self, build_engine: EngineBuilder) -> None:
         model = mujoco.MjModel.from_xml_string(_MODEL)
         super().__init__(
