@@ -104,7 +104,7 @@ def _settings(parts: Parts) -> WorkerSettings:
 def _load(
     parts: Parts, jobs: list[str], workers: int, readers: int, rate: float, seconds: float
 ) -> tuple[dict[str, Any], float]:
-    """What each party measured, and the peak resident memory of an API process in MB."""
+    """The measurements of each party, and the peak resident memory of an API process in MB."""
     whole_s = seconds + 2 * _MARGIN_S
     common = {"url": parts.url, "seconds": whole_s}
     worker = {**common, "part": "work", "workers": _WORKERS_OF_A_PROCESS, "training_s": _TRAINING_S}

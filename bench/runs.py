@@ -112,7 +112,7 @@ class Runs:
         return before.name in self.done
 
     def notes(self) -> list[str]:
-        """What a reader must know about how the runs were made."""
+        """Facts about how the runs were made, for the reader."""
         seen = [{name: getattr(machine, name) for name in _ALIKE} for machine in self._machines.values()]
         differing = [name for name in _ALIKE if any(one[name] != seen[0][name] for one in seen)]
         notes = [f"Failed: {name} ({reason})." for name, reason in self.failed.items()]

@@ -65,7 +65,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass
 class _Seen:
-    """What the trainer's events reported; see `work`."""
+    """The values that the run's events reported; see `work`."""
 
     began: float
     training: list[tuple[int, float]] = field(default_factory=list)

@@ -43,17 +43,7 @@ class Probe:
         sign = jnp.where(jax.random.bernoulli(key), 1.0, -1.0)
         obs = jnp.where(self.random_sign, sign, 0.0)[None]
         zero = jnp.zeros(())
-        nothing = jnp.zeros(0)
-        physics = PhysicsState(
-            qpos=nothing,
-            qvel=nothing,
-            act=nothing,
-            qacc_warmstart=nothing,
-            time=zero,
-            derived={},
-            model=model,
-        )
-        return State(physics=physics, obs=obs, reward=zero, done=zero, metrics={"x_velocity": zero}, info={})
+        return State(nowhere(model), obs, zero, zero, metrics={"x_velocity": zero}, info={})
 
     def step(self, state: State, action: jax.Array) -> State:
         reward, done = self.rule(state.obs[0], state.physics.time, action[0])
@@ -66,6 +56,12 @@ class Probe:
             done=done,
             metrics={"x_velocity": action[0]},
         )
+
+
+def nowhere(model: ModelFields) -> PhysicsState:
+    """The state of a model without joints, at time 0."""
+    nothing = jnp.zeros(0)
+    return PhysicsState(nothing, nothing, nothing, nothing, jnp.zeros(()), {}, model)
 
 
 def constant_reward() -> Probe:

@@ -44,7 +44,7 @@ from worker.supervision.stall import is_stopped
 
 log = structlog.get_logger()
 
-# Between two signs of life of an idle worker; it is shown as gone after three missed ones.
+# A worker shows a sign of life at least this often; it is shown as gone after three missed ones.
 _ANNOUNCE_EVERY_S = 10
 # Between two tries to reach a queue that is unavailable.
 _PAUSE_S = 1.0

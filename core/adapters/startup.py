@@ -120,7 +120,7 @@ def exercise_objects(objects: S3ObjectStore) -> None:
 
 
 def _wrong_with(objects: S3ObjectStore, prefix: str, key: str, body: bytes) -> str:
-    """What the store does wrong with an object that was put; empty if nothing."""
+    """The fault that the store shows with an object that was put; empty if there is none."""
     if _get(objects, key) != body:
         return "a get does not return the bytes that were put"
     with objects.open(key, 1000, 500) as pieces:

@@ -1,4 +1,4 @@
-"""What one algorithm adds to a run: `core.algorithms.run.Run` does the rest."""
+"""The part of a run that each algorithm defines; `core.algorithms.run.Run` does the rest."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -36,7 +36,7 @@ class Failure(NamedTuple):
 
 
 class RunSettings(Protocol):
-    """What a run reads from an algorithm's resolved hyperparameters."""
+    """The resolved hyperparameters that a run itself reads."""
 
     @property
     def num_updates(self) -> int: ...
@@ -89,12 +89,12 @@ class Algorithm(Protocol[S]):
 
     @property
     def header(self) -> Mapping[str, Any]:
-        """What a checkpoint holds besides its state."""
+        """The facts that a checkpoint holds besides its state."""
         ...
 
     @property
     def description(self) -> Mapping[str, Any]:
-        """What a checkpoint's header must match for this run to resume from it."""
+        """The facts that a checkpoint's header must match for this run to resume from it."""
         ...
 
     @property
@@ -133,7 +133,7 @@ class Algorithm(Protocol[S]):
         ...
 
     def policy(self, state: S) -> bytes:
-        """What inference needs, and nothing else, in the algorithm's own file format."""
+        """The parameters that inference needs, in the algorithm's own file format."""
         ...
 
     def tables(self, state: S) -> Mapping[str, NDArray[Any]]:

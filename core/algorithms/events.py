@@ -1,4 +1,4 @@
-"""What a run yields to its caller: see `core.algorithms.run.Run`."""
+"""The events that a run yields to its caller: see `core.algorithms.run.Run`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

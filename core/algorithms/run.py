@@ -106,7 +106,7 @@ class Run(Generic[S]):
         return self._algorithm.format.pack(self._algorithm.header, self._loop.progress, self._begun)
 
     def policy(self) -> bytes:
-        """What inference needs, and nothing else, in the algorithm's own file format."""
+        """The parameters that inference needs, in the algorithm's own file format."""
         return self._algorithm.policy(self._begun)
 
     def tables(self) -> Mapping[str, NDArray[Any]]:

@@ -13,7 +13,8 @@ import numpy as np
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.run import Run, make_run
 from core.environments.environment import Environment, State
-from core.physics.engine import NOMINAL, ModelFields, PhysicsState
+from core.physics.engine import NOMINAL, ModelFields
+from tests.probes import nowhere
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class FiniteProcess:
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         zero = jnp.zeros(())
-        return State(_nowhere(jnp.zeros(0), model), jnp.zeros(1), zero, zero, {}, {})
+        return State(nowhere(model), jnp.zeros(1), zero, zero, {}, {})
 
     def step(self, state: State, action: jax.Array) -> State:
         here, column = state.obs[0].astype(jnp.int32), (action[0] > 0).astype(jnp.int32)
@@ -95,7 +96,7 @@ class PlanarStar:
         rotation, bearing = jax.random.uniform(key, (2,), minval=-jnp.pi, maxval=jnp.pi)
         zero = jnp.zeros(())
         info = _of_the_star(jnp.zeros(2), rotation, jnp.stack([jnp.cos(bearing), jnp.sin(bearing)]))
-        return State(_nowhere(jnp.zeros(0), model), zero[None], zero, zero, {}, info)
+        return State(nowhere(model), zero[None], zero, zero, {}, info)
 
     def step(self, state: State, action: jax.Array) -> State:
         info = state.info
@@ -119,10 +120,6 @@ def _of_the_star(place: jax.Array, rotation: jax.Array, target: jax.Array) -> Ma
         "xy_distance_to_target": distance,
         "target_position": target,
     }
-
-
-def _nowhere(nothing: jax.Array, model: ModelFields) -> PhysicsState:
-    return PhysicsState(nothing, nothing, nothing, nothing, jnp.zeros(()), {}, model)
 
 
 FINITE: dict[str, Any] = {

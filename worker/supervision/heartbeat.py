@@ -19,7 +19,7 @@ class Heartbeat:
     def __init__(self, claim: Claim, settings: WorkerSettings) -> None:
         self.cancelled = threading.Event()
         self.lost = threading.Event()
-        self._holding = claim
+        self._claim = claim
         self._settings = settings
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
@@ -35,9 +35,7 @@ class Heartbeat:
     def _beat(self) -> None:
         while not self._over.is_set() and not self.lost.is_set():
             try:
-                status = self._holding.store.renew(
-                    self._holding.job_id, self._holding.token, self._settings.lease
-                )
+                status = self._claim.store.renew(self._claim.job_id, self._claim.token, self._settings.lease)
             except Unavailable as error:
                 log.warning("heartbeat_missed", error=error.detail)
             except LeaseLost:

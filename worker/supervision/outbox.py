@@ -44,7 +44,7 @@ class Outbox:
     def __init__(self, claim: Claim, spool: Path, keep_checkpoints: int) -> None:
         self._failure: Exception | None = None
         self._is_abandoned = False
-        self._holding = claim
+        self._claim = claim
         self._spool = spool
         self._keep_checkpoints = keep_checkpoints
         self._measurements = Measurements(claim.job_id, claim.store, claim.objects)
@@ -142,7 +142,7 @@ class Outbox:
         (item,) = heard
         match item.what:
             case Started(device=device, engine=engine, details=details):
-                self._holding.start(device=device, engine=engine, details=details)
+                self._claim.start(device=device, engine=engine, details=details)
             case FileReady() as message:
                 self._publish(message, item.time, write_id)
             case _:  # The supervisor judges Failed and Finished.
@@ -151,8 +151,8 @@ class Outbox:
     def _record(
         self, channel: Channel, entries: Sequence[Entry], write_id: str, progress: Progress | None = None
     ) -> None:
-        self._holding.store.record(
-            self._holding.job_id, self._holding.token, channel, entries, progress, write_id=write_id
+        self._claim.store.record(
+            self._claim.job_id, self._claim.token, channel, entries, progress, write_id=write_id
         )
 
     def _publish(self, message: FileReady, heard_at: datetime, write_id: str) -> None:
@@ -160,7 +160,7 @@ class Outbox:
         published = [self._upload(message, path)]
         if message.role == "checkpoint":
             published.append(self._upload_metrics())
-        _, dropped = self._holding.publish(tuple(published), self._keep_checkpoints)
+        _, dropped = self._claim.publish(tuple(published), self._keep_checkpoints)
         said = {"name": message.name, "role": message.role, "step": message.step}
         self._record("events", [Entry(kind="artifact", time=heard_at, data=said)], write_id)
         path.unlink(missing_ok=True)
@@ -177,7 +177,7 @@ class Outbox:
         self._dropped += [(now, key) for key in dropped]
         with contextlib.suppress(StorageUnavailable):
             for key in due:
-                self._holding.objects.delete_prefix(key)
+                self._claim.objects.delete_prefix(key)
 
     def _upload(self, message: FileReady, path: Path) -> Artifact:
         digest = _sha256(path)
@@ -187,7 +187,7 @@ class Outbox:
             sha256=digest,
             key=self._key(digest, message.name),
         )
-        self._holding.objects.put_file(artifact.key, path, media_type=artifact.media_type)
+        self._claim.objects.put_file(artifact.key, path, media_type=artifact.media_type)
         return artifact
 
     def _upload_metrics(self) -> Artifact:
@@ -201,11 +201,11 @@ class Outbox:
             sha256=digest,
             key=self._key(digest, "metrics.jsonl"),
         )
-        self._holding.objects.put(artifact.key, body, media_type=artifact.media_type)
+        self._claim.objects.put(artifact.key, body, media_type=artifact.media_type)
         return artifact
 
     def _key(self, sha256: str, name: str) -> str:
-        return keys.artifact(self._holding.job_id, self._holding.number, sha256, name)
+        return keys.artifact(self._claim.job_id, self._claim.number, sha256, name)
 
 
 def _entry(item: _Heard) -> Entry:

@@ -22,7 +22,7 @@ class EventWriter:
     def keep(
         self,
         name: str,
-        built: bytes,
+        content: bytes,
         role: ArtifactRole,
         media_type: str,
         *,
@@ -31,7 +31,7 @@ class EventWriter:
     ) -> None:
         """Write a file and hand it over; the supervisor sees it whole or not at all."""
         partial = self.spool / f".{name}"
-        partial.write_bytes(built)
+        partial.write_bytes(content)
         partial.rename(self.spool / name)
         self.hand_over(name, role, media_type, step=step, metadata=metadata)
 

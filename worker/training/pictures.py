@@ -52,12 +52,12 @@ def kept_with_path(
 def kept_with_tables(
     events: EventWriter, tables: Mapping[str, NDArray[Any]], step: int, title: str
 ) -> Generator[None]:
-    """Keep a trainer's tables as `tables.npz`; and, when the block is over, their pictures."""
-    built = io.BytesIO()
-    np.savez_compressed(built, allow_pickle=False, **dict(tables))
+    """Keep a run's tables as `tables.npz`; and, when the block is over, their pictures."""
+    archive = io.BytesIO()
+    np.savez_compressed(archive, allow_pickle=False, **dict(tables))
     own = events.spool / ".shown-tables.npz"
-    own.write_bytes(built.getvalue())
-    events.keep("tables.npz", built.getvalue(), "tables", "application/x-npz", step=step)
+    own.write_bytes(archive.getvalue())
+    events.keep("tables.npz", archive.getvalue(), "tables", "application/x-npz", step=step)
     try:
         with _drawing(events, ["tables", str(own), str(events.spool), title]) as drawn:
             yield

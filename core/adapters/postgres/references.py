@@ -1,4 +1,4 @@
-"""What jobs refer to: models, checkpoints of other jobs, and objects in the object store."""
+"""Models, checkpoints of other jobs, and stored objects that jobs refer to."""
 
 from collections.abc import Collection, Sequence
 

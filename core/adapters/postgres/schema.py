@@ -55,7 +55,7 @@ def current(connection: Connection) -> str | None:
 
 @dataclass(frozen=True)
 class Facts:
-    """What the doctor reports about a database. server: its version; newest: the revision that we make."""
+    """A database as the doctor reports it. server: its version; newest: the revision that we make."""
 
     server: str
     revision: str | None
