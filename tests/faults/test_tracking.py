@@ -128,6 +128,7 @@ def test_an_offline_run_is_an_artifact_that_wandb_can_sync(bench: Bench, tmp_pat
         said = subprocess.run(
             [sys.executable, "-m", "wandb", "sync", str(run)],
             env={**os.environ, **surroundings},
+            cwd=tmp_path,  # It logs into its working directory.
             check=True,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -63,7 +63,12 @@ def tell(run: Any, item: Configured | Row | Film | End) -> None:
 
 
 def archive(folder: Path, path: Path) -> None:
-    """The one offline run in the folder as a tar file for `wandb sync`, without the logs of wandb itself."""
+    """Write the one offline run in the folder as a tar file for `wandb sync`, without the logs of wandb itself.
+
+    The run must have ended.
+    """
+    # `Run.finish` may return before the run's file is written: under load, 2 of 38 files were still empty.
+    wandb.teardown()
     (run,) = (folder / "wandb").glob("offline-run-*")
     with tarfile.open(path, "w") as file:
         for part in [*run.glob("*.wandb"), run / "files"]:
