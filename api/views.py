@@ -1,7 +1,7 @@
 """The records as clients see them; an attempt's lease token is never part of a view."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from typing import Annotated, Any, Generic, Literal, Self, TypeVar, get_args
@@ -9,8 +9,7 @@ from urllib.parse import quote
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from core.algorithms.catalog import ALGORITHMS
-from core.algorithms.spec import resolve
+from core.algorithms.catalog import ALGORITHMS, resolve, tuned
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 from core.jobs.job import Artifact, ArtifactRole, Job, Progress, UnreadableJob
@@ -166,8 +165,8 @@ class Metrics(View):
 class EnvironmentView(View):
     """An environment. dt: seconds between actions; options: their JSON Schema.
 
-    tuned: hyperparameters by algorithm and device. family: `gaitway`, or the package that provides it.
-    cannot_run: engines that cannot run it, each with the reason.
+    tuned: hyperparameters that fit it, by algorithm and device. family: `gaitway`, or the package that
+    provides it. cannot_run: engines that cannot run it, each with the reason.
     Sizes and dt are null where they depend on the model that the options name.
     """
 
@@ -195,7 +194,7 @@ class EnvironmentView(View):
             episode_length=info.episode_length,
             cameras=[TRACK, *(name for name in info.cameras if name and name != TRACK)],
             options=info.options.model_json_schema(),
-            tuned=info.tuned,
+            tuned=_by_algorithm_and_device(lambda kind, device: tuned(kind, info, device)),
             cannot_run=info.cannot_run,
         )
 
@@ -213,7 +212,8 @@ class EnvironmentDetails(EnvironmentView):
     def of(cls, info: EnvironmentInfo) -> Self:
         shown = EnvironmentView.of(info)
         return cls(
-            **{name: getattr(shown, name) for name in EnvironmentView.model_fields}, defaults=_defaults(info)
+            **{name: getattr(shown, name) for name in EnvironmentView.model_fields},
+            defaults=_by_algorithm_and_device(lambda kind, device: _defaults(kind, info, device)),
         )
 
 
@@ -231,13 +231,23 @@ class Health(View):
     status: str = "ok"
 
 
-def _defaults(info: EnvironmentInfo) -> dict[str, dict[Device, dict[str, Any]]]:
+def _by_algorithm_and_device(
+    values: Callable[[str, Device], dict[str, Any]],
+) -> dict[str, dict[Device, dict[str, Any]]]:
+    """Without the algorithms and devices for which there are no values."""
     found: dict[str, dict[Device, dict[str, Any]]] = {}
-    for kind, row in ALGORITHMS.items():
+    for kind in ALGORITHMS:
         for device in get_args(Device):
-            with suppress(Rejected):
-                found.setdefault(kind, {})[device] = resolve(row.spec(), info, device).model_dump(mode="json")
-    return {kind: devices for kind, devices in found.items() if devices}
+            if own := values(kind, device):
+                found.setdefault(kind, {})[device] = own
+    return found
+
+
+def _defaults(kind: str, info: EnvironmentInfo, device: Device) -> dict[str, Any]:
+    """Every hyperparameter; none where the algorithm needs more than its defaults."""
+    with suppress(Rejected):
+        return resolve(ALGORITHMS[kind].spec(), info, device).model_dump(mode="json")
+    return {}
 
 
 def _links(job: Job | UnreadableJob) -> dict[str, str]:

@@ -22,10 +22,9 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from pydantic import TypeAdapter
 
     from bench.device_memory import peak_bytes
-    from core.algorithms.catalog import AlgorithmSpec
+    from core.algorithms.catalog import AlgorithmSpec, resolve
     from core.algorithms.events import Phase, Progress
     from core.algorithms.run import make_run
-    from core.algorithms.spec import resolve
     from core.environments import catalog
     from core.physics.choose import choose, engine_builder
 

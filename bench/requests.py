@@ -3,7 +3,8 @@
 from typing import Any
 
 from bench.result import Options
-from core.algorithms.ppo.spec import PPOSpec, resolve
+from core.algorithms.catalog import resolve
+from core.algorithms.ppo.spec import PPOSpec
 from core.environments import catalog
 from core.environments.info import Device
 from core.physics.availability import EngineName, choose

@@ -18,7 +18,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     import jax
 
     from bench.turn import Turn
-    from core.algorithms.ppo.spec import PPOSpec, resolve
+    from core.algorithms.catalog import resolve
+    from core.algorithms.ppo.spec import PPOSpec
     from core.environments import catalog
     from core.environments.wrappers.autoreset import (
         Episodes,

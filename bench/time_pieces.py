@@ -16,11 +16,12 @@ import numpy as np
 
 from bench.child import answer
 from bench.limits import gradient_step
+from core.algorithms.catalog import resolve
 from core.algorithms.epoch import updates_until
 from core.algorithms.experience import Starts, collect, cut_into_unrolls
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.networks import make_networks
-from core.algorithms.ppo.spec import PPOSpec, resolve
+from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.environments import catalog
 from core.environments.mujoco_env import MujocoEnv

@@ -40,7 +40,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from brax.training.networks import ACTIVATION
 
     from bench.brax_environment import BraxEnvironment
-    from core.algorithms.ppo.spec import PPOSpec, resolve
+    from core.algorithms.catalog import resolve
+    from core.algorithms.ppo.spec import PPOSpec
     from core.environments import catalog
     from core.physics.choose import engine_builder
 

@@ -15,8 +15,9 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
     """Request: environment, device (`cpu`, `gpu`), and changes to the tuned settings."""
     import jax
 
+    from core.algorithms.catalog import resolve
     from core.algorithms.events import Evaluated, Phase, Progress
-    from core.algorithms.ppo.spec import PPOSpec, resolve
+    from core.algorithms.ppo.spec import PPOSpec
     from core.algorithms.run import make_run
     from core.environments import catalog
     from core.physics.choose import choose, engine_builder

@@ -25,8 +25,9 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
     from bench.device_memory import peak_bytes
     from bench.turn import Turn
+    from core.algorithms.catalog import resolve
     from core.algorithms.events import CheckpointReady
-    from core.algorithms.ppo.spec import PPOSpec, resolve
+    from core.algorithms.ppo.spec import PPOSpec
     from core.algorithms.run import make_run
     from core.environments import catalog
     from core.physics.choose import engine_builder

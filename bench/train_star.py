@@ -23,11 +23,11 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     which the target was reached; arrived_s: the mean of what those took."""
     import jax
 
+    from core.algorithms.catalog import resolve
     from core.algorithms.events import Evaluated, Phase, Progress
     from core.algorithms.q_learning.policy import read_policy
     from core.algorithms.q_learning.spec import QLearningSpec
     from core.algorithms.run import make_run
-    from core.algorithms.spec import resolve
     from core.environments import catalog
     from core.physics.choose import engine_builder
     from core.physics.kernels import keep_kernels

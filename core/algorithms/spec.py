@@ -1,7 +1,7 @@
 """What code that runs any algorithm's job can read from its hyperparameters."""
 
 from abc import abstractmethod
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 from core.algorithms.memory import Memory
 from core.documents import Strict
@@ -47,21 +47,6 @@ class BaseSpec(Strict):
         if num_devices > 1:
             detail = f"{self.algorithm()} runs on one device, but the job asks for {num_devices} GPUs."
             raise Rejected(detail, [Problem("/resources/gpus", detail)])
-
-
-AnySpec = TypeVar("AnySpec", bound=BaseSpec)
-
-
-def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnySpec:
-    """Every hyperparameter of a run on this device: the job's value, else the tuned one, else the default.
-
-    Raises Rejected where the values do not go together.
-    """
-    tuned = environment.tuned.get(spec.algorithm(), {}).get(device, {})
-    settings = type(spec).model_validate({**tuned, **spec.model_dump(exclude_unset=True)})
-    if refusal := settings.refusal(environment, device):
-        raise refusal
-    return settings
 
 
 def check_resumption(wanted: BaseSpec, made_with: BaseSpec) -> None:

@@ -27,13 +27,12 @@ class EnvironmentInfo:
     info: the entries of `State.info` besides the observation, for code that reads states from it. has_cpg:
     whether an action modulates a central pattern generator instead of joints. num_arms: the body's; 1 without
     any. alike_arms: whether all of them have the same number of joints.
-    tuned: hyperparameters by algorithm and device; a job's specification overrides them.
     arguments: further arguments of the factory. on_a_gpu: the engine that `auto` takes on a GPU, by the first
     rule that fits. cannot_run: engines that cannot run it, and why.
     package: what it imports that a worker may lack, by its import name.
     own_physics: what steps it if no engine does; its model cannot be randomized.
     vary: the fields above that some options change, by name; the row itself has their values under the
-    default options.
+    default options. chosen: the options that the row describes; None: the default ones.
     """
 
     id: str
@@ -52,12 +51,12 @@ class EnvironmentInfo:
     has_cpg: bool = False
     num_arms: int = 1
     alike_arms: bool = True
-    tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]] = field(default_factory=dict[str, Any])
     on_a_gpu: tuple[Rule, ...] = ()
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
     package: str | None = None
     own_physics: str = ""
     vary: Callable[[Any], Mapping[str, Any]] | None = None
+    chosen: Strict | None = None
 
     @property
     def family(self) -> str:
@@ -66,4 +65,9 @@ class EnvironmentInfo:
 
     def under(self, options: Strict) -> "EnvironmentInfo":
         """The row under these options, which must be its own."""
-        return self if self.vary is None else replace(self, **self.vary(options))
+        return replace(self, chosen=options, **(self.vary(options) if self.vary else {}))
+
+    @property
+    def option_values(self) -> Strict:
+        """The options that the row describes. Raises ValidationError where it has no default ones."""
+        return self.chosen or self.options.model_validate({})

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from core.algorithms.catalog import ALGORITHMS
-from core.algorithms.spec import BaseSpec, check_resumption, resolve
+from core.algorithms.catalog import ALGORITHMS, resolve
+from core.algorithms.spec import BaseSpec, check_resumption
 from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from importlib.util import find_spec
 
+from core.algorithms.catalog import resolve
 from core.algorithms.memory import Memory
-from core.algorithms.spec import resolve
 from core.devices import gpu_indices
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo

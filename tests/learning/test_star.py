@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
+from core.algorithms.catalog import resolve
 from core.algorithms.events import CheckpointReady, Evaluated
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.run import Run, make_run
-from core.algorithms.spec import resolve
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import EnvironmentInfo

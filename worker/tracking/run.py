@@ -63,9 +63,9 @@ def tell(run: Any, item: Configured | Row | Film | End) -> None:
 
 
 def archive(folder: Path, path: Path) -> None:
-    """Write the one offline run in the folder as a tar file for `wandb sync`, without the logs of wandb itself.
+    """Write the folder's one offline run, which must have ended, as a tar file for `wandb sync`.
 
-    The run must have ended.
+    wandb's own logs are left out.
     """
     # `Run.finish` may return before the run's file is written: under load, 2 of 38 files were still empty.
     wandb.teardown()

@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 
-from core.algorithms.spec import resolve
+from core.algorithms.catalog import resolve
 from core.devices import gpu_indices
 from core.environments import catalog
 from core.environments.environment import Environment

@@ -6,10 +6,11 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from core.algorithms.catalog import resolve
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.policy import policy_from_checkpoint
 from core.algorithms.run import Run, make_run
-from core.algorithms.spec import BaseSpec, resolve
+from core.algorithms.spec import BaseSpec
 from core.errors import JobFailed
 from core.jobs.spec import TrainSpec
 from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task

@@ -6,11 +6,9 @@ from pydantic import Field
 
 from core.algorithms.memory import Memory
 from core.algorithms.ppo import memory
-from core.algorithms.spec import BaseSpec, check_resumption, resolve
+from core.algorithms.spec import BaseSpec
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
-
-__all__ = ["Activation", "PPOSpec", "check_resumption", "resolve"]
 
 Activation = Literal["swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus"]
 ObservationName = Annotated[str, Field(min_length=1, max_length=64)]

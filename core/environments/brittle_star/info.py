@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-from core.environments.brittle_star import tuned
 from core.environments.brittle_star.observables import OF_THE_WAY, size_of
 from core.environments.brittle_star.options import (
     DISK,
@@ -37,7 +36,6 @@ def _under(options: Options) -> Mapping[str, Any]:
         "dt": options.dt,
         "episode_length": options.episode_length,
         "cannot_run": _cannot_run(total),
-        "tuned": {"ppo": tuned.ppo(options), "q_learning": tuned.q_learning(options)},
     }
 
 

@@ -4,8 +4,10 @@ from typing import Any, get_args
 import pytest
 from brax.training.networks import ACTIVATION
 
-from core.algorithms.ppo.spec import Activation, PPOSpec, check_resumption, resolve
+from core.algorithms.catalog import resolve
+from core.algorithms.ppo.spec import Activation, PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
+from core.algorithms.spec import check_resumption
 from core.environments import catalog
 from core.environments.info import Device
 from core.errors import Rejected

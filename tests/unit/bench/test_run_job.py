@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.run_job import Story
-from core.algorithms.spec import resolve
+from core.algorithms.catalog import resolve
 from core.environments import catalog
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from worker.protocol import Measured, Started

@@ -5,7 +5,10 @@ import sys
 
 import pytest
 
-from core.algorithms.ppo.spec import PPOSpec, resolve
+from core.algorithms.catalog import resolve, tuned
+from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.ppo.tuned import catalog as ppo_tuned
+from core.algorithms.q_learning.tuned import catalog as q_learning_tuned
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.locomotion.ant.info import AntOptions
@@ -110,13 +113,19 @@ def test_a_bound_may_be_left_open_above() -> None:
 @pytest.mark.parametrize("info", INFOS, ids=lambda info: info.id)
 @pytest.mark.parametrize("device", ["cpu", "gpu"])
 def test_tuned_values_are_complete_and_go_together(info: EnvironmentInfo, device: Device) -> None:
-    tuned = info.tuned.get("ppo", {}).get(device, {})
+    values = tuned("ppo", info, device)
     resolved = resolve(PPOSpec(), info, device)
-    assert {name: getattr(resolved, name) for name in tuned} == dict(tuned)
+    assert resolved.model_dump(include=set(values)) == values
+    assert resolved.episode_length == info.episode_length
     # On a GPU an evaluation takes a second or more, however many train side by side. Other packages' settings
     # are theirs.
     assert device == "cpu" or info.id not in catalog.BUILT_IN or resolved.num_evals <= 4
     assert resolved.batch_size * resolved.num_minibatches % resolved.num_envs == 0
+
+
+def test_tuned_values_belong_to_environments_that_there_are() -> None:
+    named = {*ppo_tuned.TUNED, *ppo_tuned.TUNED_BY_OPTIONS, *q_learning_tuned.TUNED_BY_OPTIONS}
+    assert named <= set(catalog.ENVIRONMENTS)
 
 
 @pytest.mark.parametrize("info", INFOS, ids=lambda info: info.id)

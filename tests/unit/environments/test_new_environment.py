@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
+from core.algorithms.catalog import resolve
 from core.algorithms.events import Evaluated
 from core.algorithms.run import make_run
-from core.algorithms.spec import resolve
 from core.environments import catalog
 from core.errors import Rejected
 from core.jobs.checks import check

@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from core.algorithms.ppo.spec import PPOSpec, resolve
+from core.algorithms.catalog import resolve
+from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.ppo.tuned.catalog import TUNED
 from core.environments.info import EnvironmentInfo
 from core.errors import Rejected
 from core.jobs.job import Job
@@ -87,16 +89,23 @@ def test_a_stored_job_comes_back_as_it_was_and_says_no_more_than_the_client(
 
 INFO = EnvironmentInfo(
     id="probe", description="", factory="", observation_size=1, action_size=1, dt=0.05, episode_length=10,
-    tracked_body="", tuned={"ppo": {"cpu": {"num_envs": 128, "learning_rate": 6e-4}}},
+    tracked_body="",
 )  # fmt: skip
 
 
+@pytest.fixture
+def tuned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TUNED, INFO.id, {"cpu": PPOSpec(num_envs=128, learning_rate=6e-4)})
+
+
+@pytest.mark.usefixtures("tuned")
 def test_the_jobs_word_goes_before_the_tuned_value_and_that_before_the_default() -> None:
     settings = resolve(PPOSpec(learning_rate=1e-3), INFO, "cpu")
     assert (settings.learning_rate, settings.num_envs, settings.gae_lambda) == (1e-3, 128, 0.95)
     assert resolve(PPOSpec(), INFO, "gpu").num_envs == PPOSpec().num_envs
 
 
+@pytest.mark.usefixtures("tuned")
 def test_a_batch_that_environments_cannot_share_evenly_is_refused_with_the_three_places() -> None:
     # 100 × 8 = 800 unrolls; 800 / 128 is not whole.
     with pytest.raises(Rejected, match="100 × 8 = 800 is not a multiple of num_envs = 128") as caught:

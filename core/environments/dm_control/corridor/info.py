@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from core.documents import Strict
 from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker
-from core.environments.info import Device, EnvironmentInfo
+from core.environments.info import EnvironmentInfo
 from core.environments.options import Range, RunnerOptions, Weight, check_survives_its_start
 from core.physics.availability import Rule
 
@@ -139,7 +139,6 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
     """The fields of the row that these options change."""
     walker = WALKERS[options.walker]
     hidden = 2 if options.exclude_current_positions_from_observation else 0
-    own = {"episode_length": options.episode_length, **_held(options)}
     return {
         "observation_size": walker.num_positions
         - hidden
@@ -151,18 +150,7 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
         "tracked_body": walker.trunk,
         "cameras": walker.cameras,
         "cannot_run": _cannot_run(options),
-        "tuned": {
-            "ppo": {device: {**settings, **own} for device, settings in _TUNED.items()},
-        },
     }
-
-
-def _held(options: CorridorOptions) -> Mapping[str, Any]:
-    """What is tuned for the ant alone: with a new action every 0.01 s its exploration is only a tremble."""
-    if options.walker != "ant":
-        return {}
-    num_steps = round(_ANT_ACTS_EVERY_S / (options.timestep * options.n_frames))
-    return {"action_repeat": max(1, num_steps), "discounting": 0.97}
 
 
 def _cannot_run(options: CorridorOptions) -> Mapping[str, str]:
@@ -174,33 +162,7 @@ def _cannot_run(options: CorridorOptions) -> Mapping[str, str]:
     }
 
 
-_CPU = {
-    "num_timesteps": 3_000_000,
-    "num_envs": 256,
-    "unroll_length": 10,
-    "batch_size": 256,
-    "num_minibatches": 8,
-    "num_updates_per_batch": 4,
-    "learning_rate": 3e-4,
-    "discounting": 0.98,
-    "entropy_cost": 1e-3,
-    "reward_scaling": 0.1,
-    "normalize_observations": True,
-    "normalize_observations_max_abs_value": 10.0,
-    "random_initial_episode_length": True,
-}
-# 80 actions per environment and update, as on a CPU: with 20 the value function diverged.
-_GPU = {
-    **_CPU,
-    "num_timesteps": 30_000_000,
-    "num_evals": 1,  # 2 to 4 s of a minute, for the ant.
-    "num_envs": 2048,
-    "batch_size": 512,
-    "num_minibatches": 32,
-}
-_TUNED: Mapping[Device, Mapping[str, Any]] = {"cpu": _CPU, "gpu": _GPU}
 _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."
-_ANT_ACTS_EVERY_S = 0.04
 
 INFO = EnvironmentInfo(
     id="corridor",

@@ -52,39 +52,4 @@ INFO = EnvironmentInfo(
         Rule("warp", 1, "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),
         Rule("native", 1, "MJX takes many minutes to compile the training, for 21 k steps/s on an H200."),
     ),
-    tuned={
-        "ppo": {
-            "cpu": {
-                "num_timesteps": 3_000_000,
-                "num_envs": 256,
-                "unroll_length": 10,
-                "batch_size": 256,
-                "num_minibatches": 8,
-                "num_updates_per_batch": 4,
-                "learning_rate": 3e-4,
-                "discounting": 0.98,
-                "entropy_cost": 1e-3,
-                "reward_scaling": 0.1,
-                "normalize_observations": True,
-                "normalize_observations_max_abs_value": 10.0,
-                "random_initial_episode_length": True,
-            },
-            "gpu": {
-                "num_timesteps": 30_000_000,
-                "num_evals": 1,  # 7.6 s of four minutes: two would take more than 5 % of the run.
-                "num_envs": 2048,
-                "unroll_length": 10,
-                "batch_size": 512,
-                "num_minibatches": 32,
-                "num_updates_per_batch": 4,
-                "learning_rate": 3e-4,
-                "discounting": 0.98,
-                "entropy_cost": 1e-3,
-                "reward_scaling": 0.1,
-                "normalize_observations": True,
-                "normalize_observations_max_abs_value": 10.0,
-                "random_initial_episode_length": True,
-            },
-        }
-    },
 )

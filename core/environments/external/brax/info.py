@@ -9,13 +9,6 @@ from pydantic import Field
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
-from core.environments.locomotion.ant.info import INFO as ANT
-from core.environments.locomotion.half_cheetah.info import INFO as HALF_CHEETAH
-from core.environments.locomotion.hopper.info import INFO as HOPPER
-from core.environments.locomotion.humanoid.info import INFO as HUMANOID
-from core.environments.locomotion.inverted_pendulum.info import INFO as INVERTED_PENDULUM
-from core.environments.locomotion.reacher.info import INFO as REACHER
-from core.environments.locomotion.walker2d.info import INFO as WALKER2D
 from core.physics.availability import EngineName
 
 FAMILY = "brax"
@@ -32,23 +25,23 @@ class BraxOptions(Strict):
     backend: Backend = Field("generalized", description="The Brax physics pipeline that steps the body.")
 
 
-# Brax's registry has no tuned settings. A task that is also ours has ours; the others have PPO's defaults.
-_TWINS = {
-    "ant": ANT,
-    "halfcheetah": HALF_CHEETAH,
-    "hopper": HOPPER,
-    "humanoid": HUMANOID,
-    "inverted_pendulum": INVERTED_PENDULUM,
-    "reacher": REACHER,
-    "walker2d": WALKER2D,
+# By id: our environment with the same body and the same reward.
+SAME_TASK = {
+    "brax/ant": "ant",
+    "brax/halfcheetah": "half_cheetah",
+    "brax/hopper": "hopper",
+    "brax/humanoid": "humanoid",
+    "brax/inverted_pendulum": "inverted_pendulum",
+    "brax/reacher": "reacher",
+    "brax/walker2d": "walker2d",
 }
 
 
 def _row(name: str, facts: Mapping[str, Any]) -> EnvironmentInfo:
     why = f"{FAMILY}/{name} has Brax's own physics: choose it by options.backend and leave `physics` out."
     cannot: dict[EngineName, str] = {"native": why, "mjx": why, "warp": why}
-    twin = _TWINS.get(name)
-    also = f" {twin.id!r} is the same task on this service's engines." if twin else ""
+    ours = SAME_TASK.get(f"{FAMILY}/{name}")
+    also = f" {ours!r} is the same task on this service's engines." if ours else ""
 
     def vary(options: BraxOptions) -> dict[str, Any]:
         return {"dt": facts["dt"][options.backend], "own_physics": f"brax {options.backend}"}
@@ -65,7 +58,6 @@ def _row(name: str, facts: Mapping[str, Any]) -> EnvironmentInfo:
         tracked_body=facts["tracked_body"],
         cameras=tuple(facts["cameras"]),
         options=BraxOptions,
-        tuned=twin.tuned if twin else {},
         cannot_run=cannot,
         own_physics="brax generalized",
         vary=vary,

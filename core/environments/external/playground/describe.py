@@ -12,8 +12,6 @@ _MENAGERIE = (
     "its body is in MuJoCo Menagerie, which Playground fetches from the network when it is first loaded; "
     "workers fetch nothing. Send the body to POST /models, and use the environment 'mjcf'"
 )
-# Settings that our PPO names differently or lacks: fresh starts come from `reset_pool_size`.
-_NOT_OURS = ("num_resets_per_eval",)
 
 
 def table() -> dict[str, Any]:
@@ -30,24 +28,11 @@ def table() -> dict[str, Any]:
             )
             cannot.setdefault(why, []).append(name)
     elsewhere = [*package.locomotion.ALL_ENVS, *package.manipulation.ALL_ENVS]
-    settings = {name: ppo(name) for name in found}
-    first, *others = settings.values()
-    shared = {key: value for key, value in first.items() if all(one[key] == value for one in others)}
     return {
         "package": f"playground {version('playground')}",
-        "ppo": shared,
-        "environments": {
-            name: {**_facts(one), "ppo": {k: v for k, v in settings[name].items() if k not in shared}}
-            for name, one in found.items()
-        },
+        "environments": {name: _facts(one) for name, one in found.items()},
         "cannot": {**cannot, _MENAGERIE: elsewhere},
     }
-
-
-def ppo(name: str) -> dict[str, Any]:
-    """Playground's own settings for Brax's PPO."""
-    settings = import_module("mujoco_playground.config.dm_control_suite_params").brax_ppo_config(name)
-    return {key: value for key, value in settings.to_dict().items() if key not in _NOT_OURS}
 
 
 def _facts(environment: Playground) -> dict[str, Any]:

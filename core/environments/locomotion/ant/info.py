@@ -36,35 +36,4 @@ INFO = EnvironmentInfo(
     cameras=("track",),
     options=AntOptions,
     on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 1.23 M training steps/s, 0.99 M by mjx."),),
-    tuned={
-        "ppo": {
-            "cpu": {
-                "num_timesteps": 3_000_000,
-                "num_envs": 256,
-                "unroll_length": 5,
-                "batch_size": 64,
-                "num_minibatches": 8,
-                "num_updates_per_batch": 4,
-                "learning_rate": 6e-4,
-                "discounting": 0.97,
-                "entropy_cost": 1e-3,
-                "reward_scaling": 0.1,
-                "normalize_observations": True,
-            },
-            "gpu": {
-                "num_timesteps": 50_000_000,
-                "num_evals": 1,
-                "num_envs": 4096,
-                "unroll_length": 5,
-                "batch_size": 2048,
-                "num_minibatches": 32,
-                "num_updates_per_batch": 4,
-                "learning_rate": 3e-4,
-                "discounting": 0.97,
-                "entropy_cost": 1e-2,
-                "reward_scaling": 10.0,
-                "normalize_observations": True,
-            },
-        }
-    },
 )

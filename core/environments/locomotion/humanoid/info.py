@@ -32,35 +32,4 @@ INFO = EnvironmentInfo(
     cameras=("track",),
     options=HumanoidOptions,
     on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 571 k training steps/s, 415 k by mjx."),),
-    tuned={
-        "ppo": {
-            "cpu": {
-                "num_timesteps": 10_000_000,
-                "num_envs": 256,
-                "unroll_length": 10,
-                "batch_size": 256,
-                "num_minibatches": 16,
-                "num_updates_per_batch": 4,
-                "learning_rate": 3e-4,
-                "discounting": 0.97,
-                "entropy_cost": 1e-3,
-                "reward_scaling": 0.1,
-                "normalize_observations": True,
-            },
-            "gpu": {
-                "num_timesteps": 50_000_000,
-                "num_evals": 3,
-                "num_envs": 2048,
-                "unroll_length": 10,
-                "batch_size": 1024,
-                "num_minibatches": 32,
-                "num_updates_per_batch": 8,
-                "learning_rate": 3e-4,
-                "discounting": 0.97,
-                "entropy_cost": 1e-3,
-                "reward_scaling": 0.1,
-                "normalize_observations": True,
-            },
-        }
-    },
 )

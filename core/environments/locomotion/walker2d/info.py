@@ -33,35 +33,4 @@ INFO = EnvironmentInfo(
     cameras=("track",),
     options=Walker2dOptions,
     on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 905 k training steps/s, 114 k by mjx."),),
-    tuned={
-        "ppo": {
-            "cpu": {
-                "num_timesteps": 5_000_000,
-                "num_envs": 256,
-                "unroll_length": 20,
-                "batch_size": 128,
-                "num_minibatches": 16,
-                "num_updates_per_batch": 4,
-                "learning_rate": 6e-4,
-                "discounting": 0.99,
-                "entropy_cost": 1e-3,
-                "reward_scaling": 1.0,
-                "normalize_observations": True,
-            },
-            "gpu": {
-                "num_timesteps": 50_000_000,
-                "num_evals": 2,
-                "num_envs": 2048,
-                "unroll_length": 20,
-                "batch_size": 1024,
-                "num_minibatches": 32,
-                "num_updates_per_batch": 4,
-                "learning_rate": 3e-4,
-                "discounting": 0.99,
-                "entropy_cost": 1e-3,
-                "reward_scaling": 1.0,
-                "normalize_observations": True,
-            },
-        }
-    },
 )

@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from core.algorithms.catalog import resolve
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.spec import check_resumption, resolve
+from core.algorithms.q_learning.tuned.catalog import TUNED_BY_OPTIONS
+from core.algorithms.spec import check_resumption
 from core.environments import catalog
 from core.errors import Rejected
 from core.jobs.spec import JOB_SPEC
@@ -22,8 +24,14 @@ STAR = replace(
     action_size=5,
     num_arms=5,
     info=("disk_position", "disk_rotation", "xy_direction_to_target"),
-    tuned={"q_learning": {"cpu": {"num_envs": 4}}},
 )
+
+
+@pytest.fixture(autouse=True)
+def tuned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TUNED_BY_OPTIONS, STAR.id, lambda options: {"cpu": QLearningSpec(num_envs=4)})
+
+
 GRID: dict[str, Any] = {
     "kind": "observation_grid",
     "components": [{"index": 0, "range": [-1.0, 1.0], "cells": 4}],

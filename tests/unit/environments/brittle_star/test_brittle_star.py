@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from core.algorithms.catalog import resolve
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.action_sets import num_arms
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.spec import resolve
 from core.environments import catalog
 from core.environments.brittle_star import compose
 from core.environments.brittle_star.info import INFOS

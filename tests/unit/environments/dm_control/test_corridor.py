@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.algorithms.ppo.spec import PPOSpec, resolve
+from core.algorithms.catalog import resolve
+from core.algorithms.ppo.spec import PPOSpec
 from core.environments import catalog
 from core.environments.dm_control.corridor import compose
 from core.environments.dm_control.corridor.compose import composed

@@ -1,0 +1,101 @@
+"""PPO on Gymnasium's bodies.
+
+On a GPU: what Brax's training notebook has for the ant, the half cheetah, the humanoid, the inverted pendulum
+and the reacher, with our own numbers of evaluations. It has SAC's for the hopper and the walker, so these are
+ours, as are all for a CPU.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from core.algorithms.ppo.spec import PPOSpec
+from core.environments.info import Device
+
+_CPU: Mapping[str, Any] = {
+    "num_timesteps": 5_000_000,
+    "num_envs": 256,
+    "unroll_length": 20,
+    "batch_size": 128,
+    "num_minibatches": 16,
+    "num_updates_per_batch": 4,
+    "learning_rate": 6e-4,
+    "entropy_cost": 1e-3,
+    "reward_scaling": 1.0,
+    "normalize_observations": True,
+}
+_GPU: Mapping[str, Any] = {
+    "num_timesteps": 50_000_000,
+    "num_evals": 2,
+    "num_envs": 2048,
+    "unroll_length": 20,
+    "batch_size": 1024,
+    "num_minibatches": 32,
+    "num_updates_per_batch": 4,
+    "learning_rate": 3e-4,
+    "entropy_cost": 1e-3,
+    "reward_scaling": 1.0,
+    "normalize_observations": True,
+}
+
+
+def _cpu(**own: Any) -> PPOSpec:
+    return PPOSpec.model_validate({**_CPU, **own})
+
+
+def _gpu(**own: Any) -> PPOSpec:
+    return PPOSpec.model_validate({**_GPU, **own})
+
+
+ANT: Mapping[Device, PPOSpec] = {
+    "cpu": _cpu(
+        num_timesteps=3_000_000,
+        unroll_length=5,
+        batch_size=64,
+        num_minibatches=8,
+        discounting=0.97,
+        reward_scaling=0.1,
+    ),
+    "gpu": _gpu(
+        num_evals=1,
+        num_envs=4096,
+        unroll_length=5,
+        batch_size=2048,
+        discounting=0.97,
+        entropy_cost=1e-2,
+        reward_scaling=10.0,
+    ),
+}
+HALF_CHEETAH: Mapping[Device, PPOSpec] = {
+    "cpu": _cpu(num_timesteps=3_000_000, discounting=0.95),
+    "gpu": _gpu(num_evals=3, batch_size=512, num_updates_per_batch=8, discounting=0.95),
+}
+HOPPER: Mapping[Device, PPOSpec] = {"cpu": _cpu(discounting=0.99), "gpu": _gpu(discounting=0.99)}
+WALKER2D = HOPPER
+HUMANOID: Mapping[Device, PPOSpec] = {
+    "cpu": _cpu(
+        num_timesteps=10_000_000,
+        unroll_length=10,
+        batch_size=256,
+        learning_rate=3e-4,
+        discounting=0.97,
+        reward_scaling=0.1,
+    ),
+    "gpu": _gpu(num_evals=3, unroll_length=10, num_updates_per_batch=8, discounting=0.97, reward_scaling=0.1),
+}
+INVERTED_PENDULUM: Mapping[Device, PPOSpec] = {
+    "cpu": _cpu(num_timesteps=500_000, num_envs=128, unroll_length=10, num_minibatches=8, discounting=0.97),
+    "gpu": _gpu(
+        num_timesteps=2_000_000,
+        num_evals=1,
+        unroll_length=5,
+        discounting=0.97,
+        entropy_cost=1e-2,
+        reward_scaling=10.0,
+    ),
+}
+REACHER: Mapping[Device, PPOSpec] = {
+    "cpu": _cpu(discounting=0.95, reward_scaling=5.0),
+    "gpu": _gpu(
+        unroll_length=50, batch_size=256, num_updates_per_batch=8, discounting=0.95, reward_scaling=5.0
+    ),
+}
