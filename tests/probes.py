@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from core.environments.discretization import CONTINUOUS, Discretization
 from core.environments.environment import State
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState
 
@@ -34,6 +35,7 @@ class Probe:
     dt: float = 1.0
     episode_length: int = 8
     tracked_body: int = 0
+    discretization: Discretization = CONTINUOUS
 
     @cached_property
     def model(self) -> mujoco.MjModel:

@@ -7,6 +7,7 @@ import jax
 import mujoco
 from flax import struct
 
+from core.environments.discretization import Discretization
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState
 
 # One array [size], or arrays by name: `state` is what a policy sees unless a run says otherwise.
@@ -60,6 +61,11 @@ class Environment(Protocol):
     @property
     def tracked_body(self) -> int:
         """Id of the body whose motion is measured and which the default camera follows."""
+        ...
+
+    @property
+    def discretization(self) -> Discretization:
+        """The finite views that it offers; CONTINUOUS if it offers none."""
         ...
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:

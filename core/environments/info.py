@@ -16,6 +16,28 @@ class NoOptions(Strict):
 
 
 @dataclass(frozen=True)
+class FiniteSpace:
+    """num_parts parts of the body, or the whole, each with one of num_values values."""
+
+    num_values: int
+    num_parts: int = 1
+
+
+@dataclass(frozen=True)
+class FiniteViews:
+    """The sizes of the finite views that an environment offers: see `core.environments.discretization`.
+
+    action_parts: the parts of an action that are alike, such as arms with the same joints; 1 if it has none.
+    cannot_offer: state discretizers and action sets of other rows, and why this one has them not.
+    """
+
+    state_discretizers: Mapping[str, FiniteSpace] = field(default_factory=dict[str, FiniteSpace])
+    action_sets: Mapping[str, FiniteSpace] = field(default_factory=dict[str, FiniteSpace])
+    action_parts: int = 1
+    cannot_offer: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+@dataclass(frozen=True)
 class EnvironmentInfo:
     """One row of the catalog.
 
@@ -24,9 +46,8 @@ class EnvironmentInfo:
     they depend on the model that the options name. takes_model: whether they name one; the factory gets its
     file as `model`.
     cameras: the model's cameras, in their order; `track` is always available, too.
-    info: the entries of `State.info` besides the observation, for code that reads states from it. has_cpg:
-    whether an action modulates a central pattern generator instead of joints. num_arms: the body's; 1 without
-    any. alike_arms: whether all of them have the same number of joints.
+    info: the entries of `State.info` besides the observation, for code that reads states from it.
+    finite: the finite views that it offers.
     arguments: further arguments of the factory. on_a_gpu: the engine that `auto` takes on a GPU, by the first
     rule that fits. cannot_run: engines that cannot run it, and why.
     package: what it imports that a worker may lack, by its import name.
@@ -48,9 +69,7 @@ class EnvironmentInfo:
     arguments: Mapping[str, Any] = field(default_factory=dict[str, Any])
     takes_model: bool = False
     info: tuple[str, ...] = ()
-    has_cpg: bool = False
-    num_arms: int = 1
-    alike_arms: bool = True
+    finite: FiniteViews = FiniteViews()
     on_a_gpu: tuple[Rule, ...] = ()
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
     package: str | None = None

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from core.environments.discretization import CONTINUOUS, Discretization
 from core.environments.environment import State
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
@@ -19,6 +20,7 @@ class MujocoEnv(ABC):
     """An environment over one MuJoCo model; a subclass defines its start, observation and reward."""
 
     episode_length = 1000
+    discretization: Discretization = CONTINUOUS
 
     def __init__(
         self,

@@ -12,6 +12,8 @@ import numpy as np
 
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.run import Run, make_run
+from core.environments.brittle_star.discretization import towards_target
+from core.environments.discretization import CONTINUOUS, Discretization
 from core.environments.environment import Environment, State
 from core.physics.engine import NOMINAL, ModelFields
 from tests.probes import nowhere
@@ -32,6 +34,7 @@ class FiniteProcess:
     dt: float = 1.0
     episode_length: int = 8
     tracked_body: int = 0
+    discretization: Discretization = CONTINUOUS
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -87,6 +90,10 @@ class PlanarStar:
     @property
     def action_size(self) -> int:
         return self.num_arms
+
+    @property
+    def discretization(self) -> Discretization:
+        return towards_target(self.num_arms)
 
     @cached_property
     def model(self) -> mujoco.MjModel:

@@ -10,6 +10,8 @@ import pytest
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.policy import load_policy, policy_from_checkpoint
 from core.algorithms.q_learning.policy import FORMAT, LearntTable, read_policy, table_from_checkpoint
+from core.environments.brittle_star.discretization import towards_target
+from core.environments.discretization import Discretization
 from core.environments.environment import Environment
 from core.environments.rollout import Roller
 from core.errors import JobFailed
@@ -136,10 +138,11 @@ def test_a_learnt_table_acts_step_by_step_and_holds_each_action_for_a_decision()
 
 
 class SevenSectors(PlanarStar):
-    """Five actuators, and seven arms to tell of."""
+    """Five actuators, and seven directions of the target."""
 
-    def __init__(self) -> None:
-        super().__init__(num_arms=7)
+    @property
+    def discretization(self) -> Discretization:
+        return towards_target(7)
 
     @property
     def action_size(self) -> int:

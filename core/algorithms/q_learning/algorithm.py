@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from core.algorithms.algorithm import Failure
 from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics
-from core.algorithms.q_learning.action_sets import num_arms
 from core.algorithms.q_learning.discrete_env import DiscreteEnv, Tabular
 from core.algorithms.q_learning.learner import (
     QUANTITIES,
@@ -52,13 +51,13 @@ class QLearning:
         self.seed = agent_keys(settings.agents, seed)
         self.hyperparameters = Hyperparameters.of(settings)
         self.description = describe(environment, settings)
+        self._table = Tabular.of(settings.state_discretizer, settings.action_set, environment)
         self.header = self.description | {
-            "num_arms": num_arms(environment),
+            "num_states": self._table.state_discretizer.num_states,
             "epsilon": self.hyperparameters.epsilon_end.tolist(),
             "policy_agent": settings.policy_agent,
         }
         self.env_steps_per_time_step = settings.num_worlds * settings.decision_steps
-        self._table = Tabular.of(settings.state_discretizer, settings.action_set, environment)
         self._learner = Learner(DiscreteEnv(environment, self._table, settings.decision_steps), settings)
 
     def init(self, seed: jax.Array) -> TrainingState:

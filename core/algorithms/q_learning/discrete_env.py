@@ -6,9 +6,10 @@ from typing import Any
 
 import jax
 
-from core.algorithms.q_learning.action_sets import ActionSet, make_action_set, num_arms
-from core.algorithms.q_learning.options import ActionSetOptions, ObservationGrid, StateDiscretizerOptions
-from core.algorithms.q_learning.state_discretizers import StateDiscretizer, make_state_discretizer
+from core.algorithms.q_learning.action_sets import make_action_set
+from core.algorithms.q_learning.options import ActionSetOptions, StateDiscretizerOptions
+from core.algorithms.q_learning.state_discretizers import make_state_discretizer, seen_in
+from core.environments.discretization import ActionSet, StateDiscretizer
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_repeat import repeat_action
 from core.environments.wrappers.base import Wrapped
@@ -34,13 +35,24 @@ class Tabular:
         action_set: ActionSetOptions,
         environment: Environment,
     ) -> "Tabular":
-        """Raises JobFailed("bad_model") where the environment lacks what they need."""
+        """Raises JobFailed("bad_model") where the environment lacks what they need, or they differ in
+        parts."""
         table = cls(
-            make_state_discretizer(state_discretizer, num_arms(environment)),
+            make_state_discretizer(state_discretizer, environment),
             make_action_set(action_set, environment),
         )
-        _check_what_is_seen(state_discretizer, environment)
+        readers, choosers = table.state_discretizer.num_readers, table.action_set.num_choosers
+        if readers != choosers:
+            raise JobFailed(
+                Reason.BAD_MODEL,
+                f"The state discretizer reads {readers} rows in each state, and the action set takes "
+                f"{choosers} choices.",
+            )
         return table
+
+    def rows(self, state: State) -> jax.Array:
+        """The rows [num_readers] int32 of one environment's state."""
+        return self.state_discretizer(seen_in(state, self.state_discretizer.needs))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -87,25 +99,8 @@ class DiscreteEnv(Wrapped):
         return repeat_action(self.environment, self.decision_steps)
 
     def _read(self, state: State) -> State:
-        rows = self.table.state_discretizer(self.table.state_discretizer.look(state))
-        return replace(state, obs=rows, info={**state.info, _OBSERVATION: state.obs})
+        return replace(state, obs=self.table.rows(state), info={**state.info, _OBSERVATION: state.obs})
 
 
 def _without(info: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {name: value for name, value in info.items() if name not in names}
-
-
-def _check_what_is_seen(state_discretizer: StateDiscretizerOptions, environment: Environment) -> None:
-    state = jax.eval_shape(environment.reset, jax.random.PRNGKey(0))
-    missing = [name for name in state_discretizer.needs if name not in ("observation", *state.info)]
-    if missing:
-        told = ", ".join(sorted(state.info)) or "nothing besides its observation"
-        raise JobFailed(
-            Reason.BAD_MODEL,
-            f"The state discretizer looks at {', '.join(missing)}, and the environment tells {told}.",
-        )
-    seen = environment.observation_size
-    size = seen["state"] if isinstance(seen, Mapping) else seen
-    if isinstance(state_discretizer, ObservationGrid) and (beyond := state_discretizer.beyond(size)):
-        detail = f"The observation has {size} components, and none of index {beyond[0]}."
-        raise JobFailed(Reason.BAD_MODEL, detail)

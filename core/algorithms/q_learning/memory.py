@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from core.algorithms.memory import FLOAT_BYTES, Memory, Part
+from core.algorithms.q_learning.options import choice_space, state_space
 
 if TYPE_CHECKING:
     from core.algorithms.q_learning.spec import QLearningSpec
@@ -16,10 +17,12 @@ _NUMBERS = 6
 
 def least_memory(settings: "QLearningSpec", environment: "EnvironmentInfo") -> Memory:
     """Bytes, all numbers of 4. A run without states or actions, which is refused elsewhere, has no table."""
-    arms, agents = environment.num_arms, settings.num_agents
-    cells = 0
+    agents, cells = settings.num_agents, 0
     if settings.state_discretizer is not None and settings.action_set is not None:
-        cells = agents * settings.state_discretizer.num_states(arms) * settings.action_set.num_choices(arms)
+        states = state_space(settings.state_discretizer, environment)
+        choices = choice_space(settings.action_set, environment)
+        if states is not None and choices is not None:
+            cells = agents * states.num_values * choices.num_values
     replayed = agents * settings.replay_buffer_size
     observation = environment.observation_size or 0
     return Memory(

@@ -1,4 +1,4 @@
-"""How a world becomes the rows of a table, and a column an action: the options that name it."""
+"""The options that say how a state becomes a row of the table, and how a column becomes an action."""
 
 import math
 from typing import Annotated, Literal
@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from core.documents import Strict
+from core.environments.info import EnvironmentInfo, FiniteSpace
 from core.environments.options import Range
 
-# A table of so many cells, its visits and a copy take 120 MB.
+# Such a table, its visits and a copy take 120 MB.
 MOST_CELLS = 10_000_000
 MOST_WORLDS = 2**20
 # Transitions of all agents' buffers: 2.4 GB.
@@ -24,13 +25,6 @@ class ArmTowardsTarget(Strict):
 
     kind: Literal["arm_towards_target"]
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return ("disk_rotation", "xy_direction_to_target")
-
-    def num_states(self, num_arms: int) -> int:
-        return num_arms
-
 
 class ArmRole(Strict):
     """Decentralised: each arm reads how many arms to its left the target's sector lies, 0 to arms - 1.
@@ -39,13 +33,6 @@ class ArmRole(Strict):
     """
 
     kind: Literal["arm_role"]
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return ("disk_rotation", "xy_direction_to_target")
-
-    def num_states(self, num_arms: int) -> int:
-        return num_arms
 
 
 class DiskPositionGrid(Strict):
@@ -59,10 +46,11 @@ class DiskPositionGrid(Strict):
     )
 
     @property
-    def needs(self) -> tuple[str, ...]:
-        return ("disk_position",)
+    def looks_at(self) -> str:
+        return "disk_position"
 
-    def num_states(self, num_arms: int) -> int:
+    @property
+    def num_states(self) -> int:
         return math.prod(self.cells)
 
 
@@ -81,14 +69,15 @@ class ObservationGrid(Strict):
     components: list[Component] = Field(min_length=1, max_length=16)
 
     @property
-    def needs(self) -> tuple[str, ...]:
-        return ("observation",)
+    def looks_at(self) -> str:
+        return "observation"
 
-    def num_states(self, num_arms: int) -> int:
+    @property
+    def num_states(self) -> int:
         return math.prod(component.cells for component in self.components)
 
     def beyond(self, observation_size: int) -> dict[int, int]:
-        """The components that an observation of so many has not got: their indices by their places here."""
+        """The components that an observation of this size lacks: their indices, by their places here."""
         return {
             place: component.index
             for place, component in enumerate(self.components)
@@ -106,19 +95,12 @@ class LeadingArm(Strict):
 
     kind: Literal["leading_arm"]
 
-    def num_choices(self, num_arms: int) -> int:
-        return num_arms
-
 
 class ArmRoles(Strict):
     """A choice of each arm is its role in the central pattern generator: to lead, to row on the left or on
     the right, and, in a star of an even number of arms, to trail."""
 
     kind: Literal["arm_roles"]
-
-    def num_choices(self, num_arms: int) -> int:
-        # Those of `core.environments.cpg.roles`, which loads JAX.
-        return 3 + (num_arms % 2 == 0)
 
 
 class ActionList(Strict):
@@ -127,9 +109,6 @@ class ActionList(Strict):
     kind: Literal["actions"]
     actions: Actions = Field(description="Each as long as the environment's action.")
 
-    def num_choices(self, num_arms: int) -> int:
-        return len(self.actions)
-
 
 class ArmActions(Strict):
     """A choice of each arm is one of these parts of an action; the arms' parts follow one another."""
@@ -137,8 +116,26 @@ class ArmActions(Strict):
     kind: Literal["arm_actions"]
     actions: Actions = Field(description="Each as long as the environment's action divided by its arms.")
 
-    def num_choices(self, num_arms: int) -> int:
-        return len(self.actions)
-
 
 ActionSetOptions = Annotated[LeadingArm | ArmRoles | ActionList | ArmActions, Field(discriminator="kind")]
+
+
+def state_space(options: StateDiscretizerOptions, environment: EnvironmentInfo) -> FiniteSpace | None:
+    """The states that the environment is in under these options; None where it does not offer them."""
+    match options:
+        case DiskPositionGrid() | ObservationGrid():
+            return FiniteSpace(options.num_states)
+        case ArmTowardsTarget() | ArmRole():
+            return environment.finite.state_discretizers.get(options.kind)
+
+
+def choice_space(options: ActionSetOptions, environment: EnvironmentInfo) -> FiniteSpace | None:
+    """The choices that there are under these options; None where the environment does not offer them."""
+    match options:
+        case ActionList():
+            return FiniteSpace(len(options.actions))
+        case ArmActions():
+            parts = environment.finite.action_parts
+            return FiniteSpace(len(options.actions), parts) if parts > 1 else None
+        case LeadingArm() | ArmRoles():
+            return environment.finite.action_sets.get(options.kind)

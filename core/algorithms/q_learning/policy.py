@@ -12,20 +12,27 @@ from pydantic import TypeAdapter
 from core.algorithms.checkpoint import Format
 from core.algorithms.policy import Acting, TrainedPolicy
 from core.algorithms.q_learning.discrete_env import Tabular
-from core.algorithms.q_learning.options import ActionSetOptions, StateDiscretizerOptions
-from core.algorithms.q_learning.state_discretizers import make_state_discretizer
+from core.algorithms.q_learning.options import (
+    ActionSetOptions,
+    DiskPositionGrid,
+    ObservationGrid,
+    StateDiscretizerOptions,
+)
+from core.algorithms.q_learning.state_discretizers import make_grid
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
+from core.environments.brittle_star.discretization import towards_target
+from core.environments.discretization import StateDiscretizer
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed
 from core.reasons import Reason
 
-_STORED_NAMES = {"state_discretizer": "indexer", "action_set": "mapper"}
+_STORED_NAMES = {"state_discretizer": "indexer", "action_set": "mapper", "num_states": "num_arms"}
 _NAMES = {stored: name for name, stored in _STORED_NAMES.items()}
 
 
 class _Format(Format):
-    """Files keep the names that two hyperparameters had in version 0.1."""
+    """Files keep the names of version 0.1. Its `num_arms` was read only where there are as many states."""
 
     def pack(self, description: Mapping[str, Any], progress: Mapping[str, int], state: Any) -> bytes:
         header = {_STORED_NAMES.get(name, name): value for name, value in description.items()}
@@ -45,7 +52,7 @@ _ACTION_SET: TypeAdapter[ActionSetOptions] = TypeAdapter(ActionSetOptions)
 class LearntTable(NamedTuple):
     """A table [S, A], how often each of its cells was learnt from, and the options that it belongs to.
 
-    facts: `state_discretizer`, `action_set`, `decision_steps`, `num_arms`, `epsilon` (the share of random
+    facts: `state_discretizer`, `action_set`, `decision_steps`, `num_states`, `epsilon` (the share of random
     choices where noise is asked for), and others; a checkpoint has a list of `epsilon`, one for each agent.
     """
 
@@ -86,6 +93,12 @@ def policy_agent(eval_return: NDArray[np.float32], which: str) -> int:
     return int(np.argmax(eval_return)) if which == "best" else 0
 
 
+def _without_environment(options: StateDiscretizerOptions, facts: Mapping[str, Any]) -> StateDiscretizer:
+    if isinstance(options, DiskPositionGrid | ObservationGrid):
+        return make_grid(options)
+    return towards_target(facts["num_states"]).state_discretizers[options.kind]
+
+
 def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
     """What a checkpoint or a policy file holds, ready to act; its answer are columns [num_readers] for what
     the state discretizer needs, by name. Raises JobFailed if it is damaged."""
@@ -99,7 +112,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
         return greedy(table, rows) if deterministic else epsilon_greedy(table, rows, epsilon, key)
 
     def answer(table: jax.Array, seen: Mapping[str, jax.Array], key: jax.Array) -> jax.Array:
-        return choose(table, make_state_discretizer(state_discretizer, facts["num_arms"])(seen), key)
+        return choose(table, _without_environment(state_discretizer, facts)(seen), key)
 
     def acting(environment: Environment) -> Acting:
         tabular = Tabular.of(state_discretizer, action_set, environment)
@@ -107,7 +120,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
         steps = facts["decision_steps"]
 
         def act(table: jax.Array, state: State, key: jax.Array) -> jax.Array:
-            choices = choose(table, tabular.state_discretizer(tabular.state_discretizer.look(state)), key)
+            choices = choose(table, tabular.rows(state), key)
             return ActionHold.due_or_held(state, steps, tabular.action_set.act(choices))
 
         return Acting(ActionHold(environment), act)

@@ -13,11 +13,11 @@ from core.algorithms.q_learning.options import (
     ActionList,
     ActionSetOptions,
     ArmActions,
-    ArmRole,
-    ArmRoles,
-    LeadingArm,
+    DiskPositionGrid,
     ObservationGrid,
     StateDiscretizerOptions,
+    choice_space,
+    state_space,
 )
 from core.algorithms.spec import BaseSpec
 from core.documents import Strict
@@ -184,7 +184,7 @@ class QLearningSpec(BaseSpec):
             *_of_the_table(self, environment),
             *_of_the_schedule(self),
             *_of_the_worlds(self),
-            *_of_the_replay(self, environment.num_arms),
+            *_of_the_replay(self, environment),
         ]
         if not problems:
             return None
@@ -197,82 +197,96 @@ class QLearningSpec(BaseSpec):
 def _of_the_table(settings: QLearningSpec, environment: EnvironmentInfo) -> list[Problem]:
     """Whether these and the environment go together, as far as its row tells."""
     discretizer, action_set = settings.state_discretizer, settings.action_set
-    problems: list[Problem] = []
+    problems = [
+        *_of_the_states(discretizer, environment),
+        *_of_the_actions(action_set, environment),
+    ]
+    if problems or discretizer is None or action_set is None:
+        return problems
+    states, choices = state_space(discretizer, environment), choice_space(action_set, environment)
+    if states is None or choices is None:
+        return problems
+    if states.num_parts != choices.num_parts:
+        detail = (
+            f"The state discretizer {discretizer.kind!r} and the action set {action_set.kind!r} do not go "
+            f"together: {discretizer.kind!r} reads {states.num_parts} rows in each state, and "
+            f"{action_set.kind!r} takes {choices.num_parts}."
+        )
+        problems += [
+            Problem("/algorithm/state_discretizer", detail),
+            Problem("/algorithm/action_set", detail),
+        ]
+    return [*problems, *_of_the_size(settings, states.num_values, choices.num_values)]
+
+
+def _of_the_states(
+    discretizer: StateDiscretizerOptions | None, environment: EnvironmentInfo
+) -> list[Problem]:
     if discretizer is None:
         detail = (
             "Name a `state_discretizer`: Q-learning needs a row of its table for what it sees in "
             f"{environment.id}."
         )
-        problems.append(Problem("/algorithm/state_discretizer", detail))
-    elif missing := [name for name in discretizer.needs if name not in ("observation", *environment.info)]:
+    elif state_space(discretizer, environment) is None:
+        offered = ["observation_grid", *environment.finite.state_discretizers]
+        detail = _not_offered("state discretizer", discretizer.kind, offered, environment)
+    elif isinstance(discretizer, ObservationGrid):
+        return _of_the_observation(discretizer, environment)
+    elif isinstance(discretizer, DiskPositionGrid) and discretizer.looks_at not in environment.info:
         told = ", ".join(environment.info) or "nothing besides its observation"
         detail = (
-            f"The state discretizer {discretizer.kind!r} looks at {', '.join(missing)}, and {environment.id} "
-            f"tells {told}."
+            f"The state discretizer {discretizer.kind!r} looks at {discretizer.looks_at}, and "
+            f"{environment.id} tells {told}."
         )
-        problems.append(Problem("/algorithm/state_discretizer", detail))
+    else:
+        return []
+    return [Problem("/algorithm/state_discretizer", detail)]
+
+
+def _of_the_actions(action_set: ActionSetOptions | None, environment: EnvironmentInfo) -> list[Problem]:
+    size = environment.action_size
     if action_set is None:
-        size = environment.action_size
         detail = (
             f"Name an `action_set`: the action of {environment.id} is "
             f"{'continuous' if size is None else f'{size} continuous numbers'}, and a table has columns."
         )
-        problems.append(Problem("/algorithm/action_set", detail))
-    elif isinstance(action_set, LeadingArm | ArmRoles) and not environment.has_cpg:
-        detail = (
-            f"The action set {action_set.kind!r} sets a central pattern generator, and {environment.id} has "
-            f'none as it is asked for here; a brittle star has one with the option "control": "cpg".'
-        )
-        problems.append(Problem("/algorithm/action_set", detail))
-    if problems or discretizer is None or action_set is None:
-        return problems
-    arms = environment.num_arms
-    return [
-        *_of_the_observation(discretizer, environment),
-        *_of_the_choices(discretizer, action_set, environment),
-        *_of_the_size(settings, discretizer.num_states(arms), action_set.num_choices(arms)),
-    ]
+        return [Problem("/algorithm/action_set", detail)]
+    choices = choice_space(action_set, environment)
+    if choices is None:
+        parts = ["arm_actions"] if environment.finite.action_parts > 1 else []
+        offered = ["actions", *parts, *environment.finite.action_sets]
+        detail = _not_offered("action set", action_set.kind, offered, environment)
+        return [Problem("/algorithm/action_set", detail)]
+    if isinstance(action_set, ActionList | ArmActions):
+        lengths, parts = {len(action) for action in action_set.actions}, choices.num_parts
+        if len(lengths) > 1 or (size is not None and lengths != {size / parts}):
+            detail = (
+                f"{environment.id} takes {size} action components"
+                f"{f' in {parts} equal parts' if parts > 1 else ''}; "
+                f"the action set's actions have {', '.join(str(length) for length in sorted(lengths))}."
+            )
+            return [Problem("/algorithm/action_set/actions", detail)]
+    return []
 
 
-def _of_the_observation(discretizer: StateDiscretizerOptions, environment: EnvironmentInfo) -> list[Problem]:
+def _not_offered(what: str, kind: str, offered: list[str], environment: EnvironmentInfo) -> str:
+    why = environment.finite.cannot_offer.get(kind)
+    reason = f": {why}" if why else ""
+    return (
+        f"{environment.id} offers no {what} {kind!r} under these options{reason}. It offers "
+        f"{', '.join(offered)}."
+    )
+
+
+def _of_the_observation(discretizer: ObservationGrid, environment: EnvironmentInfo) -> list[Problem]:
     size = environment.observation_size
-    if size is None or not isinstance(discretizer, ObservationGrid):
+    if size is None:
         return []
     detail = f"The observation of {environment.id} has {size} components, and none of index"
     return [
         Problem(f"/algorithm/state_discretizer/components/{place}/index", f"{detail} {index}.")
         for place, index in discretizer.beyond(size).items()
     ]
-
-
-def _of_the_choices(
-    discretizer: StateDiscretizerOptions, action_set: ActionSetOptions, environment: EnvironmentInfo
-) -> list[Problem]:
-    """Whether as many choose as read, and what they choose is an action of the environment."""
-    problems = list[Problem]()
-    if isinstance(discretizer, ArmRole) != isinstance(action_set, ArmRoles | ArmActions):
-        detail = (
-            f"The state discretizer {discretizer.kind!r} and the action set {action_set.kind!r} do not go "
-            "together: either each arm has a state and a choice (arm_role with arm_roles or arm_actions), "
-            "or all have one."
-        )
-        problems += [
-            Problem("/algorithm/state_discretizer", detail),
-            Problem("/algorithm/action_set", detail),
-        ]
-    if isinstance(action_set, ActionList | ArmActions):
-        lengths, size = {len(action) for action in action_set.actions}, environment.action_size
-        parts = environment.num_arms if isinstance(action_set, ArmActions) else 1
-        if len(lengths) > 1 or (size is not None and lengths != {size / parts}):
-            detail = (
-                f"{environment.id} takes {size} action components{f' of {parts} arms' if parts > 1 else ''}; "
-                f"the action set's actions have {', '.join(str(length) for length in sorted(lengths))}."
-            )
-            problems.append(Problem("/algorithm/action_set/actions", detail))
-    if isinstance(action_set, ArmActions) and not environment.alike_arms:
-        detail = f"The action set {action_set.kind!r} gives every arm as many joints, and these arms differ."
-        problems.append(Problem("/algorithm/action_set", detail))
-    return problems
 
 
 def _of_the_size(settings: QLearningSpec, rows: int, columns: int) -> list[Problem]:
@@ -319,9 +333,11 @@ def _of_the_worlds(settings: QLearningSpec) -> list[Problem]:
     return [Problem("/algorithm/num_envs", detail)]
 
 
-def _of_the_replay(settings: QLearningSpec, num_arms: int) -> list[Problem]:
+def _of_the_replay(settings: QLearningSpec, environment: EnvironmentInfo) -> list[Problem]:
     size, agents = settings.replay_buffer_size, settings.num_agents
-    brought = settings.num_envs * (num_arms if isinstance(settings.state_discretizer, ArmRole) else 1)
+    discretizer = settings.state_discretizer
+    states = state_space(discretizer, environment) if discretizer is not None else None
+    brought = settings.num_envs * (states.num_parts if states is not None else 1)
     problems = list[Problem]()
     if 0 < size < brought:
         problems.append(

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 
 from core.environments.brittle_star.control import controlled
+from core.environments.brittle_star.discretization import towards_target
 from core.environments.brittle_star.light import show
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.observables import OF_THE_BODY
@@ -71,7 +72,8 @@ class BrittleStar(MujocoEnv):
             observation_size=0,
             tracked_body=DISK,
         )
-        self.num_arms = options.num_arms
+        if isinstance(options, DirectedOptions):
+            self.discretization = towards_target(options.num_arms)
         self.episode_length = options.episode_length
         self._options, self._task = options, task
         self.observation_size = jax.eval_shape(self.reset, jax.random.key(0)).obs.shape[0]

@@ -12,7 +12,7 @@ from core.environments.brittle_star.options import (
     UndirectedOptions,
     observed,
 )
-from core.environments.info import EnvironmentInfo
+from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
 from core.physics.availability import Rule
 
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
@@ -30,13 +30,27 @@ def _under(options: Options) -> Mapping[str, Any]:
         "observation_size": sum(size_of(name, total) for name in observed(options)),
         # A pattern generator's size: `core.environments.cpg.encoding.action_size`, but that loads JAX.
         "action_size": 2 * total if options.control == "joints" else 7 * options.num_arms + 1,
-        "has_cpg": options.control == "cpg",
-        "num_arms": options.num_arms,
-        "alike_arms": len(set(options.segments)) == 1,
+        "finite": _finite(options),
         "dt": options.dt,
         "episode_length": options.episode_length,
         "cannot_run": _cannot_run(total),
     }
+
+
+def _finite(options: Options) -> FiniteViews:
+    arms, states = options.num_arms, dict[str, FiniteSpace]()
+    if isinstance(options, DirectedOptions):
+        states = {"arm_towards_target": FiniteSpace(arms), "arm_role": FiniteSpace(arms, arms)}
+    if options.control == "cpg":
+        # As many roles as `core.environments.cpg.roles.roles_for` says, but that loads JAX.
+        sets = {"leading_arm": FiniteSpace(arms), "arm_roles": FiniteSpace(3 + (arms % 2 == 0), arms)}
+        why = {"arm_actions": "its action sets a central pattern generator, and not each arm's joints"}
+        return FiniteViews(states, sets, cannot_offer=why)
+    generator = 'it has a central pattern generator only with the option "control": "cpg"'
+    why = {"leading_arm": generator, "arm_roles": generator}
+    if len(set(options.segments)) == 1:
+        return FiniteViews(states, action_parts=arms, cannot_offer=why)
+    return FiniteViews(states, cannot_offer={**why, "arm_actions": "its arms differ in their joints"})
 
 
 def _cannot_run(num_segments: int) -> Mapping[str, str]:

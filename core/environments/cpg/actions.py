@@ -15,7 +15,8 @@ from core.environments.cpg.encoding import action_size, decode, encode
 from core.environments.cpg.integration import advance
 from core.environments.cpg.options import CPGOptions
 from core.environments.cpg.oscillators import Network, Oscillators, at_rest, output
-from core.environments.cpg.roles import Gait, modulation, roles_under
+from core.environments.cpg.roles import Gait, modulation, roles_for, roles_under
+from core.environments.discretization import ActionSet, Discretization
 from core.environments.environment import Environment, State
 from core.environments.wrappers.base import Wrapped
 from core.physics.engine import NOMINAL, ModelFields
@@ -60,6 +61,17 @@ class CPGActions(Wrapped):
         )
         joints = jnp.clip(output(after), -1, 1)[self.oscillators]
         return _with(self.environment.step(state, joints), after)
+
+    @property
+    def discretization(self) -> Discretization:
+        """leading_arm: one choice, the arm that leads. arm_roles: each arm chooses its role."""
+        arms = tuple(f"arm {arm}" for arm in range(self.num_arms))
+        roles = tuple(role.name.lower() for role in roles_for(self.num_arms))
+        sets = {
+            "leading_arm": ActionSet(len(arms), 1, lambda choices: self.leading_arm(choices[0]), arms),
+            "arm_roles": ActionSet(len(roles), self.num_arms, self.of_roles, roles),
+        }
+        return replace(self.environment.discretization, action_sets=sets)
 
     def leading_arm(self, arm: jax.Array | int) -> jax.Array:
         """The action [7 num_arms + 1] that makes this arm [] lead."""

@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import mujoco
 
+from core.environments.discretization import Discretization
 from core.environments.environment import Environment, ObservationSize
 
 
 @dataclass(frozen=True)
 class Wrapped:
-    """Model, times and sizes are those of the environment inside."""
+    """Model, times, sizes and finite views are those of the environment inside."""
 
     environment: Environment
 
@@ -36,3 +37,7 @@ class Wrapped:
     @property
     def tracked_body(self) -> int:
         return self.environment.tracked_body
+
+    @property
+    def discretization(self) -> Discretization:
+        return self.environment.discretization

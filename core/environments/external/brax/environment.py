@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from core.environments.discretization import CONTINUOUS, Discretization
 from core.environments.environment import State
 from core.environments.external.brax.carried import carried
 from core.environments.external.brax.info import EPISODE_LENGTH, BraxOptions
@@ -45,6 +46,7 @@ class Brax:
     """
 
     episode_length = EPISODE_LENGTH
+    discretization: Discretization = CONTINUOUS
 
     def __init__(self, name: str, backend: str) -> None:
         self._theirs = load(name, backend)

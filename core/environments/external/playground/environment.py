@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from core.environments.discretization import CONTINUOUS, Discretization
 from core.environments.environment import State
 from core.environments.external.compat import as_float, plain_key, root_of
 from core.environments.info import NoOptions
@@ -59,6 +60,8 @@ class Playground:
     A state therefore holds only a few arrays. On Warp, all worlds share a Data's contacts, so
     `jax.tree.map(where, ...)` over two of them would be wrong. `info` is the environment's own.
     """
+
+    discretization: Discretization = CONTINUOUS
 
     def __init__(self, name: str, implementation: Literal["jax", "warp"]) -> None:
         self._theirs = load(name, implementation)

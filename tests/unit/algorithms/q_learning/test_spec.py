@@ -14,6 +14,7 @@ from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.q_learning.tuned.catalog import TUNED_BY_OPTIONS
 from core.algorithms.spec import check_resumption
 from core.environments import catalog
+from core.environments.info import FiniteSpace, FiniteViews
 from core.errors import Rejected
 from core.jobs.spec import JOB_SPEC
 
@@ -22,8 +23,12 @@ STAR = replace(
     id="star",
     observation_size=3,
     action_size=5,
-    num_arms=5,
     info=("disk_position", "disk_rotation", "xy_direction_to_target"),
+    finite=FiniteViews(
+        {"arm_towards_target": FiniteSpace(5), "arm_role": FiniteSpace(5, 5)},
+        action_parts=5,
+        cannot_offer={"leading_arm": "it has no generator"},
+    ),
 )
 
 
@@ -77,10 +82,14 @@ def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]
             ["action_set"],
         ),
         ({"state_discretizer": None}, "Name a `state_discretizer`", ["state_discretizer"]),
-        ({"action_set": {"kind": "leading_arm"}}, "star has none as it is asked for here", ["action_set"]),
+        (
+            {"action_set": {"kind": "leading_arm"}},
+            "'leading_arm' under these options: it has no generator. It offers actions",
+            ["action_set"],
+        ),
         (
             {"state_discretizer": {"kind": "arm_role"}},
-            "'arm_role' and the action set 'actions' do not go together",
+            "'arm_role' and the action set 'actions' do not go together: .* 5 rows .* takes 1",
             ["state_discretizer", "action_set"],
         ),
         (
@@ -125,7 +134,7 @@ def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]
                 "state_discretizer": {"kind": "arm_role"},
                 "action_set": {"kind": "arm_actions", "actions": [[0.5, 0.5]]},
             },
-            "star takes 5 action components of 5 arms; the action set's actions have 2",
+            "star takes 5 action components in 5 equal parts; the action set's actions have 2",
             ["action_set/actions"],
         ),
         ({"initial_table": "identity"}, "this one has 5 rows and 2 columns", ["initial_table"]),
@@ -163,8 +172,9 @@ def test_a_table_is_as_large_as_its_columns_make_it_whoever_names_them() -> None
     # 2.5 million rows, and as many columns as the generator's five arms.
     grid = {"kind": "disk_position_grid", "cells": [2500, 1000]}
     spec = QLearningSpec.model_validate({"state_discretizer": grid, "action_set": {"kind": "leading_arm"}})
+    generator = FiniteViews(action_sets={"leading_arm": FiniteSpace(5)})
     with pytest.raises(Rejected, match="would have 12,500,000 cells; 10,000,000 are allowed"):
-        resolve(spec, replace(STAR, has_cpg=True, action_size=36), "cpu")
+        resolve(spec, replace(STAR, finite=generator, action_size=36), "cpu")
 
 
 def test_arms_that_differ_have_no_joints_in_common() -> None:
@@ -172,13 +182,29 @@ def test_arms_that_differ_have_no_joints_in_common() -> None:
     options = catalog.parse_options(stars, {"num_arms": 3, "num_segments_per_arm": [2, 1, 3]})
     arms = {"kind": "arm_actions", "actions": [[0.1] * 4, [0.0] * 4]}  # 12 joints of 3 arms
     spec = QLearningSpec.model_validate({"state_discretizer": {"kind": "arm_role"}, "action_set": arms})
-    with pytest.raises(Rejected, match="these arms differ"):
+    with pytest.raises(Rejected, match="'arm_actions' under these options: its arms differ in their joints"):
         resolve(spec, stars.under(options), "cpu")
 
 
-def test_an_environment_that_tells_no_direction_cannot_feed_an_indexer_of_directions() -> None:
-    with pytest.raises(Rejected, match="ant tells nothing besides its observation") as caught:
-        resolve(parsed(**VALID), catalog.find("ant"), "cpu")
+@pytest.mark.parametrize(
+    ("discretizer", "sentence"),
+    [
+        (
+            ARM,
+            "ant offers no state discretizer 'arm_towards_target' .* It offers observation_grid",
+        ),
+        (
+            {"kind": "disk_position_grid"},
+            "disk_position, and ant tells nothing besides its observation",
+        ),
+    ],
+)
+def test_an_environment_that_tells_no_direction_cannot_feed_a_discretizer_of_directions(
+    discretizer: dict[str, Any], sentence: str
+) -> None:
+    actions = {"kind": "actions", "actions": [[0.0] * 8]}
+    with pytest.raises(Rejected, match=sentence) as caught:
+        resolve(parsed(state_discretizer=discretizer, action_set=actions), catalog.find("ant"), "cpu")
     assert [problem.pointer for problem in caught.value.problems] == ["/algorithm/state_discretizer"]
 
 

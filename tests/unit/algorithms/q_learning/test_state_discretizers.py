@@ -1,5 +1,6 @@
 """Which row a world is in, and which action a column is."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,18 +11,20 @@ from pydantic import TypeAdapter
 from core.algorithms.q_learning.action_sets import make_action_set
 from core.algorithms.q_learning.discrete_env import Tabular
 from core.algorithms.q_learning.options import ActionSetOptions, StateDiscretizerOptions
-from core.algorithms.q_learning.state_discretizers import StateDiscretizer, make_state_discretizer
+from core.algorithms.q_learning.state_discretizers import make_state_discretizer
+from core.environments.discretization import ActionSet, Discretization, StateDiscretizer
 from core.environments.wrappers.domain_randomization import RandomizedEnvironment
 from core.errors import JobFailed
 from tests import probes
 from tests.learning.q_probes import PlanarStar
 
-INDEXER: TypeAdapter[Any] = TypeAdapter(StateDiscretizerOptions)
-MAPPER: TypeAdapter[Any] = TypeAdapter(ActionSetOptions)
+STATE_DISCRETIZER: TypeAdapter[Any] = TypeAdapter(StateDiscretizerOptions)
+ACTION_SET: TypeAdapter[Any] = TypeAdapter(ActionSetOptions)
 
 
 def state_discretizer(num_arms: int = 5, **options: Any) -> StateDiscretizer:
-    return make_state_discretizer(INDEXER.validate_python(options), num_arms)
+    star = PlanarStar(num_arms, observation_size=3)
+    return make_state_discretizer(STATE_DISCRETIZER.validate_python(options), star)
 
 
 def seen(bearing_deg: float, yaw_deg: float = 0.0) -> dict[str, Any]:
@@ -71,45 +74,55 @@ def test_what_is_not_finite_has_no_row() -> None:
 
 def test_arms_put_their_parts_of_an_action_one_after_the_other() -> None:
     action_set = make_action_set(
-        MAPPER.validate_python({"kind": "arm_actions", "actions": [[-1.0], [0.5]]}), PlanarStar()
+        ACTION_SET.validate_python({"kind": "arm_actions", "actions": [[-1.0], [0.5]]}), PlanarStar()
     )
     assert action_set.act(jnp.array([0, 1, 0, 0, 1])).tolist() == [-1.0, 0.5, -1.0, -1.0, 0.5]
 
 
 class Generator(PlanarStar):
-    """What `core.environments.cpg` offers besides: an action for a leading arm, and for roles."""
+    """It offers action sets, as `core.environments.cpg` does."""
 
-    def leading_arm(self, arm: Any) -> Any:
-        return jnp.eye(self.num_arms)[arm]
+    @property
+    def discretization(self) -> Discretization:
+        sets = {
+            "leading_arm": ActionSet(5, 1, lambda choices: jnp.eye(5)[choices[0]]),
+            "arm_roles": ActionSet(3, 5, lambda choices: choices / 4, ("leading", "left", "right")),
+        }
+        return replace(super().discretization, action_sets=sets)
 
-    def of_roles(self, roles: Any) -> Any:
-        return roles / 4
 
-
-def test_a_generator_is_told_which_arm_leads_or_which_roles_there_are_through_what_is_around_it() -> None:
+def test_an_environment_s_own_action_sets_are_found_through_what_is_around_it() -> None:
     wrapped = RandomizedEnvironment(Generator(), {})
-    leading = make_action_set(MAPPER.validate_python({"kind": "leading_arm"}), wrapped)
+    leading = make_action_set(ACTION_SET.validate_python({"kind": "leading_arm"}), wrapped)
     assert (leading.num_choices, leading.act(jnp.array([3])).tolist()) == (5, [0, 0, 0, 1, 0])
-    roles = make_action_set(MAPPER.validate_python({"kind": "arm_roles"}), wrapped)
+    roles = make_action_set(ACTION_SET.validate_python({"kind": "arm_roles"}), wrapped)
     assert (roles.num_choices, roles.act(jnp.array([0, 1, 2, 2, 0])).tolist()) == (3, [0, 0.25, 0.5, 0.5, 0])
-    assert roles.names == ("leading", "left", "right")  # nobody trails in a star of five
-    for kind in ("leading_arm", "arm_roles"):
-        options = MAPPER.validate_python({"kind": kind})
-        for arms in (3, 4):
-            assert make_action_set(options, Generator(arms)).num_choices == options.num_choices(arms)
+    assert roles.names == ("leading", "left", "right")
 
 
 @pytest.mark.parametrize(
     ("reads", "chooses", "environment", "sentence"),
     [
-        ("arm_towards_target", {"kind": "leading_arm"}, PlanarStar(), "no central pattern generator"),
+        ("arm_towards_target", {"kind": "leading_arm"}, PlanarStar(), "offers no action set 'leading_arm'"),
         (
             "arm_towards_target",
             {"kind": "actions", "actions": [[0.5]]},
             probes.endless(),
-            "looks at disk_rotation, xy_direction_to_target, and the environment tells nothing",
+            "offers no state discretizer 'arm_towards_target'",
         ),
-        ("arm_role", {"kind": "arm_actions", "actions": [[1, 1]]}, PlanarStar(), "have 10 components, .* 5"),
+        (
+            "disk_position_grid",
+            {"kind": "actions", "actions": [[0.5]]},
+            probes.endless(),
+            "looks at disk_position, and the environment tells nothing",
+        ),
+        ("arm_role", {"kind": "arm_actions", "actions": [[1, 1]]}, PlanarStar(), "have 2 components, .* 5"),
+        (
+            "arm_role",
+            {"kind": "actions", "actions": [[0.5] * 5]},
+            PlanarStar(),
+            "5 rows .* takes 1 choice",
+        ),
         (
             "observation_grid",
             {"kind": "actions", "actions": [[0.5] * 5]},
@@ -122,7 +135,7 @@ def test_an_environment_that_lacks_what_is_needed_ends_the_job_with_the_reason(
     reads: str, chooses: dict[str, Any], environment: Any, sentence: str
 ) -> None:
     cut = {"components": [{"index": 1, "range": [0, 1], "cells": 2}]} if reads == "observation_grid" else {}
-    state_discretizer = INDEXER.validate_python({"kind": reads, **cut})
+    state_discretizer = STATE_DISCRETIZER.validate_python({"kind": reads, **cut})
     with pytest.raises(JobFailed, match=sentence) as failure:
-        Tabular.of(state_discretizer, MAPPER.validate_python(chooses), environment)
+        Tabular.of(state_discretizer, ACTION_SET.validate_python(chooses), environment)
     assert failure.value.reason == "bad_model"

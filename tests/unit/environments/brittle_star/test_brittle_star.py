@@ -11,7 +11,6 @@ import pytest
 
 from core.algorithms.catalog import resolve
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.q_learning.action_sets import num_arms
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.environments import catalog
 from core.environments.brittle_star import compose
@@ -19,6 +18,7 @@ from core.environments.brittle_star.info import INFOS
 from core.environments.brittle_star.light import light_at, light_map
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import DirectedOptions, LightEscapeOptions, UndirectedOptions
+from core.environments.info import FiniteSpace
 from core.errors import JobFailed, Rejected
 from core.physics import availability
 from core.physics.availability import choose
@@ -36,7 +36,14 @@ def build(task: str = "brittle_star", **options: Any) -> Any:
     row = info.under(parsed)
     assert row.observation_size == environment.observation_size
     assert row.action_size == environment.action_size
-    assert row.num_arms == num_arms(environment)
+    views = environment.discretization
+    assert row.finite.state_discretizers == {
+        kind: FiniteSpace(view.num_states, view.num_readers)
+        for kind, view in views.state_discretizers.items()
+    }
+    assert row.finite.action_sets == {
+        kind: FiniteSpace(view.num_choices, view.num_choosers) for kind, view in views.action_sets.items()
+    }
     assert row.episode_length == environment.episode_length
     assert row.dt == pytest.approx(environment.dt)
     model = environment.model
@@ -87,7 +94,7 @@ def test_five_arms_on_a_disk_of_ours_weigh_what_biorobots_do() -> None:
 def test_an_arm_may_be_missing() -> None:
     environment = build(num_arms=4, num_segments_per_arm=(2, 0, 1, 3))
     assert environment.action_size == 2 * (2 + 0 + 1 + 3)
-    assert environment.num_arms == 4
+    assert environment.discretization.state_discretizers["arm_role"].num_readers == 4
 
 
 def test_actions_reach_from_end_to_end_of_the_joints_ranges() -> None:
@@ -103,7 +110,8 @@ def test_a_pattern_generator_may_move_the_joints() -> None:
     # Arm 0 leads, held up by three quarters of 30°, and the others row: the star leaves its place towards +x
     # by more than its own noise in two seconds.
     environment = build(control="cpg", num_segments_per_arm=3)
-    assert catalog.find("brittle_star").under(environment_options(control="cpg")).has_cpg
+    row = catalog.find("brittle_star").under(environment_options(control="cpg"))
+    assert set(row.finite.action_sets) == {"leading_arm", "arm_roles"}
     state, step = environment.reset(jax.random.key(0)), jax.jit(environment.step)
     action = environment.leading_arm(0)
     assert action.shape == (7 * 5 + 1,)
