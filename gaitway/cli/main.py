@@ -4,21 +4,10 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli import (
-    doctor,
-    environments,
-    files,
-    importing,
-    jobs,
-    models,
-    preview,
-    recover,
-    services,
-    submit,
-    watch,
-)
+from gaitway.cli import environments, files, jobs, models, preview, submit, watch
 from gaitway.cli.errors import Group
 from gaitway.client import Client
+from gaitway.service.commands import doctor, importing, recover, services
 
 app = typer.Typer(
     cls=Group,

@@ -19,11 +19,11 @@ from core.configuration import SECRETS_DIR, names
 from core.settings import WorkerSettings
 from core.variables import variable
 from gaitway.cli.main import app
-from gaitway.doctor import machine, run, services
-from gaitway.doctor import settings as doctor_settings
-from gaitway.doctor.check import Check, ProbeFailed, probe
-from gaitway.embedded import postgres
-from gaitway.embedded.processes import ServerFailed
+from gaitway.service.doctor import machine, run, services
+from gaitway.service.doctor import settings as doctor_settings
+from gaitway.service.doctor.check import Check, ProbeFailed, probe
+from gaitway.service.embedded import postgres
+from gaitway.service.embedded.processes import ServerFailed
 
 
 @pytest.fixture

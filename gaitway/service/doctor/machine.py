@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from core.devices import GPUS
 from core.errors import Misconfigured
-from gaitway.doctor.check import Check, ProbeFailed, probe
+from gaitway.service.doctor.check import Check, ProbeFailed, probe
 from worker.host.device import device_of, visible_gpus
 
 if TYPE_CHECKING:
@@ -175,8 +175,8 @@ def has_gpu() -> bool:
 
 def _has_postgres() -> bool:
     try:
-        from gaitway.embedded.postgres import binary
-        from gaitway.embedded.processes import ServerFailed
+        from gaitway.service.embedded.postgres import binary
+        from gaitway.service.embedded.processes import ServerFailed
     except ImportError:  # Only the client is installed.
         return False
     try:

@@ -1,7 +1,7 @@
 """Commands that `docker compose` runs besides the service itself.
 
-`python -m gaitway.compose setup`  makes the secrets at the first start, and the files that hold them
-`python -m gaitway.compose join`   prints the settings under which a worker on another machine joins
+`python -m gaitway.service.compose setup` makes the secrets at the first start, and the files that hold them
+`python -m gaitway.service.compose join`   prints the settings under which a worker on another machine joins
 """
 
 import os
@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from gaitway.embedded.certificates import Certificate, authority, signed
-from gaitway.embedded.folders import remembered, write_private
-from gaitway.embedded.weed_environment import REGION, weed_environment
+from gaitway.service.embedded.certificates import Certificate, authority, signed
+from gaitway.service.embedded.folders import remembered, write_private
+from gaitway.service.embedded.weed_environment import REGION, weed_environment
 
 SECRETS = Path("/run/gaitway")
 # Apart from the others: PostgreSQL's container reads it as another user, and keeps the first password.
@@ -147,8 +147,9 @@ def _remembered_word(path: Path) -> str:
     return path.read_text()
 
 
-# As in `gaitway.embedded.weed`: after one failed write of its name index, weed writes no more, and logs this
-# at each try. Once its disk has room (128 MiB), it is ended, and the container engine starts it again.
+# As in `gaitway.service.embedded.weed`: after one failed write of its name index, weed writes no more, and
+# logs this at each try. Once its disk has room (128 MiB), it is ended, and the container engine starts it
+# again.
 _ENDED_WHEN_STUCK = r"""said=$(mktemp -d)/said
 mkfifo "$said"
 while IFS= read -r line; do
