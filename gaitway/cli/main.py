@@ -4,10 +4,9 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli import environments, files, jobs, models, preview, submit, watch
+from gaitway.cli import environments, files, jobs, models, preview, service, submit, watch
 from gaitway.cli.errors import Group
 from gaitway.client import Client
-from gaitway.service.commands import doctor, importing, recover, services
 
 app = typer.Typer(
     cls=Group,
@@ -45,12 +44,7 @@ for command in (
     files.video,
     files.download,
     preview.preview,
-    doctor.doctor,
-    recover.recover,
-    services.up,
 ):
     app.command()(command)
-app.command("import")(importing.import_data)
 app.add_typer(models.models, name="models")
-for command in (services.demo, services.api, services.worker):
-    app.command(context_settings=services.PASS_ON)(command)
+service.add_commands(app)

@@ -10,8 +10,6 @@ import typer
 
 from gaitway.cli.errors import wrong_usage
 
-PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": list[str]()}
-
 
 def up(
     port: Annotated[
