@@ -26,6 +26,6 @@ def add_commands(app: typer.Typer) -> None:
 def _refuse(context: typer.Context) -> None:
     raise wrong_usage(
         f"`gaitway {context.info_name}` is a command of the service, and only the client is installed here. "
-        "The service runs from a clone: `git clone https://github.com/gaitway/gaitway`, and there `./run up`, "
-        "or `docker compose up` for its images."
+        "The service runs from a clone: `git clone https://github.com/gaitway/gaitway`, and there `./run up` "
+        "or `docker compose up -d --wait`."
     )

@@ -60,7 +60,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
         kind = spec["algorithm"].setdefault("kind", "ppo")
         if num_timesteps is not None and kind != "ppo":
             raise wrong_usage(
-                f"--num-timesteps is for PPO, and this job's algorithm is {kind}: give its own hyperparameters "
+                f"--num-timesteps is for PPO, and this job's algorithm is {kind}: set its hyperparameters "
                 "by --set, e.g. --set algorithm.num_episodes=2000 for q_learning."
             )
     client = client_of(context)

@@ -47,7 +47,7 @@ def require(extra: str, *modules: str) -> None:
     """Raises typer.Exit, and names the extra that installs a missing module."""
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
-        raise wrong_usage(f"{missing[0]} is not installed; `pip install 'gaitway[{extra}]'` installs it.")
+        raise wrong_usage(f"{missing[0]} is not installed; `uv sync --inexact --extra {extra}` installs it.")
 
 
 def _become(module: str, arguments: list[str]) -> None:

