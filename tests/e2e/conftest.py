@@ -9,6 +9,7 @@ import pytest
 
 from gaitway.client import Client
 from gaitway.service.embedded.processes import free_ports
+from tests.e2e.installed import Installed, install
 
 
 @pytest.fixture(scope="module")
@@ -24,3 +25,9 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
         yield client
         stack.send_signal(signal.SIGTERM)
         stack.communicate(timeout=60)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """The wheel with its extras `cli` and `policy`, where a user has installed it."""
+    return install(tmp_path_factory.mktemp("installed"), "cli", "policy")
