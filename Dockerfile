@@ -72,10 +72,14 @@ RUN --mount=type=cache,target=/var/cache/uv \
 
 # Apart from the dependencies, so that a change of code makes this small layer anew and nothing else.
 FROM build AS project
+RUN python -m uv venv /opt/gaitway
+WORKDIR /opt/gaitway/source
 COPY . .
-RUN python -m hatchling build -t wheel -d /tmp/wheel \
-    && python -m uv venv /opt/gaitway \
-    && python -m uv pip install --python /opt/gaitway/bin/python --no-deps /tmp/wheel/*.whl
+# Editable, as in a clone: the usual wheel holds only the client.
+RUN python -m hatchling build -t wheel:editable -d /tmp/wheel \
+    && python -m uv pip install --python /opt/gaitway/bin/python --no-deps /tmp/wheel/*.whl \
+    && chmod -R a+rX . \
+    && python -m compileall -q api core gaitway worker
 
 # ---- the images ----------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from bench.machine import this_machine
 from bench.result import Figure, Options, Result, at_least, at_most
 from bench.stack import running_stack
 from gaitway.client import Client
-from gaitway.demo import Wishes
+from gaitway.service.demo import Wishes
 from gaitway.views import Event, JobView
 
 _TARGETS = {"the video": at_most(150)}

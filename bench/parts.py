@@ -11,9 +11,9 @@ from pathlib import Path
 import httpx
 import psutil
 
-from gaitway.embedded.folders import private_folder
-from gaitway.embedded.processes import ServerProcess, free_ports
-from gaitway.embedded.servers import EmbeddedServers
+from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.processes import ServerProcess, free_ports
+from gaitway.service.embedded.servers import EmbeddedServers
 
 _START_S = 60.0
 

@@ -21,7 +21,7 @@ from core.jobs.job import Job, new_job_id
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery
-from gaitway.embedded.postgres import Postgres
+from gaitway.service.embedded.postgres import Postgres
 
 _LEASE = timedelta(seconds=15)
 # Ended jobs of each kind, environment and status, a second apart.

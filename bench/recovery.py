@@ -120,7 +120,7 @@ def _pick_up_s(stack: Stack) -> float:
 def _start(data_dir: Path) -> float:
     """Seconds from the command until it prints the service's address."""
     started = time.monotonic()
-    command = [sys.executable, "-m", "gaitway.embedded.up", "--data", str(data_dir)]
+    command = [sys.executable, "-m", "gaitway.service.embedded.up", "--data", str(data_dir)]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as stack:
         line = "" if stack.stdout is None else stack.stdout.readline()
         ready_s = time.monotonic() - started

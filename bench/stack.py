@@ -61,7 +61,7 @@ def running_stack(data_dir: Path, *, workers: int = 1) -> Generator[Stack]:
     port = free_port()
     data_dir.mkdir(parents=True, exist_ok=True)
     log = data_dir / "bench-stack.log"
-    command = [sys.executable, "-m", "gaitway.embedded.up"]
+    command = [sys.executable, "-m", "gaitway.service.embedded.up"]
     options = ["--port", str(port), "--data", str(data_dir), "--workers", str(workers)]
     with log.open("wb") as output:
         launcher = subprocess.Popen(

@@ -219,7 +219,7 @@ class Client:
         step: the policy of this checkpoint; by default the final one, or that of the newest checkpoint if the
         job has no final one yet. deterministic: without exploration noise (otherwise `key` is needed). Call a
         policy that was trained with `action_repeat` once every `action_repeat` steps, and hold its action.
-        Raises MissingExtra without the `worker` extra.
+        Raises MissingExtra without the `policy` extra, and PolicyUnreadable.
         """
         job = self.get(job_id)
         final = job.newest("policy") if step is None else None

@@ -10,6 +10,7 @@ GaitwayError
 ├── Unreachable        no service answers
 ├── WaitTimeout        the job has not ended in the time given
 ├── DownloadFailed     a file could not be brought whole
+├── PolicyUnreadable   a policy's file is damaged, or this version does not know its format
 └── MissingExtra       a part of the package is not installed
 """
 
@@ -87,6 +88,10 @@ class WaitTimeout(GaitwayError, TimeoutError):
 
 class DownloadFailed(GaitwayError):
     """The bytes received are not those that the service announced."""
+
+
+class PolicyUnreadable(GaitwayError):
+    """The file is damaged, or of an algorithm or a format that this version of the client does not know."""
 
 
 class MissingExtra(GaitwayError, ImportError):

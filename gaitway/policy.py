@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gaitway.errors import MissingExtra
+from gaitway.errors import MissingExtra, PolicyUnreadable
 
 if TYPE_CHECKING:
     import jax
@@ -18,26 +18,30 @@ def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool
     observation: the input of the algorithm's policies; for PPO [..., observation_size]. action: [...,
     action_size], each component in [-1, 1]; for Q-learning see docs/q_learning.md. key: a JAX random key,
     needed by a stochastic policy (ValueError without one).
-    Raises MissingExtra where JAX and Brax are not installed.
+    Raises MissingExtra where JAX or msgpack is not installed, and PolicyUnreadable.
     """
     try:
         import jax
 
-        from core.algorithms.policy import load_policy
+        from gaitway.policies import ppo, q_learning
     except ModuleNotFoundError as error:
         raise MissingExtra(
-            f"A policy is loaded with JAX and Brax, and {error.name} is not installed; "
-            f"install them with `pip install 'gaitway[worker]'`."
+            f"A policy is loaded with JAX and msgpack, and {error.name} is not installed; "
+            f"install them with `pip install 'gaitway[policy]'`."
         ) from error
-    policy = load_policy(
-        path.read_bytes(), algorithm, is_checkpoint=is_checkpoint, deterministic=deterministic
-    )
-    answer: Any = jax.jit(policy.answer)  # pyright: ignore[reportUnknownMemberType]
+    readers: dict[str, Callable[[bytes, bool, bool], tuple[Any, Any]]] = {
+        "ppo": ppo.load,
+        "q_learning": q_learning.load,
+    }
+    if algorithm not in readers:
+        raise PolicyUnreadable(f"This version of gaitway does not read policies of {algorithm!r}.")
+    parameters, function = readers[algorithm](path.read_bytes(), is_checkpoint, deterministic)
+    answer: Any = jax.jit(function)  # pyright: ignore[reportUnknownMemberType]
     unused = jax.random.key(0)
 
     def act(observation: Any, key: "jax.Array | None" = None) -> "jax.Array":
         if key is None and not deterministic:
             raise ValueError("A policy that samples needs a random key: act(observation, jax.random.key(0)).")
-        return answer(policy.parameters, observation, unused if key is None else key)
+        return answer(parameters, observation, unused if key is None else key)
 
     return act

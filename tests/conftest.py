@@ -24,10 +24,10 @@ from core.jobs.queue import JobQueue
 from core.jobs.store import JobStore
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
-from gaitway.embedded.postgres import Postgres
-from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import Weed
-from gaitway.embedded.weed_environment import REGION
+from gaitway.service.embedded.postgres import Postgres
+from gaitway.service.embedded.valkey import Valkey
+from gaitway.service.embedded.weed import Weed
+from gaitway.service.embedded.weed_environment import REGION
 from tests.compiling import compile_quickly, compiling_quickly
 from tests.memory_folder import memory_folder
 

@@ -208,7 +208,7 @@ def main() -> None:
     settings = read(WorkerSettings)
     device = device_of(settings.device)
     if settings.device == "auto" and device == "cpu" and visible_gpus():
-        log.warning("gpu_not_used", remedy="JAX cannot use it: pip install 'gaitway[worker,cuda]'.")
+        log.warning("gpu_not_used", remedy="JAX cannot use it; in the clone: uv sync --inexact --extra cuda.")
     check_folder(settings.data_dir)
     check_stores(settings)
     # Without a pool: a connection must not be shared with what is forked.

@@ -80,7 +80,7 @@ def _no_package(workers: Sequence[WorkerInfo], packages: Mapping[str, str]) -> s
 
 
 def _named(missing: Sequence[str], packages: Mapping[str, str]) -> str:
-    return " and ".join(f"{packages[name]} (pip install 'gaitway[{EXTRAS[name]}]')" for name in missing)
+    return " and ".join(f"{packages[name]} (uv sync --inexact --extra {EXTRAS[name]})" for name in missing)
 
 
 def _has_memory(worker: WorkerInfo, memory: Mapping[Device, Memory]) -> bool:

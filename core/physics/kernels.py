@@ -13,8 +13,8 @@ def check_warp() -> None:
     if not has_warp():
         raise JobFailed(
             Reason.NO_DEVICE,
-            "The job asks for the engine 'warp', which this worker does not have. Install it there with "
-            "`pip install 'gaitway[warp]'`, or ask for 'auto', 'native' or 'mjx'.",
+            "The job asks for the engine 'warp', which this worker does not have. Install it in its clone "
+            "with `uv sync --inexact --extra warp`, or ask for 'auto', 'native' or 'mjx'.",
         )
 
 

@@ -4,19 +4,7 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli import (
-    doctor,
-    environments,
-    files,
-    importing,
-    jobs,
-    models,
-    preview,
-    recover,
-    services,
-    submit,
-    watch,
-)
+from gaitway.cli import environments, files, jobs, models, preview, service, submit, watch
 from gaitway.cli.errors import Group
 from gaitway.client import Client
 
@@ -56,12 +44,7 @@ for command in (
     files.video,
     files.download,
     preview.preview,
-    doctor.doctor,
-    recover.recover,
-    services.up,
 ):
     app.command()(command)
-app.command("import")(importing.import_data)
 app.add_typer(models.models, name="models")
-for command in (services.demo, services.api, services.worker):
-    app.command(context_settings=services.PASS_ON)(command)
+service.add_commands(app)

@@ -15,7 +15,11 @@ from gaitway.cli.watch import tell_what_it_waits_for, watch_job
 
 Assignments = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="Any field, e.g. algorithm.learning_rate=3e-4."),
+    typer.Option(
+        "--set",
+        metavar="PATH=VALUE",
+        help="Any field, several times, e.g. algorithm.learning_rate=3e-4.",
+    ),
 ]
 
 
@@ -23,7 +27,10 @@ def submit(  # noqa: PLR0913 # A command line's options.
     context: typer.Context,
     environment: Annotated[str | None, typer.Argument(help="The environment, e.g. ant.")] = None,
     file: Annotated[str | None, typer.Option("--file", "-f", help="JSON of a job; `-` reads stdin.")] = None,
-    num_timesteps: Annotated[int | None, typer.Option(help="Environment steps to train for.")] = None,
+    num_timesteps: Annotated[
+        int | None,
+        typer.Option(help="PPO's environment steps to train for. Any other hyperparameter: --set."),
+    ] = None,
     seed: Annotated[int | None, typer.Option()] = None,
     name: Annotated[str | None, typer.Option()] = None,
     label: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
@@ -50,7 +57,12 @@ def submit(  # noqa: PLR0913 # A command line's options.
     for text in assignments or ():
         assigned(spec, text)
     if isinstance(spec.get("algorithm"), dict):
-        spec["algorithm"].setdefault("kind", "ppo")
+        kind = spec["algorithm"].setdefault("kind", "ppo")
+        if num_timesteps is not None and kind != "ppo":
+            raise wrong_usage(
+                f"--num-timesteps is for PPO, and this job's algorithm is {kind}: set its hyperparameters "
+                "by --set, e.g. --set algorithm.num_episodes=2000 for q_learning."
+            )
     client = client_of(context)
     job = client.submit(spec)
     if watch:

@@ -18,7 +18,7 @@ import pytest
 from core.adapters.connect import job_store
 from core.jobs.store import JobQuery
 from core.settings import StoreSettings, WorkerSettings
-from gaitway.embedded.processes import are_free
+from gaitway.service.embedded.processes import are_free
 
 NUMBER = 2
 

@@ -66,7 +66,7 @@ def test_the_client_needs_httpx_and_pydantic_alone() -> None:
     assert modules_after("gaitway", "gaitway.client") - bare - theirs - standard - private == {"gaitway"}
 
 
-@pytest.mark.parametrize("module", ["worker.host.health", "gaitway.embedded.up"])
+@pytest.mark.parametrize("module", ["worker.host.health", "gaitway.service.embedded.up"])
 def test_what_is_waited_for_loads_neither_models_nor_clients(module: str) -> None:
     heavy = {"httpx", "minio", "psycopg", "pydantic", "redis", "rich", "sqlalchemy", "structlog"}
     assert modules_after(module) & heavy == set()

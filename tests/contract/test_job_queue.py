@@ -17,7 +17,7 @@ from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_names
 from core.jobs.strays import Strays
 from core.previews.record import PreviewRequest
-from gaitway.embedded.valkey import Valkey
+from gaitway.service.embedded.valkey import Valkey
 
 JOB = "019aa3c2f0b1-5be0c1d2e3"
 MODEL = "sha256:" + "0" * 64

@@ -19,7 +19,7 @@ from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
 from core.user_models.store import ModelStore
-from gaitway.embedded.postgres import Postgres
+from gaitway.service.embedded.postgres import Postgres
 from tests.contract.recording import (
     LEASE,
     MODEL,

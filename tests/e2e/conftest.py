@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from gaitway.client import Client
-from gaitway.embedded.processes import free_ports
+from gaitway.service.embedded.processes import free_ports
+from tests.e2e.installed import Installed, install
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +17,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     """A client of a stack with one worker."""
     data = tmp_path_factory.mktemp("stack")
     port = free_ports(1)[0]
-    command = [sys.executable, "-m", "gaitway.embedded.up", "--data", str(data), "--port", str(port)]
+    command = [sys.executable, "-m", "gaitway.service.embedded.up", "--data", str(data), "--port", str(port)]
     stack = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
     with stack, Client(f"http://127.0.0.1:{port}") as client:
         assert stack.stdout is not None
@@ -24,3 +25,9 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
         yield client
         stack.send_signal(signal.SIGTERM)
         stack.communicate(timeout=60)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """The wheel with its extras `cli` and `policy`, where a user has installed it."""
+    return install(tmp_path_factory.mktemp("installed"), "cli", "policy")

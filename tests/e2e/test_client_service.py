@@ -143,6 +143,7 @@ def test_the_cli_reads_a_job_from_a_file_and_from_stdin(stack: Stack, client: Cl
     [
         ["submit"],
         ["submit", "ant", "--set", "nonsense"],
+        ["submit", "ant", "--num-timesteps", "1000", "--set", "algorithm.kind=q_learning"],
         ["submit", "ant", "--seed", "-1"],
         ["submit", "--file", "/nowhere/job.json"],
         ["submit", "ant", "--set", "seed.x=1", "--seed", "1"],

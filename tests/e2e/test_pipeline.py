@@ -1,5 +1,6 @@
 """The whole service with real parts: jobs go from POST to their video, and survive what happens to them."""
 
+import json
 import os
 import signal
 from pathlib import Path
@@ -7,13 +8,16 @@ from typing import Any
 
 import av
 import httpx
+import jax
 import numpy as np
 import psutil
 import pytest
 
+from core.algorithms.policy import load_policy
 from core.environments import trajectory
 from gaitway.client import Client
 from gaitway.views import Event, JobView
+from tests.e2e.installed import Installed
 
 # Updates of 64 × 10 = 640 steps; some ten seconds of training, so that it can be disturbed in the middle.
 SMALL: dict[str, Any] = {
@@ -158,6 +162,38 @@ def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) 
     [episode, _] = trajectory.load(path).episodes
     assert set(np.unique(episode.action)) <= {-0.5, 0.0, 0.5}
     np.testing.assert_array_equal(episode.action[0:-1:2], episode.action[1::2])
+
+
+# A program of a user's, who has a module `core` of their own.
+_PROGRAM = """
+import json, sys
+import core
+import numpy as np
+from gaitway import Client
+
+client = Client(sys.argv[1])
+job = client.submit(json.loads(sys.argv[2]))
+job = client.wait(job.id, timeout=100)
+action = client.load_policy(job.id)(np.zeros(4, np.float32))
+print(json.dumps([job.id, job.status, action.tolist(), core.OWN, "brax" in sys.modules]))
+"""
+
+
+def test_a_user_of_the_wheel_trains_on_the_service_and_loads_the_policy(
+    client: Client, installed: Installed, tmp_path: Path
+) -> None:
+    (tmp_path / "core.py").write_text("OWN = 'a module of the user'")
+    (tmp_path / "program.py").write_text(_PROGRAM)
+    # Two updates of the programs that the other jobs have compiled.
+    brief = {**SMALL, "algorithm": {**SMALL["algorithm"], "num_timesteps": 1280}, "checkpoints": {}}
+    done = installed.python("program.py", client.base_url, json.dumps(brief), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    job_id, status, action, own_module, loads_brax = json.loads(done.stdout)
+    assert (status, own_module, loads_brax) == ("succeeded", "a module of the user", False)
+    content = client.download(job_id, "policy", tmp_path).read_bytes()
+    policy = load_policy(content, "ppo", is_checkpoint=False)
+    expected = policy.answer(policy.parameters, np.zeros(4, np.float32), jax.random.key(0))
+    np.testing.assert_allclose(action, expected, rtol=1e-5)
 
 
 def test_a_killed_training_process_changes_nothing_in_the_result(

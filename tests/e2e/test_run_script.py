@@ -84,7 +84,7 @@ def test_a_second_start_goes_straight_on_from_any_folder(clone: Path, tmp_path: 
     assert time.monotonic() - started < 10  # To set up takes a minute.
     # The user's folder stays the current one; the user's Python set-up does not reach the service.
     asked, path, folder = done.stdout.splitlines()
-    assert asked == "asked: -P -m gaitway.embedded.up --port 8123"
+    assert asked == "asked: -P -m gaitway.service.embedded.up --port 8123"
     assert path == "path: "
     assert Path(folder) == tmp_path
 

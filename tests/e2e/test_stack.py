@@ -19,7 +19,7 @@ import pytest
 
 from core.adapters.postgres import schema
 from core.adapters.postgres.connection import connect_postgres
-from gaitway.embedded.postgres import Postgres
+from gaitway.service.embedded.postgres import Postgres
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 
@@ -75,7 +75,7 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
     def start(*arguments: str) -> Launched:
         mark = uuid.uuid4().hex
         data = tmp_path / DATA
-        command = [sys.executable, "-P", "-m", "gaitway.embedded.up", "--data", str(data), *arguments]
+        command = [sys.executable, "-P", "-m", "gaitway.service.embedded.up", "--data", str(data), *arguments]
         process = subprocess.Popen(
             command,
             cwd=tmp_path,

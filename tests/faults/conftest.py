@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import psycopg
 import pytest
 
-from gaitway.embedded.postgres import Postgres
+from gaitway.service.embedded.postgres import Postgres
 from tests.contract.recording import Database
 from tests.faults.outages import Outages
 

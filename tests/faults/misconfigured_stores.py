@@ -18,13 +18,13 @@ from core.adapters.postgres.connection import connect_postgres
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import StorageUnavailable
-from gaitway.embedded import postgres as postgres_module
-from gaitway.embedded import weed as weed_module
-from gaitway.embedded.postgres import Postgres
-from gaitway.embedded.processes import free_ports
-from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import Weed
-from gaitway.embedded.weed_environment import REGION
+from gaitway.service.embedded import postgres as postgres_module
+from gaitway.service.embedded import weed as weed_module
+from gaitway.service.embedded.postgres import Postgres
+from gaitway.service.embedded.processes import free_ports
+from gaitway.service.embedded.valkey import Valkey
+from gaitway.service.embedded.weed import Weed
+from gaitway.service.embedded.weed_environment import REGION
 
 SECRET = "correct-horse"
 

@@ -29,7 +29,7 @@ from core.jobs.store import JobStore
 from core.jobs.submission import submit
 from core.reasons import Reason
 from core.storage.objects import ObjectStore
-from gaitway.embedded.postgres import Postgres
+from gaitway.service.embedded.postgres import Postgres
 
 
 class Outages:

@@ -28,8 +28,8 @@ from core.settings import WorkerSettings
 from core.storage import keys
 from core.user_models.record import ModelRecord
 from gaitway.cli.main import app
-from gaitway.embedded.postgres import binary
-from gaitway.embedded.stack import lock_folder
+from gaitway.service.embedded.postgres import binary
+from gaitway.service.embedded.stack import lock_folder
 from tests.conftest import Databases
 from tests.contract.recording import LEASE, Database, watch
 from tests.unit.jobs.playing import PlayedWorker

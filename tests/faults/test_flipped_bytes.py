@@ -17,9 +17,9 @@ from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage.objects import ObjectStore
-from gaitway.embedded.processes import free_ports
-from gaitway.embedded.weed import Weed
-from gaitway.embedded.weed_environment import REGION
+from gaitway.service.embedded.processes import free_ports
+from gaitway.service.embedded.weed import Weed
+from gaitway.service.embedded.weed_environment import REGION
 from tests.contract.recording import NOW, artifact, held, queued_job, say
 from tests.faults.campaign.proxy import Mode, Proxies, Proxy
 from worker.supervision.starting_point import write_task

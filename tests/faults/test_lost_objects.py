@@ -16,7 +16,7 @@ from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.settings import WorkerSettings
-from gaitway.embedded.weed import Weed
+from gaitway.service.embedded.weed import Weed
 from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import submitted

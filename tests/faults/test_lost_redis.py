@@ -26,7 +26,7 @@ from core.jobs.status import JobStatus
 from core.jobs.store import Dispatch, Entry
 from core.reasons import Reason
 from core.settings import WorkerSettings
-from gaitway.embedded.valkey import Valkey
+from gaitway.service.embedded.valkey import Valkey
 from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import NullWorker, submitted

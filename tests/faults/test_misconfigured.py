@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from core.configuration import names
 from core.errors import EXIT_STATUS
 from gaitway.cli.main import app
-from gaitway.doctor import machine
-from gaitway.doctor.check import Check
+from gaitway.service.doctor import machine
+from gaitway.service.doctor.check import Check
 from tests.faults.misconfigured_stores import SECRET, Stores, full_object_store, full_redis, serving
 
 pytestmark = pytest.mark.skipif(

@@ -199,7 +199,7 @@ def test_a_worker_without_the_package_says_so_once(bench: Bench, monkeypatch: py
     (bench.settings.data_dir / "go").touch()
     job = bench.run("is_filmed", tracking=ONLINE)
     (note,) = notes(bench, job)
-    assert "pip install 'gaitway[wandb]'" in note
+    assert "uv sync --inexact --extra wandb" in note
     assert (job.status, job.newest("wandb")) == (JobStatus.SUCCEEDED, None)
     assert job.newest("tensorboard") is not None
 

@@ -10,8 +10,8 @@ from core.configuration import names, read, stopping_if_misconfigured
 from core.errors import EXIT_STATUS, Misconfigured
 from core.settings import ApiSettings, ReconcilerSettings, StoreSettings, WorkerSettings
 from core.variables import variable
-from gaitway.embedded.certificates import authority
-from gaitway.settings_page import OTHERS, page
+from gaitway.service.embedded.certificates import authority
+from gaitway.service.settings_page import OTHERS, page
 
 ROOT = Path(__file__).parents[2]
 GOOD = {
@@ -235,7 +235,7 @@ def test_every_setting_says_what_it_means(kind: type[BaseSettings]) -> None:
 
 def test_the_page_is_the_one_that_the_settings_make() -> None:
     assert (ROOT / "docs" / "settings.md").read_text() == page(), (
-        "python -m gaitway.settings_page > docs/settings.md"
+        "python -m gaitway.service.settings_page > docs/settings.md"
     )
 
 

@@ -23,7 +23,7 @@ _PLOTTING = (sys.executable, "-m", "worker.render.plotting")
 # On its first run on a machine matplotlib reads all fonts; it may also have to wait for a core.
 _TIMEOUT_S = 60.0
 _NO_MATPLOTLIB = (
-    "This worker has no matplotlib (pip install 'gaitway[plots]'): there are no pictures of numbers."
+    "This worker has no matplotlib (uv sync --inexact --extra plots): there are no pictures of numbers."
 )
 
 

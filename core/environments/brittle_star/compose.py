@@ -57,5 +57,6 @@ def _module(name: str) -> Any:
         raise JobFailed(
             Reason.BAD_MODEL,
             f"Brittle stars and their aquarium come with biorobot, which this worker lacks ({error}). "
-            "Install it there with `pip install 'gaitway[brittle-star]'`, or ask for another environment.",
+            "Install it in its clone with `uv sync --inexact --extra brittle-star`, or ask for another "
+            "environment.",
         ) from error

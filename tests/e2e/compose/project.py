@@ -13,7 +13,7 @@ from pathlib import Path
 import httpx
 
 from gaitway.client import Client
-from gaitway.embedded.processes import free_ports
+from gaitway.service.embedded.processes import free_ports
 
 LONGEST_S = 500
 

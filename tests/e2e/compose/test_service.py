@@ -288,7 +288,7 @@ def test_a_second_machine_joins_over_tls(
     project.compose("stop", "worker")  # While it can: the stores go for a moment, and come back shared.
     shared.compose("up", "--detach")
     try:
-        told = shared.compose("run", "--rm", "-T", "setup", "python", "-m", "gaitway.compose", "join")
+        told = shared.compose("run", "--rm", "-T", "setup", "python", "-m", "gaitway.service.compose", "join")
         (second_machine.checkout / ".env").write_text(told)
         with pytest.raises(CommandFailed, match=r"ca\.pem"):
             second_machine.compose("up", "--detach", "--no-deps", "worker")

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gaitway.embedded.processes import ServerProcess
+from gaitway.service.embedded.processes import ServerProcess
 
 _SOURCE = Path(__file__).with_name("clock.c")
 

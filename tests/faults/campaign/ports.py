@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-# Below those that `gaitway.embedded.processes.free_ports` draws from.
+# Below those that `gaitway.service.embedded.processes.free_ports` draws from.
 _FIRST, _OF_A_WORLD, _WORLDS = 12_000, 32, 250
 _FOLDER = Path(tempfile.gettempdir(), f"gaitway-campaign-ports-{os.getuid()}")
 

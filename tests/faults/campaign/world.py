@@ -24,11 +24,11 @@ import redis
 from core.adapters.connect import connect_redis
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
-from gaitway.embedded.folders import private_folder, write_private
-from gaitway.embedded.postgres import Postgres
-from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import Weed
-from gaitway.embedded.weed_environment import REGION
+from gaitway.service.embedded.folders import private_folder, write_private
+from gaitway.service.embedded.postgres import Postgres
+from gaitway.service.embedded.valkey import Valkey
+from gaitway.service.embedded.weed import Weed
+from gaitway.service.embedded.weed_environment import REGION
 from tests.faults.campaign.clocks import ClockedProcess, Clocks
 from tests.faults.campaign.disks import Disk
 from tests.faults.campaign.ports import Ports

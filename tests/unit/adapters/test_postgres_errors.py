@@ -18,7 +18,7 @@ from core.adapters.postgres.connection import DEADLINE_S, PromptConnection, conn
 from core.adapters.postgres.errors import Breaker
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
-from gaitway.embedded.postgres import Postgres
+from gaitway.service.embedded.postgres import Postgres
 
 PASSWORD = "its/se#cret@words"
 

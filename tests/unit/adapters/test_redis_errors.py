@@ -13,7 +13,7 @@ from core.adapters.redis.errors import reaching_redis
 from core.adapters.rq.queue import RQQueue
 from core.adapters.startup import exercise_queue
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
-from gaitway.embedded.valkey import Valkey
+from gaitway.service.embedded.valkey import Valkey
 
 
 @contextmanager

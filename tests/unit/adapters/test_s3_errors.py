@@ -14,8 +14,8 @@ from core.adapters.s3.objects import S3ObjectStore
 from core.adapters.startup import exercise_objects
 from core.errors import Misconfigured, ObjectNotFound, StorageRefuses, StorageUnavailable
 from core.settings import StoreSettings, WorkerSettings
-from gaitway.embedded.weed import Weed
-from gaitway.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import Weed
+from gaitway.service.embedded.weed_environment import REGION
 
 
 @pytest.fixture

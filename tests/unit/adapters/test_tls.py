@@ -16,11 +16,11 @@ from core.adapters.redis.errors import reaching_redis
 from core.adapters.startup import exercise_objects, exercise_queue
 from core.errors import RecordsRefuse, StorageRefuses
 from core.settings import StoreSettings
-from gaitway.embedded import weed as weed_module
-from gaitway.embedded.certificates import authority, signed
-from gaitway.embedded.processes import free_ports
-from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import Weed
+from gaitway.service.embedded import weed as weed_module
+from gaitway.service.embedded.certificates import authority, signed
+from gaitway.service.embedded.processes import free_ports
+from gaitway.service.embedded.valkey import Valkey
+from gaitway.service.embedded.weed import Weed
 from tests.conftest import Databases
 
 _SSL_REQUEST_BYTES = 8

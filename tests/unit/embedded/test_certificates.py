@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gaitway.embedded.certificates import Certificate, authority, signed
+from gaitway.service.embedded.certificates import Certificate, authority, signed
 
 
 def greeted(client: ssl.SSLContext, server: ssl.SSLContext, host: str) -> None:

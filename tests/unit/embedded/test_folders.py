@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gaitway.embedded.folders import private_folder
-from gaitway.embedded.processes import ServerFailed
+from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.processes import ServerFailed
 
 
 def test_it_is_made_for_its_owner_alone(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gaitway.embedded.processes import ServerProcess
+from gaitway.service.embedded.processes import ServerProcess
 
 PART = """
 import os, sys
@@ -24,7 +24,7 @@ def main():
 @pytest.fixture
 def command(tmp_path: Path) -> list[str]:
     (tmp_path / "part.py").write_text(PART)
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); from gaitway.embedded import preload; "
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); from gaitway.service.embedded import preload; "
     return [sys.executable, "-c", f"{code}preload.main(sys.argv[1:])", "-m", "part", "--port", "1"]
 
 

@@ -17,16 +17,16 @@ import urllib3
 from core.adapters.connect import connect_redis, job_store, object_store
 from core.adapters.startup import prepare_database
 from core.settings import WorkerSettings
-from gaitway.embedded.processes import ServerFailed, are_free, free_ports
-from gaitway.embedded.servers import EmbeddedServers
-from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import Weed
+from gaitway.service.embedded.processes import ServerFailed, are_free, free_ports
+from gaitway.service.embedded.servers import EmbeddedServers
+from gaitway.service.embedded.valkey import Valkey
+from gaitway.service.embedded.weed import Weed
 from tests.unit.jobs.making import make_job
 
 LAUNCHER = """
 import sys, time
 from pathlib import Path
-from gaitway.embedded.servers import EmbeddedServers
+from gaitway.service.embedded.servers import EmbeddedServers
 
 servers = EmbeddedServers(Path(sys.argv[1])).start()
 print(*(server.process.pid for server in servers.all), flush=True)
@@ -168,15 +168,15 @@ class TestRestart:
             # Another test may take one of the next ports, too: then it looks once more.
             offers = chain([blind], iter(lambda: free_ports(10), None))
             looks = chain([True], repeat(False))
-            monkeypatch.setattr("gaitway.embedded.weed.free_ports", lambda _: next(offers))
-            monkeypatch.setattr("gaitway.embedded.weed.are_free", lambda _: next(looks))
+            monkeypatch.setattr("gaitway.service.embedded.weed.free_ports", lambda _: next(offers))
+            monkeypatch.setattr("gaitway.service.embedded.weed.are_free", lambda _: next(looks))
             with Weed(tmp_path) as weed:
                 assert weed.endpoint != f"127.0.0.1:{blind[0]}"
 
 
 class TestFailure:
     def test_two_cannot_use_one_folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("gaitway.embedded.processes.LOCK_PATIENCE_S", 0.1)
+        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_PATIENCE_S", 0.1)
         with Valkey(tmp_path) as first:
             with pytest.raises(ServerFailed, match="Another valkey-server uses"):
                 Valkey(tmp_path).launch()

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from gaitway.embedded.stopped import StoppedProcesses
+from gaitway.service.embedded.stopped import StoppedProcesses
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs a process' state")
 

@@ -19,8 +19,8 @@ if not take_own_mounts():
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
 from core.errors import StorageUnavailable
-from gaitway.embedded.weed import Weed
-from gaitway.embedded.weed_environment import REGION
+from gaitway.service.embedded.weed import Weed
+from gaitway.service.embedded.weed_environment import REGION
 
 
 def keeps(store, key, body):

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gaitway.embedded import weed
-from gaitway.embedded.weed import Weed
+from gaitway.service.embedded import weed
+from gaitway.service.embedded.weed import Weed
 
 
 @pytest.fixture

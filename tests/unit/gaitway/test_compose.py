@@ -17,8 +17,8 @@ from cryptography import x509
 from core.configuration import PROCESSES, names, read
 from core.settings import ApiSettings, StoreSettings, WorkerSettings
 from core.variables import variable
-from gaitway import compose
-from gaitway.settings_page import OTHERS
+from gaitway.service import compose
+from gaitway.service.settings_page import OTHERS
 
 ROOT = Path(__file__).parents[3]
 

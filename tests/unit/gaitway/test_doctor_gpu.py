@@ -5,7 +5,7 @@ import json
 import pytest
 
 from core.settings import WorkerSettings
-from gaitway.doctor import machine
+from gaitway.service.doctor import machine
 
 
 @pytest.fixture

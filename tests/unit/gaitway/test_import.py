@@ -32,15 +32,15 @@ from core.jobs.store import Channel, Dispatch, Entry, Idempotency, JobQuery
 from core.reasons import Reason
 from core.settings import StoreSettings, WorkerSettings
 from core.variables import variable
-from gaitway.embedded.importing import import_folder
-from gaitway.embedded.processes import ServerFailed
-from gaitway.embedded.servers import EmbeddedServers
-from gaitway.embedded.stack import lock_folder
-from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.version_01 import tell_if_left
-from gaitway.embedded.weed import Weed
-from gaitway.embedded.weed_environment import REGION
-from gaitway.importing import ImportRefused, import_stores, refuse_while_at_work
+from gaitway.service.embedded.importing import import_folder
+from gaitway.service.embedded.processes import ServerFailed
+from gaitway.service.embedded.servers import EmbeddedServers
+from gaitway.service.embedded.stack import lock_folder
+from gaitway.service.embedded.valkey import Valkey
+from gaitway.service.embedded.version_01 import tell_if_left
+from gaitway.service.embedded.weed import Weed
+from gaitway.service.embedded.weed_environment import REGION
+from gaitway.service.importing import ImportRefused, import_stores, refuse_while_at_work
 
 OLD: dict[str, Any] = json.loads((Path(__file__).parent / "version_01" / "data.json").read_text())
 IDS: dict[str, str] = OLD["jobs"]
@@ -550,7 +550,7 @@ import os, signal, sys
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.configuration import read
 from core.settings import StoreSettings
-from gaitway.importing import import_stores
+from gaitway.service.importing import import_stores
 
 original, count = PostgresJobStore.import_job, 0
 
@@ -732,7 +732,7 @@ class TestFolder:
         assert not (tmp_path / "nothing").exists()
 
     def test_records_of_a_second_time_are_kept_beside_the_first(self, tmp_path: Path) -> None:
-        from gaitway.embedded.version_01 import set_aside
+        from gaitway.service.embedded.version_01 import set_aside
 
         for expected in ("appendonlydir.imported", "appendonlydir.imported-2", "appendonlydir.imported-3"):
             (tmp_path / "valkey" / "appendonlydir").mkdir(parents=True)

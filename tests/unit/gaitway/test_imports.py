@@ -21,7 +21,7 @@ def test_a_policy_without_the_numerical_stack_is_refused_with_what_to_install() 
         "except MissingExtra as error: print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "pip install 'gaitway[worker]'" in done.stdout
+    assert "pip install 'gaitway[policy]'" in done.stdout
 
 
 def test_the_client_knows_which_statuses_are_final() -> None:

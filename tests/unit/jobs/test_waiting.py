@@ -66,16 +66,16 @@ def test_devices_that_were_set_aside_are_named_unless_another_worker_fits() -> N
 @pytest.mark.parametrize(
     ("asked", "has", "sentence"),
     [
-        ({"physics": "warp"}, [()], "the engine warp (pip install 'gaitway[warp]')"),
+        ({"physics": "warp"}, [()], "the engine warp (uv sync --inexact --extra warp)"),
         ({"physics": "warp"}, [(), ("warp",)], None),
         ({"physics": "warp"}, [(), None], None),  # A worker of an older version may have it.
         ({"physics": "native"}, [()], None),
         ({}, [()], None),
-        ({"environment": "rodent"}, [()], "the environment rodent (pip install 'gaitway[dm-control]')"),
+        ({"environment": "rodent"}, [()], "the environment rodent (uv sync --inexact --extra dm-control)"),
         (
             {"environment": "playground/CheetahRun", "physics": "warp"},
             [(), ("warp",)],  # The one that lacks less is the one to mend.
-            "the environment playground/CheetahRun (pip install 'gaitway[playground]')",
+            "the environment playground/CheetahRun (uv sync --inexact --extra playground)",
         ),
     ],
 )
@@ -128,7 +128,7 @@ def test_a_job_is_left_to_another_worker_that_has_all_it_needs(
         assert told is None
     else:
         assert told is not None
-        assert told.startswith(f"This worker cannot run {named} (pip install 'gaitway[")
+        assert told.startswith(f"This worker cannot run {named} (uv sync --inexact --extra ")
         assert told.endswith(f"; {here[-1].name} can.")
 
 

@@ -17,7 +17,7 @@ def test_a_worker_without_the_extra_ends_the_job_with_the_way_out(monkeypatch: p
         lambda: engine_builder("warp")(brax_model("ant"), 1, ()),
         lambda: keep_kernels(Path("kernels")),
     ):
-        with pytest.raises(JobFailed, match=r"pip install 'gaitway\[warp\]'") as failure:
+        with pytest.raises(JobFailed, match="uv sync --inexact --extra warp") as failure:
             attempt()
         assert failure.value.reason == "no_device"
 

@@ -72,5 +72,6 @@ def _module(name: str) -> Any:
         raise JobFailed(
             Reason.BAD_MODEL,
             f"Corridors and their walkers come with dm_control, which this worker does not have ({error}). "
-            "Install it there with `pip install 'gaitway[dm-control]'`, or ask for another environment.",
+            "Install it in its clone with `uv sync --inexact --extra dm-control`, or ask for another "
+            "environment.",
         ) from error

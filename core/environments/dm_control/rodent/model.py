@@ -76,7 +76,7 @@ def _xml() -> Path:
     if found is None or found.origin is None:
         raise JobFailed(
             Reason.BAD_MODEL,
-            "The rodent's body comes with dm_control, which this worker does not have. Install it there "
-            "with `pip install 'gaitway[dm-control]'`, or ask for another environment.",
+            "The rodent's body comes with dm_control, which this worker does not have. Install it in its "
+            "clone with `uv sync --inexact --extra dm-control`, or ask for another environment.",
         )
     return Path(found.origin).parent / "locomotion" / "walkers" / "assets" / "rodent.xml"

@@ -49,7 +49,7 @@ def load(name: str, implementation: Literal["jax", "warp"]) -> Any:
         raise JobFailed(
             Reason.BAD_MODEL,
             f"The environment comes with the package playground, which this worker does not have ({error}). "
-            f"Install it there with `pip install 'gaitway[worker,playground]'`.",
+            "Install it in its clone with `uv sync --inexact --extra playground`.",
         ) from error
     return suite.load(name, config_overrides={"impl": implementation})
 

@@ -313,6 +313,6 @@ def test_a_worker_without_biorobot_says_what_to_install(monkeypatch: pytest.Monk
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
     monkeypatch.setattr(compose, "import_module", missing)
-    with pytest.raises(JobFailed, match=r"pip install 'gaitway\[brittle-star\]'") as failed:
+    with pytest.raises(JobFailed, match="uv sync --inexact --extra brittle-star") as failed:
         star_model(UndirectedOptions())
     assert failed.value.reason == "bad_model"

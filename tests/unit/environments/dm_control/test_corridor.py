@@ -360,7 +360,7 @@ def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.Mo
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
     monkeypatch.setattr(compose, "import_module", missing)
-    with pytest.raises(JobFailed, match=r"pip install 'gaitway\[dm-control\]'") as failure:
+    with pytest.raises(JobFailed, match="uv sync --inexact --extra dm-control") as failure:
         corridor_model(CorridorOptions())
     assert failure.value.reason == "bad_model"
 

@@ -172,7 +172,7 @@ def test_a_gpu_gets_warp_for_it_and_the_host_without_warp(monkeypatch: pytest.Mo
 
 def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rodents_model, "find_spec", lambda _: None)
-    with pytest.raises(JobFailed, match=r"pip install 'gaitway\[dm-control\]'") as failure:
+    with pytest.raises(JobFailed, match="uv sync --inexact --extra dm-control") as failure:
         build()
     assert failure.value.reason == "bad_model"
 

@@ -35,9 +35,9 @@ from core.jobs.submission import submit
 from core.user_models import library
 from core.user_models.record import Description, ModelRecord
 from core.storage import keys
-from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import Weed
-from gaitway.embedded.weed_environment import REGION
+from gaitway.service.embedded.valkey import Valkey
+from gaitway.service.embedded.weed import Weed
+from gaitway.service.embedded.weed_environment import REGION
 from worker.protocol import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
 from worker.supervision.outbox import Outbox
 

@@ -77,4 +77,4 @@ def test_what_cannot_be_drawn_costs_a_note_and_no_more(
     monkeypatch.setattr(pictures, "find_spec", lambda name: None)
     with pictures.kept_with_tables(heard.events, {"q_table": np.eye(3)}, 1, ""):
         pass
-    assert "pip install 'gaitway[plots]'" in heard.messages()[1]["text"]
+    assert "uv sync --inexact --extra plots" in heard.messages()[1]["text"]

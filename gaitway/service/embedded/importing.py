@@ -4,11 +4,11 @@ from pathlib import Path
 
 from core.settings import StoreSettings
 from core.variables import PREFIX
-from gaitway.embedded import version_01
-from gaitway.embedded.folders import private_folder
-from gaitway.embedded.servers import EmbeddedServers
-from gaitway.embedded.stack import lock_folder
-from gaitway.importing import ImportRefused, Tell, import_stores
+from gaitway.service.embedded import version_01
+from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.servers import EmbeddedServers
+from gaitway.service.embedded.stack import lock_folder
+from gaitway.service.importing import ImportRefused, Tell, import_stores
 
 
 def import_folder(data_dir: Path, tell: Tell, *, without_redis: bool = False) -> bool:

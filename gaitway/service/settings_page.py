@@ -1,4 +1,7 @@
-"""docs/settings.md, made from the settings' own classes; `python -m gaitway.settings_page` prints it."""
+"""docs/settings.md, made from the settings' own classes.
+
+`python -m gaitway.service.settings_page` prints it.
+"""
 
 import sys
 from dataclasses import dataclass
@@ -13,8 +16,8 @@ from core.variables import variable
 
 _HEAD = """# Settings
 
-All environment variables. `python -m gaitway.settings_page > docs/settings.md` makes this page from the
-settings' own code.
+All environment variables. `python -m gaitway.service.settings_page > docs/settings.md` makes this page
+from the settings' own code.
 
 A process reads its own settings once, when it starts. If one is missing or wrong, or a variable is nearly
 the name of one, the process stops at once with exit status 78, and its log says which and why. (From a file

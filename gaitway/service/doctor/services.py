@@ -10,7 +10,7 @@ import httpx
 from core.errors import GaitwayError
 from gaitway import errors
 from gaitway.client import Client
-from gaitway.doctor.check import Check
+from gaitway.service.doctor.check import Check
 from gaitway.transport import Retry
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from gaitway.doctor.check import Check, ProbeFailed, probe
+from gaitway.service.doctor.check import Check, ProbeFailed, probe
 
 _NAME = "users' models"
 _PROBE = """

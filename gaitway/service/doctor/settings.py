@@ -5,7 +5,7 @@ import os
 from typing import TYPE_CHECKING, TypeVar
 
 from core.errors import Misconfigured
-from gaitway.doctor.check import Check
+from gaitway.service.doctor.check import Check
 
 if TYPE_CHECKING:
     from core.settings import StoreSettings, WorkerSettings

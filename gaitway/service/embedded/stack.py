@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import IO, Self
 
 from core.errors import EXIT_STATUS, Unavailable
-from gaitway.embedded.folders import private_folder
-from gaitway.embedded.interruption import Interruption
-from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free
-from gaitway.embedded.servers import EmbeddedServers
-from gaitway.embedded.stopped import StoppedProcesses
-from gaitway.embedded.version_01 import tell_if_left
-from gaitway.embedded.weed import Weed
+from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.interruption import Interruption
+from gaitway.service.embedded.processes import ServerFailed, ServerProcess, are_free
+from gaitway.service.embedded.servers import EmbeddedServers
+from gaitway.service.embedded.stopped import StoppedProcesses
+from gaitway.service.embedded.version_01 import tell_if_left
+from gaitway.service.embedded.weed import Weed
 
 FIRST_PORT = 8000
 _PORTS_TRIED = 100
@@ -181,7 +181,7 @@ class Stack:
     def _add_module(self, name: str, *module: str) -> ServerProcess:
         """Start it; it runs once it is told where the servers are."""
         process = ServerProcess(name, private_folder(self._folder / name))
-        command = [sys.executable, "-m", "gaitway.embedded.preload", "-m", *module]
+        command = [sys.executable, "-m", "gaitway.service.embedded.preload", "-m", *module]
 
         def launch() -> None:
             process.start(command, self._environment(), is_told=True)

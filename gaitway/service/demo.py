@@ -14,12 +14,12 @@ from rich.console import Console
 
 from gaitway.cli.progress import JobProgress
 from gaitway.client import Client
-from gaitway.embedded.interruption import Interrupted
-from gaitway.embedded.processes import ServerFailed
-from gaitway.embedded.stack import Stack
-from gaitway.embedded.up import port_number, positive, tell
 from gaitway.errors import GaitwayError
 from gaitway.plots import learning_curve
+from gaitway.service.embedded.interruption import Interrupted
+from gaitway.service.embedded.processes import ServerFailed
+from gaitway.service.embedded.stack import Stack
+from gaitway.service.embedded.up import port_number, positive, tell
 from gaitway.views import JobView
 
 _BUDGETS = {"ant": 800_000}

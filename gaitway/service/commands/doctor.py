@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from gaitway.cli.common import AsJson, print_json
-from gaitway.doctor.check import Check
+from gaitway.service.doctor.check import Check
 
 _STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red", "skip": "dim"}
 
@@ -21,7 +21,7 @@ def doctor(
     as_json: AsJson = False,
 ) -> None:
     """Check whether this machine can do what the service needs. Exit code 1 if something fails."""
-    from gaitway.doctor.run import examine
+    from gaitway.service.doctor.run import examine
 
     console, checks = Console(), list[Check]()
     for check in examine(data, embedded=embedded):

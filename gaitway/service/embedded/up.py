@@ -5,9 +5,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gaitway.embedded.interruption import Interrupted
-from gaitway.embedded.processes import ServerFailed
-from gaitway.embedded.stack import Stack
+from gaitway.service.embedded.interruption import Interrupted
+from gaitway.service.embedded.processes import ServerFailed
+from gaitway.service.embedded.stack import Stack
 
 
 def tell(sentence: str) -> None:

@@ -6,9 +6,9 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from gaitway.doctor import machine, services, settings
-from gaitway.doctor.check import Check
-from gaitway.doctor.confinement import confinement
+from gaitway.service.doctor import machine, services, settings
+from gaitway.service.doctor.check import Check
+from gaitway.service.doctor.confinement import confinement
 
 Checks = Mapping[str, Callable[[], Check]]
 
@@ -63,7 +63,7 @@ def _services() -> Iterator[Check]:
 
 
 def _embedded() -> Iterator[Check]:
-    from gaitway.embedded.servers import EmbeddedServers
+    from gaitway.service.embedded.servers import EmbeddedServers
 
     with tempfile.TemporaryDirectory(prefix="gaitway-doctor-") as folder:
         try:

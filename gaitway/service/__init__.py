@@ -1,0 +1,1 @@
+"""All that starts, inspects or repairs a service. It is in the clone and the images, not in the wheel."""

@@ -1,0 +1,15 @@
+"""The CLI's commands that start, inspect or repair a service."""
+
+import typer
+
+from gaitway.cli.service import PASS_ON
+from gaitway.service.commands import doctor, importing, recover, services
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add them to the program."""
+    for command in (doctor.doctor, recover.recover, services.up):
+        app.command()(command)
+    app.command("import")(importing.import_data)
+    for command in (services.demo, services.api, services.worker):
+        app.command(context_settings=PASS_ON)(command)

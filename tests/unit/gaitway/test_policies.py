@@ -1,0 +1,183 @@
+"""The client reads policies without the service's code, and they act as the service's own do."""
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.training.acme import running_statistics
+
+from core.algorithms.catalog import ALGORITHMS
+from core.algorithms.checkpoint import describe
+from core.algorithms.normalizer import init_normalizer
+from core.algorithms.policy import load_policy
+from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, init_params, make_networks
+from core.algorithms.ppo.policy import write_policy
+from core.algorithms.ppo.spec import Activation, PPOSpec
+from core.algorithms.q_learning import policy as tables
+from core.algorithms.q_learning.options import StateDiscretizerOptions
+from gaitway import PolicyUnreadable, policy
+from tests import probes
+from tests.unit.algorithms.checkpoints import pack
+
+KEY = jax.random.key(5)
+SMALL = {"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]}
+SEEN = {
+    "state": jnp.array([[1.0, -2.0, 0.5], [0.0, 3.0, -1.0]]),
+    "other": jnp.array([[4.0, 0.1], [-1.0, 2.0]]),
+}
+
+
+def ppo_files(settings: PPOSpec, *, by_name: bool = False) -> Mapping[bool, bytes]:
+    """A checkpoint (True) and a policy file (False) of one policy whose normaliser has seen something."""
+    sizes: Any = {"state": 3, "other": 2} if by_name else 3
+    networks = make_networks(sizes, 2, settings)
+    trained: Any = jax.jit(lambda key: init_params(networks, key))(jax.random.key(0))
+    normalizer = init_normalizer(sizes)
+    if settings.normalize_observations:
+        normalizer = running_statistics.update(normalizer, SEEN if by_name else SEEN["state"])
+    config = PolicyConfig.of(settings.model_dump())
+    state = {"normalizer": normalizer, "params": {"policy": trained.policy, "value": trained.value}}
+    description = describe(probes.endless(), settings) | {"observation_size": sizes, "action_size": 2}
+    return {
+        True: pack(description, {}, state),
+        False: write_policy(PolicyParams(normalizer, trained.policy, trained.value, config)),
+    }
+
+
+def table_files(discretizer: Mapping[str, Any], num_rows: int) -> Mapping[bool, bytes]:
+    """A checkpoint of two agents, whose second is the best, and that one's policy file."""
+    both = np.random.default_rng(0).normal(size=(2, num_rows, 4)).astype(np.float32)
+    facts = {
+        "state_discretizer": discretizer,
+        "action_set": {"kind": "actions", "actions": [[0.0]] * 4},
+        "decision_steps": 5,
+        "num_arms": 5,
+        "policy_agent": "best",
+        "epsilon": [0.1, 0.7],
+    }
+    visits = np.zeros(both.shape, np.int32)
+    state = {"table": both, "visits": visits, "eval_return": np.array([1.0, 2.0], np.float32)}
+    learnt = tables.of_agent(1, both, visits, facts)
+    return {True: tables.FORMAT.pack(facts, {}, state), False: tables.write_policy(learnt)}
+
+
+def assert_acts_alike(
+    tmp_path: Path, algorithm: str, files: Mapping[bool, bytes], *observations: Any
+) -> None:
+    """The checkpoint's policy without noise and the file's with noise act as the service's own do.
+
+    Bit for bit: both are compiled from the same operations.
+    """
+    for is_checkpoint, content in files.items():
+        (tmp_path / "file").write_bytes(content)
+        options: dict[str, bool] = {"is_checkpoint": is_checkpoint, "deterministic": is_checkpoint}
+        act = policy.load(tmp_path / "file", algorithm, **options)
+        own = load_policy(content, algorithm, **options)
+        answer: Any = jax.jit(own.answer)
+        for observation in observations:
+            expected = answer(own.parameters, observation, KEY)
+            got = act(observation, KEY)
+            assert (got.dtype, got.shape) == (expected.dtype, expected.shape)
+            np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.parametrize("activation", get_args(Activation))
+def test_a_network_of_any_activation_acts_alike(tmp_path: Path, activation: str) -> None:
+    settings = PPOSpec.model_validate({**SMALL, "activation": activation})
+    assert_acts_alike(tmp_path, "ppo", ppo_files(settings), SEEN["state"])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"normalize_observations": False},
+        {"normalize_observations_max_abs_value": 0.5},
+        {"action_repeat": 3},
+        {"policy_hidden_layer_sizes": [5]},
+    ],
+    ids=lambda options: next(iter(options)),
+)
+def test_a_network_under_any_option_acts_alike(tmp_path: Path, options: dict[str, Any]) -> None:
+    settings = PPOSpec.model_validate({**SMALL, **options})
+    whole_numbers = jnp.array([1, -2, 3])  # Brax does not normalise these.
+    assert_acts_alike(tmp_path, "ppo", ppo_files(settings), SEEN["state"][0], whole_numbers)
+
+
+@pytest.mark.parametrize(("own", "values"), [("state", "other"), ("other", "state")])
+def test_a_network_reads_its_own_of_several_observations(tmp_path: Path, own: str, values: str) -> None:
+    settings = PPOSpec.model_validate({**SMALL, "policy_obs_key": own, "value_obs_key": values})
+    assert_acts_alike(tmp_path, "ppo", ppo_files(settings, by_name=True), SEEN)
+
+
+def test_no_option_of_a_network_is_left_out() -> None:
+    # Those that the tests above vary; value_obs_key changes the value network alone.
+    varied = {"activation", "normalize_observations_max_abs_value", "action_repeat", "policy_obs_key"}
+    assert {field.name for field in fields(PolicyConfig)} == varied | {"value_obs_key"}
+
+
+TARGET = {"xy_direction_to_target": jnp.array([-1.0, -0.1]), "disk_rotation": jnp.array([0.0, 0.0, 0.4])}
+GRID = [{"index": 2, "range": [0.0, 4.0], "cells": 4}, {"index": 0, "range": [0.0, 2.0], "cells": 3}]
+DISCRETIZERS: dict[str, tuple[dict[str, Any], int, dict[str, jax.Array]]] = {
+    "arm_towards_target": ({}, 5, TARGET),
+    "arm_role": ({}, 5, TARGET),
+    "disk_position_grid": (
+        {"x": [-1.0, 1.0], "y": [0.0, 3.0], "cells": [2, 3]},
+        6,
+        {"disk_position": jnp.array([0.3, 1.1, 0.0])},
+    ),
+    "observation_grid": ({"components": GRID}, 12, {"observation": jnp.array([1.0, 7.0, 3.5])}),
+}
+
+
+@pytest.mark.parametrize("kind", DISCRETIZERS)
+def test_a_table_acts_alike(tmp_path: Path, kind: str) -> None:
+    options, num_rows, seen = DISCRETIZERS[kind]
+    elsewhere = jax.tree.map(lambda values: -3 * values, seen)
+    not_finite = jax.tree.map(lambda values: values * jnp.nan, seen)
+    files = table_files({"kind": kind, **options}, num_rows)
+    assert_acts_alike(tmp_path, "q_learning", files, seen, elsewhere, not_finite)
+
+
+def test_every_algorithm_and_every_state_discretizer_is_read() -> None:
+    union, _ = get_args(StateDiscretizerOptions)
+    assert set(DISCRETIZERS) == {get_args(one.model_fields["kind"].annotation)[0] for one in get_args(union)}
+    assert set(ALGORITHMS) == {"ppo", "q_learning"}
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "q_learning"])
+@pytest.mark.parametrize("is_checkpoint", [True, False])
+def test_a_damaged_file_is_refused(tmp_path: Path, algorithm: str, is_checkpoint: bool) -> None:
+    files = {
+        "ppo": lambda: ppo_files(PPOSpec.model_validate(SMALL)),
+        "q_learning": lambda: table_files({"kind": "arm_role"}, 5),
+    }
+    content = files[algorithm]()[is_checkpoint]
+    damaged = [content[: len(content) // 2], b"nonsense"]
+    if is_checkpoint or algorithm == "q_learning":
+        damaged.append(content.replace(b"-1", b"-9").replace(b"ppo-2", b"ppo-9"))
+    for body in damaged:
+        (tmp_path / "file").write_bytes(body)
+        with pytest.raises(PolicyUnreadable):
+            policy.load(tmp_path / "file", algorithm, is_checkpoint=is_checkpoint)
+
+
+def test_no_code_that_a_file_names_runs(tmp_path: Path) -> None:
+    class Attack:
+        def __reduce__(self) -> Any:
+            return Path.touch, (tmp_path / "ran",)
+
+    (tmp_path / "file").write_bytes(pickle.dumps((Attack(), {}, {})))
+    with pytest.raises(PolicyUnreadable):
+        policy.load(tmp_path / "file", "ppo", is_checkpoint=False)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_later_algorithm_is_refused_with_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(PolicyUnreadable, match="does not read policies of 'sac'"):
+        policy.load(tmp_path / "file", "sac", is_checkpoint=False)
