@@ -1,13 +1,18 @@
 """What our environments share: a model, an engine that steps it, and its sizes."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments.environment import State
+from core.environments.environment import Observation, State
+from core.environments.rewards import total
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 
@@ -16,9 +21,15 @@ TRAVEL = ("x_position", "y_position", "distance_from_origin", "x_velocity", "y_v
 
 
 class MujocoEnv(ABC):
-    """An environment over one MuJoCo model; a subclass defines its start, observation and reward."""
+    """An environment over one MuJoCo model; a subclass defines its start, observation and reward.
+
+    reports_rewards: whether each term of the reward is a metric, too. aliases: the further name of a metric,
+    and the term of the reward that it repeats.
+    """
 
     episode_length = 1000
+    reports_rewards: ClassVar[bool] = True
+    aliases: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __init__(
         self,
@@ -42,6 +53,30 @@ class MujocoEnv(ABC):
 
     @abstractmethod
     def step(self, state: State, action: jax.Array) -> State: ...
+
+    def stepped(
+        self,
+        physics: PhysicsState,
+        obs: Observation,
+        *,
+        rewards: Mapping[str, jax.Array],
+        done: jax.Array,
+        metrics: Mapping[str, jax.Array],
+        info: Mapping[str, jax.Array],
+    ) -> State:
+        """The state after a step, which earns the sum of `rewards`.
+
+        rewards: the weighted terms [] by the names of their metrics; costs are negative. metrics: all others.
+        """
+        repeated = {name: rewards[term] for name, term in self.aliases.items()}
+        reported = {**rewards, **repeated} if self.reports_rewards else {}
+        return State(physics, obs, total(rewards), done, {**reported, **metrics}, info)
+
+
+def initial(state: State) -> State:
+    """The same state as an episode's first: its reward, done and metrics are 0, under a step's names."""
+    zero = jnp.zeros(())
+    return replace(state, reward=zero, done=zero, metrics=dict.fromkeys(state.metrics, zero))
 
 
 def noisy_start(
