@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import ClassVar
 
 import jax
@@ -16,20 +15,17 @@ from core.environments.rewards import total
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 
-# Metrics of a travelling body, in m and m/s.
-TRAVEL = ("x_position", "y_position", "distance_from_origin", "x_velocity", "y_velocity")
-
 
 class MujocoEnv(ABC):
     """An environment over one MuJoCo model; a subclass defines its start, observation and reward.
 
-    reports_rewards: whether each term of the reward is a metric, too. aliases: the further name of a metric,
-    and the term of the reward that it repeats.
+    reports_rewards: whether each term of the reward is also a metric. aliases: further metrics that repeat a
+    term of the reward, each with the name of that term.
     """
 
     episode_length = 1000
     reports_rewards: ClassVar[bool] = True
-    aliases: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    aliases: ClassVar[Mapping[str, str]] = {}
 
     def __init__(
         self,
@@ -64,7 +60,7 @@ class MujocoEnv(ABC):
         metrics: Mapping[str, jax.Array],
         info: Mapping[str, jax.Array],
     ) -> State:
-        """The state after a step, which earns the sum of `rewards`.
+        """The state after a step. Its reward is the sum of `rewards`, and its metrics report the same terms.
 
         rewards: the weighted terms [] by the names of their metrics; costs are negative. metrics: all others.
         """
@@ -74,7 +70,7 @@ class MujocoEnv(ABC):
 
 
 def initial(state: State) -> State:
-    """The same state as an episode's first: its reward, done and metrics are 0, under a step's names."""
+    """The state as an episode begins: the reward, `done` and every metric of a step are 0."""
     zero = jnp.zeros(())
     return replace(state, reward=zero, done=zero, metrics=dict.fromkeys(state.metrics, zero))
 
@@ -104,9 +100,14 @@ def noisy_start(
 
 
 def travel(position: jax.Array, velocity: jax.Array) -> dict[str, jax.Array]:
-    """The metrics TRAVEL, which have Brax's names. position: [3] in m; velocity: [3] in m/s."""
-    values = (position[0], position[1], jnp.linalg.norm(position), velocity[0], velocity[1])
-    return dict(zip(TRAVEL, values, strict=True))
+    """Metrics of a travelling body, under Brax's names. position: [3] in m; velocity: [3] in m/s."""
+    return {
+        "x_position": position[0],
+        "y_position": position[1],
+        "distance_from_origin": jnp.linalg.norm(position),
+        "x_velocity": velocity[0],
+        "y_velocity": velocity[1],
+    }
 
 
 def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:

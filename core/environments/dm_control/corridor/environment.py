@@ -1,7 +1,7 @@
 """A walker that learns to run down a corridor. Rewards as in the tutorial notebook."""
 
 from collections.abc import Mapping
-from types import MappingProxyType
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ class Corridor(MujocoEnv):
     """
 
     # The notebook reports the term under both names, as Brax's humanoid does.
-    aliases = MappingProxyType({"reward_linvel": "forward_reward"})
+    aliases: ClassVar[Mapping[str, str]] = {"reward_linvel": "forward_reward"}
 
     def __init__(self, options: CorridorOptions, build_engine: EngineBuilder) -> None:
         model = corridor_model(options)

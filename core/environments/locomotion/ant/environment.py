@@ -1,7 +1,7 @@
 """A four-legged body that learns to run. Source: Schulman et al., 2015; rewards as in brax.envs.ant."""
 
 from collections.abc import Mapping
-from types import MappingProxyType
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ class Ant(MujocoEnv):
     """Reward: forward speed + being alive - the action's cost. Ends when the torso is too low or too high."""
 
     # Brax reports the term under both names.
-    aliases = MappingProxyType({"forward_reward": "reward_forward"})
+    aliases: ClassVar[Mapping[str, str]] = {"forward_reward": "reward_forward"}
 
     def __init__(self, options: AntOptions, build_engine: EngineBuilder) -> None:
         model = brax_model("ant")

@@ -1,7 +1,7 @@
 """A humanoid that learns to walk. Source: Tassa et al., 2012; rewards as in brax.envs.humanoid."""
 
 from collections.abc import Mapping
-from types import MappingProxyType
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ class Humanoid(MujocoEnv):
     """Reward: forward speed + being alive - the control's cost. Ends when the torso falls."""
 
     # Brax reports the term under both names.
-    aliases = MappingProxyType({"reward_linvel": "forward_reward"})
+    aliases: ClassVar[Mapping[str, str]] = {"reward_linvel": "forward_reward"}
 
     def __init__(self, options: HumanoidOptions, build_engine: EngineBuilder) -> None:
         model = brax_model("humanoid")
