@@ -1,6 +1,9 @@
 """What our environments share: a model, an engine that steps it, and its sizes."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -8,19 +11,23 @@ import mujoco
 import numpy as np
 
 from core.environments.discretization import CONTINUOUS, Discretization
-from core.environments.environment import State
+from core.environments.environment import Observation, State
+from core.environments.rewards import total
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 
-# Metrics of a travelling body, in m and m/s.
-TRAVEL = ("x_position", "y_position", "distance_from_origin", "x_velocity", "y_velocity")
-
 
 class MujocoEnv(ABC):
-    """An environment over one MuJoCo model; a subclass defines its start, observation and reward."""
+    """An environment over one MuJoCo model; a subclass defines its start, observation and reward.
+
+    reports_rewards: whether each term of the reward is also a metric. aliases: further metrics that repeat a
+    term of the reward, each with the name of that term.
+    """
 
     episode_length = 1000
     discretization: Discretization = CONTINUOUS
+    reports_rewards: ClassVar[bool] = True
+    aliases: ClassVar[Mapping[str, str]] = {}
 
     def __init__(
         self,
@@ -44,6 +51,30 @@ class MujocoEnv(ABC):
 
     @abstractmethod
     def step(self, state: State, action: jax.Array) -> State: ...
+
+    def stepped(
+        self,
+        physics: PhysicsState,
+        obs: Observation,
+        *,
+        rewards: Mapping[str, jax.Array],
+        done: jax.Array,
+        metrics: Mapping[str, jax.Array],
+        info: Mapping[str, jax.Array],
+    ) -> State:
+        """The state after a step. Its reward is the sum of `rewards`, and its metrics report the same terms.
+
+        rewards: the weighted terms [] by the names of their metrics; costs are negative. metrics: all others.
+        """
+        repeated = {name: rewards[term] for name, term in self.aliases.items()}
+        reported = {**rewards, **repeated} if self.reports_rewards else {}
+        return State(physics, obs, total(rewards), done, {**reported, **metrics}, info)
+
+
+def initial(state: State) -> State:
+    """The state as an episode begins: the reward, `done` and every metric of a step are 0."""
+    zero = jnp.zeros(())
+    return replace(state, reward=zero, done=zero, metrics=dict.fromkeys(state.metrics, zero))
 
 
 def noisy_start(
@@ -71,9 +102,14 @@ def noisy_start(
 
 
 def travel(position: jax.Array, velocity: jax.Array) -> dict[str, jax.Array]:
-    """The metrics TRAVEL, which have Brax's names. position: [3] in m; velocity: [3] in m/s."""
-    values = (position[0], position[1], jnp.linalg.norm(position), velocity[0], velocity[1])
-    return dict(zip(TRAVEL, values, strict=True))
+    """Metrics of a travelling body, under Brax's names. position: [3] in m; velocity: [3] in m/s."""
+    return {
+        "x_position": position[0],
+        "y_position": position[1],
+        "distance_from_origin": jnp.linalg.norm(position),
+        "x_velocity": velocity[0],
+        "y_velocity": velocity[1],
+    }
 
 
 def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:

@@ -1,14 +1,26 @@
-"""Reward and termination terms: pure functions. Weights are applied elsewhere.
+"""Reward and termination terms: pure functions; the environments weight them, and `total` adds them up.
 
 The built-in environments and those that a job makes of terms (`mjcf`) use the same functions. Names and forms
 are common to locomotion tasks: Brax and Gymnasium (forward velocity, alive, control cost), legged_gym and
 MuJoCo Playground (velocity tracking, action rate, energy, joint limits).
 """
 
+import operator
+from collections.abc import Mapping
+from functools import reduce
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 Scalar = Float[Array, ""]
+
+
+def total(rewards: Mapping[str, Scalar]) -> Scalar:
+    """The reward of a step: its weighted terms, of which costs are negative, added from first to last.
+
+    rewards: [] by name, at least one. Returns [].
+    """
+    return reduce(operator.add, rewards.values())
 
 
 def velocity(

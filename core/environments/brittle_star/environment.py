@@ -28,7 +28,7 @@ from core.environments.brittle_star.options import (
 )
 from core.environments.brittle_star.tasks import Directed, LightEscape, Measured, Task, Undirected
 from core.environments.environment import Environment, State
-from core.environments.mujoco_env import MujocoEnv, scaled_to_control
+from core.environments.mujoco_env import MujocoEnv, initial, scaled_to_control
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 
@@ -57,6 +57,9 @@ class BrittleStar(MujocoEnv):
     and yaw in rad; and what the task adds. An action of ±1 is an end of the joints' ranges, or of the
     torques'.
     """
+
+    # There is one term, which is the reward itself.
+    reports_rewards = False
 
     def __init__(
         self, options: Options, model: mujoco.MjModel, task: Task, build_engine: EngineBuilder
@@ -90,25 +93,21 @@ class BrittleStar(MujocoEnv):
             qpos = qpos.at[3:7].set(about_the_vertical(angle))
         qvel = jnp.concatenate([jnp.zeros(NUM_ROOT_VELOCITIES), velocity])
         physics = self.engine.reset(qpos, qvel, model)
-        drawn = self._task.draw(key_task)
-        measured = self._task.measure(physics, drawn)
-        zero = jnp.zeros(())
-        metrics = dict.fromkeys(self._metrics(physics, physics, measured), zero)
-        return State(
-            physics, self._observe(physics, measured), zero, zero, metrics, _info(physics, drawn, measured)
-        )
+        return initial(self._after(physics, physics, self._task.draw(key_task)))
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
-        before = self._task.measure(state.physics, state.info)
-        after = self._task.measure(physics, state.info)
-        return State(
+        return self._after(state.physics, physics, state.info)
+
+    def _after(self, before: PhysicsState, physics: PhysicsState, info: Mapping[str, jax.Array]) -> State:
+        old, new = self._task.measure(before, info), self._task.measure(physics, info)
+        return self.stepped(
             physics,
-            self._observe(physics, after),
-            after.potential - before.potential,
-            after.done,
-            self._metrics(state.physics, physics, after),
-            _info(physics, state.info, after),
+            self._observe(physics, new),
+            rewards={"reward_progress": new.potential - old.potential},
+            done=new.done,
+            metrics=self._metrics(before, physics, new),
+            info=_info(physics, info, new),
         )
 
     def _observe(self, physics: PhysicsState, measured: Measured) -> jax.Array:

@@ -1,6 +1,6 @@
 """The hopper and the planar walker: a torso on x, z and pitch that must not fall."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import jax
 import jax.numpy as jnp
@@ -10,12 +10,11 @@ from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.hopper.info import HopperOptions
 from core.environments.locomotion.walker2d.info import Walker2dOptions
-from core.environments.mujoco_env import MujocoEnv, noisy_start
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 
 _NUM_SUBSTEPS = 4
 _MAX_OBSERVED_SPEED = 10.0
-_METRICS = ("reward_forward", "reward_ctrl", "reward_healthy", "x_position", "x_velocity")
 
 
 def _always(_: PhysicsState) -> jax.Array:
@@ -51,26 +50,31 @@ class PlanarWalker(MujocoEnv):
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
-        zero = jnp.zeros(())
-        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
 
     def step(self, state: State, action: jax.Array) -> State:
-        options = self._options
         physics = self.engine.step(state.physics, action)
-        velocity = rewards.velocity(state.physics.qpos[0], physics.qpos[0], self.dt)
-        forward = options.forward_reward_weight * velocity
+        return self._after(state.physics, physics, action, state.info)
+
+    def _after(
+        self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
+    ) -> State:
+        options = self._options
+        velocity = rewards.velocity(before.qpos[0], physics.qpos[0], self.dt)
         healthy = self._is_healthy(physics).astype(jnp.float32)
         survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
-        survive = options.healthy_reward * survives
-        control = options.ctrl_cost_weight * rewards.control_cost(action)
-        metrics = {
-            "reward_forward": forward,
-            "reward_ctrl": -control,
-            "reward_healthy": survive,
-            "x_position": physics.qpos[0],
-            "x_velocity": velocity,
-        }
-        return State(physics, self._observe(physics), forward + survive - control, done, metrics, state.info)
+        return self.stepped(
+            physics,
+            self._observe(physics),
+            rewards={
+                "reward_forward": options.forward_reward_weight * velocity,
+                "reward_healthy": options.healthy_reward * survives,
+                "reward_ctrl": -options.ctrl_cost_weight * rewards.control_cost(action),
+            },
+            done=done,
+            metrics={"x_position": physics.qpos[0], "x_velocity": velocity},
+            info=info,
+        )
 
     def _height(self, physics: PhysicsState) -> jax.Array:
         return physics.qpos[1] + self._height_at_zero

@@ -1,6 +1,6 @@
 """An environment made of a user's own model and of terms."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -20,15 +20,14 @@ from core.environments.mjcf.step_context import ModelIndex, StepContext
 from core.environments.mjcf.vocabulary.observations import ObservationTerm, Qpos, Qvel
 from core.environments.mjcf.vocabulary.rewards import Alive, ControlCost, ForwardVelocity, RewardTerm
 from core.environments.mjcf.vocabulary.terminations import OutsideHeightRange, TerminationTerm
-from core.environments.mujoco_env import MujocoEnv, noisy_start, scaled_to_control
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.errors import JobFailed
-from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, SolverSettings
 from core.physics.model import initial_qpos
 from core.reasons import Reason
 
 _SECONDS_PER_ACTION = 0.02
 _LOWEST, _HIGHEST = 0.4, 2.0
-_OF_THE_BODY = ("x_position", "y_position", "height", "x_velocity", "y_velocity", "distance_from_start")
 
 
 def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None = None) -> "Mjcf":
@@ -92,34 +91,45 @@ class Mjcf(MujocoEnv):
             velocity_scale=self._reset.velocity_noise,
             normal_velocity=self._reset.velocity_distribution == "normal",
         )
-        nothing, zero = jnp.zeros(self.action_size), jnp.zeros(())
+        nothing = jnp.zeros(self.action_size)
         context = StepContext(physics, physics, nothing, nothing, self.dt)
         info = {"previous_action": nothing, "start": self._position(physics)}
-        metrics = dict.fromkeys((*self._names, *_OF_THE_BODY), zero)
-        return State(physics, self._observe(context), zero, zero, metrics, info)
+        return initial(self._after(context, info))
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
         context = StepContext(state.physics, physics, action, state.info["previous_action"], self.dt)
-        earned = [
-            weight * term.measure(context) for weight, term in zip(self._weights, self._rewards, strict=True)
-        ]
-        metrics = dict(zip(self._names, earned, strict=True)) | self._of_the_body(state, physics)
+        return self._after(context, {**state.info, "previous_action": action})
+
+    def _after(self, context: StepContext, info: Mapping[str, jax.Array]) -> State:
         ended = [term.measure(context) for term in self._ends]
-        done = jnp.max(jnp.stack(ended)) if ended else jnp.zeros(())
-        info = {**state.info, "previous_action": action}
-        return State(physics, self._observe(context), sum(earned, jnp.zeros(())), done, metrics, info)
+        return self.stepped(
+            context.after,
+            self._observe(context),
+            rewards={
+                name: weight * term.measure(context)
+                for name, weight, term in zip(self._names, self._weights, self._rewards, strict=True)
+            },
+            done=jnp.max(jnp.stack(ended)) if ended else jnp.zeros(()),
+            metrics=self._of_the_body(context, info["start"]),
+            info=info,
+        )
 
     def _observe(self, context: StepContext) -> jax.Array:
         return jnp.concatenate([term.measure(context) for term in self._seen])
 
-    def _of_the_body(self, state: State, physics: PhysicsState) -> dict[str, jax.Array]:
+    def _of_the_body(self, context: StepContext, start: jax.Array) -> dict[str, jax.Array]:
         """The root's position and velocity: m, m/s."""
-        position = self._position(physics)
-        velocity = rewards.velocity(self._position(state.physics), position, self.dt)
-        distance = rewards.distance(position[:2], state.info["start"][:2])
-        values = (position[0], position[1], position[2], velocity[0], velocity[1], distance)
-        return dict(zip(_OF_THE_BODY, values, strict=True))
+        position = self._position(context.after)
+        velocity = rewards.velocity(self._position(context.before), position, self.dt)
+        return {
+            "x_position": position[0],
+            "y_position": position[1],
+            "height": position[2],
+            "x_velocity": velocity[0],
+            "y_velocity": velocity[1],
+            "distance_from_start": rewards.distance(position[:2], start[:2]),
+        }
 
 
 def _default_reward() -> list[RewardTerm]:

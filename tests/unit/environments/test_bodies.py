@@ -13,13 +13,14 @@ from core.environments import catalog
 from core.environments.body_position import body_position
 from core.environments.environment import Environment, State
 from core.environments.info import EnvironmentInfo
+from core.environments.mujoco_env import MujocoEnv
 from core.physics.choose import engine_builder
 
 NUM_WORLDS = 8
-WALKERS = {"ant", "half_cheetah", "hopper", "walker2d", "humanoid", "rodent", "corridor"}
-STARS = {"brittle_star", "brittle_star_undirected", "brittle_star_light_escape"}
 # The other stars are the same body.
 SLOW = {"brittle_star_undirected"}
+# By the folder of core/environments: the stars' 20 s are 500 actions of 0.04 s.
+EPISODE_LENGTHS = {"locomotion": 1000, "dm_control": 1000, "brittle_star": 500}
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,28 @@ def case(request: pytest.FixtureRequest) -> Case:
     return build(request.param)
 
 
+def having(*options: str) -> list[str]:
+    """The environments that have all of these options."""
+    return [name for name, info in catalog.BUILT_IN.items() if info.options.model_fields.keys() >= {*options}]
+
+
+def root_joints(environment: Environment) -> list[int]:
+    """The types of the joints between the world and the tracked body's root."""
+    model = environment.model
+    root = int(model.body_rootid[environment.tracked_body])
+    first = int(model.body_jntadr[root])
+    return model.jnt_type[first : first + int(model.body_jntnum[root])].tolist()
+
+
+def is_free(environment: Environment) -> bool:
+    return mujoco.mjtJoint.mjJNT_FREE in root_joints(environment)
+
+
+def travels(environment: Environment) -> bool:
+    """Whether the body goes forward and rises: in space, or along two axes of a plane."""
+    return is_free(environment) or root_joints(environment).count(mujoco.mjtJoint.mjJNT_SLIDE) > 1
+
+
 def fresh(case: Case, seed: int = 0) -> State:
     return case.reset(jax.random.split(jax.random.key(seed), NUM_WORLDS))
 
@@ -67,7 +90,9 @@ def test_the_catalogs_row_is_true(case: Case) -> None:
     assert info.observation_size == environment.observation_size == fresh(case).obs.shape[-1]
     assert info.action_size == environment.action_size == model.nu
     assert info.dt == pytest.approx(environment.dt)
-    assert info.episode_length == environment.episode_length == (500 if info.id in STARS else 1000)
+    folder = info.factory.removeprefix("core.environments.").split(".")[0]
+    expected = EPISODE_LENGTHS.get(folder, info.episode_length)
+    assert info.episode_length == environment.episode_length == expected
     assert info.tracked_body == model.body(environment.tracked_body).name
     names = [model.camera(index).name for index in range(model.ncam)]
     assert info.cameras == tuple(name for name in names if name)
@@ -84,16 +109,30 @@ def test_a_step_keeps_the_states_form(case: Case) -> None:
 
 def test_a_body_on_its_way_says_how_fast_it_goes(case: Case) -> None:
     state = case.step(fresh(case), some_actions(case))
-    assert ("x_velocity" in state.metrics) == (case.info.id in WALKERS | STARS)
+    assert ("x_velocity" in state.metrics) == travels(case.environment)
+
+
+def test_the_reward_is_the_sum_of_its_terms_among_the_metrics(case: Case) -> None:
+    environment = case.environment
+    assert isinstance(environment, MujocoEnv)
+    state = case.step(fresh(case), some_actions(case))
+    named = {name for name in state.metrics if name.startswith("reward_") or name.endswith("_reward")}
+    assert bool(named) == environment.reports_rewards
+    for name, term in environment.aliases.items():
+        np.testing.assert_array_equal(state.metrics[name], state.metrics[term])
+    if named:
+        terms = [state.metrics[name] for name in named - environment.aliases.keys()]
+        np.testing.assert_allclose(state.reward, np.sum(terms, axis=0), rtol=1e-5, atol=1e-5)
 
 
 def test_of_a_body_that_travels_height_and_distance_are_measured(case: Case) -> None:
     state = case.step(fresh(case), some_actions(case))
     model, body = case.environment.model, case.environment.tracked_body
     found = jax.vmap(body_position(model, body))(state.physics)
-    wanted = {"height", "distance_from_origin"} if case.info.id in WALKERS | STARS else set()
-    if case.info.id == "inverted_pendulum":  # The cart stays level.
-        wanted = {"distance_from_origin"}
+    moves = is_free(case.environment) or mujoco.mjtJoint.mjJNT_SLIDE in root_joints(case.environment)
+    wanted = {"distance_from_origin"} if moves else set()
+    if travels(case.environment):  # A cart on one rail stays level.
+        wanted |= {"height"}
     assert wanted <= {*found, *state.metrics}
     data = mujoco.MjData(model)
     data.qpos[:] = state.physics.qpos[0]
@@ -119,32 +158,32 @@ def test_a_world_that_breaks_does_not_look_well(case: Case) -> None:
     assert np.isnan(state.reward[0]) or case.info.id == "inverted_pendulum"
 
 
-@pytest.mark.parametrize("environment_id", ["ant", "hopper", "walker2d", "humanoid", "rodent"])
+@pytest.mark.parametrize("environment_id", having("terminate_when_unhealthy", "healthy_z_range"))
 def test_unhealthy_ends_the_episode_unless_told_otherwise(environment_id: str) -> None:
     heights = [0.01, 3.0]  # every torso begins at such a height, in metres
     ends = make(environment_id, healthy_z_range=heights, terminate_when_unhealthy=True)
     # One world and nothing compiled: a step is all that is asked for.
     begin, action = ends.reset(jax.random.key(0)), jnp.zeros(ends.action_size)
-    up = 1 if environment_id in ("hopper", "walker2d") else 2  # in a plane or in space
+    up = 2 if is_free(ends) else 1  # in space or in a plane
     lifted = begin.physics.qpos.at[up].add(10.0)
     begin = replace(begin, physics=replace(begin.physics, qpos=lifted))
     ended = ends.step(begin, action)
     goes_on = make(environment_id, healthy_z_range=heights, terminate_when_unhealthy=False)
     going = goes_on.step(begin, action)
     assert (float(ended.done), float(going.done)) == (1.0, 0.0)
-    # Without the end there is no reward for being healthy either: 1 a step, but for two of them.
-    healthy_reward = {"humanoid": 5.0, "rodent": 0.5}.get(environment_id, 1.0)
+    # Without the end there is no reward for being healthy either.
+    healthy_reward = catalog.find(environment_id).options.model_fields["healthy_reward"].default
     assert float(ended.reward - going.reward) == pytest.approx(healthy_reward, rel=1e-5)
 
 
-@pytest.mark.parametrize("environment_id", sorted(WALKERS - {"rodent", "corridor"}))
+@pytest.mark.parametrize("environment_id", having("exclude_current_positions_from_observation"))
 def test_hidden_positions_can_be_shown(environment_id: str) -> None:
     shown = make(environment_id, exclude_current_positions_from_observation=False)
+    hiding = make(environment_id, exclude_current_positions_from_observation=True)
     state = shown.reset(jax.random.key(0))
-    hidden = 2 if environment_id in {"ant", "humanoid"} else 1
-    by_default = catalog.find(environment_id).observation_size
-    assert by_default is not None
-    assert state.obs.shape == (shown.observation_size,) == (by_default + hidden,)
+    hidden = 2 if is_free(shown) else 1
+    assert isinstance(hiding.observation_size, int)
+    assert state.obs.shape == (shown.observation_size,) == (hiding.observation_size + hidden,)
     np.testing.assert_array_equal(state.obs[:1], state.physics.qpos[:1])
 
 

@@ -28,9 +28,8 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # Brax tells everybody that its environments are not maintained
     from brax import envs
 
-NOT_BRAXS = ("brittle_star", "corridor", "mjcf", "rodent")
-BRAXS = [name for name in catalog.BUILT_IN if not name.startswith(NOT_BRAXS)]
 BRAX_NAMES = {"half_cheetah": "halfcheetah"}
+BRAXS = [name for name in catalog.BUILT_IN if f"brax/{BRAX_NAMES.get(name, name)}" in catalog.ENVIRONMENTS]
 # Brax writes infinities into the ranges of what has no limit.
 BRAX_REWRITES = {"jnt_range", "actuator_ctrlrange", "actuator_forcerange"}
 

@@ -11,6 +11,13 @@ def value(result: object) -> float:
     return float(result)  # type: ignore[arg-type]
 
 
+def test_a_reward_is_its_terms_added_from_first_to_last() -> None:
+    # In float32, 1e8 + 1 is 1e8.
+    large, one = jnp.float32(1e8), jnp.float32(1)
+    assert value(rewards.total({"gain": large, "alive": one, "cost": -large})) == 0
+    assert value(rewards.total({"gain": large, "cost": -large, "alive": one})) == 1
+
+
 def test_forward_velocity_is_the_way_along_the_direction_by_the_time() -> None:
     # (0.03, 0.04, 0) m in 0.1 s is (0.3, 0.4, 0) m/s; along (0.6, 0.8, 0): 0.18 + 0.32.
     before, after = jnp.array([1.0, 2.0, 3.0]), jnp.array([1.03, 2.04, 3.0])

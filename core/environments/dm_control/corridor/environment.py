@@ -1,5 +1,8 @@
 """A walker that learns to run down a corridor. Rewards as in the tutorial notebook."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -8,24 +11,13 @@ from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
-from core.environments.mujoco_env import TRAVEL, MujocoEnv, noisy_start, travel
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("subtree_com", "xpos")
 # The top of the ground; a trunk below it is in a gap.
 _GROUND_M = 0.0
 _SIGHT_M = 10.0
-_METRICS = (
-    "forward_reward",
-    "reward_linvel",
-    "distance_reward",
-    "reward_alive",
-    "reward_quadctrl",
-    "height",
-    "obstacles_passed",
-    "fell",
-    *TRAVEL,
-)
 
 
 def make(options: CorridorOptions, build_engine: EngineBuilder) -> "Corridor":
@@ -38,6 +30,9 @@ class Corridor(MujocoEnv):
 
     An episode ends when the trunk falls into a gap or leaves the healthy range.
     """
+
+    # The notebook reports the term under both names, as Brax's humanoid does.
+    aliases: ClassVar[Mapping[str, str]] = {"reward_linvel": "forward_reward"}
 
     def __init__(self, options: CorridorOptions, build_engine: EngineBuilder) -> None:
         model = corridor_model(options)
@@ -61,36 +56,40 @@ class Corridor(MujocoEnv):
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
-        zero = jnp.zeros(())
-        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
 
     def step(self, state: State, action: jax.Array) -> State:
-        options = self._options
         physics = self.engine.step(state.physics, action)
-        before, after = self._centre_of_mass(state.physics), self._centre_of_mass(physics)
-        velocity = rewards.velocity(before, after, self.dt)
+        return self._after(state.physics, physics, action, state.info)
+
+    def _after(
+        self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
+    ) -> State:
+        options = self._options
+        old, new = self._centre_of_mass(before), self._centre_of_mass(physics)
+        velocity = rewards.velocity(old, new, self.dt)
         height = physics.derived["xpos"][self.tracked_body, 2]
-        forward = options.forward_reward_weight * velocity[0]
-        distance = options.distance_reward_weight * velocity[0] * self.dt
         healthy = rewards.height_range(height, options.healthy_range)
         survives, ended = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
-        alive = options.healthy_reward * survives
-        effort = options.ctrl_cost_weight * rewards.control_cost(action)
         fell = jnp.where(height < _GROUND_M, 1.0, 0.0)
-        metrics = {
-            "forward_reward": forward,
-            "reward_linvel": forward,
-            "distance_reward": distance,
-            "reward_alive": alive,
-            "reward_quadctrl": -effort,
-            "height": height,
-            **travel(after, velocity),
-            "obstacles_passed": self._num_behind(after[0]) - self._num_behind(before[0]),
-            "fell": jnp.maximum(fell, 1.0 - healthy),
-        }
-        reward = forward + distance + alive - effort
-        done = jnp.maximum(fell, ended)
-        return State(physics, self._observe(physics), reward, done, metrics, state.info)
+        return self.stepped(
+            physics,
+            self._observe(physics),
+            rewards={
+                "forward_reward": options.forward_reward_weight * velocity[0],
+                "distance_reward": options.distance_reward_weight * velocity[0] * self.dt,
+                "reward_alive": options.healthy_reward * survives,
+                "reward_quadctrl": -options.ctrl_cost_weight * rewards.control_cost(action),
+            },
+            done=jnp.maximum(fell, ended),
+            metrics={
+                "height": height,
+                **travel(new, velocity),
+                "obstacles_passed": self._num_behind(new[0]) - self._num_behind(old[0]),
+                "fell": jnp.maximum(fell, 1.0 - healthy),
+            },
+            info=info,
+        )
 
     def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:
         """[3], in metres, of the trunk's subtree: the walker, without the arena."""

@@ -1,5 +1,8 @@
 """A rat that learns to run. Source: Merel et al., 2020, for the body; rewards as in the tutorial notebook."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -7,11 +10,10 @@ from core.environments import rewards
 from core.environments.dm_control.rodent.info import RodentOptions
 from core.environments.dm_control.rodent.model import rodent_model
 from core.environments.environment import State
-from core.environments.mujoco_env import TRAVEL, MujocoEnv, noisy_start, travel
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
-_METRICS = ("forward_reward", "reward_linvel", "reward_quadctrl", "reward_alive", "height", *TRAVEL)
 
 
 def make(options: RodentOptions, build_engine: EngineBuilder) -> "Rodent":
@@ -21,6 +23,9 @@ def make(options: RodentOptions, build_engine: EngineBuilder) -> "Rodent":
 
 class Rodent(MujocoEnv):
     """Reward: forward speed + being up - the action's cost. May end when the torso is too low or too high."""
+
+    # The notebook reports the term under both names, as Brax's humanoid does.
+    aliases: ClassVar[Mapping[str, str]] = {"reward_linvel": "forward_reward"}
 
     def __init__(self, options: RodentOptions, build_engine: EngineBuilder) -> None:
         model = rodent_model(options.timestep)
@@ -44,29 +49,33 @@ class Rodent(MujocoEnv):
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
-        zero = jnp.zeros(())
-        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
 
     def step(self, state: State, action: jax.Array) -> State:
-        options = self._options
         physics = self.engine.step(state.physics, action)
+        return self._after(state.physics, physics, action, state.info)
+
+    def _after(
+        self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
+    ) -> State:
+        options = self._options
         position = self._centre_of_mass(physics)
-        velocity = rewards.velocity(self._centre_of_mass(state.physics), position, self.dt)
+        velocity = rewards.velocity(self._centre_of_mass(before), position, self.dt)
         height = physics.qpos[2]
-        forward = options.forward_reward_weight * velocity[0]
         healthy = rewards.height_range(height, options.healthy_z_range)
         survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
-        alive = options.healthy_reward * survives
-        effort = options.ctrl_cost_weight * rewards.control_cost(action)
-        metrics = {
-            "forward_reward": forward,
-            "reward_linvel": forward,
-            "reward_quadctrl": -effort,
-            "reward_alive": alive,
-            "height": height,
-            **travel(position, velocity),
-        }
-        return State(physics, self._observe(physics), forward + alive - effort, done, metrics, state.info)
+        return self.stepped(
+            physics,
+            self._observe(physics),
+            rewards={
+                "forward_reward": options.forward_reward_weight * velocity[0],
+                "reward_alive": options.healthy_reward * survives,
+                "reward_quadctrl": -options.ctrl_cost_weight * rewards.control_cost(action),
+            },
+            done=done,
+            metrics={"height": height, **travel(position, velocity)},
+            info=info,
+        )
 
     def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:
         """[3], in metres; the torso is the root of all the other bodies."""

@@ -1,24 +1,19 @@
 """A four-legged body that learns to run. Source: Schulman et al., 2015; rewards as in brax.envs.ant."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.ant.info import AntOptions
-from core.environments.mujoco_env import TRAVEL, MujocoEnv, noisy_start, travel
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 5
-_METRICS = (
-    "reward_forward",
-    "reward_survive",
-    "reward_ctrl",
-    "reward_contact",
-    "forward_reward",
-    *TRAVEL,
-)
 
 
 def make(options: AntOptions, build_engine: EngineBuilder) -> "Ant":
@@ -28,6 +23,9 @@ def make(options: AntOptions, build_engine: EngineBuilder) -> "Ant":
 
 class Ant(MujocoEnv):
     """Reward: forward speed + being alive - the action's cost. Ends when the torso is too low or too high."""
+
+    # Brax reports the term under both names.
+    aliases: ClassVar[Mapping[str, str]] = {"forward_reward": "reward_forward"}
 
     def __init__(self, options: AntOptions, build_engine: EngineBuilder) -> None:
         model = brax_model("ant")
@@ -46,28 +44,33 @@ class Ant(MujocoEnv):
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=True)
-        zero = jnp.zeros(())
-        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
 
     def step(self, state: State, action: jax.Array) -> State:
-        options = self._options
         physics = self.engine.step(state.physics, action)
+        return self._after(state.physics, physics, action, state.info)
+
+    def _after(
+        self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
+    ) -> State:
+        options = self._options
         torso = physics.qpos[:3]
-        velocity = rewards.velocity(state.physics.qpos[:3], torso, self.dt)
+        velocity = rewards.velocity(before.qpos[:3], torso, self.dt)
         healthy = rewards.height_range(torso[2], options.healthy_z_range)
         survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
-        survive = options.healthy_reward * survives
-        control = options.ctrl_cost_weight * rewards.control_cost(action)
-        metrics = {
-            "reward_forward": velocity[0],
-            "reward_survive": survive,
-            "reward_ctrl": -control,
-            "reward_contact": jnp.zeros(()),
-            "forward_reward": velocity[0],
-            **travel(torso, velocity),
-        }
-        reward = velocity[0] + survive - control
-        return State(physics, self._observe(physics), reward, done, metrics, state.info)
+        return self.stepped(
+            physics,
+            self._observe(physics),
+            rewards={
+                "reward_forward": velocity[0],
+                "reward_survive": options.healthy_reward * survives,
+                "reward_ctrl": -options.ctrl_cost_weight * rewards.control_cost(action),
+                "reward_contact": jnp.zeros(()),  # Brax has the term, and no contact forces for it.
+            },
+            done=done,
+            metrics=travel(torso, velocity),
+            info=info,
+        )
 
     def _observe(self, physics: PhysicsState) -> jax.Array:
         return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel])

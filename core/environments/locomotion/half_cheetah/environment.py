@@ -1,17 +1,18 @@
 """A planar two-legged body that learns to run. Rewards as in brax.envs.half_cheetah."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.half_cheetah.info import HalfCheetahOptions
-from core.environments.mujoco_env import MujocoEnv, noisy_start
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 5
-_METRICS = ("x_position", "x_velocity", "reward_ctrl", "reward_run")
 
 
 def make(options: HalfCheetahOptions, build_engine: EngineBuilder) -> "HalfCheetah":
@@ -37,21 +38,27 @@ class HalfCheetah(MujocoEnv):
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=True)
-        zero = jnp.zeros(())
-        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
-        velocity = rewards.velocity(state.physics.qpos[0], physics.qpos[0], self.dt)
-        run = self._options.forward_reward_weight * velocity
-        control = self._options.ctrl_cost_weight * rewards.control_cost(action)
-        metrics = {
-            "x_position": physics.qpos[0],
-            "x_velocity": velocity,
-            "reward_ctrl": -control,
-            "reward_run": run,
-        }
-        return State(physics, self._observe(physics), run - control, jnp.zeros(()), metrics, state.info)
+        return self._after(state.physics, physics, action, state.info)
+
+    def _after(
+        self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]
+    ) -> State:
+        velocity = rewards.velocity(before.qpos[0], physics.qpos[0], self.dt)
+        return self.stepped(
+            physics,
+            self._observe(physics),
+            rewards={
+                "reward_run": self._options.forward_reward_weight * velocity,
+                "reward_ctrl": -self._options.ctrl_cost_weight * rewards.control_cost(action),
+            },
+            done=jnp.zeros(()),
+            metrics={"x_position": physics.qpos[0], "x_velocity": velocity},
+            info=info,
+        )
 
     def _observe(self, physics: PhysicsState) -> jax.Array:
         return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel])

@@ -1,5 +1,8 @@
 """A humanoid that learns to walk. Source: Tassa et al., 2012; rewards as in brax.envs.humanoid."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,13 +10,12 @@ import numpy as np
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.humanoid.info import HumanoidOptions
-from core.environments.mujoco_env import TRAVEL, MujocoEnv, noisy_start, scaled_to_control, travel
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control, travel
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 from core.physics.model import brax_model
 
 _NUM_SUBSTEPS = 5
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
-_METRICS = ("forward_reward", "reward_linvel", "reward_quadctrl", "reward_alive", *TRAVEL)
 
 
 def make(options: HumanoidOptions, build_engine: EngineBuilder) -> "Humanoid":
@@ -23,6 +25,9 @@ def make(options: HumanoidOptions, build_engine: EngineBuilder) -> "Humanoid":
 
 class Humanoid(MujocoEnv):
     """Reward: forward speed + being alive - the control's cost. Ends when the torso falls."""
+
+    # Brax reports the term under both names.
+    aliases: ClassVar[Mapping[str, str]] = {"reward_linvel": "forward_reward"}
 
     def __init__(self, options: HumanoidOptions, build_engine: EngineBuilder) -> None:
         model = brax_model("humanoid")
@@ -43,28 +48,33 @@ class Humanoid(MujocoEnv):
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
-        zero = jnp.zeros(())
-        return State(physics, self._observe(physics), zero, zero, dict.fromkeys(_METRICS, zero), {})
+        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
 
     def step(self, state: State, action: jax.Array) -> State:
-        options = self._options
         control = scaled_to_control(self.model, action)
         physics = self.engine.step(state.physics, control)
+        return self._after(state.physics, physics, control, state.info)
+
+    def _after(
+        self, before: PhysicsState, physics: PhysicsState, control: jax.Array, info: Mapping[str, jax.Array]
+    ) -> State:
+        options = self._options
         position = self._centre_of_mass(physics)
-        velocity = rewards.velocity(self._centre_of_mass(state.physics), position, self.dt)
-        forward = options.forward_reward_weight * velocity[0]
+        velocity = rewards.velocity(self._centre_of_mass(before), position, self.dt)
         healthy = rewards.height_range(physics.qpos[2], options.healthy_z_range)
         survives, done = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
-        alive = options.healthy_reward * survives
-        effort = options.ctrl_cost_weight * rewards.control_cost(control)
-        metrics = {
-            "forward_reward": forward,
-            "reward_linvel": forward,
-            "reward_quadctrl": -effort,
-            "reward_alive": alive,
-            **travel(position, velocity),
-        }
-        return State(physics, self._observe(physics), forward + alive - effort, done, metrics, state.info)
+        return self.stepped(
+            physics,
+            self._observe(physics),
+            rewards={
+                "forward_reward": options.forward_reward_weight * velocity[0],
+                "reward_alive": options.healthy_reward * survives,
+                "reward_quadctrl": -options.ctrl_cost_weight * rewards.control_cost(control),
+            },
+            done=done,
+            metrics=travel(position, velocity),
+            info=info,
+        )
 
     def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:
         """[3]; the torso is the root of all the other bodies."""

@@ -1,11 +1,13 @@
 """A pole balanced on a cart. Source: Barto et al., 1983; rewards as in brax.envs.inverted_pendulum."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 
 from core.environments.environment import State
 from core.environments.info import NoOptions
-from core.environments.mujoco_env import MujocoEnv, noisy_start, scaled_to_control
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 
@@ -22,6 +24,9 @@ def make(options: NoOptions, build_engine: EngineBuilder) -> "InvertedPendulum":
 class InvertedPendulum(MujocoEnv):
     """Reward: 1 for each step. Ends when the pole tilts too far."""
 
+    # As in Brax: there is one term, which is the reward itself.
+    reports_rewards = False
+
     def __init__(self, build_engine: EngineBuilder) -> None:
         model = brax_model("inverted_pendulum")
         super().__init__(
@@ -34,14 +39,17 @@ class InvertedPendulum(MujocoEnv):
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, _NOISE, normal_velocity=False)
-        zero = jnp.zeros(())
-        return State(physics, _observe(physics), zero, zero, {}, {})
+        return initial(self._after(physics, {}))
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
+        return self._after(physics, state.info)
+
+    def _after(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> State:
         # Not rewards.upright, a cosine: Brax bounds the hinge's angle.
         done = jnp.where(jnp.abs(physics.qpos[1]) > _LARGEST_TILT, 1.0, 0.0)
-        return State(physics, _observe(physics), jnp.ones(()), done, {}, state.info)
+        alive = {"reward_alive": jnp.ones(())}
+        return self.stepped(physics, _observe(physics), rewards=alive, done=done, metrics={}, info=info)
 
 
 def _observe(physics: PhysicsState) -> jax.Array:

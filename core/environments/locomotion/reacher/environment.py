@@ -1,5 +1,7 @@
 """A planar arm that learns to bring its tip to a target. Rewards as in brax.envs.reacher."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import numpy as np
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.info import NoOptions
-from core.environments.mujoco_env import MujocoEnv
+from core.environments.mujoco_env import MujocoEnv, initial
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model
 
@@ -46,16 +48,24 @@ class Reacher(MujocoEnv):
         arm = jax.random.uniform(key_velocity, (2,), minval=-_VELOCITY_NOISE, maxval=_VELOCITY_NOISE)
         qpos = jnp.concatenate([self.initial_qpos[:2] + noise, _random_target(key_target)])
         physics = self.engine.reset(qpos, jnp.concatenate([arm, jnp.zeros(2)]), model)
-        zero = jnp.zeros(())
-        metrics = {"reward_dist": zero, "reward_ctrl": zero}
-        return State(physics, self._observe(physics), zero, zero, metrics, {})
+        return initial(self._after(physics, jnp.zeros(self.action_size), {}))
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
-        distance = rewards.distance(self._tip(physics), self._target_position(physics))
-        control = rewards.control_cost(action)
-        metrics = {"reward_dist": -distance, "reward_ctrl": -control}
-        return State(physics, self._observe(physics), -distance - control, jnp.zeros(()), metrics, state.info)
+        return self._after(physics, action, state.info)
+
+    def _after(self, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]) -> State:
+        return self.stepped(
+            physics,
+            self._observe(physics),
+            rewards={
+                "reward_dist": -rewards.distance(self._tip(physics), self._target_position(physics)),
+                "reward_ctrl": -rewards.control_cost(action),
+            },
+            done=jnp.zeros(()),
+            metrics={},
+            info=info,
+        )
 
     def _tip(self, physics: PhysicsState) -> jax.Array:
         """[3] in metres."""

@@ -1,12 +1,14 @@
 """A mass on a rail."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 import mujoco
 
 from core.environments.environment import State
 from core.environments.info import NoOptions
-from core.environments.mujoco_env import MujocoEnv, noisy_start
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 
 _NUM_SUBSTEPS = 10
@@ -44,14 +46,21 @@ class Sled(MujocoEnv):
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         physics = noisy_start(self, key, model, 0.1, normal_velocity=False)
-        zero = jnp.zeros(())
-        return State(physics, _observe(physics), zero, zero, {"x_velocity": zero}, {})
+        return initial(self._after(physics, {}))
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
+        return self._after(physics, state.info)
+
+    def _after(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> State:
         velocity = physics.qvel[0]
-        return State(
-            physics, _observe(physics), velocity, jnp.zeros(()), {"x_velocity": velocity}, state.info
+        return self.stepped(
+            physics,
+            _observe(physics),
+            rewards={"reward_forward": velocity},
+            done=jnp.zeros(()),
+            metrics={"x_velocity": velocity},
+            info=info,
         )
 
 
