@@ -19,7 +19,18 @@ from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Channel, Entry
 from core.retry import retry_while_unavailable
 from core.storage import keys
-from worker.protocol import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
+from worker.protocol import (
+    Advanced,
+    Failed,
+    FileReady,
+    Finished,
+    Hello,
+    Measured,
+    Message,
+    Noted,
+    PhaseEnded,
+    Started,
+)
 from worker.supervision.measurements import Measurements
 
 # How long an object that the record no longer names is kept for those who are reading it.
@@ -145,8 +156,10 @@ class Outbox:
                 self._claim.start(device=device, engine=engine, details=details)
             case FileReady() as message:
                 self._publish(message, item.time, write_id)
-            case _:  # The supervisor judges Failed and Finished.
+            case Failed() | Finished():  # The supervisor judges these.
                 pass
+            case _:
+                raise TypeError(f"{item.what!r} is not stored on its own")
 
     def _record(
         self, channel: Channel, entries: Sequence[Entry], write_id: str, progress: Progress | None = None
