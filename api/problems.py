@@ -35,7 +35,7 @@ class ErrorView(BaseModel):
 
 
 class ProblemView(BaseModel):
-    """Why a request was refused (RFC 9457). Each type adds facts of its own as further members."""
+    """The reason of a refusal (RFC 9457). Each type adds facts of its own as further members."""
 
     type: str = Field(
         examples=["/problems/invalid-request"], description="Stable; the path of a page that explains it."

@@ -1,4 +1,4 @@
-"""What a job needs from a worker besides a device: optional packages and memory."""
+"""The needs of a job besides a device: optional packages of the worker, and memory."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -31,7 +31,7 @@ def packages_here() -> tuple[str, ...]:
 
 
 def how_to_install(package: str) -> str:
-    """How a worker gets an optional package, given its import name."""
+    """The command that installs an optional package, or only its name. package: its import name."""
     extra = _EXTRAS.get(package)
     return f"the Python package {package}" if extra is None else f"pip install 'gaitway[{extra}]'"
 

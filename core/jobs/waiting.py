@@ -1,4 +1,4 @@
-"""Which of the present workers can run a queued job, and what the job lacks if none can."""
+"""The present workers that can run a queued job, and the reason if there is none."""
 
 from collections.abc import Collection, Mapping, Sequence
 

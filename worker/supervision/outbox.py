@@ -66,7 +66,7 @@ class Outbox:
 
     @property
     def num_waiting(self) -> int:
-        """How many messages and lines are not stored yet."""
+        """The number of messages and lines that are not stored yet."""
         return self._waiting.qsize()
 
     def put(self, item: Message | str) -> None:
@@ -106,7 +106,7 @@ class Outbox:
                 return
 
     def _take(self) -> list[_Heard | None]:
-        """At least one item, and what else waits already, so that a flood takes few writes."""
+        """At least one item, and all others that wait already, so that a flood takes few writes."""
         items = [self._waiting.get()]
         with contextlib.suppress(queue.Empty):
             while len(items) < 500:
@@ -182,7 +182,7 @@ class Outbox:
     def _remove_later(self, dropped: Sequence[str]) -> None:
         """Remove what was dropped some time ago, and remember what is dropped now.
 
-        What is left when the attempt ends, or cannot be removed, is collected with the orphans.
+        The collection of orphans removes those that are left when the attempt ends, or cannot be removed.
         """
         now = time.monotonic()
         due = [key for at, key in self._dropped if now - at > _LINGER_S]
