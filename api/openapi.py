@@ -10,7 +10,6 @@ from core.jobs.spec import JOB_SPEC
 
 _REF = "#/components/schemas/{model}"
 _PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}}
-_METHODS = frozenset({"get", "post", "delete"})
 
 
 def describe(app: FastAPI) -> dict[str, Any]:
@@ -29,8 +28,8 @@ def describe(app: FastAPI) -> dict[str, Any]:
         schemas.update(schemas["Problem"].pop("$defs", {}))
         _require_tags(schemas)
         for path in document["paths"].values():
-            for method in _METHODS & path.keys():
-                _answer_with_problems(path[method]["responses"])
+            for operation in path.values():
+                _answer_with_problems(operation["responses"])
         app.openapi_schema = document
     return app.openapi_schema
 

@@ -1,6 +1,7 @@
 """Errors as problem details (RFC 9457): the status comes from the family, the sentence from the error."""
 
 from collections.abc import Iterable
+from http import HTTPMethod
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
@@ -15,7 +16,6 @@ from api.sentences import parameter_problems
 from core.errors import ArtifactNotReady, Conflict, GaitwayError, JobFailed, NotFound, Rejected, Unavailable
 
 MEDIA_TYPE = "application/problem+json"
-_METHODS = ("GET", "HEAD", "POST", "DELETE")
 
 _FAMILIES: dict[type[GaitwayError], int] = {
     NotFound: 404,
@@ -35,7 +35,7 @@ class ErrorView(BaseModel):
 
 
 class ProblemView(BaseModel):
-    """Why a request was refused (RFC 9457). Each type adds facts of its own as further members."""
+    """The reason of a refusal (RFC 9457). Each type adds facts of its own as further members."""
 
     type: str = Field(
         examples=["/problems/invalid-request"], description="Stable; the path of a page that explains it."
@@ -141,10 +141,10 @@ async def _from_the_framework(request: Request, error: Exception) -> Response:
 
 
 def _allowed(request: Request) -> list[str]:
-    """The methods of all routes at this address; the framework names only those of the first one."""
+    """The methods of all routes at this address, which each are asked; the framework asks only the first."""
     return [
         method
-        for method in _METHODS
+        for method in HTTPMethod
         if any(
             route.matches({**request.scope, "method": method})[0] is Match.FULL
             for route in request.app.routes

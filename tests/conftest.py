@@ -50,6 +50,15 @@ def compiled_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
+@pytest.fixture
+def without_rank_promotion() -> Iterator[None]:
+    """Arrays of different ranks are not broadcast. Not for MJX or Brax, which rely on it themselves."""
+    import jax
+
+    with jax.numpy_rank_promotion("raise"):
+        yield
+
+
 @dataclass(frozen=True)
 class Databases:
     """A running PostgreSQL with a template that has the tables; each test gets a copy of it."""

@@ -173,8 +173,8 @@ class GaitwayWorker(rq.Worker):
     def request_stop(self, signum: Any, frame: Any) -> None:
         """First SIGTERM or SIGINT: the job drains, then the worker goes. RQ itself would only wait.
 
-        What the exception interrupts may swallow it, as redis-py does where it counts commands; so it is
-        only the fast way, and every heartbeat looks again.
+        The code that the exception interrupts may swallow it, as redis-py does where it counts commands. So
+        the exception is only the fast way, and every heartbeat checks again.
         """
         self._stop_requested = True
         signal.signal(signal.SIGINT, self.request_force_stop)

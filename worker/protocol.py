@@ -23,7 +23,7 @@ class Hello(Stored):
 
 
 class Started(Stored):
-    """What the process found: where it runs, on which engine and why, under which hyperparameters."""
+    """The facts that the process found: its device, its engine and the reason for it, its hyperparameters."""
 
     type: Literal["started"] = "started"
     device: str
@@ -100,7 +100,7 @@ MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)
 
 
 class Task(Stored):
-    """What the supervisor leaves in the spool, as `task.json`, for the training process.
+    """The task that the supervisor leaves in the spool, as `task.json`, for the training process.
 
     device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to resume
     from (training), or to take the policy from (rollout). checkpoint_step: its environment step. model: path

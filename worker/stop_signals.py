@@ -14,7 +14,7 @@ DRAIN_SIGNAL = signal.SIGUSR1
 
 
 class Stop(StrEnum):
-    """Why a training process was asked to stop."""
+    """The reason for which a training process was asked to stop."""
 
     CANCEL = "cancel"
     TIMEOUT = "timeout"

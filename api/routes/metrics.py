@@ -1,29 +1,48 @@
 """A job's metrics, as JSON or CSV."""
 
-import csv
-import io
-from collections.abc import Sequence
-from typing import Annotated, Literal
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+from typing import Annotated, Any, Literal
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
+from starlette.responses import StreamingResponse
 
-from api.dependencies import EntryId, JobId, Parameters, ServiceDep
+from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
+from api.metrics_table import Overview, csv_lines
 from api.problems import refusals
-from api.views import Metrics, MetricsRow
+from api.views import Metrics
 from core.errors import JobNotFound, RecordsUnavailable, Rejected, StorageUnavailable
+from core.jobs import feeds
 from core.jobs.store import Entry, entry_number
 
 router = APIRouter(tags=["jobs"])
 
+_MOST_ROWS_AS_JSON = 10_000
 _EXAMPLE = "step,time,eval/episode_reward\r\n0,2026-11-20T09:00:00+00:00,1.0\r\n"
+_CSV: dict[str, Any] = {
+    "content": {"text/csv": {"schema": {"type": "string"}, "example": _EXAMPLE}},
+    "headers": {
+        "Link": {
+            "description": 'With `rel="next"`, the address of the next rows of a CSV that `limit` cut.',
+            "schema": {"type": "string"},
+        }
+    },
+}
 
 
 class Measured(Parameters):
     """The rows to return, and their format."""
 
     after: EntryId = Field("", description="Only rows after this `next` of an earlier answer.")
-    limit: int = Field(10_000, ge=1, le=100_000)
+    limit: int | None = Field(
+        None,
+        ge=1,
+        le=100_000,
+        description=f"The most rows of one answer. By default {_MOST_ROWS_AS_JSON} as JSON, where `next` "
+        "leads to the others, and all of them as CSV.",
+    )
     format: Literal["json", "csv"] | None = Field(
         None, description="Takes precedence over the header Accept."
     )
@@ -32,58 +51,66 @@ class Measured(Parameters):
 @router.get(
     "/jobs/{job_id}/metrics",
     response_model=Metrics,
-    responses={
-        200: {"content": {"text/csv": {"example": _EXAMPLE}}},
-        **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable),
-    },
+    responses={200: _CSV, **refusals(JobNotFound, Rejected, RecordsUnavailable, StorageUnavailable)},
 )
 def read_metrics(
     job_id: JobId, asked: Annotated[Measured, Query()], service: ServiceDep, request: Request
 ) -> Metrics | Response:
-    """Metrics, at most `limit` rows; where a later attempt measured a step again, its newer values."""
-    entries = service.read_feed(
-        job_id, "events", after=entry_number(asked.after), kind="metrics", limit=asked.limit
-    )
-    rows = _newest([MetricsRow(**entry.data, time=entry.time) for entry in entries])
+    """Metrics; where a later attempt measured a step again, its newer values.
+
+    JSON comes in pages. CSV has every row, unless `limit` is given.
+    """
     wants_csv = asked.format == "csv" or (
         asked.format is None and _prefers_csv(request.headers.get("accept", ""))
     )
+    after = entry_number(asked.after)
     if wants_csv:
-        return Response(table(rows), media_type="text/csv; charset=utf-8", headers=_attachment(job_id))
-    return Metrics(rows=rows, next=_last_id(entries) or asked.after or None)
+        if asked.limit is None:
+            return _whole_table(job_id, after, service)
+        return _part_of_table(job_id, after, asked.limit, service)
+    limit = asked.limit or _MOST_ROWS_AS_JSON
+    entries = service.read_feed(job_id, "events", after=after, kind="metrics", limit=limit)
+    rows = Overview.of(entries).newest(entries)
+    return Metrics(rows=rows, next=entries[-1].id if entries else asked.after or None)
 
 
-def table(rows: Sequence[MetricsRow]) -> str:
-    """Rows as CSV (RFC 4180): step, time, then every name in alphabetical order; empty for no value."""
-    names = sorted({name for row in rows for name in row.values})
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(["step", "time", *names])
-    for row in rows:
-        writer.writerow([row.step, row.time.isoformat(), *(row.values.get(name) for name in names)])
-    return text.getvalue()
+def _whole_table(job_id: str, after: int, service: Service) -> Response:
+    """Reads the feed twice: the first line names the columns of all rows, which need not fit in memory."""
+
+    def pages() -> Iterator[Sequence[Entry]]:
+        found = feeds.read_pages(job_id, "events", store=service.store, objects=service.objects, after=after)
+        for page in found:
+            yield [entry for entry in page if entry.kind == "metrics"]
+
+    overview = Overview.of(chain.from_iterable(pages()))  # An error arises here, before the answer begins.
+    return _table(job_id, pages(), overview, {})
 
 
-def _newest(rows: Sequence[MetricsRow]) -> list[MetricsRow]:
-    found: dict[tuple[int, frozenset[str]], MetricsRow] = {}
-    for row in rows:
-        identity = (row.step, frozenset(row.values))
-        found.pop(identity, None)
-        found[identity] = row
-    return list(found.values())
+def _part_of_table(job_id: str, after: int, limit: int, service: Service) -> Response:
+    """At most `limit` rows; the header Link tells where to continue if there are more."""
+    found = service.read_feed(job_id, "events", after=after, kind="metrics", limit=limit + 1)
+    page, rest = found[:limit], found[limit:]
+    headers = dict[str, str]()
+    if rest:
+        query = urlencode({"format": "csv", "after": page[-1].id, "limit": limit})
+        headers["Link"] = f'</jobs/{job_id}/metrics?{query}>; rel="next"'
+    return _table(job_id, [page], Overview.of(page), headers)
 
 
-def _last_id(entries: Sequence[Entry]) -> str | None:
-    return entries[-1].id if entries else None
+def _table(
+    job_id: str, pages: Iterable[Sequence[Entry]], overview: Overview, headers: dict[str, str]
+) -> Response:
+    return StreamingResponse(
+        csv_lines(pages, overview),
+        headers={
+            "Content-Disposition": f'inline; filename="{job_id}-metrics.csv"',
+            "X-Content-Type-Options": "nosniff",
+            **headers,
+        },
+        media_type="text/csv; charset=utf-8",
+    )
 
 
 def _prefers_csv(accept: str) -> bool:
     types = [part.partition(";")[0].strip().lower() for part in accept.split(",")]
     return "text/csv" in types and "application/json" not in types[: types.index("text/csv")]
-
-
-def _attachment(job_id: str) -> dict[str, str]:
-    return {
-        "Content-Disposition": f'inline; filename="{job_id}-metrics.csv"',
-        "X-Content-Type-Options": "nosniff",
-    }

@@ -46,7 +46,7 @@ _MOST_STILLS = 32
 
 
 class Asked(Parameters):
-    """What the stills show."""
+    """The environment that the stills show, and the camera."""
 
     options: str = Field(
         "{}",

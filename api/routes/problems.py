@@ -21,7 +21,7 @@ _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</
 
 @router.get("/problems/{code}", response_class=HTMLResponse, responses=refusals(RouteNotFound))
 async def explain(code: Annotated[str, Path(examples=["job-not-found"])]) -> HTMLResponse:
-    """What a type of problem means."""
+    """A page that explains a type of problem."""
     for error in classes_of_errors():
         if error.code == code:
             return HTMLResponse(_page(error))

@@ -5,6 +5,7 @@ MessagePack of {"header", "sha256", "state"}; equal states give equal bytes. The
 """
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,7 @@ from core.environments.environment import Environment
 from core.errors import JobFailed
 from core.reasons import Reason
 
+_FORMAT_NAME = re.compile(r"gaitway-(?P<kind>.+)-[^-]+")  # A kind may have hyphens itself.
 _CANNOT_BE_READ = "The checkpoint cannot be read: it is cut off, or not a checkpoint of this service."
 
 
@@ -79,10 +81,12 @@ def describe(environment: Environment, settings: BaseSpec) -> dict[str, Any]:
 def kind_of(content: bytes) -> str:
     """Which algorithm wrote the checkpoint. Raises JobFailed where that cannot be read."""
     try:
-        _, kind, _ = _decode(content)["header"]["format"].split("-")
+        found = _FORMAT_NAME.fullmatch(_decode(content)["header"]["format"])
     except Exception as error:  # damaged bytes may make a decoder raise anything
         raise _bad(_CANNOT_BE_READ) from error
-    return kind
+    if found is None:
+        raise _bad(_CANNOT_BE_READ)
+    return found["kind"]
 
 
 def _differences(saved: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:

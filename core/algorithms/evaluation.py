@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
+from jaxtyping import Array, Bool, Float, Int
 
 from core.environments.environment import Environment, State
 from core.environments.wrappers.autoreset import select
@@ -15,20 +16,24 @@ from core.environments.wrappers.autoreset import select
 Policy = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
 
 
+# On a device, or on the host.
+PerEnvironment = Float[Array | np.ndarray, " N"]
+
+
 @struct.dataclass
 class EpisodeTotals:
-    """Sums over an episode's actions for each of N environments, [N]. metrics: by name, and `reward`."""
+    """Sums over an episode's actions for each of N environments. metrics: by name, and `reward`."""
 
-    metrics: dict[str, jax.Array]
-    length: jax.Array
+    metrics: dict[str, PerEnvironment]
+    length: PerEnvironment
 
 
 @struct.dataclass
 class _Trial:
     state: State
     totals: EpisodeTotals
-    alive: jax.Array
-    time: jax.Array
+    alive: Bool[Array, " N"]
+    time: Int[Array, ""]
 
 
 def run_episodes(
@@ -53,7 +58,7 @@ def run_episodes(
     totals = EpisodeTotals({name: zeros for name in ("reward", *state.metrics)}, zeros)
     trial = _Trial(state, totals, jnp.ones(num_envs, bool), jnp.int32(0))
 
-    def going(trial: _Trial) -> jax.Array:
+    def going(trial: _Trial) -> Bool[Array, ""]:
         return (trial.time < episode_length) & jnp.any(trial.alive)
 
     def act(trial: _Trial) -> _Trial:

@@ -7,6 +7,7 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jaxtyping import Array, Float, Int, Shaped
 
 from core.algorithms.brax_training import Transition
 from core.algorithms.evaluation import Policy
@@ -15,6 +16,10 @@ from core.environments.environment import State
 from core.environments.wrappers.autoreset import Episodes, draw, follow
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
+
+# One number for each of N environments, at one step or at each of T.
+PerStep = Float[Array, "*T N"]
+Scalar = Float[Array, ""] | float
 
 
 @struct.dataclass
@@ -26,7 +31,7 @@ class Starts:
     """
 
     pool: State
-    chosen: jax.Array
+    chosen: Int[Array, "num_steps num_envs"]
 
 
 @struct.dataclass
@@ -38,13 +43,13 @@ class Outcome:
     the engine lost contacts, not known of an episode's last step; None if the engine cannot lose any.
     """
 
-    reward: jax.Array
-    ended_length: jax.Array
-    ended_score: jax.Array
-    fell: jax.Array
-    effort: jax.Array
-    metrics: Mapping[str, jax.Array]
-    overflow: jax.Array | None
+    reward: PerStep
+    ended_length: Int[Array, "*T N"]
+    ended_score: PerStep
+    fell: PerStep
+    effort: PerStep
+    metrics: Mapping[str, PerStep]
+    overflow: PerStep | None
 
 
 def collect(
@@ -97,7 +102,7 @@ def cut_into_unrolls(transitions: Transition, unroll_length: int) -> Transition:
     Only the last of an unroll's next observations is kept, [.., 1, ...]: the loss reads no other.
     """
 
-    def cut(x: jax.Array) -> jax.Array:
+    def cut(x: Shaped[Array, "T N ..."]) -> Shaped[Array, "B unroll ..."]:
         unrolls = x.reshape((-1, unroll_length, *x.shape[1:])).swapaxes(1, 2)
         return unrolls.reshape((-1, unroll_length, *x.shape[2:]))
 
@@ -106,9 +111,7 @@ def cut_into_unrolls(transitions: Transition, unroll_length: int) -> Transition:
     return batch._replace(next_observation=last)
 
 
-def bootstrap_timeouts(
-    transitions: Transition, discounting: jax.Array, reward_scaling: jax.Array
-) -> Transition:
+def bootstrap_timeouts(transitions: Transition, discounting: Scalar, reward_scaling: Scalar) -> Transition:
     """Turn transitions that cut an episode off into terminations whose reward is higher by γ V(s).
 
     The value of the step's own observation stands in for that of the next one, as in RSL-RL. Values are in
@@ -124,7 +127,7 @@ def bootstrap_timeouts(
     )
 
 
-def of_whole_episodes(outcome: Outcome, actions_before: jax.Array) -> Outcome:
+def of_whole_episodes(outcome: Outcome, actions_before: Int[Array, ""]) -> Outcome:
     """The outcome without the ends of episodes that, judged by their length, began before the run.
 
     actions_before: [] int32, how often every environment had acted before.
@@ -132,7 +135,7 @@ def of_whole_episodes(outcome: Outcome, actions_before: jax.Array) -> Outcome:
     acted = actions_before + 1 + jnp.arange(len(outcome.reward))[:, None]
     whole = outcome.ended_length <= acted
 
-    def keep(of_an_end: jax.Array) -> jax.Array:
+    def keep(of_an_end: Shaped[Array, "T N"]) -> Shaped[Array, "T N"]:
         return jnp.where(whole, of_an_end, 0)
 
     return replace(
@@ -143,7 +146,7 @@ def of_whole_episodes(outcome: Outcome, actions_before: jax.Array) -> Outcome:
     )
 
 
-def summarise(outcome: Outcome) -> dict[str, jax.Array]:
+def summarise(outcome: Outcome) -> dict[str, Float[Array, ""]]:
     """Sums over one update, [] float32: finished episodes, their scores and lengths, and how many fell.
 
     Also means over its steps: the control effort, every metric of the environment by its own name (the speed

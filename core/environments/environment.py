@@ -1,7 +1,7 @@
 """The interface of an environment, as algorithms use it."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import mujoco
@@ -32,6 +32,7 @@ class State:
     info: Mapping[str, jax.Array]
 
 
+@runtime_checkable  # for the tests, which check annotations
 class Environment(Protocol):
     """Pure functions over one environment. It was built with an engine, but does not know which."""
 

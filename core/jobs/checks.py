@@ -18,8 +18,10 @@ from core.jobs.spec import (
     ConstantPolicy,
     EnvironmentSpec,
     JobSpec,
+    RandomPolicy,
     RolloutSpec,
     TrainSpec,
+    ZeroPolicy,
 )
 from core.jobs.store import JobStore
 from core.physics.availability import check_physics
@@ -189,7 +191,7 @@ def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) ->
         case ConstantPolicy(action=action) if len(action) != info.action_size:
             detail = f"{info.id} takes {info.action_size} action components; {len(action)} were given."
             raise Rejected(detail, [Problem("/policy/action", detail)])
-        case _:
+        case ConstantPolicy() | RandomPolicy() | ZeroPolicy():
             pass
 
 

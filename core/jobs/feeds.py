@@ -4,7 +4,7 @@ The record holds the newest entries. Older ones lie in chunks: immutable objects
 """
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 
@@ -51,16 +51,35 @@ def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
 
     Raises the errors of `read_page`.
     """
+    # Entries of one kind may be rare: small pages would need many reads to find the last few.
+    at_once = limit if kind is None else _PAGE
     found: list[Entry] = []
-    while len(found) < limit:
-        # Entries of one kind may be rare: small pages would need many reads to find the last few.
-        at_once = limit - len(found) if kind is None else _PAGE
-        page = read_page(job_id, channel, after, at_once, store=store, objects=objects)
-        found += [entry for entry in page.entries if kind in (None, entry.kind)]
-        if page.is_end:
+    for page in read_pages(job_id, channel, store=store, objects=objects, after=after, at_once=at_once):
+        found += [entry for entry in page if kind in (None, entry.kind)]
+        if len(found) >= limit:
             break
-        after = int(page.entries[-1].id)
     return found[:limit]
+
+
+def read_pages(
+    job_id: str,
+    channel: Channel,
+    *,
+    store: JobStore,
+    objects: ObjectStore,
+    after: int = 0,
+    at_once: int = _PAGE,
+) -> Iterator[Sequence[Entry]]:
+    """All entries later than number `after`, oldest first, in pages; only one page is in memory at a time.
+
+    Raises the errors of `read_page`.
+    """
+    while True:
+        page = read_page(job_id, channel, after, at_once, store=store, objects=objects)
+        yield page.entries
+        if page.is_end:
+            return
+        after = int(page.entries[-1].id)
 
 
 def read_page(

@@ -63,7 +63,7 @@ class Artifact(Stored):
 
 
 class Progress(Stored):
-    """How far a running job is. step, total: environment steps; eta_s: seconds."""
+    """The progress of a running job. step, total: environment steps; eta_s: seconds."""
 
     step: int = 0
     total: int = 0
@@ -134,7 +134,7 @@ class Job(Stored):
         return self.num_ended(LOSSES)
 
     def num_ended(self, reasons: Collection[Reason]) -> int:
-        """How many attempts ended for one of these reasons."""
+        """The number of attempts that ended for one of these reasons."""
         return sum(attempt.reason in reasons for attempt in self.attempts)
 
     @property
@@ -151,7 +151,7 @@ class Job(Stored):
 
     @property
     def accelerator(self) -> Accelerator:
-        """What the next attempt needs: once the job has a checkpoint, the kind of device that made it.
+        """The kind of device that the next attempt needs: the kind that made the job's checkpoint, if any.
 
         Tuned settings differ by device, and a checkpoint fits only the settings under which it was made.
         """
@@ -161,7 +161,7 @@ class Job(Stored):
         return "cpu" if begun.device.startswith("cpu") else "gpu"
 
     def next(self, **changes: Any) -> Self:
-        """The same job, one version on."""
+        """The same job with these changes, as its next version."""
         return self.model_copy(update={**changes, "version": self.version + 1})
 
     def become(self, wanted: JobStatus, **changes: Any) -> Self:
@@ -210,7 +210,7 @@ class Job(Stored):
     def requeued(
         self, reason: Reason, message: str, now: datetime, *, not_before: datetime | None = None
     ) -> Self:
-        """The job back in the queue; its attempt is closed."""
+        """The job, queued again; its attempt is closed."""
         closed = self._closed(reason, message, now)
         return self.become(JobStatus.QUEUED, attempts=closed, not_before=not_before)
 

@@ -1,4 +1,4 @@
-"""What a job needs from a worker besides a device: optional packages and memory."""
+"""The needs of a job besides a device: optional packages of the worker, and memory."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -14,8 +14,8 @@ from core.jobs.spec import Accelerator, JobSpec, TrainSpec
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
-# The optional packages of a worker by import name, each with the extra of Gaitway that installs it.
-EXTRAS: dict[str, str] = {
+# The extra of Gaitway that installs an optional package, by the package's import name.
+_EXTRAS: dict[str, str] = {
     "warp": "warp",
     "dm_control": "dm-control",
     "biorobot": "brittle-star",
@@ -25,7 +25,15 @@ EXTRAS: dict[str, str] = {
 
 def packages_here() -> tuple[str, ...]:
     """The optional packages that are installed here; none is imported."""
-    return tuple(package for package in EXTRAS if find_spec(package) is not None)
+    rows = catalog.ENVIRONMENTS.values()
+    optional = {"warp", *(info.package for info in rows if info.package is not None)}
+    return tuple(package for package in sorted(optional) if find_spec(package) is not None)
+
+
+def how_to_install(package: str) -> str:
+    """The command that installs an optional package, or only its name. package: its import name."""
+    extra = _EXTRAS.get(package)
+    return f"the Python package {package}" if extra is None else f"uv sync --inexact --extra {extra}"
 
 
 def packages_for(job: Job) -> Mapping[str, str]:

@@ -65,7 +65,7 @@ class Reconciler:
         return True
 
     def _forgotten(self, known: Collection[tuple[str, int]]) -> Sequence[Dispatch]:
-        """What waits but was not in the queue at two reads: during one, a worker may be taking it."""
+        """Dispatches that were missing from the queue at two reads: at one, a worker may be taking it."""
         waiting = frozenset(
             dispatch for dispatch in self._store.waiting() if not _is_known(dispatch, known, self._queue)
         )

@@ -64,7 +64,7 @@ EnvironmentChoice = Annotated[
 
 
 class CheckpointsSpec(Strict):
-    """How often a run's whole state is saved, and how many checkpoints are kept."""
+    """The interval of a run's checkpoints, and the number of them that are kept."""
 
     every_steps: int | None = Field(
         default=None,
@@ -83,7 +83,7 @@ class CheckpointsSpec(Strict):
 
 
 class VideoSpec(Strict):
-    """What the video shows."""
+    """The cameras, size and length of the job's videos."""
 
     camera: str | int = Field(
         default="track", description="`track`, or a camera of the model by name or number."
@@ -115,7 +115,7 @@ class VideoSpec(Strict):
 
 
 class ResourcesSpec(Strict):
-    """What the job needs from a worker."""
+    """The devices that the job needs from a worker."""
 
     accelerator: Accelerator = "any"
     gpus: int = Field(
@@ -159,7 +159,7 @@ class WandbSpec(Strict):
 
 
 class TrackingSpec(Strict):
-    """Where the run is tracked, besides the service itself."""
+    """The services that track the run, besides this one."""
 
     wandb: WandbSpec | None = None
 

@@ -21,10 +21,10 @@ ENTRY_ID = f"[0-9]{{0,{_LONGEST_ID}}}"
 
 
 class Entry(Stored):
-    """Something that happened to a job; entries are in the order in which it happened.
+    """One event of a job, or one line of its log; a feed has its entries in the order in which they happened.
 
     kind: `status`, `progress`, `metrics`, `artifact`, `phase`, `note` in `events`; `line` in `logs`.
-    id is given by the store: 1, 2, 3, … within a channel, as text.
+    The store gives the id: 1, 2, 3, … within a channel, as text.
     """
 
     id: str = ""
@@ -44,10 +44,10 @@ def entry_number(entry_id: str) -> int:
 
 
 class WorkerInfo(Stored):
-    """A worker, as it reports itself at every heartbeat.
+    """A worker's report on itself, which it sends at every heartbeat.
 
-    state: `ready` for jobs, or with one; while its device is `testing` or has failed a test, it takes none.
-    problem: what was wrong with the device. memory_bytes: of each of its devices, where that is known.
+    state: a `ready` worker takes jobs or has one; it takes none while it tests its device, or after that has
+    failed a test. problem: a sentence on that failure. memory_bytes: of each of its devices, where known.
     packages: the optional packages that it has; null if a worker of an older version did not report them.
     """
 
@@ -107,7 +107,7 @@ class Chunk:
 class FeedPart:
     """A feed after a position: the chunks that reach beyond it, then the entries after them.
 
-    status: the job's when this was read. is_end: whether there was nothing more then.
+    status: the job's status at that moment. is_end: whether the feed had no more entries then.
     """
 
     chunks: Sequence[Chunk]
@@ -118,7 +118,7 @@ class FeedPart:
 
 @dataclass(frozen=True)
 class Dispatch:
-    """Something to hand over to RQ. task: `attempt` or `model`; subject: the job's or the model's id."""
+    """A message to hand over to RQ. task: `attempt` or `model`; subject: the job's or the model's id."""
 
     task: Literal["attempt", "model"]
     subject: str
@@ -127,7 +127,7 @@ class Dispatch:
 
 @dataclass(frozen=True)
 class Mark:
-    """How far a job has come; a different mark means a change."""
+    """A job's version and the lengths of its feeds; a different mark means a change."""
 
     version: int
     num_events: int
@@ -182,12 +182,12 @@ class JobStore(ModelStore, Protocol):
         ...
 
     def delete(self, job_id: str, version: int) -> None:
-        """Forget the job, its feeds and its lease. Raises JobNotFound, and StaleJob where its version has
-        moved on."""
+        """Delete the job, its feeds and its lease. Raises JobNotFound, and StaleJob where its version has
+        changed."""
         ...
 
     def list(self, query: JobQuery, *, cursor: str | None = None, limit: int = 50) -> Page:
-        """Newest first. cursor: the `next_cursor` of an earlier page."""
+        """Some of the jobs that match, newest first. cursor: the `next_cursor` of an earlier page."""
         ...
 
     def expired(self) -> Iterable[Job]:
@@ -196,9 +196,11 @@ class JobStore(ModelStore, Protocol):
         ...
 
     def beat(self, lease: timedelta) -> None:
-        """Record that leases are being watched. After a gap of half a lease (the store was unavailable, its
-        clock was set, or nobody watched), `expired` and `take_back` find nothing for a whole lease: attempts
-        get that time to renew theirs."""
+        """Record that the reconciler watches the leases.
+
+        After a gap of half a lease (the store was unavailable, its clock was set, or no reconciler ran),
+        `expired` and `take_back` find nothing for a whole lease: attempts get that time to renew theirs.
+        """
         ...
 
     def waiting(self) -> Sequence[Dispatch]:
@@ -307,5 +309,5 @@ class JobStore(ModelStore, Protocol):
         ...
 
     def ping(self) -> None:
-        """Raises RecordsUnavailable."""
+        """Make sure that the store answers. Raises RecordsUnavailable."""
         ...

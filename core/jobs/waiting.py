@@ -1,11 +1,11 @@
-"""Which of the present workers can run a queued job, and what the job lacks if none can."""
+"""The present workers that can run a queued job, and the reason if there is none."""
 
 from collections.abc import Collection, Mapping, Sequence
 
 from core.algorithms.memory import Memory
 from core.environments.info import Device
 from core.jobs.job import Job
-from core.jobs.needs import EXTRAS, kind_of, memory_for, packages_for
+from core.jobs.needs import how_to_install, kind_of, memory_for, packages_for
 from core.jobs.queue import queue_name
 from core.jobs.status import JobStatus
 from core.jobs.store import WorkerInfo
@@ -80,7 +80,7 @@ def _no_package(workers: Sequence[WorkerInfo], packages: Mapping[str, str]) -> s
 
 
 def _named(missing: Sequence[str], packages: Mapping[str, str]) -> str:
-    return " and ".join(f"{packages[name]} (uv sync --inexact --extra {EXTRAS[name]})" for name in missing)
+    return " and ".join(f"{packages[name]} ({how_to_install(name)})" for name in missing)
 
 
 def _has_memory(worker: WorkerInfo, memory: Mapping[Device, Memory]) -> bool:

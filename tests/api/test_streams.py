@@ -224,6 +224,52 @@ def test_metrics_come_as_a_table(stack: Stack, attempt: Attempt, accept: str, qu
     ]
 
 
+def test_a_table_has_every_row_of_a_long_job(stack: Stack, attempt: Attempt) -> None:
+    # More than one answer has as JSON; the last rows bring a column, which the first line has to name.
+    attempt.say_all("metrics", [{"step": step, "values": {"a": 1.0}} for step in range(10_001)])
+    attempt.say("metrics", step=10_001, values={"b": 2.0})
+    here = f"/jobs/{attempt.id}/metrics"
+    assert len(stack.http.get(here).json()["rows"]) == 10_000
+    answer = stack.http.get(here, params={"format": "csv"})
+    first, *rows = answer.text.splitlines()
+    assert first == "step,time,a,b"
+    assert [int(row.split(",")[0]) for row in rows] == list(range(10_002))
+    assert "Link" not in answer.headers
+
+
+def test_a_table_is_cut_where_that_is_asked_for_and_says_where_to_continue(
+    stack: Stack, attempt: Attempt
+) -> None:
+    for step in range(5):
+        attempt.say("progress", step=step, total=5)
+        attempt.say("metrics", step=step, values={"reward": 1.0})
+    steps, address = list[int](), f"/jobs/{attempt.id}/metrics?format=csv&limit=2"
+    for num_rows in (2, 2, 1):
+        answer = stack.http.get(address)
+        rows = answer.text.splitlines()[1:]
+        assert len(rows) == num_rows
+        steps += [int(row.split(",")[0]) for row in rows]
+        address = answer.links.get("next", {}).get("url", "")
+    assert (steps, address) == ([0, 1, 2, 3, 4], "")
+
+
+def test_a_table_shows_a_step_measured_again_once(stack: Stack, attempt: Attempt) -> None:
+    # A second attempt begins again after step 1, and never measures step 3.
+    for step, value in [(1, 0.1), (2, 0.2), (3, 0.3), (2, 1.2), (4, 1.4)]:
+        attempt.say("metrics", step=step, values={"reward": value})
+    attempt.say("metrics", step=2, values={"speed": 3.0})
+    rows = stack.http.get(f"/jobs/{attempt.id}/metrics?format=csv").text.splitlines()
+    time = "2026-11-20T12:00:00+00:00"
+    assert rows == [
+        "step,time,reward,speed",
+        f"1,{time},0.1,",
+        f"3,{time},0.3,",
+        f"2,{time},1.2,",
+        f"4,{time},1.4,",
+        f"2,{time},,3.0",
+    ]
+
+
 def test_a_log_is_plain_text_and_whole(stack: Stack, attempt: Attempt) -> None:
     lines = [f"line {i} <b>é" for i in range(1201)]  # more than two pages of the feed
     attempt.print(*lines)
@@ -325,6 +371,8 @@ def test_metrics_are_read_across_chunks_without_gap_or_double(stack: Stack, chun
     here = f"/jobs/{chunked}/metrics"
     whole = stack.http.get(here).json()
     assert [row["step"] for row in whole["rows"]] == list(range(NUM_ROWS))
+    table = stack.http.get(here, params={"format": "csv"}).text.splitlines()
+    assert [int(row.split(",")[0]) for row in table[1:]] == list(range(NUM_ROWS))
     for limit in (1, 7, 9, 50):
         steps, after = list[int](), ""
         while rows := (page := stack.http.get(here, params={"after": after, "limit": limit}).json())["rows"]:
@@ -364,7 +412,7 @@ def test_a_feed_whose_chunks_cannot_be_read_is_refused_before_its_stream_begins(
     stack: Stack, chunked: str
 ) -> None:
     with stack.away("objects"):
-        for part in ("events", "logs", "logs?follow=true", "metrics"):
+        for part in ("events", "logs", "logs?follow=true", "metrics", "metrics?format=csv"):
             problem(stack.http.get(f"/jobs/{chunked}/{part}"), 503, "storage-unavailable")
 
 

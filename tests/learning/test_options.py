@@ -163,3 +163,11 @@ def test_the_policy_acts_on_its_own_observation_alone() -> None:
     assert last_evaluation(seeing.events())["eval/episode_reward"] > -0.05
     assert policy_from_checkpoint(seeing.checkpoint()).config.policy_obs_key == "privileged_state"
     assert np.asarray(FORMAT.read(seeing.checkpoint())[1]["normalizer"]["mean"]["state"]).shape == (1,)
+
+
+def test_an_evaluation_and_a_policy_see_what_training_saw_where_nothing_is_normalised() -> None:
+    # Training reads the sign as it is, and gets -0.25 without it; a bound of 1e-6 would hide it.
+    options = {"normalize_observations": False, "normalize_observations_max_abs_value": 1e-6}
+    trainer = small_trainer(probes.observed_action_reward(), entropy_cost=1e-2, **options)
+    assert last_evaluation(trainer.events())["eval/episode_reward"] > -0.05
+    assert policy_from_checkpoint(trainer.checkpoint()).config.normalize_observations_max_abs_value is None

@@ -1,4 +1,4 @@
-"""What a machine keeps of its jobs' compilations: files that never change, with the names JAX and Warp gave.
+"""A machine's compiled programs: files that never change, with the names that JAX and Warp gave them.
 
 A job works in a folder of its own, with links to all of them. So it may write in place (JAX), or leave half a
 file when it is killed: the machine's folder takes over whole files only, and only after a job got through its

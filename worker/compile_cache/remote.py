@@ -23,7 +23,7 @@ _AT_ONCE = 8
 
 @dataclass(frozen=True)
 class SharedCache:
-    """What machines with one fingerprint compiled for one environment.
+    """The compiled programs that machines with one fingerprint share, for one environment.
 
     Every method raises StorageUnavailable when the store cannot be reached, and OSError where the disk fails.
     """

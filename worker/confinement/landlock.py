@@ -40,7 +40,7 @@ class _PathBeneath(ctypes.Structure):
 
 
 def version() -> int:
-    """Which version of it this kernel has; 0: none, or it is switched off."""
+    """The version of Landlock that this kernel has; 0 if it has none, or if Landlock is switched off."""
     if sys.platform != "linux":
         return 0
     try:

@@ -1,4 +1,4 @@
-"""What a process that reads a stranger's model may use."""
+"""The limits of a process that reads a stranger's model."""
 
 import os
 import resource

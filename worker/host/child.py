@@ -75,7 +75,7 @@ def launch(  # noqa: PLR0913 # Popen's own, where callers differ.
 
 
 def collect(child: subprocess.Popen[bytes], timeout_s: float) -> tuple[str, str]:
-    """What it writes to its pipes until it ends, at most the last MiB of each; then it is killed for certain.
+    """The child's output on each pipe until it ends, at most the last MiB; then it is killed for certain.
 
     Raises subprocess.TimeoutExpired.
     """
@@ -161,7 +161,7 @@ class TrainingProcess:
                     log.warning("message_not_understood", line=line[:200])
 
     def lines(self) -> Iterator[str]:
-        """What it and its libraries print, line by line, each cut to 4,000 characters."""
+        """The lines that it and its libraries print, each cut to 4,000 characters."""
         with cast("IO[bytes]", self._child.stdout) as pipe:
             for line in _lines(pipe, 4 * _LONGEST_LINE):
                 yield line.decode(errors="replace").rstrip("\n")[:_LONGEST_LINE]

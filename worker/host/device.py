@@ -1,4 +1,4 @@
-"""Which device a worker serves, or which GPUs; found without loading the numerical stack."""
+"""The device that a worker serves, or its GPUs; found without loading the numerical stack."""
 
 import re
 from importlib.util import find_spec

@@ -60,7 +60,7 @@ class DeviceTest:
         return self._child.poll() is not None or time.monotonic() > self._deadline
 
     def problem(self) -> str | None:
-        """What is wrong with the device, as a sentence, or None. Call it when the test is over."""
+        """A sentence that says what is wrong with the device, or None. Call it when the test is over."""
         status, last_line = self._child.poll(), self._last_line()
         self.close()
         if status == 0:
@@ -81,7 +81,7 @@ class DeviceTest:
 
 
 def result_of(test: DeviceTest, called_off: Callable[[], bool]) -> str | None:
-    """What is wrong with the device; None also if the test was called off."""
+    """A sentence that says what is wrong with the device; None also if the test was called off."""
     try:
         while not test.is_over():
             pause(_GLANCE_S, called_off)
@@ -103,7 +103,7 @@ def set_aside(mark: Path, problem: str) -> None:
 
 
 class DeviceHealth:
-    """What a worker knows about its device. command: the test; None if the device needs none.
+    """A worker's knowledge of its device. command: the test; None if the device needs none.
 
     slot_names: the device's locks, which are held during a test.
     """

@@ -1,4 +1,4 @@
-"""How much memory a worker's device has, found without loading the numerical stack."""
+"""The memory of a worker's device, found without loading the numerical stack."""
 
 import shutil
 import subprocess

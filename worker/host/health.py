@@ -22,7 +22,7 @@ def show_life(file: Path | None) -> None:
 
 
 def silence_s(file: Path) -> float:
-    """How long ago the last sign was; infinite if there was none."""
+    """The seconds since the last sign; infinite if there was none."""
     try:
         return time.time() - file.stat().st_mtime
     except FileNotFoundError:

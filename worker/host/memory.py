@@ -1,4 +1,4 @@
-"""How much of the machine's memory a training may take, and whether the kernel killed it for more."""
+"""The part of the machine's memory that a training may take, and whether the kernel killed it for more."""
 
 import os
 import time
@@ -62,7 +62,7 @@ class MemoryWatch:
 
 
 def allowed_bytes(setting: int | None, root: Path = _ROOT) -> int:
-    """What a training may take: the setting, or what the machine or the container has, less a reserve."""
+    """The bytes that a training may take: the setting, or the memory of machine or container, less some."""
     if setting is not None:
         return setting
     has = _has_bytes(root)
@@ -70,7 +70,7 @@ def allowed_bytes(setting: int | None, root: Path = _ROOT) -> int:
 
 
 def kernel_kills(root: Path = _ROOT) -> int:
-    """How many processes the kernel has killed for memory: in this container, or else on this machine."""
+    """The number of processes that the kernel killed for memory, in this container or on this machine."""
     files = [folder / "memory.events" for folder in _cgroups(root)]
     for file in (*files, root / "proc/vmstat"):
         with suppress(OSError):

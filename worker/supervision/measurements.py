@@ -1,4 +1,4 @@
-"""What a job has measured, over all of its attempts."""
+"""The measurements of a job, over all of its attempts."""
 
 import json
 

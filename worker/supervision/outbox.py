@@ -19,7 +19,18 @@ from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Channel, Entry
 from core.retry import retry_while_unavailable
 from core.storage import keys
-from worker.protocol import Advanced, FileReady, Hello, Measured, Message, Noted, PhaseEnded, Started
+from worker.protocol import (
+    Advanced,
+    Failed,
+    FileReady,
+    Finished,
+    Hello,
+    Measured,
+    Message,
+    Noted,
+    PhaseEnded,
+    Started,
+)
 from worker.supervision.measurements import Measurements
 
 # How long an object that the record no longer names is kept for those who are reading it.
@@ -55,7 +66,7 @@ class Outbox:
 
     @property
     def num_waiting(self) -> int:
-        """How many messages and lines are not stored yet."""
+        """The number of messages and lines that are not stored yet."""
         return self._waiting.qsize()
 
     def put(self, item: Message | str) -> None:
@@ -95,7 +106,7 @@ class Outbox:
                 return
 
     def _take(self) -> list[_Heard | None]:
-        """At least one item, and what else waits already, so that a flood takes few writes."""
+        """At least one item, and all others that wait already, so that a flood takes few writes."""
         items = [self._waiting.get()]
         with contextlib.suppress(queue.Empty):
             while len(items) < 500:
@@ -145,8 +156,10 @@ class Outbox:
                 self._claim.start(device=device, engine=engine, details=details)
             case FileReady() as message:
                 self._publish(message, item.time, write_id)
-            case _:  # The supervisor judges Failed and Finished.
+            case Failed() | Finished():  # The supervisor judges these.
                 pass
+            case _:
+                raise TypeError(f"{item.what!r} is not stored on its own")
 
     def _record(
         self, channel: Channel, entries: Sequence[Entry], write_id: str, progress: Progress | None = None
@@ -169,7 +182,7 @@ class Outbox:
     def _remove_later(self, dropped: Sequence[str]) -> None:
         """Remove what was dropped some time ago, and remember what is dropped now.
 
-        What is left when the attempt ends, or cannot be removed, is collected with the orphans.
+        The collection of orphans removes those that are left when the attempt ends, or cannot be removed.
         """
         now = time.monotonic()
         due = [key for at, key in self._dropped if now - at > _LINGER_S]

@@ -1,4 +1,4 @@
-"""What an attempt's end means for its job."""
+"""The outcome of an attempt for its job."""
 
 import signal
 from dataclasses import dataclass

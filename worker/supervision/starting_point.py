@@ -1,4 +1,4 @@
-"""What a training process starts from: its task, a verified checkpoint, and the user's own model."""
+"""The files of a training process's start: its task, a verified checkpoint, and the user's own model."""
 
 import hashlib
 from pathlib import Path

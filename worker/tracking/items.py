@@ -58,7 +58,7 @@ ITEM: TypeAdapter[Configured | Row | Film | End] = TypeAdapter(Item)
 
 
 class WriteUp(Stored):
-    """What to write about the whole job; all paths are in the folder of the document.
+    """The files to write about the whole job; all paths are in the folder of the document.
 
     measurements: JSON lines, each with step, time and values. events: the file for TensorBoard.
     curve: a picture, of runs that have one. archive: the offline run; None if none is wanted.

@@ -38,7 +38,7 @@ class BuiltEnvironment:
     num_devices: int = 1
 
     def started(self, **details: Any) -> Started:
-        """What the job's record shall say about this attempt."""
+        """The facts on this attempt for the job's record."""
         also = [*(["warp-lang"] if self.engine == "warp" else []), *_brought_by(self.info)]
         packages = ("jax", "brax", "mujoco", "mujoco-mjx", *also)
         versions = {name: version(name) for name in packages}
@@ -91,13 +91,13 @@ def _brought_by(info: EnvironmentInfo) -> list[str]:
 
 
 def _named(devices: Sequence[Any]) -> str:
-    """As `2 × NVIDIA H200`."""
+    """The names of the devices, such as `2 × NVIDIA H200`."""
     kinds = Counter(device.device_kind for device in devices)
     return ", ".join(kind if number == 1 else f"{number} × {kind}" for kind, number in kinds.items())
 
 
 def _num_worlds(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
-    """How many environments the job steps in parallel for most of its time."""
+    """The number of environments that the job steps in parallel for most of its time."""
     match spec:
         case TrainSpec():
             return resolve(spec.algorithm, info, device).num_worlds

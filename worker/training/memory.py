@@ -18,6 +18,6 @@ def check_memory(least: Memory, device: Device) -> None:
 
 
 def _device_bytes() -> int | None:
-    """What XLA may use of the first GPU; None if it does not say."""
+    """The memory of the first GPU that XLA may use, in bytes; None if XLA does not say."""
     counted = jax.local_devices()[0].memory_stats()
     return counted.get("bytes_limit") if counted else None

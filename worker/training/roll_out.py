@@ -118,7 +118,7 @@ def _report(summary: dict[str, Any], events: EventWriter) -> None:
 
 
 def _first_seconds(episodes: Sequence[Episode], seconds: float, dt: float) -> list[Episode]:
-    """As many episodes as the video has time for, the last one cut."""
+    """The episodes for which the video has time; the last one is cut."""
     left, shown = max(1, round(seconds / dt)), list[Episode]()
     for episode in episodes:
         if left <= 0:

@@ -1,4 +1,4 @@
-"""What the supervisor's signals have asked of the training process."""
+"""The supervisor's signals to the training process, and what they have asked for."""
 
 import os
 import signal

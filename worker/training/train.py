@@ -94,7 +94,7 @@ class PolicyVideos:
     _film: VideoRecorder | None = None
 
     def take(self, name: str) -> None:
-        """As `<name>.mp4`, of the present step."""
+        """Keep a video of the present step as `<name>.mp4`."""
         policy = policy_from_checkpoint(self.run.checkpoint())
         if self._film is None:
             world, act = policy.acting(self.built.environment)
@@ -132,7 +132,7 @@ class Report:
                 self.keep_checkpoint()
 
     def keep_checkpoint(self) -> None:
-        """Of the present state, once."""
+        """Keep a checkpoint of the present state, unless there is one already."""
         step = self.run.step
         if step != self._kept_step:
             name = f"checkpoint-{step:012d}.msgpack"
@@ -141,7 +141,7 @@ class Report:
         self._kept_at = time.monotonic()
 
     def keep_checkpoint_if_due(self) -> None:
-        """Of the present state, where the last one is older than a lost worker may cost."""
+        """Keep a checkpoint if the last one is older than `checkpoint_every_s`."""
         if time.monotonic() - self._kept_at >= self.checkpoint_every_s:
             self.keep_checkpoint()
 

@@ -1,4 +1,4 @@
-"""What PostgreSQL's errors mean here, in sentences that name the setting and the remedy."""
+"""PostgreSQL's errors as this service's own, in sentences that name the setting and the remedy."""
 
 import re
 import time

@@ -46,7 +46,7 @@ def add(connection: Connection, job: Job, idempotency: Idempotency | None = None
 
 
 def _add_row(connection: Connection, job: Job, idempotency: Idempotency | None) -> bool:
-    """Of two submissions with one key, the second waits until the first is committed or rolled back."""
+    """The second of two submissions with one key waits until the first is committed or rolled back."""
     row = rows.new_job_values(job)
     values = {**row, "attempt": job.next_attempt, "is_queued": job.status == JobStatus.QUEUED}
     if idempotency is not None:

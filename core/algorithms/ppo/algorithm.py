@@ -57,7 +57,12 @@ class PPO:
 
     def evaluate(self, evaluated: tuple[Any, ...], key: jax.Array, update: jax.Array) -> EpisodeTotals:
         environment, settings = self._learner.environment, self.settings
-        networks = make_networks(environment.observation_size, environment.action_size, settings)
+        networks = make_networks(
+            environment.observation_size,
+            environment.action_size,
+            settings,
+            normalize=settings.normalize_observations,
+        )
         return run_episodes(
             environment,
             make_inference_fn(networks)(evaluated, deterministic=settings.deterministic_eval),

@@ -32,8 +32,14 @@ class PolicyConfig:
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> "PolicyConfig":
-        """From facts that may include others; a missing one takes its default."""
-        return cls(**{name: facts[name] for name in asdict(cls()) if name in facts})
+        """From facts that may include others; a missing one takes its default.
+
+        A run that does not normalise observations does not bound them either.
+        """
+        names = set(asdict(cls())) & facts.keys()
+        if not facts.get("normalize_observations", True):
+            names -= {"normalize_observations_max_abs_value"}
+        return cls(**{name: facts[name] for name in names})
 
 
 @struct.dataclass

@@ -30,7 +30,7 @@ class Exploration:
     def epsilon(
         self, start: jax.Array, end: jax.Array, length: jax.Array, rounds: jax.Array, decision: jax.Array
     ) -> jax.Array:
-        """Epsilon in the decision [] int32 of an episode, after so many whole rounds [] int32.
+        """Epsilon in the decision [] int32 of an episode, after `rounds` whole rounds [] int32.
 
         From `start` to `end`, in `length` episodes or decisions, and then it stays.
         """

@@ -54,8 +54,9 @@ class Hyperparameters:
 
 @struct.dataclass
 class TrainingState:
-    """Everything that a run's future depends on, besides its settings. No world: each round begins anew.
+    """Everything that a run's future depends on, besides its settings.
 
+    It holds no environments, because each round starts fresh ones.
     table: [agents, S, A] float32. visits: [agents, S, A] int32, transitions that each cell has learnt
     from, replayed ones not counted. replay: with [agents] in front; None without. key: [agents, 2], the next
     round's randomness. eval_key: the evaluations', the same throughout. eval_return: [agents], mean return

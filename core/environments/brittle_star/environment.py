@@ -1,6 +1,6 @@
 """Brittle stars that learn to move. Source: biorobot's environments; our engines compute the physics."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -131,7 +131,7 @@ class BrittleStar(MujocoEnv):
         }
 
 
-def _derived(observed: list[str]) -> tuple[str, ...]:
+def _derived(observed: Sequence[str]) -> tuple[str, ...]:
     """The fields that engines compute for these observables."""
     forces = not {"joint_actuator_force", "actuator_force"}.isdisjoint(observed)
     contacts = "segment_contact" in observed

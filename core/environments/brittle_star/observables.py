@@ -15,6 +15,7 @@ BodyObservable = Literal[
 ]
 TargetObservable = Literal["unit_xy_direction_to_target", "xy_distance_to_target"]
 LightObservable = Literal["segment_light_intake", "disk_light_intake"]
+Observable = BodyObservable | TargetObservable | LightObservable
 
 OF_THE_BODY: tuple[BodyObservable, ...] = get_args(BodyObservable)
 OF_THE_TARGET: tuple[TargetObservable, ...] = get_args(TargetObservable)
@@ -25,7 +26,7 @@ OF_THE_LIGHT: tuple[LightObservable, ...] = get_args(LightObservable)
 DEAR: tuple[BodyObservable, ...] = ("joint_actuator_force", "actuator_force", "segment_contact")
 
 
-def size_of(observable: str, num_segments: int) -> int:
+def size_of(observable: Observable, num_segments: int) -> int:
     """How many numbers the observable has; num_segments: of all arms together."""
     match observable:
         case "joint_position" | "joint_velocity" | "joint_actuator_force" | "actuator_force":
@@ -36,5 +37,5 @@ def size_of(observable: str, num_segments: int) -> int:
             return 2
         case "xy_distance_to_target" | "disk_light_intake":
             return 1
-        case _:
+        case "disk_position" | "disk_rotation" | "disk_linear_velocity" | "disk_angular_velocity":
             return 3

@@ -14,6 +14,7 @@ from core.environments.brittle_star.observables import (
     OF_THE_TARGET,
     BodyObservable,
     LightObservable,
+    Observable,
     TargetObservable,
 )
 from core.environments.cpg.options import CPGOptions
@@ -220,9 +221,9 @@ class LightEscapeOptions(BrittleStarOptions):
 Options = DirectedOptions | UndirectedOptions | LightEscapeOptions
 
 
-def observed(options: Options) -> list[str]:
+def observed(options: Options) -> list[Observable]:
     """The names of the observables, in biorobot's order."""
-    of_the_task: Mapping[type[Options], tuple[str, ...]] = {
+    of_the_task: Mapping[type[Options], tuple[Observable, ...]] = {
         DirectedOptions: OF_THE_TARGET,
         UndirectedOptions: (),
         LightEscapeOptions: OF_THE_LIGHT,

@@ -35,7 +35,7 @@ def sensor_places(parts: ModelIndex, names: list[str] | None) -> np.ndarray:
 
 def positions(xpos: jax.Array, bodies: np.ndarray, origin: int) -> jax.Array:
     """p_b − p_o of each of the bodies, in metres: [bodies * 3]. xpos: [nbody, 3]; origin: a body's number."""
-    return (xpos[bodies] - xpos[origin]).ravel()
+    return (xpos[bodies] - xpos[origin][None]).ravel()
 
 
 def limited_joints(parts: ModelIndex, names: list[str] | None) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What the bucket has and the record does not."""
+"""Jobs and feeds that the bucket has and the record does not."""
 
 import hashlib
 from collections.abc import Iterator, Sequence

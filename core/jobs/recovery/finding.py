@@ -1,4 +1,4 @@
-"""What `gaitway recover` finds, and the objects of the bucket by size."""
+"""The findings of `gaitway recover`, and the objects of the bucket by size."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

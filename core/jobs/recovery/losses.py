@@ -1,4 +1,4 @@
-"""What the record names and the bucket has lost."""
+"""Objects that the record names and the bucket has lost."""
 
 from collections.abc import Iterator, Sequence
 

@@ -20,7 +20,7 @@ _NO_SETTINGS = "no settings that lead to one"
 
 
 def postgresql(settings: "StoreSettings | None") -> Check:
-    """Whether the record can be reached, is durable, and has tables of this version."""
+    """Check that the record can be reached, is durable, and has tables of this version."""
     if settings is None:
         return Check("postgresql", "skip", _NO_SETTINGS)
     from core.adapters.connect import connect_postgres, job_store
@@ -48,7 +48,7 @@ def postgresql(settings: "StoreSettings | None") -> Check:
 
 
 def redis(settings: "StoreSettings | None") -> Check:
-    """Whether the queue can be written."""
+    """Check that the queue can be written."""
     if settings is None:
         return Check("redis", "skip", _NO_SETTINGS)
     from core.adapters.connect import connect_redis
@@ -73,7 +73,7 @@ def redis(settings: "StoreSettings | None") -> Check:
 
 
 def object_store(settings: "StoreSettings | None") -> Check:
-    """Whether a put, a get, a ranged get, a listing and a delete work."""
+    """Check that a put, a get, a ranged get, a listing and a delete work."""
     if settings is None:
         return Check("object store", "skip", _NO_SETTINGS)
     from core.adapters.connect import object_store
@@ -88,7 +88,7 @@ def object_store(settings: "StoreSettings | None") -> Check:
 
 
 def clock(settings: "StoreSettings | None") -> Check:
-    """Whether this clock agrees with the object store's: S3 refuses signatures that are 15 minutes off."""
+    """Check that this clock agrees with the object store's: S3 refuses signatures that are 15 minutes off."""
     if settings is None:
         return Check("clock", "skip", _NO_SETTINGS)
     from core.adapters.s3.connection import trusting
@@ -99,7 +99,7 @@ def clock(settings: "StoreSettings | None") -> Check:
         answer = httpx.get(f"{scheme}://{settings.s3_endpoint}/", timeout=5, verify=verify)
         skew_s = abs((datetime.now(UTC) - parsedate_to_datetime(answer.headers["Date"])).total_seconds())
     except (httpx.HTTPError, KeyError, ValueError, TypeError):
-        return Check("clock", "skip", "the object store's answer has no time")
+        return Check("clock", "skip", "the object store's answer names no time")
     remedy = "Let both machines take their time from NTP (here: `timedatectl set-ntp true`)."
     # The header has whole seconds, and the answer takes a while.
     if skew_s > 300:
@@ -110,7 +110,7 @@ def clock(settings: "StoreSettings | None") -> Check:
 
 
 def api() -> Check:
-    """Whether the service that the command line would talk to is ready."""
+    """Check that the service at GAITWAY_URL is ready."""
     url = os.environ.get("GAITWAY_URL")
     if not url:
         return Check("api", "skip", "GAITWAY_URL is not set")

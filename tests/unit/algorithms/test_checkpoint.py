@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from flax import serialization
 
-from core.algorithms.checkpoint import describe
+from core.algorithms.checkpoint import Format, describe, kind_of
 from core.algorithms.ppo.checkpoint import FORMAT
 from core.algorithms.ppo.spec import PPOSpec
 from core.errors import JobFailed
@@ -95,3 +95,14 @@ def test_the_header_says_what_was_trained() -> None:
     assert header["format"] == "gaitway-ppo-2"
     assert header["observation_size"] == 1
     assert sorted(state) == ["key", "weights"]
+
+
+@pytest.mark.parametrize("kind", ["ppo", "q_learning", "soft-actor-critic"])
+def test_a_checkpoint_says_which_algorithm_wrote_it(kind: str) -> None:
+    assert kind_of(Format(f"gaitway-{kind}-2").pack({}, PROGRESS, STATE)) == kind
+
+
+@pytest.mark.parametrize("name", ["gaitway-ppo", "elsewhere-ppo-2", ""])
+def test_a_checkpoint_that_names_no_algorithm_is_refused(name: str) -> None:
+    with pytest.raises(JobFailed, match="cannot be read"):
+        kind_of(Format(name).pack({}, PROGRESS, STATE))

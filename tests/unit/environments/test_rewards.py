@@ -6,6 +6,8 @@ import pytest
 from core.environments import rewards
 from core.environments.mjcf import observations
 
+pytestmark = pytest.mark.usefixtures("without_rank_promotion")
+
 
 def value(result: object) -> float:
     return float(result)  # type: ignore[arg-type]

@@ -1,10 +1,13 @@
 """A job that no worker could take says so; one that another worker can run is left to it."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from core.environments import catalog
 from core.jobs.job import Artifact
+from core.jobs.needs import packages_here
 from core.jobs.queue import queue_names
 from core.jobs.store import WorkerInfo, WorkerState
 from core.jobs.waiting import what_it_waits_for, why_left_to_others
@@ -87,6 +90,17 @@ def test_a_job_says_which_package_no_worker_has(
         assert told is None
     else:
         assert told == (f"No suitable worker can run {sentence}: install it there, or choose another.")
+
+
+def test_an_environment_may_need_a_package_that_no_extra_installs(monkeypatch: pytest.MonkeyPatch) -> None:
+    ant = replace(
+        catalog.ENVIRONMENTS["ant"], package="json"
+    )  # One that is installed, in place of a new one.
+    monkeypatch.setitem(catalog.ENVIRONMENTS, "ant", ant)
+    told = what_it_waits_for(make_job(environment="ant"), [worker("cpu", packages=())])
+    assert told is not None
+    assert "the environment ant (the Python package json): install it there" in told
+    assert "json" in packages_here()
 
 
 def test_a_job_that_began_on_warp_needs_it_again() -> None:

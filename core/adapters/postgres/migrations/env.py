@@ -1,4 +1,4 @@
-"""What Alembic runs: the migrations, on the connection that `schema` hands it."""
+"""Alembic runs this file: it runs the migrations on the connection that `schema` hands over."""
 
 from alembic import context
 
