@@ -4,8 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
-
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.checkpoint import kind_of
 from core.environments.environment import Environment
@@ -22,15 +20,14 @@ class Acting(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """A policy's parameters and its functions of them: a later checkpoint's need no new compilation.
+    """A policy's parameters and a function of them: a later checkpoint's need no new compilation.
 
-    acting: how it acts in an environment like the one it was trained in. answer: (parameters, observation,
-    key) -> output, for callers without an environment.
+    acting: how it acts in an environment like the one it was trained in. A caller without an environment uses
+    `gaitway.policy`.
     """
 
     parameters: Any
     acting: Callable[[Environment], Acting]
-    answer: Callable[[Any, Any, jax.Array], jax.Array]
 
 
 def policy_from_checkpoint(content: bytes, *, deterministic: bool = True) -> TrainedPolicy:

@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from core.algorithms.policy import load_policy
+from core.algorithms.ppo.policy import make_inference
 from core.environments import trajectory
 from gaitway.client import Client
 from gaitway.views import Event, JobView
@@ -192,7 +193,7 @@ def test_a_user_of_the_wheel_trains_on_the_service_and_loads_the_policy(
     assert (status, own_module, loads_brax) == ("succeeded", "a module of the user", False)
     content = client.download(job_id, "policy", tmp_path).read_bytes()
     policy = load_policy(content, "ppo", is_checkpoint=False)
-    expected = policy.answer(policy.parameters, np.zeros(4, np.float32), jax.random.key(0))
+    expected = make_inference(policy.parameters)(np.zeros(4, np.float32), jax.random.key(0))
     np.testing.assert_allclose(action, expected, rtol=1e-5)
 
 

@@ -1,5 +1,6 @@
 """What tables learn, where the right answer is known."""
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -8,13 +9,14 @@ import numpy as np
 import pytest
 
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
-from core.algorithms.policy import load_policy, policy_from_checkpoint
+from core.algorithms.policy import policy_from_checkpoint
 from core.algorithms.q_learning.policy import FORMAT, LearntTable, read_policy, table_from_checkpoint
 from core.environments.brittle_star.discretization import towards_target
 from core.environments.discretization import Discretization
 from core.environments.environment import Environment
 from core.environments.rollout import Roller
 from core.errors import JobFailed
+from gaitway import policy as client_policy
 from tests.learning.q_probes import STAR, PlanarStar, q_settings, q_trainer, two_rooms
 from tests.learning.runs import last_evaluation
 from tests.overflowing import Overflowing
@@ -114,7 +116,7 @@ def test_arms_that_read_and_choose_for_themselves_bring_the_star_to_its_target()
     np.testing.assert_array_equal(read_policy(trainer.policy()).table.argmax(axis=1), [1, 1, 0, 0, 1])
 
 
-def test_a_learnt_table_acts_step_by_step_and_holds_each_action_for_a_decision() -> None:
+def test_a_learnt_table_acts_step_by_step_and_holds_each_action_for_a_decision(tmp_path: Path) -> None:
     star, settings = (
         PlanarStar(),
         q_settings(STAR, learning_rate=0.0, initial_table="identity", num_episodes=10),
@@ -129,10 +131,11 @@ def test_a_learnt_table_acts_step_by_step_and_holds_each_action_for_a_decision()
     np.testing.assert_array_equal(episode.action.sum(axis=1), 1.0)  # one arm at a time
     changes = np.flatnonzero((episode.action[1:] != episode.action[:-1]).any(axis=1)) + 1
     assert (changes % 5 == 0).all()
-    # For who has no environment, it says which arm is to lead.
-    file = load_policy(trainer.policy(), "q_learning", is_checkpoint=False)
-    sight = {"xy_direction_to_target": jnp.array([-1.0, -0.1]), "disk_rotation": jnp.zeros(3)}
-    assert file.answer(file.parameters, sight, KEY).tolist() == [3]
+    # Without an environment, the client says which arm is to lead.
+    (tmp_path / "policy").write_bytes(trainer.policy())
+    choose = client_policy.load(tmp_path / "policy", "q_learning", is_checkpoint=False)
+    seen = {"xy_direction_to_target": jnp.array([-1.0, -0.1]), "disk_rotation": jnp.zeros(3)}
+    assert choose(seen).tolist() == [3]
     with pytest.raises(JobFailed, match=r"The table is \[5, 5\], and this environment needs \[7, 5\]"):
         policy.acting(SevenSectors())
 

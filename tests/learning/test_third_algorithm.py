@@ -1,5 +1,6 @@
 """An algorithm that the project does not have, from its own folder and one row of the catalog."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,9 @@ def test_it_learns_and_its_policy_acts() -> None:
         load_policy(run.policy(), "random_search", is_checkpoint=False),
         policy_from_checkpoint(run.checkpoint()),
     ):
-        action = policy.answer(policy.parameters, jnp.array([1.0]), jax.random.PRNGKey(0))
+        environment, act = policy.acting(probes.observed_action_reward())
+        state = replace(environment.reset(jax.random.PRNGKey(0)), obs=jnp.array([1.0]))
+        action = act(policy.parameters, state, jax.random.PRNGKey(0))
         assert float(action[0]) == pytest.approx(0.5, abs=0.02)
 
 

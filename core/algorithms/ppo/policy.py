@@ -75,7 +75,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
 
         return Acting(ActionHold(environment), act)
 
-    return TrainedPolicy(params, acting, answer)
+    return TrainedPolicy(params, acting)
 
 
 def policy_from_checkpoint(content: bytes) -> PolicyParams:

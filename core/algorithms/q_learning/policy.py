@@ -14,14 +14,9 @@ from core.algorithms.policy import Acting, TrainedPolicy
 from core.algorithms.q_learning.discrete_env import Tabular
 from core.algorithms.q_learning.options import (
     ActionSetOptions,
-    DiskPositionGrid,
-    ObservationGrid,
     StateDiscretizerOptions,
 )
-from core.algorithms.q_learning.state_discretizers import make_grid
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
-from core.environments.brittle_star.discretization import towards_target
-from core.environments.discretization import StateDiscretizer
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed
@@ -93,15 +88,8 @@ def policy_agent(eval_return: NDArray[np.float32], which: str) -> int:
     return int(np.argmax(eval_return)) if which == "best" else 0
 
 
-def _without_environment(options: StateDiscretizerOptions, facts: Mapping[str, Any]) -> StateDiscretizer:
-    if isinstance(options, DiskPositionGrid | ObservationGrid):
-        return make_grid(options)
-    return towards_target(facts["num_states"]).state_discretizers[options.kind]
-
-
 def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
-    """What a checkpoint or a policy file holds, ready to act; its answer are columns [num_readers] for what
-    the state discretizer needs, by name. Raises JobFailed if it is damaged."""
+    """The table of a checkpoint or a policy file, ready to act. Raises JobFailed if it is damaged."""
     learnt = table_from_checkpoint(content) if is_checkpoint else read_policy(content)
     facts = learnt.facts
     state_discretizer = _STATE_DISCRETIZER.validate_python(facts["state_discretizer"])
@@ -110,9 +98,6 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
 
     def choose(table: jax.Array, rows: jax.Array, key: jax.Array) -> jax.Array:
         return greedy(table, rows) if deterministic else epsilon_greedy(table, rows, epsilon, key)
-
-    def answer(table: jax.Array, seen: Mapping[str, jax.Array], key: jax.Array) -> jax.Array:
-        return choose(table, _without_environment(state_discretizer, facts)(seen), key)
 
     def acting(environment: Environment) -> Acting:
         tabular = Tabular.of(state_discretizer, action_set, environment)
@@ -125,4 +110,4 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
 
         return Acting(ActionHold(environment), act)
 
-    return TrainedPolicy(jnp.asarray(learnt.table), acting, answer)
+    return TrainedPolicy(jnp.asarray(learnt.table), acting)

@@ -112,4 +112,4 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
     def acting(environment: Environment) -> Acting:
         return Acting(environment, lambda weights, state, key: state.obs @ weights)
 
-    return TrainedPolicy(weights, acting, lambda weights, obs, key: obs @ weights)
+    return TrainedPolicy(weights, acting)

@@ -1,7 +1,7 @@
 """The client reads policies without the service's code, and they act as the service's own do."""
 
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args
@@ -11,19 +11,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.training.acme import running_statistics
+from pydantic import TypeAdapter
 
 from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.checkpoint import describe
 from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy import load_policy
 from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, init_params, make_networks
-from core.algorithms.ppo.policy import write_policy
+from core.algorithms.ppo.policy import make_inference, write_policy
 from core.algorithms.ppo.spec import Activation, PPOSpec
 from core.algorithms.q_learning import policy as tables
 from core.algorithms.q_learning.options import StateDiscretizerOptions
+from core.algorithms.q_learning.state_discretizers import make_state_discretizer
+from core.algorithms.q_learning.table import epsilon_greedy, greedy
 from gaitway import PolicyUnreadable, policy
 from tests import probes
+from tests.learning.q_probes import PlanarStar
 from tests.unit.algorithms.checkpoints import pack
+
+Answer = Callable[[Any, jax.Array], jax.Array]
 
 KEY = jax.random.key(5)
 SMALL = {"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]}
@@ -57,7 +63,7 @@ def table_files(discretizer: Mapping[str, Any], num_rows: int) -> Mapping[bool, 
         "state_discretizer": discretizer,
         "action_set": {"kind": "actions", "actions": [[0.0]] * 4},
         "decision_steps": 5,
-        "num_arms": 5,
+        "num_states": 5,
         "policy_agent": "best",
         "epsilon": [0.1, 0.7],
     }
@@ -67,6 +73,28 @@ def table_files(discretizer: Mapping[str, Any], num_rows: int) -> Mapping[bool, 
     return {True: tables.FORMAT.pack(facts, {}, state), False: tables.write_policy(learnt)}
 
 
+def network_answers(content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
+    """What the service itself computes with a network."""
+    own = load_policy(content, "ppo", is_checkpoint=is_checkpoint, deterministic=deterministic)
+    answer: Any = jax.jit(lambda params, *seen: make_inference(params, deterministic=deterministic)(*seen))
+    return lambda observation, key: answer(own.parameters, observation, key)
+
+
+def table_answers(content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
+    """What the service itself computes with a table, on a star of five arms."""
+    learnt = tables.table_from_checkpoint(content) if is_checkpoint else tables.read_policy(content)
+    options: Any = TypeAdapter(StateDiscretizerOptions).validate_python(learnt.facts["state_discretizer"])
+    rows = make_state_discretizer(options, PlanarStar(observation_size=8))
+    table, epsilon = jnp.asarray(learnt.table), jnp.float32(learnt.facts["epsilon"])
+
+    def answer(seen: Any, key: jax.Array) -> jax.Array:
+        if deterministic:
+            return greedy(table, rows(seen))
+        return epsilon_greedy(table, rows(seen), epsilon, key)
+
+    return jax.jit(answer)
+
+
 def assert_acts_alike(
     tmp_path: Path, algorithm: str, files: Mapping[bool, bytes], *observations: Any
 ) -> None:
@@ -74,14 +102,14 @@ def assert_acts_alike(
 
     Bit for bit: both are compiled from the same operations.
     """
+    answers = {"ppo": network_answers, "q_learning": table_answers}[algorithm]
     for is_checkpoint, content in files.items():
         (tmp_path / "file").write_bytes(content)
         options: dict[str, bool] = {"is_checkpoint": is_checkpoint, "deterministic": is_checkpoint}
         act = policy.load(tmp_path / "file", algorithm, **options)
-        own = load_policy(content, algorithm, **options)
-        answer: Any = jax.jit(own.answer)
+        answer = answers(content, **options)
         for observation in observations:
-            expected = answer(own.parameters, observation, KEY)
+            expected = answer(observation, KEY)
             got = act(observation, KEY)
             assert (got.dtype, got.shape) == (expected.dtype, expected.shape)
             np.testing.assert_array_equal(got, expected)
