@@ -16,8 +16,8 @@ from core.environments.wrappers.autoreset import select
 Policy = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
 
 
-# On a device, or on the host.
-PerEnvironment = Float[Array | np.ndarray, " N"]
+# [N], or [agents, episodes] as Q-learning groups them; on a device, or on the host.
+PerEnvironment = Float[Array | np.ndarray, "*N"]
 
 
 @struct.dataclass
