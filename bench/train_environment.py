@@ -8,7 +8,7 @@ unset.
 import time
 from typing import Any
 
-from bench.child import answer
+from bench.measure.child import answer
 
 
 def train(request: dict[str, Any]) -> dict[str, Any]:
