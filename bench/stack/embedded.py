@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import psutil
 
-from bench.stack.ports import free_port
+from gaitway.embedded.processes import free_ports
 
 _START_S = 60.0
 _STOP_S = 90.0
@@ -58,7 +58,7 @@ def _listens(process: psutil.Process, port: int) -> bool:
 @contextmanager
 def running_stack(data_dir: Path, *, workers: int = 1) -> Generator[Stack]:
     """The stack with its workers announced; ended with everything it started. Raises RuntimeError."""
-    port = free_port()
+    [port] = free_ports(1)
     data_dir.mkdir(parents=True, exist_ok=True)
     log = data_dir / "bench-stack.log"
     command = [sys.executable, "-m", "gaitway.embedded.up"]
