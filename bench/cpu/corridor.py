@@ -49,8 +49,8 @@ def measure(options: Options) -> Result:
         ],
         notes=[
             "The environment's default options: 40 m with gaps, five physics steps to a control step, Newton "
-            "to convergence. A control step is that of one world, with its observation, reward and, after a "
-            "fall, a new start; without networks each has an action of its own.",
+            "to convergence. A control step is that of one environment, with its observation, reward and, "
+            "after a fall, a new start; without networks each has an action of its own.",
             *runs.notes(),
         ],
         unfinished=runs.left,

@@ -37,16 +37,16 @@ Case = tuple[str, dict[str, Any], dict[str, Any]]
 _ON_A_CPU: dict[str, Case] = {
     "ant, few": ("ant", {}, _FEW),
     "ant, long unrolls": ("ant", {}, _ppo(64, 64, 16, 200)),
-    "ant, many worlds": ("ant", {}, _ppo(8192, 1024, 8, 10)),
+    "ant, many environments": ("ant", {}, _ppo(8192, 1024, 8, 10)),
     "ant, large networks": (
         "ant",
         {},
         {**_FEW, "policy_hidden_layer_sizes": [4096, 4096], "value_hidden_layer_sizes": [4096, 4096]},
     ),
     "humanoid, few": ("humanoid", {}, _FEW),
-    "humanoid, many worlds": ("humanoid", {}, _ppo(2048, 1024, 8, 10)),
+    "humanoid, many environments": ("humanoid", {}, _ppo(2048, 1024, 8, 10)),
     "rodent, few": ("rodent", {}, _FEW),
-    "rodent, many worlds": ("rodent", {}, _ppo(1024, 512, 4, 10)),
+    "rodent, many environments": ("rodent", {}, _ppo(1024, 512, 4, 10)),
     "star, Q-learning, few": ("brittle_star", _CPG, _STAR),
     "star, Q-learning, replay": (
         "brittle_star",
@@ -57,9 +57,9 @@ _ON_A_CPU: dict[str, Case] = {
 _ON_A_GPU: dict[str, Case] = {
     **_ON_A_CPU,
     "ant, long unrolls": ("ant", {}, _ppo(2048, 2048, 32, 200)),
-    "ant, many worlds": ("ant", {}, _ppo(16384, 4096, 32, 20)),
-    "humanoid, many worlds": ("humanoid", {}, _ppo(8192, 2048, 32, 20)),
-    "rodent, many worlds": ("rodent", {}, _ppo(4096, 1024, 32, 20)),
+    "ant, many environments": ("ant", {}, _ppo(16384, 4096, 32, 20)),
+    "humanoid, many environments": ("humanoid", {}, _ppo(8192, 2048, 32, 20)),
+    "rodent, many environments": ("rodent", {}, _ppo(4096, 1024, 32, 20)),
 }
 _QUICK = ("ant, few", "ant, long unrolls")
 

@@ -26,8 +26,8 @@ _SUBSTEPS = 5
 _BOUND = ("time", "qpos", "qvel", "qacc_warmstart")  # The engine's state of the ant, which has no `act`.
 _BRAX_SOLVER = SolverSettings(iterations=1, ls_iterations=4, implicit_damping=False)
 
-# MJX-JAX is slow on a CPU, and XLA has been seen to stop for good in its program for 512 worlds.
-_MJX_STEPS, _MJX_WORLDS = 20, 64
+# MJX-JAX is slow on a CPU, and XLA has been seen to stop for good in its program for 512 environments.
+_MJX_STEPS, _MJX_ENVS = 20, 64
 
 Controls = NDArray[np.float32]
 Rates = dict[str, list[float]]
@@ -36,13 +36,13 @@ Rates = dict[str, list[float]]
 def measure(options: Options) -> Result:
     """Measure the ant under random controls; every engine gets the same controls and initial states."""
     machine = this_machine()
-    rounds, num_worlds, num_steps = (2, 64, 10) if options.quick else (9, 512, 60)
+    rounds, num_envs, num_steps = (2, 64, 10) if options.quick else (9, 512, 60)
     model = brax_model("ant")
-    controls, states = _controls(model, num_steps, num_worlds), _walking(model, num_worlds)
+    controls, states = _controls(model, num_steps, num_envs), _walking(model, num_envs)
     native = _compiled(engine_builder("native")(model, _SUBSTEPS, ()), states, controls)
     against_bare = alternate(rounds, native=native, bare=_bare(model, states, controls))
-    few = controls[:_MJX_STEPS, :_MJX_WORLDS]
-    fewer = jax.tree.map(lambda x: x[:_MJX_WORLDS], states)
+    few = controls[:_MJX_STEPS, :_MJX_ENVS]
+    fewer = jax.tree.map(lambda x: x[:_MJX_ENVS], states)
     peers = {"mjx": _compiled(_mjx(model, None), fewer, few)}
     if not options.quick:
         peers["mjx_fast"] = _compiled(_mjx(model, _BRAX_SOLVER), fewer, few)
@@ -56,9 +56,9 @@ def measure(options: Options) -> Result:
         figures=_figures(against_bare, against_mjx),
         rows=_rows(bare=against_bare, mjx=against_mjx),
         notes=[
-            f"{num_worlds} ants under random actions, from states with feet on the floor. A physics step is "
+            f"{num_envs} ants under random actions, from states with feet on the floor. A physics step is "
             f"a substep: {_SUBSTEPS} to each action. Compilation is not counted. "
-            f"MJX-JAX steps {_MJX_WORLDS} of them.",
+            f"MJX-JAX steps {_MJX_ENVS} of them.",
             "`native` and MJX-JAX run as training runs them: a compiled `scan` over a `vmap` of the engine's "
             "step. The bare loop binds the same fields, writes the same controls and never copies a result.",
             "With equal solvers both solve the model as it stands: Newton, 4 iterations, implicit damping. "
@@ -98,9 +98,9 @@ def _mjx(model: mujoco.MjModel, accelerated: SolverSettings | None) -> Engine:
     return engine_builder("mjx")(model, _SUBSTEPS, (), accelerated=accelerated)
 
 
-def _controls(model: mujoco.MjModel, num_steps: int, num_worlds: int) -> Controls:
-    """Uniform in ±1, [num_steps, num_worlds, nu]."""
-    shape = (num_steps, num_worlds, model.nu)
+def _controls(model: mujoco.MjModel, num_steps: int, num_envs: int) -> Controls:
+    """Uniform in ±1, [num_steps, num_envs, nu]."""
+    shape = (num_steps, num_envs, model.nu)
     return np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
 
 
@@ -117,16 +117,16 @@ def _timed(run: Callable[[], object], controls: Controls) -> Callable[[], float]
     return measured
 
 
-def _walking(model: mujoco.MjModel, num_worlds: int) -> PhysicsState:
+def _walking(model: mujoco.MjModel, num_envs: int) -> PhysicsState:
     """Ants two seconds after their start: feet on the floor, where the solver has work to do."""
     engine = engine_builder("native")(model, _SUBSTEPS, ())
-    qpos = jnp.tile(jnp.asarray(initial_qpos(model), jnp.float32), (num_worlds, 1))
-    states = jax.vmap(engine.reset)(qpos, jnp.zeros((num_worlds, model.nv)))
-    return _rolling(engine)(states, jnp.asarray(_controls(model, 40, num_worlds)))
+    qpos = jnp.tile(jnp.asarray(initial_qpos(model), jnp.float32), (num_envs, 1))
+    states = jax.vmap(engine.reset)(qpos, jnp.zeros((num_envs, model.nv)))
+    return _rolling(engine)(states, jnp.asarray(_controls(model, 40, num_envs)))
 
 
 def _rolling(engine: Engine) -> Callable[[PhysicsState, jax.Array], PhysicsState]:
-    """The states after controls [num_steps, num_worlds, nu], as one compiled program."""
+    """The states after controls [num_steps, num_envs, nu], as one compiled program."""
 
     def step(states: PhysicsState, control: jax.Array) -> tuple[PhysicsState, None]:
         return jax.vmap(engine.step)(states, control), None

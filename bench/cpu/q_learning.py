@@ -30,12 +30,12 @@ _STEERED = 100
 def measure(options: Options) -> Result:
     """Measure whole runs of a hundred episodes, the notebook's loop, and other numbers of environments."""
     runs = Runs("q_learning", options)
-    worlds = (2,) if options.quick else (1, 10, 50)
-    runs.make(works(options, "cpu", "native", worlds))
+    env_counts = (2,) if options.quick else (1, 10, 50)
+    runs.make(works(options, "cpu", "native", env_counts))
     return result("q_learning", "A brittle star steered by a table, on the CPU", runs, options, 40.0, "ours")
 
 
-def works(options: Options, device: Device, engine: str, worlds: Sequence[int]) -> list[Work]:
+def works(options: Options, device: Device, engine: str, env_counts: Sequence[int]) -> list[Work]:
     """Cold and warm starts, tables that learn, the notebook's loop, other numbers of environments."""
     seeds = range(options.seeds or (1 if options.quick else 3))
 
@@ -59,8 +59,8 @@ def works(options: Options, device: Device, engine: str, worlds: Sequence[int]) 
         *(ours(f"{name}-{seed}", table, seed=seed) for seed in seeds for name, table in _TABLES.items()),
         Work("notebook", "bench.peers.notebook_star", _notebook(options, device), about_s=400),
         *(
-            ours(f"{how}-{number}-worlds", {"num_envs": number, "world_updates": how}, steered=False)
-            for number in worlds
+            ours(f"{how}-{number}-envs", {"num_envs": number, "world_updates": how}, steered=False)
+            for number in env_counts
             for how in (("mean",) if number == 1 else ("mean", "compound"))
         ),
     ]
@@ -109,7 +109,7 @@ def result(name: str, title: str, runs: Runs, options: Options, most_s: float, f
         figures=[*_rates(runs, fastest), *_walls(done, most_s), *_steering(done, tables)],
         rows=[_row(key, run) for key, run in done.items()],
         notes=[*_NOTES, *runs.notes()],
-        pictures=_pictures(name, tables, {key: run for key, run in done.items() if key.endswith("-worlds")}),
+        pictures=_pictures(name, tables, {key: run for key, run in done.items() if key.endswith("-envs")}),
         unfinished=runs.left,
     )
 
@@ -180,7 +180,7 @@ def _row(name: str, run: Run) -> dict[str, str | int | float | bool | None]:
     return {"run": name, **kept, **listed}
 
 
-def _pictures(name: str, tables: Mapping[str, list[Run]], worlds: Mapping[str, Run]) -> list[Picture]:
+def _pictures(name: str, tables: Mapping[str, list[Run]], envs: Mapping[str, Run]) -> list[Picture]:
     panels: list[Panel | Bars] = [
         Panel(
             title=title,
@@ -190,7 +190,7 @@ def _pictures(name: str, tables: Mapping[str, list[Run]], worlds: Mapping[str, R
         )
         for title, lines in (
             ("Learning to steer, every seed", [(key, run) for key, of in tables.items() for run in of]),
-            ("How worlds' updates are combined", list(worlds.items())),
+            ("How the environments' updates are combined", list(envs.items())),
         )
         # If all episodes are one round, there is a point and no curve.
         if (drawn := [(label, points) for label, run in lines if len(points := _by_episode(run)) > 1])
@@ -205,12 +205,12 @@ def _by_episode(run: Run) -> list[tuple[float, float]]:
 
 _NOTES = (
     "Ours: `brittle_star` with `control: cpg` and the values tuned for it: 100 episodes of 20 s, targets 3 m "
-    "away in directions that are drawn. A control step is one action of one world, ten physics steps of "
-    "4 ms; the rate is that of the run's second half, its learning included.",
-    "The notebook's loop: one world of biorobot's MJX environment, a decision in every control step, its "
-    "episode and its learning compiled (`bench/peers/notebook_star.py`), with biorobot's one iteration of "
-    "Newton; ours solves to the end on `native` and with 4 iterations on `warp`. Its rate is that after the "
-    "first call, which compiles, and its episodes are cut short where they would take minutes.",
+    "away in directions that are drawn. A control step is one action of one environment, ten physics steps "
+    "of 4 ms; the rate is that of the run's second half, its learning included.",
+    "The notebook's loop: biorobot's MJX environment, one at a time, a decision in every control step, "
+    "its episode and its learning compiled (`bench/peers/notebook_star.py`), with biorobot's one iteration "
+    "of Newton; ours solves to the end on `native` and with 4 iterations on `warp`. Its rate is that after "
+    "the first call, which compiles, and its episodes are cut short where they would take minutes.",
     f"Targets reached: of {_STEERED} episodes of 20 s from another seed, without exploration; of the learnt "
     "tables the mean, the least and the greatest over the seeds. Decentralised: each arm reads for itself "
     "how far the target's sector is and picks its own role, all from one table.",

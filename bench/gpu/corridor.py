@@ -9,7 +9,7 @@ from bench.measure.runs import Runs, Work
 
 _BODY = "corridor"
 _UPDATES = 12
-_COMPOSED_WORLDS = 64
+_COMPOSED_ENVS = 64
 _N_FRAMES = 5
 _TIMEOUT_S = 1500.0
 
@@ -24,7 +24,7 @@ def measure(options: Options) -> Result:
     ours = {**requests.ours(device, _BODY, engine, whole), "physics_s": 0.1 if options.quick else 5.0}
     composed = {
         "options": {"walker": "ant", "arena": "gaps"},
-        "num_envs": 2 if options.quick else _COMPOSED_WORLDS,
+        "num_envs": 2 if options.quick else _COMPOSED_ENVS,
         "steps": 1,
         "n_frames": _N_FRAMES,
         "device": device,
@@ -43,10 +43,10 @@ def measure(options: Options) -> Result:
         figures=_figures(runs, engine),
         rows=[comparison.row(name, run) for name, run in runs.done.items() if name == "ours"],
         notes=[
-            f"Ours: the tuned settings, {_UPDATES} updates; then the same worlds without networks, under a "
-            "random action in each control step, which is five physics steps of one world. In training, too, "
-            "control steps are counted, not the policy's actions.",
-            f"Composed: {_COMPOSED_WORLDS} worlds of the model as dm_control composes it, physics alone "
+            f"Ours: the tuned settings, {_UPDATES} updates; then the same environments without networks, "
+            "under a random action in each control step, which is five physics steps of one environment. In "
+            "training, too, control steps are counted, not the policy's actions.",
+            f"Composed: {_COMPOSED_ENVS} environments of the model as dm_control composes it, physics alone "
             "under random actions; only what MJX has not got is left out of it (the search against slipping, "
             "sensors).",
             *runs.notes(),

@@ -92,7 +92,7 @@ def _figures(body: str, taken: str, rates: dict[str, float]) -> list[Figure]:
 
 def _table(bodies: list[str], runs: Runs, rates: dict[str, float], taken: dict[str, EngineName]) -> Table:
     headings = [
-        *("Body", "Worlds", "Engine", "Physics, steps/s", "Training, steps/s", "Physics ÷ training"),
+        *("Body", "Environments", "Engine", "Physics, steps/s", "Training, steps/s", "Physics ÷ training"),
         *("Trace, s", "Compile, s", "First update, s"),
     ]
     rows = list[list[str]]()
@@ -134,9 +134,9 @@ def _notes() -> list[str]:
     return [
         f"Training: {_UPDATES} updates under the body's tuned settings for a GPU, or as many as begin in "
         f"{_MOST_TRAINING_S:.0f} s, without evaluations; the rate is of the second half. Physics: the same "
-        "number of worlds under random actions, fallen ones begun anew, without networks; the median of "
-        "several seconds. A step is one action of one world. `native` steps on the host's cores, the learner "
-        "is on the GPU. The fastest training of a body is in bold.",
+        "number of environments under random actions, fallen ones begun anew, without networks; the median "
+        "of several seconds. A step is one action of one environment. `native` steps on the host's cores, "
+        "the learner is on the GPU. The fastest training of a body is in bold.",
         f"Programs were compiled anew, {_AT_ONCE} runs at once; Warp's kernels are compiled in the first "
         "update of the bench's first run on `warp`, and kept for the others. The rodent's physics on `mjx` "
         "is in gpu_rodent: its training compiles for many minutes.",

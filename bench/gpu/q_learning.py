@@ -9,9 +9,9 @@ from bench.measure.runs import Runs, Work
 from core.environments import catalog
 from core.physics.availability import choose
 
-_WORLDS = 4096
+_NUM_ENVS = 4096
 _ROUNDS = 4
-_FASTEST, _NATIVE = f"rate-{_WORLDS}", f"rate-{_WORLDS}-native"
+_FASTEST, _NATIVE = f"rate-{_NUM_ENVS}", f"rate-{_NUM_ENVS}-native"
 
 
 def measure(options: Options) -> Result:
@@ -19,8 +19,13 @@ def measure(options: Options) -> Result:
     device = requests.gpu("gpu_q_learning", options)
     engine = choose("auto", device, 100, catalog.find("brittle_star").on_a_gpu).name
     # Two decisions are enough: a round of any length has the same rate of steps.
-    worlds = 4 if options.quick else _WORLDS
-    many = {"num_envs": worlds, "num_episodes": _ROUNDS * worlds, "decisions_per_episode": 2, "num_evals": 0}
+    num_envs = 4 if options.quick else _NUM_ENVS
+    many = {
+        "num_envs": num_envs,
+        "num_episodes": _ROUNDS * num_envs,
+        "decisions_per_episode": 2,
+        "num_evals": 0,
+    }
     rates = [
         Work(
             name,
@@ -39,8 +44,8 @@ def measure(options: Options) -> Result:
         "gpu_q_learning", "A brittle star steered by a table, on a GPU", runs, options, 15.0, _FASTEST
     )
     note = (
-        f"{_FASTEST}: {_WORLDS:,} worlds, {_ROUNDS} episodes of two decisions in each. All 100 episodes of "
-        "the others are one round of 100 worlds, so there is no curve to draw."
+        f"{_FASTEST}: {_NUM_ENVS:,} environments, {_ROUNDS} episodes of two decisions in each. All 100 "
+        "episodes of the others are one round of 100 environments, so there is no curve to draw."
     )
     figures = [
         Figure(

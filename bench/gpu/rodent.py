@@ -10,7 +10,7 @@ from bench.measure.result import Figure, Options, Result, Target, at_least
 from bench.measure.runs import Runs, Work
 from core.environments.info import Device
 
-_WORLDS = 2048
+_NUM_ENVS = 2048
 _EPOCHS = 4
 _UPDATES = 24
 _ENGINE = "warp"
@@ -59,7 +59,7 @@ def measure(options: Options) -> Result:
 
 
 def _settings(device: Device, body: str, options: Options) -> Settings:
-    wanted: dict[str, Any] = {} if options.quick else {"num_envs": _WORLDS}
+    wanted: dict[str, Any] = {} if options.quick else {"num_envs": _NUM_ENVS}
     return requests.settings(device, body, options, num_evals=0, reset_pool_size=0, **wanted)
 
 
@@ -96,11 +96,12 @@ def _measured(
 
 def _notes(given: Settings, updates: int) -> list[str]:
     return [
-        f"{given.get('num_envs', _WORLDS):,} worlds under the rodent's tuned settings for a GPU, {updates} "
-        "updates without evaluations; the rate is of training alone, over the second half of the run. A "
-        "training step is one control step of one world. Brax has neither the bound on observations nor the "
-        "random beginnings of episodes that these settings have; they cost next to no time.",
-        "MJX-JAX: the same worlds under random actions, without networks. Brax's trainer on it is not "
+        f"{given.get('num_envs', _NUM_ENVS):,} environments under the rodent's tuned settings for a GPU, "
+        f"{updates} updates without evaluations; the rate is of training alone, over the second half of the "
+        "run. A training step is one control step of one environment. Brax has neither the bound on "
+        "observations nor the random beginnings of episodes that these settings have; they cost "
+        "next to no time.",
+        "MJX-JAX: the same environments under random actions, without networks. Brax's trainer on it is not "
         "here: it compiles its loop twice, and the second time had not ended after 17 minutes. It cannot be "
         "faster than that physics alone.",
     ]

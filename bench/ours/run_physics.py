@@ -33,13 +33,13 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     info = catalog.find(request["environment"])
     environment = catalog.make(info, catalog.parse_options(info, {}), engine_builder(request["engine"]))
     settings = resolve(PPOSpec.model_validate(request["settings"]), info, request["device"])
-    worlds, num_envs = VectorEnv(environment), settings.num_envs
+    envs, num_envs = VectorEnv(environment), settings.num_envs
     steps = request.get("steps_per_call", 50)
     episodes_key, pool_key, key = jax.random.split(jax.random.PRNGKey(request["seed"]), 3)
 
     @jax.jit
     def start() -> tuple[Episodes, Any]:
-        return start_episodes(worlds, episodes_key, num_envs), fresh_states(worlds, pool_key, _POOL)
+        return start_episodes(envs, episodes_key, num_envs), fresh_states(envs, pool_key, _POOL)
 
     @jax.jit
     def roll(episodes: Episodes, pool: Any, key: jax.Array) -> Episodes:
@@ -47,9 +47,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             action_key, start_key = jax.random.split(key)
             action = jax.random.uniform(action_key, (num_envs, environment.action_size), minval=-1.0)
             fresh = draw(pool, jax.random.randint(start_key, (num_envs,), 0, _POOL))
-            after = step_episodes(
-                worlds, episodes, action, fresh, episode_length=settings.actions_per_episode
-            )
+            after = step_episodes(envs, episodes, action, fresh, episode_length=settings.actions_per_episode)
             return after, None
 
         return jax.lax.scan(step, episodes, jax.random.split(key, steps))[0]

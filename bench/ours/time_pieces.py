@@ -75,7 +75,7 @@ class Pieces:
         return Hyperparameters.of(self.settings)
 
     @property
-    def worlds(self) -> VectorEnv:
+    def envs(self) -> VectorEnv:
         return VectorEnv(self.body)
 
     def trained(self, seed: int, updates: int) -> TrainingState:
@@ -160,7 +160,7 @@ class Pieces:
             return None
         shape = (settings.actions_per_update, settings.num_envs)
         return Starts(
-            pool=fresh_states(self.worlds, state.key, settings.reset_pool_size),
+            pool=fresh_states(self.envs, state.key, settings.reset_pool_size),
             chosen=jax.random.randint(state.eval_key, shape, 0, settings.reset_pool_size),
         )
 
@@ -178,7 +178,7 @@ class Pieces:
 
     def _act(self, state: TrainingState, starts: Starts | None) -> tuple[Episodes, Any]:
         episodes, (transitions, _) = collect(
-            self.worlds,
+            self.envs,
             self._policy(state),
             state.episodes,
             self._keys(state),
@@ -192,7 +192,7 @@ class Pieces:
             action, chosen = given
             fresh = None if starts is None else draw(starts.pool, chosen)
             length = self.settings.actions_per_episode
-            return step_episodes(self.worlds, episodes, action, fresh, episode_length=length), None
+            return step_episodes(self.envs, episodes, action, fresh, episode_length=length), None
 
         chosen = None if starts is None else starts.chosen
         return jax.lax.scan(step, episodes, (actions, chosen))[0]

@@ -19,8 +19,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[control steps, seconds of training until then], …]; rewards: [[control steps, mean return
     of the episodes since], …]; wall_s: from the environment's making to the last event; learnt_at: the hour
     of that; evaluation_s: of the wall, evaluating; phases: of it, seconds by name; control_steps: of all
-    worlds; episodes: made; greedy: each row's best column; reached: of the episodes afterwards, the share in
-    which the target was reached; arrived_s: the mean of what those took."""
+    environments; episodes: made; greedy: each row's best column; reached: of the episodes afterwards, the
+    share in which the target was reached; arrived_s: the mean of what those took."""
     import jax
 
     from core.algorithms.events import Evaluated, Phase, Progress

@@ -38,7 +38,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     """Raises Rejected with all problems of the first check that finds any."""
     info, _ = chosen(spec.environment, store)
     check_physics(spec.physics, info.cannot_run)
-    _check_worlds(spec, info)
+    _check_num_envs(spec, info)
     _check_cameras(spec, info)
     _check_gpus(spec)
     match spec:
@@ -67,7 +67,7 @@ def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
         check_width(spec.video.width, len(spec.video.cameras))
 
 
-def _check_worlds(spec: JobSpec, info: EnvironmentInfo) -> None:
+def _check_num_envs(spec: JobSpec, info: EnvironmentInfo) -> None:
     if spec.randomization and info.own_physics:
         detail = f"{info.id} runs on Brax's own physics, which has no domain randomization."
         raise Rejected(detail, [Problem("/randomization", detail)])

@@ -100,12 +100,12 @@ def test_a_run_with_every_option_resumes_as_if_it_had_not_stopped() -> None:
         "random_initial_episode_length": True,
         "normalize_observations_max_abs_value": 0.5,
     }
-    world = probes.observed_action_reward()
-    straight = checkpoints(small_trainer(world, epoch_s=1000.0, **options))
-    stopped = small_trainer(world, epoch_s=0.0, **options)
+    env = probes.observed_action_reward()
+    straight = checkpoints(small_trainer(env, epoch_s=1000.0, **options))
+    stopped = small_trainer(env, epoch_s=0.0, **options)
     next(event for event in stopped.events() if isinstance(event, Progress))
     assert stopped.step == 2 * STEPS_PER_UPDATE
-    assert checkpoints(small_trainer(world, resume=stopped.checkpoint(), **options)) == straight
+    assert checkpoints(small_trainer(env, resume=stopped.checkpoint(), **options)) == straight
 
 
 def test_lengths_and_budgets_count_steps_of_the_world_however_long_an_action_is_held() -> None:
@@ -155,11 +155,11 @@ def test_the_value_sees_more_than_the_policy_where_that_is_asked_for() -> None:
 
 def test_the_policy_acts_on_its_own_observation_alone() -> None:
     # Blind, no action is better than 0, which earns -0.25; with the sign it is ±0.5 for nothing.
-    world = two_views(probes.observed_action_reward())
+    env = two_views(probes.observed_action_reward())
     budget = {"entropy_cost": 1e-2}
-    blind = last_evaluation(small_trainer(world, value_obs_key="privileged_state", **budget).events())
+    blind = last_evaluation(small_trainer(env, value_obs_key="privileged_state", **budget).events())
     assert blind["eval/episode_reward"] == pytest.approx(-0.25, abs=0.05)
-    seeing = small_trainer(world, policy_obs_key="privileged_state", **budget)
+    seeing = small_trainer(env, policy_obs_key="privileged_state", **budget)
     assert last_evaluation(seeing.events())["eval/episode_reward"] > -0.05
     assert policy_from_checkpoint(seeing.checkpoint()).config.policy_obs_key == "privileged_state"
     assert np.asarray(FORMAT.read(seeing.checkpoint())[1]["normalizer"]["mean"]["state"]).shape == (1,)

@@ -25,7 +25,8 @@ def make(environment_id: str, **options: Any) -> Environment:
 def test_a_resumed_run_of_anothers_environment_equals_an_uninterrupted_one(
     environment_id: str, options: dict[str, Any]
 ) -> None:
-    # Two updates of 16 steps for each world, whose episodes end after 5: fresh starts come from the pool.
+    # Two updates of 16 steps for each environment, whose episodes end after 5: fresh starts come from the
+    # pool.
     budget = {
         "num_timesteps": 2 * STEPS_PER_UPDATE,
         "episode_length": 5,

@@ -120,8 +120,8 @@ def test_a_learnt_table_acts_step_by_step_and_holds_each_action_for_a_decision()
     trainer = q_trainer(star, settings)
     list(trainer.events())
     policy = policy_from_checkpoint(trainer.checkpoint())
-    world, act = policy.acting(star)
-    [episode] = Roller(world, act).episodes(policy.parameters, KEY, num_steps=100, num_episodes=1)
+    env, act = policy.acting(star)
+    [episode] = Roller(env, act).episodes(policy.parameters, KEY, num_steps=100, num_episodes=1)
     assert episode.terminated
     assert episode.action.shape[1] == 5
     np.testing.assert_array_equal(episode.action.sum(axis=1), 1.0)  # one arm at a time
@@ -204,7 +204,7 @@ def test_contacts_that_the_engine_lost_are_told_as_the_share_of_decisions_that_l
 
 
 def test_a_reward_that_is_no_number_ends_the_run_with_the_last_good_table() -> None:
-    # With epsilon 1, one of 8 worlds takes the end of room 1 in the first round.
+    # With epsilon 1, one of 8 environments takes the end of room 1 in the first round.
     trainer = q_trainer(two_rooms(breaks=True), q_settings())
     with pytest.raises(JobFailed, match="reward became non-finite at environment step") as failure:
         list(trainer.events())

@@ -1,4 +1,4 @@
-"""Worlds that differ, in training: when their numbers change, and that runs stay what they are."""
+"""Environments that differ, in training: when their numbers change, and that runs stay what they are."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ BUDGET = {"num_timesteps": 4 * STEPS_PER_UPDATE, "num_evals": 0}
 
 
 def probe() -> Environment:
-    """Nothing falls in it, but its worlds have a gravity each."""
+    """Nothing falls in it, but its environments have a gravity each."""
     return randomize(probes.endless(), [FALL])
 
 
@@ -35,7 +35,7 @@ def pendulum() -> Environment:
 
 
 def gravities(checkpoint: bytes) -> Any:
-    """Of every world, downwards."""
+    """Of every environment, downwards."""
     state = FORMAT.read(checkpoint)[1]["episodes"]["state"]
     return state["physics"]["model"]["opt.gravity"][:, 2]
 
@@ -50,11 +50,11 @@ def drawn_with(seed: int) -> Any:
     return np.asarray(states.physics.model["opt.gravity"][:, 2])
 
 
-def test_worlds_have_numbers_of_their_own_within_the_range() -> None:
+def test_environments_have_numbers_of_their_own_within_the_range() -> None:
     drawn = drawn_with(seed=0)
     assert drawn.min() >= -12.0
     assert drawn.max() <= -8.0
-    assert len(np.unique(drawn)) > 20  # of 32 worlds; two may take the same model
+    assert len(np.unique(drawn)) > 20  # of 32 environments; two may take the same model
 
 
 def test_equal_seeds_draw_alike_and_others_do_not() -> None:
@@ -62,15 +62,15 @@ def test_equal_seeds_draw_alike_and_others_do_not() -> None:
     assert not np.array_equal(drawn_with(seed=1), drawn_with(seed=2))
 
 
-def test_a_world_keeps_its_number_for_an_episode_and_draws_another_for_the_next() -> None:
-    # An update has 16 steps. Episodes of 32 end in every second one; after that, the worlds are others.
+def test_an_environment_keeps_its_number_for_an_episode_and_draws_another_for_the_next() -> None:
+    # An update has 16 steps. Episodes of 32 end in every second one; after that, the environments are others.
     first, second, third, fourth = gravities_after_each_update(episode_length=32)
     assert not np.array_equal(first, second)
     np.testing.assert_array_equal(second, third)
     assert not np.array_equal(third, fourth)
 
 
-def test_without_a_pool_of_starts_a_world_keeps_its_number_for_the_run() -> None:
+def test_without_a_pool_of_starts_an_environment_keeps_its_number_for_the_run() -> None:
     first, *later = gravities_after_each_update(episode_length=5, reset_pool_size=0)
     for drawn in later:
         np.testing.assert_array_equal(drawn, first)
@@ -83,7 +83,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one() -> None:
     assert checkpoints(resumed) == {2 * half: straight[2 * half]}
 
 
-def test_worlds_that_do_not_differ_leave_nothing_in_a_checkpoint() -> None:
+def test_environments_that_do_not_differ_leave_nothing_in_a_checkpoint() -> None:
     trainer = small_trainer(probes.endless(), **BUDGET)
     next(event for event in trainer.events() if isinstance(event, Progress))
     plain = trainer.checkpoint()

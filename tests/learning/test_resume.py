@@ -39,7 +39,7 @@ def ppo(environment: Callable[[], Environment]) -> tuple[Begin, int]:
 
 
 def q_learning(**options: Any) -> tuple[Begin, int]:
-    """Rounds of an episode in 8 worlds for each agent, of 6 decisions of 2 steps."""
+    """Rounds of an episode in 8 environments for each agent, of 6 decisions of 2 steps."""
     epsilon = {"start": 1.0, "end": 0.2, "decay_decisions": 200}
     budget = {"num_episodes": 48, "decision_steps": 2, "num_evals": 2, "epsilon": epsilon}
     settings = q_settings(**budget, **options)
@@ -75,11 +75,11 @@ def test_fresh_starts_are_the_same_ones_however_a_run_is_cut(reset_pool_size: in
         "reset_pool_size": reset_pool_size,
         "num_evals": 0,
     }
-    world = probes.Probe(lambda obs, time, action: (action * obs, jnp.zeros(())), random_sign=True)
-    straight = checkpoints(small_trainer(world, epoch_s=1000.0, **budget))
-    stopped = small_trainer(world, epoch_s=0.0, **budget)
+    env = probes.Probe(lambda obs, time, action: (action * obs, jnp.zeros(())), random_sign=True)
+    straight = checkpoints(small_trainer(env, epoch_s=1000.0, **budget))
+    stopped = small_trainer(env, epoch_s=0.0, **budget)
     next(event for event in stopped.events() if isinstance(event, Progress))
-    resumed = small_trainer(world, resume=stopped.checkpoint(), **budget)
+    resumed = small_trainer(env, resume=stopped.checkpoint(), **budget)
     assert checkpoints(resumed) == straight
 
 

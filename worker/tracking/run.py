@@ -63,7 +63,7 @@ def tell(run: Any, item: Configured | Row | Film | End) -> None:
 
 
 def archive(folder: Path, path: Path) -> None:
-    """Write the one offline run in the folder as a tar file for `wandb sync`, without the logs of wandb itself.
+    """Write the one offline run in the folder as a tar file for `wandb sync`, without wandb's own logs.
 
     The run must have ended.
     """

@@ -96,8 +96,8 @@ class PolicyVideos:
         """As `<name>.mp4`, of the present step."""
         policy = policy_from_checkpoint(self.run.checkpoint())
         if self._film is None:
-            world, act = policy.acting(self.built.environment)
-            self._film = VideoRecorder(self.spec, replace(self.built, environment=world), act, self.events)
+            env, act = policy.acting(self.built.environment)
+            self._film = VideoRecorder(self.spec, replace(self.built, environment=env), act, self.events)
         self._film.shoot(name, policy.parameters, self.run.step)
 
 

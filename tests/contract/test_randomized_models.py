@@ -1,4 +1,4 @@
-"""Worlds that differ in fields of the model: one set of tests for all engines."""
+"""Environments that differ in fields of the model: one set of tests for all engines."""
 
 import copy
 from collections.abc import Callable, Mapping
@@ -73,7 +73,7 @@ def _stiff(model: mujoco.MjModel) -> None:
     model.jnt_stiffness[1] = 2.0  # it had none
 
 
-# A world for each.
+# An environment for each.
 CHANGES: Mapping[str, Callable[[mujoco.MjModel], None]] = {
     "nothing": lambda model: None,
     "opt.gravity": _slower,
@@ -97,7 +97,7 @@ CHANGES: Mapping[str, Callable[[mujoco.MjModel], None]] = {
 
 @dataclass(frozen=True)
 class RandomizedEngine:
-    """The worlds of `CHANGES` on an engine; tolerance: how near to plain MuJoCo it must stay."""
+    """The environments of `CHANGES` on an engine; tolerance: how near to plain MuJoCo it must stay."""
 
     engine: Engine
     start: PhysicsState
@@ -157,17 +157,17 @@ def reference(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 @pytest.mark.parametrize("name", list(CHANGES))
-def test_a_world_moves_as_plain_mujoco_with_its_model_does(bench: RandomizedEngine, name: str) -> None:
-    world = list(CHANGES).index(name)
+def test_an_environment_moves_as_plain_mujoco_with_its_model_does(bench: RandomizedEngine, name: str) -> None:
+    env = list(CHANGES).index(name)
     data, nominal = reference(MODELS[name]), reference(NOMINAL)
     if name != "nothing":  # the change can be seen
         assert np.abs(data.qpos - nominal.qpos).max() > 5e-3
-    np.testing.assert_allclose(bench.end.qpos[world], data.qpos, atol=bench.tolerance)
-    np.testing.assert_allclose(bench.end.act[world], data.act, atol=bench.tolerance)
+    np.testing.assert_allclose(bench.end.qpos[env], data.qpos, atol=bench.tolerance)
+    np.testing.assert_allclose(bench.end.act[env], data.act, atol=bench.tolerance)
 
 
 @pytest.mark.parametrize("name", ["native", SLOW_MJX, "warp"])
-def test_derived_fields_are_those_of_each_worlds_own_model(
+def test_derived_fields_are_those_of_each_environments_own_model(
     name: EngineName, request: pytest.FixtureRequest
 ) -> None:
     if name == "warp":
@@ -176,27 +176,27 @@ def test_derived_fields_are_those_of_each_worlds_own_model(
     fields = fields_of(list(MODELS.values()))
     start = jax.jit(jax.vmap(engine.reset, (None, None, 0)))(QPOS, QVEL, fields)
     for state in (start, jax.jit(jax.vmap(engine.step, (0, None)))(start, CTRL)):
-        for world, model in enumerate(MODELS.values()):
+        for env, model in enumerate(MODELS.values()):
             data = mujoco.MjData(model)
-            data.qpos[:], data.qvel[:] = state.qpos[world], state.qvel[world]
+            data.qpos[:], data.qvel[:] = state.qpos[env], state.qvel[env]
             mujoco.mj_forward(model, data)
             for field in DERIVED:
-                np.testing.assert_allclose(state.derived[field][world], getattr(data, field), atol=5e-6)
+                np.testing.assert_allclose(state.derived[field][env], getattr(data, field), atol=5e-6)
 
 
-def test_a_worlds_fields_stay_as_they_are(bench: RandomizedEngine) -> None:
+def test_an_environments_fields_stay_as_they_are(bench: RandomizedEngine) -> None:
     for name, values in fields_of(list(MODELS.values())).items():
         np.testing.assert_array_equal(bench.end.model[name], values)
 
 
-def test_worlds_without_fields_of_their_own_come_and_go_between_those_that_have_some(
+def test_environments_without_fields_of_their_own_come_and_go_between_those_that_have_some(
     bench: RandomizedEngine,
 ) -> None:
-    # As many worlds as there are with fields of their own: nothing of theirs may stay behind.
-    num_worlds = len(MODELS)
-    plain = jax.vmap(bench.engine.reset)(np.tile(QPOS, (num_worlds, 1)), np.tile(QVEL, (num_worlds, 1)))
+    # As many environments as there are with fields of their own: nothing of theirs may stay behind.
+    num_envs = len(MODELS)
+    plain = jax.vmap(bench.engine.reset)(np.tile(QPOS, (num_envs, 1)), np.tile(QVEL, (num_envs, 1)))
     assert not jax.tree.leaves(plain.model)
-    ctrl = np.tile(CTRL, (num_worlds, 1))
+    ctrl = np.tile(CTRL, (num_envs, 1))
     before = bench.step_many(plain, ctrl)
     own = bench.step_many(bench.start, ctrl)
     again = bench.step_many(plain, ctrl)
@@ -213,7 +213,7 @@ def test_one_field_alone_is_enough(bench: RandomizedEngine) -> None:
     assert float(after.qvel[0, 2]) < float(after.qvel[1, 2])
 
 
-def test_a_field_that_no_world_can_have_to_itself_is_refused(bench: RandomizedEngine) -> None:
+def test_a_field_that_no_environment_can_have_to_itself_is_refused(bench: RandomizedEngine) -> None:
     with pytest.raises(ValueError, match="geom_size"):
         bench.engine.reset(jnp.asarray(QPOS), jnp.asarray(QVEL), {"geom_size": jnp.zeros(3)})
 
@@ -231,12 +231,12 @@ def test_pendulums_of_different_mass_and_damping_swing_apart_on_mjx() -> None:
     step = jax.jit(jax.vmap(engine.step, (0, None)))
     for _ in range(NUM_STEPS):
         state = step(state, jnp.zeros(0))
-    for world in range(3):
+    for env in range(3):
         own = copy.copy(model)
-        own.body_mass[:], own.dof_damping[:] = masses[world], dampings[world]
+        own.body_mass[:], own.dof_damping[:] = masses[env], dampings[env]
         data = mujoco.MjData(own)
         mujoco.mj_step(own, data, NUM_STEPS * NUM_SUBSTEPS)
-        np.testing.assert_allclose(state.qpos[world], data.qpos, atol=1e-5)
+        np.testing.assert_allclose(state.qpos[env], data.qpos, atol=1e-5)
     assert len({round(float(angle), 3) for angle in state.qpos[:, 0]}) == 3
 
 
