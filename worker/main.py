@@ -38,7 +38,7 @@ from worker.host.disk import check_folder
 from worker.host.health import show_life
 from worker.host.parent_death import PARENT, die_with_parent
 from worker.named_job import NamedJob
-from worker.supervision.left_attempts import tell_left
+from worker.supervision.left_attempts import record_left
 from worker.supervision.spool import SPOOLS, remove_left_over
 from worker.supervision.stall import is_stopped
 
@@ -163,7 +163,7 @@ class GaitwayWorker(rq.Worker):
         self._is_announcing = True
         try:
             self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
-            tell_left(self._data_dir, self._store, self._objects)
+            record_left(self._data_dir, self._store, self._objects)
         except Unavailable as error:
             log.warning("announcement_missed", error=error.detail)
         finally:

@@ -27,7 +27,7 @@ _ZIP_BEGINNING = b"PK\x03\x04"
 _KNOWN = {XML: XML, "text/xml": XML, ZIP: ZIP, "application/x-zip-compressed": ZIP}
 # How long a request waits for the validation before it is answered 202.
 _PATIENCE_S = 5.0
-_GLANCE_S = 0.1
+_POLL_S = 0.1
 _BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
@@ -169,6 +169,6 @@ async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
     """
     until = time.monotonic() + _PATIENCE_S
     while record.status == "validating" and time.monotonic() < until and not service.stopping:
-        await sleep(_GLANCE_S)
+        await sleep(_POLL_S)
         record = await run_sync(library.find, record.id, service.store)
     return record

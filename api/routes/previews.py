@@ -40,7 +40,7 @@ router = APIRouter(tags=["catalog"])
 
 # How long a request waits for the stills before it is answered 202.
 _PATIENCE_S = 5.0
-_GLANCE_S = 0.1
+_POLL_S = 0.1
 # The maximum in one preview; the stills of a model's further cameras are asked for one by one.
 _MOST_STILLS = 32
 
@@ -185,7 +185,7 @@ async def _drawn(wanted: PreviewRequest, service: Service) -> Preview | None:
     if drawn is None:
         await run_sync(_ask, wanted, service)
     while drawn is None and time.monotonic() < until and not service.stopping:
-        await sleep(_GLANCE_S)
+        await sleep(_POLL_S)
         drawn = await run_sync(library.find, wanted, service.objects)
     if drawn is not None and drawn.failure is not None:
         # The next request tries again.

@@ -41,7 +41,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     environment = catalog.make(info, catalog.parse_options(info, {}), build)
     settings = resolve(PPOSpec.model_validate(request["settings"]), info, request.get("device", "cpu"))
     began = time.perf_counter()
-    trainer = make_run(
+    run = make_run(
         environment,
         settings,
         seed=request["seed"],
@@ -50,12 +50,12 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         epoch_s=request.get("epoch_s", 1.0),
     )
     seen, turn = _Seen(began), Turn()
-    for event in trainer.events():
+    for event in run.events():
         seen.take(event)
         if "compile" in seen.phases:
             turn.take()
         if isinstance(event, CheckpointReady) and request["checkpoint_every_steps"]:
-            Path(request["cache"], f"checkpoint-{trainer.step}").write_bytes(trainer.checkpoint())
+            Path(request["cache"], f"checkpoint-{run.step}").write_bytes(run.checkpoint())
         if _long_enough(seen.training, request.get("most_training_s")):
             break
     turn.give()

@@ -42,9 +42,9 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     environment = catalog.make(row, options, engine_builder(request["engine"]))
     spec = QLearningSpec.model_validate(request["settings"])
     settings = resolve(spec, row.under(options), request["device"])
-    trainer = make_run(environment, settings, seed=request["seed"], checkpoint_every_steps=None)
+    run = make_run(environment, settings, seed=request["seed"], checkpoint_every_steps=None)
     training, rewards, phases, evaluation_s = [], [], {}, 0.0
-    for event in trainer.events():
+    for event in run.events():
         match event:
             case Phase(name=name, seconds=seconds):
                 phases[name] = seconds
@@ -56,7 +56,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             case _:
                 pass
     wall_s, learnt_at = time.perf_counter() - began, time.time()
-    table = read_policy(trainer.policy()).table
+    table = read_policy(run.policy()).table
     return {
         "training": training,
         "rewards": rewards,
@@ -64,7 +64,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
         "wall_s": wall_s,
         "learnt_at": learnt_at,
         "evaluation_s": evaluation_s,
-        "control_steps": trainer.step,
+        "control_steps": run.step,
         "episodes": settings.num_updates * settings.num_envs,
         "greedy": table.argmax(axis=1).tolist(),
         **(_steered(environment, settings, table, request["steered"]) if request["steered"] else {}),

@@ -12,7 +12,7 @@ from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result, at_least, at_most
 from bench.stack.embedded import running_stack
 from gaitway.client import Client
-from gaitway.demo import Wishes
+from gaitway.demo import DemoOptions
 from gaitway.views import Event, JobView
 
 _TARGETS = {"the video": at_most(150)}
@@ -58,7 +58,7 @@ def measure(options: Options) -> Result:
 
 def _job(options: Options) -> dict[str, Any]:
     """The demo's own job; a tiny one for a smoke test."""
-    job = Wishes(Path(), "ant", num_timesteps=None, seed=0, port=None).specification()
+    job = DemoOptions(Path(), "ant", num_timesteps=None, seed=0, port=None).specification()
     if not options.quick:
         return job
     tiny = {"kind": "ppo", "num_timesteps": 20_480, "num_eval_envs": 2, "episode_length": 20, "num_evals": 1}

@@ -154,7 +154,7 @@ def q_settings(common: Mapping[str, Any] = FINITE, **changes: Any) -> QLearningS
     return QLearningSpec.model_validate({**common, **changes})
 
 
-def q_trainer(
+def q_run(
     environment: Environment,
     settings: QLearningSpec,
     *,

@@ -15,7 +15,7 @@ from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.physics.native import NativeEngine
 from tests import probes
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
+from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 
 FALL = Randomization(field="opt.gravity", axis=2, range=(-12.0, -8.0), operation="set")
 BUDGET = {"num_timesteps": 4 * STEPS_PER_UPDATE, "num_evals": 0}
@@ -41,8 +41,8 @@ def gravities(checkpoint: bytes) -> Any:
 
 
 def gravities_after_each_update(**changes: Any) -> list[Any]:
-    trainer = small_trainer(probe(), epoch_s=0.0, **BUDGET, **changes)
-    return [gravities(trainer.checkpoint()) for event in trainer.events() if isinstance(event, Progress)]
+    run = small_run(probe(), epoch_s=0.0, **BUDGET, **changes)
+    return [gravities(run.checkpoint()) for event in run.events() if isinstance(event, Progress)]
 
 
 def drawn_with(seed: int) -> Any:
@@ -78,15 +78,15 @@ def test_without_a_pool_of_starts_an_environment_keeps_its_number_for_the_run() 
 
 def test_a_resumed_run_equals_an_uninterrupted_one() -> None:
     half = 2 * STEPS_PER_UPDATE
-    straight = checkpoints(small_trainer(pendulum(), checkpoint_every_steps=half, **BUDGET))
-    resumed = small_trainer(pendulum(), resume=straight[half], **BUDGET)
+    straight = checkpoints(small_run(pendulum(), checkpoint_every_steps=half, **BUDGET))
+    resumed = small_run(pendulum(), resume=straight[half], **BUDGET)
     assert checkpoints(resumed) == {2 * half: straight[2 * half]}
 
 
 def test_environments_that_do_not_differ_leave_nothing_in_a_checkpoint() -> None:
-    trainer = small_trainer(probes.endless(), **BUDGET)
-    next(event for event in trainer.events() if isinstance(event, Progress))
-    plain = trainer.checkpoint()
+    run = small_run(probes.endless(), **BUDGET)
+    next(event for event in run.events() if isinstance(event, Progress))
+    plain = run.checkpoint()
     assert "model" not in FORMAT.read(plain)[1]["episodes"]["state"]["physics"]
     with pytest.raises(JobFailed, match=r"model\.opt\.gravity is missing in the checkpoint"):
-        small_trainer(probe(), resume=plain, **BUDGET)
+        small_run(probe(), resume=plain, **BUDGET)

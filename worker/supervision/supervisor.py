@@ -205,9 +205,9 @@ class Supervisor:
         return lambda: self.draining.for_s() >= grace_s and time.monotonic() >= not_before
 
     def _conclude(self, outcome: Outcome) -> None:
-        tell = partial(end, self.claim, outcome)
+        record_end = partial(end, self.claim, outcome)
         try:
-            job = retry_while_unavailable(tell, _STORAGE_PATIENCE_S, called_off=self._must_leave())
+            job = retry_while_unavailable(record_end, _STORAGE_PATIENCE_S, called_off=self._must_leave())
         except CalledOff:  # PostgreSQL is unavailable: the next worker records it, or the lease runs out.
             log.warning("attempt_left", job_id=self.claim.job_id, detail=outcome.message)
             with suppress(OSError):  # No room for it: the job counts as a lost worker's.
@@ -252,7 +252,7 @@ class OutputReaders:
             self.stall.hear(is_progress=isinstance(message, Advanced))
             if isinstance(message, Failed | Finished):
                 self.last_word = message
-            self._tracking.tell(message)
+            self._tracking.send(message)
             self.outbox.put(message)
             if isinstance(message, PhaseEnded) and message.name in _COMPILED:
                 self.caches.keep()

@@ -39,7 +39,7 @@ _NO_KEY = "This worker has no GAITWAY_WANDB_API_KEY: the run is not sent, and ke
 class Tracking:
     """Nothing in here ends a job, except a lost lease.
 
-    Call `tell` with each message, `finish` when the training process has ended, `write_up` when all its
+    Call `send` with each message, `finish` when the training process has ended, `write_up` when all its
     messages are stored; or `abandon`, if the attempt must end at once.
     """
 
@@ -74,9 +74,9 @@ class Tracking:
         except OSError as error:
             self._note(f"Nothing is sent to Weights & Biases: {error.strerror}")
 
-    def tell(self, message: Message) -> None:
+    def send(self, message: Message) -> None:
         if self._live is not None:
-            self._live.tell(message)
+            self._live.send(message)
 
     def finish(self, status: JobStatus | None) -> None:
         """Send the rest, within a time limit. status: the job's, if it ends with this attempt."""

@@ -40,7 +40,7 @@ class Live:
         self._listener.start()
         threading.Thread(target=self._feed, name="tracking_feed", daemon=True).start()
 
-    def tell(self, message: Message) -> None:
+    def send(self, message: Message) -> None:
         """Send a message of the training process on; its videos are still in the spool."""
         match message:
             case Started(device=device, engine=engine, details=details):

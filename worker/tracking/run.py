@@ -49,7 +49,7 @@ def open_run(about: About, mode: Literal["online", "offline"]) -> Any:
     return run
 
 
-def tell(run: Any, item: Configured | Row | Film | End) -> None:
+def log_item(run: Any, item: Configured | Row | Film | End) -> None:
     """Log one item."""
     match item:
         case Configured(values=values):

@@ -41,7 +41,7 @@ def train(
         for event in run.events():
             if isinstance(event, Progress):
                 stopping.keep_before_leaving()
-            report.tell(event)
+            report.publish(event)
             if stopping.asked:
                 break
             if isinstance(event, Progress):
@@ -114,7 +114,7 @@ class Report:
     _warned: bool = False
     _started: tuple[float, int] = (0.0, 0)
 
-    def tell(self, event: Event) -> None:
+    def publish(self, event: Event) -> None:
         match event:
             case Phase(name=name, seconds=seconds):
                 self.events.send(PhaseEnded(name=name, seconds=seconds))

@@ -18,7 +18,7 @@ _FOREIGN = ("cross-site", "same-site")
 
 
 @dataclass(frozen=True)
-class Doors:
+class OriginCheck:
     """allowed_hosts: names of this service, besides localhost and numeric addresses.
 
     If a foreign name resolves to this service (DNS rebinding), the browser takes that name's page and this

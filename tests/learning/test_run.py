@@ -7,7 +7,7 @@ from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Pro
 from core.algorithms.ppo.checkpoint import FORMAT
 from core.errors import JobFailed
 from tests import probes
-from tests.learning.runs import STEPS_PER_UPDATE, small_trainer
+from tests.learning.runs import STEPS_PER_UPDATE, small_run
 
 
 def names(events: list[Event]) -> list[str]:
@@ -27,7 +27,7 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
 
     jax.monitoring.register_event_duration_secs_listener(note)
     # Six updates: evaluations after 3 and 6, checkpoints at 1000 steps (update 2), 2000 (4), 3000 (6).
-    trainer = small_trainer(
+    run = small_run(
         probes.endless(),
         num_timesteps=6 * STEPS_PER_UPDATE,
         num_evals=2,
@@ -36,11 +36,11 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
     )
     events = list[Event]()
     compiled_at_start = 0
-    for event in trainer.events():
+    for event in run.events():
         if isinstance(event, Phase) and event.name == "compile":
             compiled_at_start = len(compilations)
         if isinstance(event, CheckpointReady):
-            assert FORMAT.read(trainer.checkpoint())[0]["progress"]["step"] == event.step
+            assert FORMAT.read(run.checkpoint())[0]["progress"]["step"] == event.step
         events.append(event)
     assert names(events) == [
         "phase trace",
@@ -80,21 +80,21 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
 def test_a_run_that_diverges_names_step_and_quantity_and_keeps_the_last_good_state() -> None:
     # The reward breaks with an episode's 41st step. An update has 16 steps of 32 environments, so this is
     # time step 8 of the third update: environment step 2 · 512 + 8 · 32 = 1280.
-    trainer = small_trainer(probes.exploding(after=40), episode_length=1000, epoch_s=1000.0)
+    run = small_run(probes.exploding(after=40), episode_length=1000, epoch_s=1000.0)
     with pytest.raises(JobFailed, match="reward became non-finite at environment step 1280") as failure:
-        list(trainer.events())
+        list(run.events())
     assert failure.value.reason == "diverged"
     assert failure.value.facts == {"step": 1280, "quantity": "reward"}
-    assert trainer.step == 2 * STEPS_PER_UPDATE
-    header, state = FORMAT.read(trainer.checkpoint())
+    assert run.step == 2 * STEPS_PER_UPDATE
+    header, state = FORMAT.read(run.checkpoint())
     assert header["progress"]["step"] == 2 * STEPS_PER_UPDATE
     assert all(jax.numpy.isfinite(leaf).all() for leaf in jax.tree.leaves(state["params"]))
 
 
 def test_a_loss_that_overflows_is_told_from_a_reward_that_does() -> None:
     # 1e38 is a float32, and 1e6 times it is none: the rewards are finite and the loss is not.
-    trainer = small_trainer(probes.unending_reward(1e38), reward_scaling=1e6)
+    run = small_run(probes.unending_reward(1e38), reward_scaling=1e6)
     with pytest.raises(JobFailed, match="policy loss became non-finite at environment step 512") as failure:
-        list(trainer.events())
+        list(run.events())
     assert failure.value.facts == {"step": STEPS_PER_UPDATE, "quantity": "policy loss"}
-    assert trainer.step == 0
+    assert run.step == 0
