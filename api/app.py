@@ -56,5 +56,5 @@ def from_environment() -> FastAPI:
     from core.adapters.startup import check_stores
 
     settings = read(ApiSettings)
-    check_stores(settings, patience_s=0)  # until they answer, requests get 503
+    check_stores(settings, timeout_s=0)  # until they answer, requests get 503
     return build(settings)

@@ -17,7 +17,7 @@ from core.storage.objects import ObjectStore
 
 Report = Callable[[str], None]
 
-_TELL_EVERY = 100
+_REPORT_EVERY = 100
 _ASKED_AT_ONCE = 1000
 
 
@@ -116,7 +116,7 @@ def _import_jobs(
             # After each job: the database should not hold the feeds of all jobs together.
             while feeds.compact(store=store, objects=objects):
                 pass
-        if number % _TELL_EVERY == 0:
+        if number % _REPORT_EVERY == 0:
             report(f"{number:,} of {len(missing):,} jobs")
     return counts
 

@@ -49,9 +49,9 @@ _ANNOUNCE_EVERY_S = 10
 # Between two tries to reach a queue that is unavailable.
 _PAUSE_S = 1.0
 # Between two checks of a device that is being tested.
-_GLANCE_S = 0.1
+_POLL_S = 0.1
 # How long the worker waits for a message before it checks whether it must shut down.
-_LOOK_EVERY_S = 5
+_DEQUEUE_TIMEOUT_S = 5
 
 
 class GaitwayWorker(rq.Worker):
@@ -87,7 +87,7 @@ class GaitwayWorker(rq.Worker):
             connection=connect_redis(settings.redis_url.get_secret_value()),
             serializer=JSONSerializer,
             job_class=NamedJob,
-            worker_ttl=15 + _LOOK_EVERY_S,  # RQ waits 15 s less than this.
+            worker_ttl=15 + _DEQUEUE_TIMEOUT_S,  # RQ waits 15 s less than this.
             job_monitoring_interval=_ANNOUNCE_EVERY_S,
         )
 
@@ -112,7 +112,7 @@ class GaitwayWorker(rq.Worker):
                 if shown != self._health.state or time.monotonic() - shown_at > _ANNOUNCE_EVERY_S:
                     shown, shown_at = self._health.state, time.monotonic()
                     self._show_idle()
-                time.sleep(_GLANCE_S)
+                time.sleep(_POLL_S)
         finally:
             self._health.close()
 

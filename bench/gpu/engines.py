@@ -17,7 +17,7 @@ _BODIES = (
 )
 _ENGINES: tuple[EngineName, ...] = ("warp", "mjx", "native")
 _UPDATES = 12
-_MOST_TRAINING_S = 10.0
+_MAX_TRAINING_S = 10.0
 _PHYSICS_S = 3.0
 _TIMEOUT_S = 560.0
 _AT_ONCE = 4
@@ -68,7 +68,7 @@ def _work(device: Device, body: str, engine: EngineName, options: Options) -> Wo
     given = requests.whole_updates(device, body, _settings(device, body, options), _UPDATES)
     request = {
         **requests.ours(device, body, engine, given),
-        "most_training_s": _MOST_TRAINING_S,
+        "most_training_s": _MAX_TRAINING_S,
         "epoch_s": 0.25,
         "physics_s": 0.1 if options.quick else _PHYSICS_S,
     }
@@ -133,7 +133,7 @@ def _pictures(bodies: list[str], rates: dict[str, float]) -> list[Picture]:
 def _notes() -> list[str]:
     return [
         f"Training: {_UPDATES} updates under the body's tuned settings for a GPU, or as many as begin in "
-        f"{_MOST_TRAINING_S:.0f} s, without evaluations; the rate is of the second half. Physics: the same "
+        f"{_MAX_TRAINING_S:.0f} s, without evaluations; the rate is of the second half. Physics: the same "
         "number of environments under random actions, fallen ones begun anew, without networks; the median "
         "of several seconds. A step is one action of one environment. `native` steps on the host's cores, "
         "the learner is on the GPU. The fastest training of a body is in bold.",

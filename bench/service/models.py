@@ -15,7 +15,7 @@ from bench.measure.statistics import spread
 from bench.stack.embedded import running_stack
 
 _LONGEST_S = 120.0
-_GLANCE_S = 0.05
+_POLL_S = 0.05
 
 Row = dict[str, Any]
 
@@ -80,7 +80,7 @@ def _sent(http: httpx.Client, body: bytes) -> Row:
     while not found["description"]["complete"]:
         if time.perf_counter() - began > _LONGEST_S:
             raise RuntimeError(f"After {_LONGEST_S:g} s not all engines were tried.")
-        time.sleep(_GLANCE_S)
+        time.sleep(_POLL_S)
         found = http.get(found["links"]["self"]).raise_for_status().json()
     complete_s = time.perf_counter() - began
     http.delete(found["links"]["self"]).raise_for_status()

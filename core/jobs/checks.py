@@ -31,7 +31,7 @@ from core.user_models.store import ModelStore
 _HARMLESS_BYTES = 2**29
 
 # A humanoid's trajectory of this length takes 2 GB.
-_MOST_ROLLOUT_STEPS = 1_000_000
+_MAX_ROLLOUT_STEPS = 1_000_000
 
 
 def check(spec: JobSpec, store: JobStore) -> None:
@@ -177,9 +177,9 @@ def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
 
 
 def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) -> None:
-    if (steps := spec.num_steps * spec.num_episodes) > _MOST_ROLLOUT_STEPS:
+    if (steps := spec.num_steps * spec.num_episodes) > _MAX_ROLLOUT_STEPS:
         detail = (
-            f"num_steps × num_episodes = {steps:,}, but a rollout may have {_MOST_ROLLOUT_STEPS:,} steps: "
+            f"num_steps × num_episodes = {steps:,}, but a rollout may have {_MAX_ROLLOUT_STEPS:,} steps: "
             f"its trajectory is held in memory. Submit several rollouts with different seeds."
         )
         raise Rejected(detail, [Problem("/num_steps", detail), Problem("/num_episodes", detail)])

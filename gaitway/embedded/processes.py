@@ -24,7 +24,7 @@ if sys.platform == "linux":
         sys.exit("the launcher has gone")
 os.execv(sys.argv[2], sys.argv[2:])
 """
-LOCK_PATIENCE_S = 5.0
+LOCK_TIMEOUT_S = 5.0
 _FIRST_PORT, _LAST_PORT = 20_000, 32_000  # below the range of outgoing connections
 
 
@@ -173,7 +173,7 @@ def _is_free(port: int) -> bool:
 
 def _locked(path: Path, name: str) -> IO[bytes]:
     lock = path.open("ab")
-    deadline = time.monotonic() + LOCK_PATIENCE_S
+    deadline = time.monotonic() + LOCK_TIMEOUT_S
     while True:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -29,9 +29,9 @@ FIRST_PORT = 8000
 _PORTS_TRIED = 100
 _GRACE_S = 30
 _WORKER = "worker-"
-_MOST_RESTARTS = 5  # within this time:
+_MAX_RESTARTS = 5  # within this time:
 _RESTART_WINDOW_S = 60.0
-_LOOK_CLOSER_EVERY_S = 1.0
+_HEALTH_CHECK_EVERY_S = 1.0
 
 
 @dataclass
@@ -41,7 +41,7 @@ class _Member:
     process: ServerProcess
     launch: Callable[[], object]
     stop: Callable[[], object]
-    restarts: deque[float] = field(default_factory=lambda: deque[float](maxlen=_MOST_RESTARTS))
+    restarts: deque[float] = field(default_factory=lambda: deque[float](maxlen=_MAX_RESTARTS))
     due_at: float | None = None
 
 
@@ -118,7 +118,7 @@ class Stack:
         store, when its disk was full and has room again.
         """
         now = time.monotonic()
-        if now - self._looked_closer_at >= _LOOK_CLOSER_EVERY_S:
+        if now - self._looked_closer_at >= _HEALTH_CHECK_EVERY_S:
             self._looked_closer_at = now
             self._end_what_hangs()
         for member in (*self._servers, *self._modules):
@@ -146,8 +146,8 @@ class Stack:
             raise ServerFailed(f"{name} cannot work.\n{lines}")
         while member.restarts and member.restarts[0] < now - _RESTART_WINDOW_S:
             member.restarts.popleft()
-        if len(member.restarts) == _MOST_RESTARTS:
-            raise ServerFailed(f"{name} ended {_MOST_RESTARTS + 1} times in a minute.\n{lines}")
+        if len(member.restarts) == _MAX_RESTARTS:
+            raise ServerFailed(f"{name} ended {_MAX_RESTARTS + 1} times in a minute.\n{lines}")
         self._report(f"{name} has ended unexpectedly and is started again. Its last lines:\n{lines}")
         member.restarts.append(now)
         return 0.25 * 2 ** len(member.restarts)

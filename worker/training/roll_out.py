@@ -25,7 +25,7 @@ from worker.protocol import Advanced, Measured, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
-from worker.training.stopping import Stopping
+from worker.training.stopping import StopRequest
 from worker.training.video import VideoRecorder
 
 # Episodes that run side by side.
@@ -33,7 +33,7 @@ _MAX_ENVS = 64
 
 
 def roll_out(
-    task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter, stopping: Stopping
+    task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter, stopping: StopRequest
 ) -> bool:
     """Act, record and draw; returns whether a stop cut it short. The episodes until then are kept.
 
@@ -68,7 +68,7 @@ def _act(
     built: BuiltEnvironment,
     policy: ParametricPolicy,
     events: EventWriter,
-    stopping: Stopping,
+    stopping: StopRequest,
 ) -> list[Episode]:
     """The episodes asked for; after a stop, those that have ended by then."""
     key = jax.random.PRNGKey(spec.seed)

@@ -17,7 +17,7 @@ from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
-from worker.training.stopping import Stopping
+from worker.training.stopping import StopRequest
 from worker.training.video import VideoRecorder
 
 # A tenth of the budget lies between checkpoints where the job does not say.
@@ -25,7 +25,7 @@ _CHECKPOINTS = 10
 
 
 def train(
-    task: Task, spec: TrainSpec, built: BuiltEnvironment, events: EventWriter, stopping: Stopping
+    task: Task, spec: TrainSpec, built: BuiltEnvironment, events: EventWriter, stopping: StopRequest
 ) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 

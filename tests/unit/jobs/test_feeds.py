@@ -59,7 +59,7 @@ class Feed:
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every entry is due, three to a chunk."""
     monkeypatch.setattr(feeds, "MAX_BYTES", 1)
-    monkeypatch.setattr(feeds, "_MOST_ENTRIES", 3)
+    monkeypatch.setattr(feeds, "_MAX_ENTRIES", 3)
 
 
 @pytest.fixture
