@@ -1,8 +1,8 @@
-"""One environment, trained with its tuned defaults: how they were chosen, and how to choose better ones.
+"""Trains one environment with its tuned defaults, to try other values.
 
-`python -m bench.train_environment ANSWER.json '{"environment": "ant", "device": "cpu"}'`; `settings` in the
-request changes hyperparameters, `options` the environment, `seed` the seed. On a GPU, leave JAX_PLATFORMS
-unset.
+`python -m bench.train_environment FOLDER` reads FOLDER/request.json, for example
+`{"environment": "ant", "device": "cpu"}`, and writes FOLDER/answer.json. In the request, `settings` changes
+hyperparameters, `options` the environment, `seed` the seed. On a GPU, leave JAX_PLATFORMS unset.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""How far the estimate of a run's least memory is from what it takes."""
+"""Compares the estimate of a run's least memory with the memory that the run takes."""
 
 from typing import Any
 
@@ -105,14 +105,14 @@ def measure(options: Options) -> Result:
         figures=figures,
         rows=rows,
         notes=[
-            "The estimate by which jobs are refused that cannot fit, against the peak of the run until its "
-            "first updates were made. Above 100 %, it would refuse what fits. "
+            "Each figure is the estimate, by which a job that cannot fit is refused, over the peak of the "
+            "run up to its first updates. Above 100 %, it would refuse a job that fits. "
             + (
                 "The peak is JAX's count of the device's memory in use; Warp's own buffers are not in it."
                 if options.gpu
-                else "The peak is how much the process grew after its programs were compiled, and the state "
-                "that was there by then. Pages that compiling has left behind are used again, so that of a "
-                "small run it shows too little."
+                else "The peak is the growth of the process after its programs were compiled, plus the state "
+                "that existed by then. A small run reuses pages that compiling left behind, so its measured "
+                "peak is too low."
             ),
         ],
     )

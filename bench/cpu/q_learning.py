@@ -204,13 +204,13 @@ def _by_episode(run: Run) -> list[tuple[float, float]]:
 
 
 _NOTES = (
-    "Ours: `brittle_star` with `control: cpg` and the values tuned for it: 100 episodes of 20 s, targets 3 m "
-    "away in directions that are drawn. A control step is one action of one environment, ten physics steps "
+    "Ours: `brittle_star` with `control: cpg` and the values tuned for it: 100 episodes of 20 s, targets 3 "
+    "m away in random directions. A control step is one action of one environment, ten physics steps "
     "of 4 ms; the rate is that of the run's second half, its learning included.",
     "The notebook's loop: biorobot's MJX environment, one at a time, a decision in every control step, "
     "its episode and its learning compiled (`bench/peers/notebook_star.py`), with biorobot's one iteration "
     "of Newton; ours solves to the end on `native` and with 4 iterations on `warp`. Its rate is that after "
-    "the first call, which compiles, and its episodes are cut short where they would take minutes.",
+    "the first call, which compiles, and its episodes are shortened if they would take minutes.",
     f"Targets reached: of {_STEERED} episodes of 20 s from another seed, without exploration; of the learnt "
     "tables the mean, the least and the greatest over the seeds. Decentralised: each arm reads for itself "
     "how far the target's sector is and picks its own role, all from one table.",

@@ -167,15 +167,16 @@ def _notes(given: Settings, num_seeds: int, over_mjx: dict[str, Any]) -> list[st
         "Both trainers run the same environment on the same engine with the same hyperparameters (the ant's "
         f"tuned ones for a CPU): exactly {given['num_timesteps']:,} steps, {_EPOCHS + 1} evaluations of 16 "
         f"episodes, {num_seeds} seeds. Brax runs with a shim for a JAX function that has been removed.",
-        "The rate is of training alone, over the second half of the run: compilation and evaluations are not "
-        "in it. The wall is from the call to its return, with everything, and nothing was compiled before. "
+        "The rate counts training alone, over the second half of the run, without compilation and "
+        "evaluations. The wall time runs from the call to its return and includes everything; nothing was "
+        "compiled before. "
         "Ratios are taken seed by seed. Returns are means over the seeds, ± the standard error.",
         "Brax steps each evaluation to the full episode length; ours ends with its last episode. The share "
         "of evaluations by default is what 10 of them would take of a run to the body's own budget, at the "
         "cost and the rate measured here, compilation left out.",
         "Warm start: a process with the compiled programs of an earlier one in its cache; the first update, "
-        "its environment steps included, is made. The second figure has the interpreter's start and the "
-        "import of JAX in it.",
+        "its environment steps included, is made. The second figure includes the interpreter's start and "
+        "the import of JAX.",
         "Brax over MJX-JAX is one short run for each solver setting, with 256 ants and no evaluation; its "
         f"rate is of the second half, too, and scaled up, not trained to the end ({sizes}, compilation "
         "included). Ours is taken from the runs over `native` above.",

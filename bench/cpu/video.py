@@ -1,4 +1,4 @@
-"""How long a clip takes in software GL, and whether its memory grows with its length."""
+"""Measures how long a clip takes in software GL, and whether its memory grows with its length."""
 
 import os
 

@@ -115,6 +115,7 @@ def _notes(num_seeds: int) -> list[str]:
         f"first state, as in Brax; {_NUM_EVALS} evaluations of 128 episodes each. Brax publishes PPO "
         "settings for the ant, the half cheetah and the humanoid, which are these; for the hopper and the "
         "walker it publishes SAC's, so PPO's are this project's own.",
-        f"Seeds of each: {num_seeds}, or one where no error is given. {_AT_ONCE} runs shared the card at any "
-        "time, so that their walls say nothing; those are in gpu_ant and gpu_humanoid, rates in gpu_engines.",
+        f"Seeds of each: {num_seeds}, or one where no error is given. {_AT_ONCE} runs shared the card at "
+        "any time, so their wall times say nothing; gpu_ant and gpu_humanoid measure wall times, "
+        "gpu_engines measures rates.",
     ]

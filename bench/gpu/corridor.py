@@ -47,7 +47,7 @@ def measure(options: Options) -> Result:
             "under a random action in each control step, which is five physics steps of one environment. In "
             "training, too, control steps are counted, not the policy's actions.",
             f"Composed: {_COMPOSED_ENVS} environments of the model as dm_control composes it, physics alone "
-            "under random actions; only what MJX has not got is left out of it (the search against slipping, "
+            "under random actions; only what MJX lacks is left out of it (the noslip solver and some "
             "sensors).",
             *runs.notes(),
         ],

@@ -1,4 +1,4 @@
-"""Which engine is fastest for which body on a GPU machine: the basis of `EnvironmentInfo.on_a_gpu`."""
+"""Finds the fastest engine for each body on a GPU machine: the basis of `EnvironmentInfo.on_a_gpu`."""
 
 from statistics import median
 
@@ -134,10 +134,11 @@ def _notes() -> list[str]:
     return [
         f"Training: {_UPDATES} updates under the body's tuned settings for a GPU, or as many as begin in "
         f"{_MAX_TRAINING_S:.0f} s, without evaluations; the rate is of the second half. Physics: the same "
-        "number of environments under random actions, fallen ones begun anew, without networks; the median "
+        "number of environments under random actions, reset after each fall, without networks; the median "
         "of several seconds. A step is one action of one environment. `native` steps on the host's cores, "
         "the learner is on the GPU. The fastest training of a body is in bold.",
-        f"Programs were compiled anew, {_AT_ONCE} runs at once; Warp's kernels are compiled in the first "
+        f"Programs were compiled from an empty cache, {_AT_ONCE} runs at once; Warp's kernels are compiled "
+        "in the first "
         "update of the bench's first run on `warp`, and kept for the others. The rodent's physics on `mjx` "
         "is in gpu_rodent: its training compiles for many minutes.",
     ]

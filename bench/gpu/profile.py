@@ -1,4 +1,4 @@
-"""Where the time of an update goes on a GPU, and how far its learning is from the card's peaks."""
+"""Times the parts of an update on a GPU, and compares its learning with the card's peaks."""
 
 from statistics import median
 
@@ -85,7 +85,7 @@ def _figures(body: str, run: Run, card: Card | None) -> list[Figure]:
             name=f"{body}: physics alone ÷ training", value=seconds["epoch"] / seconds["engine"], unit="×"
         ),
         Figure(name=f"{body}: a gradient step", value=1e6 * learning_s, unit="µs"),
-        Figure(name=f"{body}: its products, by reckoning", value=need.flops / 1e9, unit="GFLOP"),
+        Figure(name=f"{body}: its products, calculated", value=need.flops / 1e9, unit="GFLOP"),
         Figure(name=f"{body}: its bytes, at the least", value=need.bytes / 1e6, unit="MB"),
     ]
     xla = run["xla"]
@@ -148,7 +148,7 @@ def _notes(engines: dict[str, str], card: Card | None) -> list[str]:
         "and new starts. Learning: an update with twice as many passes, less one. The whole is an update "
         "inside the compiled loop, as training runs it; the rest is what the parts leave of it, and may be "
         "negative, because the compiler joins what is timed apart here.",
-        "By reckoning: the matrix products of both networks forward and backward on every sample, and bytes "
+        "Calculated: the matrix products of both networks forward and backward on every sample, and bytes "
         "with the minibatch read once and parameters and Adam's moments read and written once. XLA counts "
         "operations and bytes of its compiled gradient step, without the products that it hands to cuBLAS, "
         "and with what its kernels hand to each other through the card's caches.",

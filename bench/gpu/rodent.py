@@ -101,7 +101,7 @@ def _notes(given: Settings, updates: int) -> list[str]:
         "run. A training step is one control step of one environment. Brax has neither the bound on "
         "observations nor the random beginnings of episodes that these settings have; they cost "
         "next to no time.",
-        "MJX-JAX: the same environments under random actions, without networks. Brax's trainer on it is not "
-        "here: it compiles its loop twice, and the second time had not ended after 17 minutes. It cannot be "
-        "faster than that physics alone.",
+        "MJX-JAX: the same environments under random actions, without networks. Brax's trainer on MJX-JAX "
+        "was not measured: it compiles its loop twice, and the second time had not ended after 17 minutes. "
+        "It cannot be faster than this physics alone.",
     ]

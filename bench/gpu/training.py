@@ -199,13 +199,14 @@ def _notes(given: Settings, engine: str, num_evals: int, by_seed: dict[str, list
         f"{num_evals} evaluations of {given['num_eval_envs']} episodes. Brax runs with a shim for a JAX "
         "function that has been removed, over this project's environments, which carry less through MJX than "
         "Brax's own do.",
-        "The wall is from the call to its return, with tracing, compiling and evaluating, without the import "
-        "of JAX. The cold cache is an empty folder, also for Warp's kernels; the warm one is what the same "
+        "The wall time runs from the call to its return; it includes tracing, compiling and evaluating, "
+        "but not the import of JAX. The cold cache is an empty folder, also for Warp's kernels; the warm "
+        "one is what the same "
         "trainer's cold run left. Both are runs of seed 0.",
         f"Returns are means over seeds ({seeds}), ± the standard error; that of the difference is the root "
         "of the sum of both squares. Each seed has one evaluation at the end.",
-        "Steady: training alone over the second half of the run's reports, of each seed's run from a warm "
-        "cache. Warp's own buffers are not in JAX's memory.",
-        "Brax's evaluations in the picture have their compilation in them, and ours have not. By default: a "
-        "run with the body's tuned settings and nothing else said, as a job's is.",
+        "Steady: the rate of training alone over the second half of the run's reports, for each seed's run "
+        "from a warm cache. Warp's own buffers are not in JAX's memory.",
+        "In the picture, Brax's evaluations include their compilation; ours do not. By default: a run with "
+        "the body's tuned settings, like a job that names only the body.",
     ]

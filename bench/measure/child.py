@@ -68,7 +68,7 @@ def run_child(
 
 
 def answer(work: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
-    """The child's side: do what the request asks, and write the answer."""
+    """The child's side, `python -m module FOLDER`: answer FOLDER/request.json in FOLDER/answer.json."""
     folder = Path(sys.argv[1])
     answered = work(json.loads((folder / _REQUEST).read_bytes()))
     (folder / _ANSWER).write_text(json.dumps(answered))

@@ -33,7 +33,7 @@ def returns(runs: Sequence[Run]) -> Estimate:
 
 
 def versus(name: str, ours: Sequence[Run], theirs: Sequence[Run]) -> list[Figure]:
-    """How far our return is from theirs, in standard errors of the difference; empty with one seed."""
+    """The difference of our return and theirs in its standard errors; empty with one seed."""
     value = difference_in_errors(returns(ours), returns(theirs))
     if value is None:
         return []

@@ -1,4 +1,4 @@
-"""How much of an accelerator's memory a process has used."""
+"""Reads the memory of an accelerator that this process has used."""
 
 
 def peak_bytes() -> int | None:

@@ -1,4 +1,4 @@
-"""The least that the learning phase needs, and the most that a card can do."""
+"""The least work of the learning phase, and the peak rates of a card."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

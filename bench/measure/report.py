@@ -106,7 +106,7 @@ def load(folder: Path) -> list[Result]:
 
 
 def _missing(result: Result) -> list[str]:
-    """What was not measured, and why."""
+    """The figures that were not measured, with the reasons."""
     notes = [f"Not measured: {one.name} ({one.missing})." for one in result.figures if one.missing]
     if result.unfinished:
         notes.append(f"Not made yet: {', '.join(result.unfinished)}.")

@@ -118,8 +118,8 @@ class Runs:
         notes = [f"Failed: {name} ({reason})." for name, reason in self.failed.items()]
         if self._in_turns:
             notes.append(
-                "Runs were compiled side by side and timed one after the other: a run's wall has its waiting "
-                "in it."
+                "Runs were compiled side by side and timed one after the other: a run's wall time includes "
+                "its wait."
             )
         for name in differing:
             values = dict.fromkeys(json.dumps(one[name]) for one in seen)

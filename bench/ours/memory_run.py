@@ -1,4 +1,4 @@
-"""The beginning of one run and its memory: `python -m bench.ours.memory_run ANSWER REQUEST`.
+"""The beginning of one run and its memory: `python -m bench.ours.memory_run FOLDER`.
 
 Request: environment, options, engine (or `auto`), algorithm (as a job has it), device (`cpu` or `gpu`).
 """

@@ -1,4 +1,4 @@
-"""One clip by the render process: `python -m bench.ours.render_clip ANSWER REQUEST`. It is small itself, so
+"""One clip by the render process: `python -m bench.ours.render_clip FOLDER`. It is small itself, so
 that the peak memory of its only child is the render process's."""
 
 import resource

@@ -1,6 +1,6 @@
 """One engine under one body: a few updates of training, then physics alone.
 
-`python -m bench.ours.run_engine ANSWER REQUEST`; the request is that of bench.ours.run_physics.
+`python -m bench.ours.run_engine FOLDER`; the request is that of bench.ours.run_physics.
 """
 
 from typing import Any

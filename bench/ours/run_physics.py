@@ -1,4 +1,4 @@
-"""Physics alone of one engine under one body: `python -m bench.ours.run_physics ANSWER REQUEST`.
+"""Physics alone of one engine under one body: `python -m bench.ours.run_physics FOLDER`.
 
 The request is that of bench.ours.train_ppo, with physics_s, how many seconds to step physics, and
 steps_per_call, the control steps in a compiled call (default 50).

@@ -1,6 +1,6 @@
-"""Where the time of one PPO update goes: its parts, compiled and timed one by one.
+"""Times the parts of one PPO update, each compiled by itself.
 
-`python -m bench.ours.time_pieces ANSWER REQUEST`: the request of bench.ours.train_ppo, with warm_updates,
+`python -m bench.ours.time_pieces FOLDER`: the request of bench.ours.train_ppo, with warm_updates,
 the number of updates before timing, and repeats, how often each part is timed.
 """
 

@@ -1,4 +1,4 @@
-"""One run of this project's PPO trainer, called directly: `python -m bench.ours.train_ppo ANSWER REQUEST`.
+"""One run of this project's PPO trainer, called directly: `python -m bench.ours.train_ppo FOLDER`.
 
 Request: environment, engine, settings (hyperparameters), seed; device (`cpu`, the default, or `gpu`), devices
 (how many; default 1); cache (a folder for compiled programs, or null); checkpoint_every_steps (or null);

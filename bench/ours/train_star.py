@@ -1,4 +1,4 @@
-"""One run of this project's Q-learning on a brittle star: `python -m bench.ours.train_star ANSWER REQUEST`.
+"""One run of this project's Q-learning on a brittle star: `python -m bench.ours.train_star FOLDER`.
 
 Request: options (of the environment `brittle_star`), settings (of the algorithm, if they differ from
 the tuned ones), engine, device (`cpu` or `gpu`), seed; cache (a folder for compiled programs, or null);

@@ -1,4 +1,4 @@
-"""The tutorial notebook's own loop, rebuilt: `python -m bench.peers.notebook_star ANSWER REQUEST`.
+"""The tutorial notebook's own loop, rebuilt: `python -m bench.peers.notebook_star FOLDER`.
 
 One brittle star in biorobot's MJX environment; a Q-table chooses its leading arm at every control step, a CPG
 (Euler, one step for each control step) turns that into joint angles; the episode is one compiled program, and

@@ -1,6 +1,6 @@
 """The corridor as dm_control composes it, under MJX-JAX.
 
-`python -m bench.peers.step_composed ANSWER REQUEST`. Request: environment options, num_envs, steps (control
+`python -m bench.peers.step_composed FOLDER`. Request: environment options, num_envs, steps (control
 steps in a call, one after the other), n_frames, device, cache. The composed model is unchanged except for
 two things that MJX refuses: the noslip solver, and sensors that it does not support.
 """

@@ -1,4 +1,4 @@
-"""One run of the peer, `brax.training.agents.ppo.train`: `python -m bench.peers.train_brax ANSWER REQUEST`.
+"""One run of the peer, `brax.training.agents.ppo.train`: `python -m bench.peers.train_brax FOLDER`.
 
 Request: environment, engine, settings, seed; epochs (it reports after each); evaluate; device (`cpu`, the
 default, or `gpu`); cache (a folder for compiled programs, or null). The engine `mjx_equal` is MJX-JAX with

@@ -20,7 +20,7 @@ _CLONE_S = 1200.0
 
 
 def measure(options: Options) -> Result:
-    """Measure what a newcomer sees: when the job moves, when there is a video, and whether its ant walks."""
+    """Measure when the job starts to train, when there is a video, and whether its ant walks."""
     machine = this_machine()
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
         began = time.time()

@@ -1,4 +1,4 @@
-"""One party of bench.service.load, a process: `python -m bench.service.load_part ANSWER REQUEST`."""
+"""One party of bench.service.load, a process: `python -m bench.service.load_part FOLDER`."""
 
 import asyncio
 import json

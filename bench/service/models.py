@@ -1,4 +1,4 @@
-"""How long a user's own body takes from `POST /models` to its description, with a real worker."""
+"""Times a user's own body from `POST /models` to its description, with a real worker."""
 
 import statistics
 import tempfile
@@ -57,7 +57,7 @@ def measure(options: Options) -> Result:
             f"{rows[0]['nu']}) over loopback to an idle embedded stack with one worker: stored, queued, "
             "compiled in a confined process that is started for it, let go for 2 s of its time, described, "
             f"answered. C MuJoCo made {rate:,.0f} steps/s of it there.",
-            "Each engine: loading MJX and MuJoCo Warp takes most of it, whatever the model.",
+            "Each engine: loading MJX and MuJoCo Warp takes most of the time, for every model.",
         ],
     )
 

@@ -1,4 +1,4 @@
-"""What an outage of one store for ten minutes costs a running job."""
+"""Measures what a running job loses when one store is away for ten minutes."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -72,7 +72,8 @@ def measure(options: Options) -> Result:
         ),
         notes=[
             "Outages: real servers and processes with the service's default times, and a training process of "
-            f"one step a second that goes on for {_AFTER_S:.0f} s after the outage. A step is lost when its "
+            f"one step a second that runs for another {_AFTER_S:.0f} s after the outage. A step is lost "
+            "when its "
             "row of metrics is missing or is there twice. All six run side by side.",
         ],
     )

@@ -1,4 +1,4 @@
-"""How long listings, claims, submissions and lease renewals take among a million jobs."""
+"""Times listings, claims, submissions and lease renewals among a million jobs."""
 
 import gc
 import tempfile

@@ -1,4 +1,4 @@
-"""How long it takes until a lost worker's job resumes, a new job is claimed, and the embedded stack is up."""
+"""Times the resumption of a lost worker's job, the claim of a new one, and the start of the stack."""
 
 import re
 import signal

@@ -51,9 +51,11 @@ def measure(options: Options) -> Result:
 def _notes(count: int, memory: Row, returns: set[float]) -> list[str]:
     agreement = "the same return" if len(returns) == 1 else f"DIFFERENT returns: {sorted(returns)}"
     return [
-        f"Submissions: {count} `POST /jobs` over loopback at {_PER_SECOND:g} a second, due at fixed times "
-        "whatever the answers do; each is timed from when it was due. Each is one durable transaction in "
-        "PostgreSQL, and the queue has been told, before it is answered. The load generator, the servers and "
+        f"Submissions: {count} `POST /jobs` over loopback at {_PER_SECOND:g} a second, due at fixed times, "
+        "whether or not the answers keep up; each is timed from when it was due. Each is one durable "
+        "transaction in "
+        "PostgreSQL, and its message is in the queue, before it is answered. The load generator, the "
+        "servers and "
         "the idle worker share the machine.",
         "First line: from just before the POST to the time of the event `process`, which the training "
         "process causes before it imports anything; the worker was idle.",

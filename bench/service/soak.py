@@ -1,4 +1,4 @@
-"""Whether the service's processes, descriptors, threads or memory grow over hours of small jobs."""
+"""Measures whether processes, descriptors, threads and memory grow over hours of small jobs."""
 
 import tempfile
 import time
@@ -26,7 +26,7 @@ _MOST = {"processes": 1.0, "descriptors": 5.0, "threads": 3.0, "memory_mb": 8.0}
 
 @dataclass(frozen=True)
 class Sample:
-    """What one part of the service uses at one moment.
+    """The resources that one part of the service uses at one moment.
 
     processes: its own and all that it has started; descriptors, threads: their sums; memory_mb: the sum of
     their private memory (USS), without the memory that PostgreSQL's processes share.

@@ -1,4 +1,4 @@
-"""Waiting for a state of a service."""
+"""Waits for a state of a service."""
 
 import time
 from collections.abc import Callable
@@ -9,5 +9,5 @@ def until(holds: Callable[[], bool], timeout_s: float = 300.0) -> None:
     deadline = time.monotonic() + timeout_s
     while not holds():
         if time.monotonic() > deadline:
-            raise TimeoutError(f"It was not so within {timeout_s:.0f} s.")
+            raise TimeoutError(f"The condition did not hold within {timeout_s:.0f} s.")
         time.sleep(0.1)
