@@ -7,8 +7,8 @@ from fastapi import FastAPI
 from api import problems
 from api.correlation import Correlation
 from api.dependencies import Service
-from api.doors import Doors
 from api.openapi import describe
+from api.origins import OriginCheck
 from api.routes import ROUTERS
 from core.configuration import read
 from core.jobs.queue import JobQueue
@@ -33,7 +33,7 @@ def create_app(settings: ApiSettings, *, store: JobStore, queue: JobQueue, objec
     app.state.service = Service(settings, store, queue, objects)
     app.openapi = lambda: describe(app)
     problems.install(app)
-    app.add_middleware(Correlation, doors=Doors(settings.hosts))
+    app.add_middleware(Correlation, origin_check=OriginCheck(settings.hosts))
     for router in ROUTERS:
         app.include_router(router)
     return app
@@ -56,5 +56,5 @@ def from_environment() -> FastAPI:
     from core.adapters.startup import check_stores
 
     settings = read(ApiSettings)
-    check_stores(settings, patience_s=0)  # until they answer, requests get 503
+    check_stores(settings, timeout_s=0)  # until they answer, requests get 503
     return build(settings)

@@ -8,8 +8,8 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.doors import Doors
 from api.errors import UnexpectedError
+from api.origins import OriginCheck
 from api.problems import answer
 
 log = structlog.get_logger()
@@ -21,9 +21,9 @@ _ACCEPTABLE = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 class Correlation:
     """ASGI middleware. It keeps the client's X-Request-ID if that is harmless, and sends it back."""
 
-    def __init__(self, app: ASGIApp, doors: Doors) -> None:
+    def __init__(self, app: ASGIApp, origin_check: OriginCheck) -> None:
         self._app = app
-        self._doors = doors
+        self._origin_check = origin_check
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -37,7 +37,7 @@ class Correlation:
     async def _answer(self, scope: Scope, receive: Receive, sender: "_Sender", correlation_id: str) -> None:
         started = time.perf_counter()
         try:
-            if (refusal := self._doors.refusal(scope)) is not None:
+            if (refusal := self._origin_check.refusal(scope)) is not None:
                 await answer(refusal, scope["path"])(scope, receive, sender)
             else:
                 await self._app(scope, receive, sender)

@@ -23,7 +23,7 @@ log = structlog.get_logger()
 HEARTBEAT_S = 15.0
 _PAGE = 500
 # How often a waiting stream checks whether the service is stopping or a heartbeat is due.
-_GLANCE_S = 1.0
+_POLL_S = 1.0
 
 
 class Follower:
@@ -67,7 +67,7 @@ class Follower:
                     heard_at = time.monotonic()
                     yield page
                 if not (has_more or is_last):
-                    is_due = await watch.news(_GLANCE_S) or is_due
+                    is_due = await watch.news(_POLL_S) or is_due
 
     async def job(self) -> Job | UnreadableJob:
         """The job as it is now. Raises JobNotFound, RecordsUnavailable."""

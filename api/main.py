@@ -40,12 +40,12 @@ def _serve(host: str, port: int) -> None:
         if not _is_loopback(outside):
             log.warning("service_exposed", address=outside, advice=_OPEN_DOOR)
         number = app.state.service.settings.num_processes
-        tell = partial(log.info, "service_listens", host=host, port=port, processes=number)
+        announce = partial(log.info, "service_listens", host=host, port=port, processes=number)
         if number == 1:
-            tell()
+            announce()
             Server(app).run(sockets=[listener])
         else:
-            processes.serve(listener, number, on_ready=tell)
+            processes.serve(listener, number, on_ready=announce)
 
 
 def _is_loopback(host: str) -> bool:

@@ -9,7 +9,7 @@ from typing import Any, cast
 from core.errors import Problem
 from core.jobs.spec import JOB_SPEC
 
-_MOST_PROBLEMS = 50
+_MAX_PROBLEMS = 50
 _CONSTANTS: dict[bool | None, str] = {None: "null", True: "true", False: "false"}
 _NOT_FINITE = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
 
@@ -21,7 +21,7 @@ def body_problems(errors: Iterable[Mapping[str, Any]], document: Any) -> Sequenc
     found: dict[str, list[str]] = {}
     for error in errors:
         pointer = _pointer(error, document)
-        if pointer not in found and len(found) == _MOST_PROBLEMS:
+        if pointer not in found and len(found) == _MAX_PROBLEMS:
             break
         found.setdefault(pointer, []).append(_sentence(error, _fields_at(error["loc"][:-1])))
     return [Problem(pointer, _joined(sentences)) for pointer, sentences in found.items()]

@@ -24,7 +24,7 @@ async def event_stream(follower: Follower) -> AsyncIterator[bytes]:
     yield b"retry: 2000\n\n"
     async for page in follower.coming():
         yield encoded(page) if page else b": still here\n\n"
-        told = told or any(_tells_the_end(entry) for entry in page)
+        told = told or any(_is_the_end(entry) for entry in page)
     if follower.status is not None and follower.status.is_final and not told:
         # A job of version 0.1 that was imported has a status, but no feed.
         yield encoded([_final(await follower.job())])
@@ -41,7 +41,7 @@ def encoded(entries: Sequence[Entry]) -> bytes:
     )
 
 
-def _tells_the_end(entry: Entry) -> bool:
+def _is_the_end(entry: Entry) -> bool:
     return entry.kind == "status" and JobStatus(entry.data["status"]).is_final
 
 

@@ -28,12 +28,12 @@ class Watch:
     def wake(self) -> None:
         self._news.set()
 
-    async def news(self, patience_s: float) -> bool:
-        """Whether the job may have changed since the last call; waits up to `patience_s` for that.
+    async def news(self, timeout_s: float) -> bool:
+        """Whether the job may have changed since the last call; waits up to `timeout_s` for that.
 
         Always true once the watcher has failed: the reader then has to query the record itself.
         """
-        with anyio.move_on_after(patience_s):
+        with anyio.move_on_after(timeout_s):
             await self._news.wait()
         if self._news.is_set():
             self._news = anyio.Event()

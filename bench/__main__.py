@@ -11,29 +11,43 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench import charts, report
-from bench.result import Options, Result
+from bench.measure import charts, report
+from bench.measure.result import Options, Result
 
-NAMES = (
-    "physics",
-    "training",
-    "corridor",
-    "q_learning",
-    "record",
-    "faults",
-    "service",
-    "models",
-    "video",
-    "demo",
-)
-ON_A_GPU = (
-    *("gpu_engines", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
-    *("gpu_rodent", "gpu_corridor", "gpu_q_learning", "gpu_profile", "gpu_scaling"),
-)
+NAMES = {
+    "physics": "bench.cpu.physics",
+    "training": "bench.cpu.training",
+    "corridor": "bench.cpu.corridor",
+    "q_learning": "bench.cpu.q_learning",
+    "record": "bench.service.record",
+    "faults": "bench.service.faults",
+    "service": "bench.service.service",
+    "models": "bench.service.models",
+    "video": "bench.cpu.video",
+    "demo": "bench.service.demo",
+}
+# These run only by name.
+LONG = {
+    "load": "bench.service.load",
+    "outages": "bench.service.outages",
+    "recovery": "bench.service.recovery",
+    "soak": "bench.service.soak",
+    "memory": "bench.cpu.memory",
+}
+ON_A_GPU = {
+    "gpu_engines": "bench.gpu.engines",
+    "gpu_ant": "bench.gpu.ant",
+    "gpu_humanoid": "bench.gpu.humanoid",
+    "gpu_bodies": "bench.gpu.bodies",
+    "gpu_rodent": "bench.gpu.rodent",
+    "gpu_corridor": "bench.gpu.corridor",
+    "gpu_q_learning": "bench.gpu.q_learning",
+    "gpu_profile": "bench.gpu.profile",
+    "gpu_scaling": "bench.gpu.scaling",
+}
+MODULES = {**NAMES, **LONG, **ON_A_GPU}
 PAGE, PICTURES = Path("docs/performance.md"), Path("docs/pictures")
 UNFINISHED = 75
-# These run only by name.
-LONG = ("load", "outages", "recovery", "soak", "memory")
 
 
 def main() -> int:
@@ -91,10 +105,9 @@ def _arguments() -> argparse.Namespace:
     campaign.add_argument("--worlds", type=int, metavar="N", help="so many side by side")
     given = parser.parse_args()
     given.names = [name.replace("-", "_") for name in given.names]
-    every = (*NAMES, *LONG, *ON_A_GPU)
-    unknown = [name for name in given.names if name not in every]
+    unknown = [name for name in given.names if name not in MODULES]
     if unknown and given.names != ["report"]:
-        parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join(every)}.")
+        parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join(MODULES)}.")
     if given.names != ["faults"] and (given.first or given.worlds):
         parser.error("--first and --worlds are about the bench `faults`: name it.")
     if len(given.names) != 1 and (given.seconds or given.seeds or given.only != "*"):
@@ -105,7 +118,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def _measure(name: str, given: argparse.Namespace) -> int:
-    module = import_module(f"bench.{name}")
+    module = import_module(MODULES[name])
     options = {key: value for key, value in vars(given).items() if key in Options.model_fields}
     result: Result = module.measure(Options(**options))
     console = Console()

@@ -1,14 +1,14 @@
-"""One environment, trained with its tuned defaults: how they were chosen, and how to choose better ones.
+"""Trains one environment with its tuned defaults, to try other values.
 
-`python -m bench.train_environment ANSWER.json '{"environment": "ant", "device": "cpu"}'`; `settings` in the
-request changes hyperparameters, `options` the environment, `seed` the seed. On a GPU, leave JAX_PLATFORMS
-unset.
+`python -m bench.train_environment FOLDER` reads FOLDER/request.json, for example
+`{"environment": "ant", "device": "cpu"}`, and writes FOLDER/answer.json. In the request, `settings` changes
+hyperparameters, `options` the environment, `seed` the seed. On a GPU, leave JAX_PLATFORMS unset.
 """
 
 import time
 from typing import Any
 
-from bench.child import answer
+from bench.measure.child import answer
 
 
 def train(request: dict[str, Any]) -> dict[str, Any]:
@@ -29,11 +29,11 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
     settings = resolve(PPOSpec(**request.get("settings", {})), info, request["device"])
     choice = choose("auto", request["device"], settings.num_envs, info.on_a_gpu, info.cannot_run)
     environment = catalog.make(info, options, engine_builder(choice.name))
-    trainer = make_run(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
+    run = make_run(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
     curve: list[dict[str, float]] = []
     rates: list[float] = []
     phases: dict[str, float] = {}
-    for event in trainer.events():
+    for event in run.events():
         match event:
             case Phase(name=name, seconds=seconds):
                 phases[name] = seconds
@@ -48,7 +48,7 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
         "environment": info.id,
         "device": jax.devices()[0].device_kind,
         "engine": choice.name,
-        "steps": trainer.step,
+        "steps": run.step,
         "wall_s": time.perf_counter() - began,
         "steps_per_second": sorted(rates)[len(rates) // 2],
         "phases": phases,

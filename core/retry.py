@@ -14,9 +14,9 @@ Result = TypeVar("Result")
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
 # How often a wait checks whether it has been called off.
-_GLANCE_S = 0.1
+_POLL_S = 0.1
 # How often the log repeats what is waited for.
-_SAY_AGAIN_AFTER_S = 60.0
+_LOG_AGAIN_AFTER_S = 60.0
 
 
 class CalledOff(Exception):
@@ -29,16 +29,16 @@ def _never() -> bool:
 
 def retry_while_unavailable(
     step: Callable[[], Result],
-    patience_s: float = float("inf"),
+    timeout_s: float = float("inf"),
     gives_up_on: tuple[type[Unavailable], ...] = (),
     called_off: Callable[[], bool] = _never,
 ) -> Result:
     """The step's result; the step is repeated while it raises Unavailable.
 
-    Raises Unavailable after `patience_s`; an error in `gives_up_on`, or any other error of the step, at once;
+    Raises Unavailable after `timeout_s`; an error in `gives_up_on`, or any other error of the step, at once;
     CalledOff if `called_off` becomes true during the wait.
     """
-    deadline, pause_s = time.monotonic() + patience_s, _FIRST_PAUSE_S
+    deadline, pause_s = time.monotonic() + timeout_s, _FIRST_PAUSE_S
     said, said_at = "", 0.0
     while True:
         try:
@@ -49,7 +49,7 @@ def retry_while_unavailable(
             now = time.monotonic()
             if now > deadline:
                 raise
-            if error.detail != said or now - said_at >= _SAY_AGAIN_AFTER_S:
+            if error.detail != said or now - said_at >= _LOG_AGAIN_AFTER_S:
                 log.warning("bookkeeping_waits", error=error.detail)
                 said, said_at = error.detail, now
         pause(pause_s, called_off)
@@ -66,5 +66,5 @@ def pause(seconds: float, called_off: Callable[[], bool] = _never) -> None:
         left_s = until - time.monotonic()
         if left_s <= 0:
             return
-        time.sleep(min(left_s, _GLANCE_S))
+        time.sleep(min(left_s, _POLL_S))
     raise CalledOff

@@ -33,7 +33,7 @@ from gaitway.views import (
 
 AnyView = TypeVar("AnyView", bound=BaseModel)
 
-_GLANCE_S = 0.5
+_POLL_S = 0.5
 DEFAULT_URL = "http://127.0.0.1:8000"
 
 
@@ -251,7 +251,7 @@ class Client:
         while model.status == "validating":
             if time.monotonic() > deadline:
                 raise WaitTimeout(f"Model {model.id} is not validated after {timeout:g} s.")
-            time.sleep(_GLANCE_S)
+            time.sleep(_POLL_S)
             model = self.model(model.id)
         if model.status == "refused":
             raise Rejected(422, {"detail": model.message, "type": "/problems/bad-model"})
@@ -332,7 +332,7 @@ class Client:
                 raise WaitTimeout(
                     f"No worker has rendered it after {timeout:g} s; all may be busy with jobs."
                 )
-            time.sleep(_GLANCE_S)
+            time.sleep(_POLL_S)
         return answer
 
     def _newest(

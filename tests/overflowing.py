@@ -1,4 +1,4 @@
-"""A world whose engine loses contacts, as `warp` does where its buffers are full."""
+"""An environment whose engine loses contacts, as `warp` does where its buffers are full."""
 
 from dataclasses import dataclass, replace
 

@@ -21,7 +21,7 @@ Rule = Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 
 @dataclass(frozen=True)
 class Probe:
-    """A world without physics: one number is seen, one is acted, `rule` says what it brings.
+    """An environment without physics: one number is seen, one is acted, `rule` says what it brings.
 
     random_sign: the first observation is -1 or +1, else 0. shows_time: every later one is the number of
     actions taken.

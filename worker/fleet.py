@@ -26,7 +26,7 @@ from worker.host.health import begin_fleet
 
 log = structlog.get_logger()
 
-_GLANCE_S = 0.1
+_POLL_S = 0.1
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 30.0
 
 
@@ -96,7 +96,7 @@ def serve(members: Sequence[Member]) -> None:
         while not told:
             for member in members:
                 member.look_after()
-            time.sleep(_GLANCE_S)
+            time.sleep(_POLL_S)
     finally:
         running = [member.child for member in members if member.child is not None]
         for child in running:

@@ -38,7 +38,7 @@ from worker.host.disk import check_folder
 from worker.host.health import show_life
 from worker.host.parent_death import PARENT, die_with_parent
 from worker.named_job import NamedJob
-from worker.supervision.left_attempts import tell_left
+from worker.supervision.left_attempts import record_left
 from worker.supervision.spool import SPOOLS, remove_left_over
 from worker.supervision.stall import is_stopped
 
@@ -49,9 +49,9 @@ _ANNOUNCE_EVERY_S = 10
 # Between two tries to reach a queue that is unavailable.
 _PAUSE_S = 1.0
 # Between two checks of a device that is being tested.
-_GLANCE_S = 0.1
+_POLL_S = 0.1
 # How long the worker waits for a message before it checks whether it must shut down.
-_LOOK_EVERY_S = 5
+_DEQUEUE_TIMEOUT_S = 5
 
 
 class GaitwayWorker(rq.Worker):
@@ -87,7 +87,7 @@ class GaitwayWorker(rq.Worker):
             connection=connect_redis(settings.redis_url.get_secret_value()),
             serializer=JSONSerializer,
             job_class=NamedJob,
-            worker_ttl=15 + _LOOK_EVERY_S,  # RQ waits 15 s less than this.
+            worker_ttl=15 + _DEQUEUE_TIMEOUT_S,  # RQ waits 15 s less than this.
             job_monitoring_interval=_ANNOUNCE_EVERY_S,
         )
 
@@ -112,7 +112,7 @@ class GaitwayWorker(rq.Worker):
                 if shown != self._health.state or time.monotonic() - shown_at > _ANNOUNCE_EVERY_S:
                     shown, shown_at = self._health.state, time.monotonic()
                     self._show_idle()
-                time.sleep(_GLANCE_S)
+                time.sleep(_POLL_S)
         finally:
             self._health.close()
 
@@ -163,7 +163,7 @@ class GaitwayWorker(rq.Worker):
         self._is_announcing = True
         try:
             self._store.announce(info, timedelta(seconds=4 * _ANNOUNCE_EVERY_S))
-            tell_left(self._data_dir, self._store, self._objects)
+            record_left(self._data_dir, self._store, self._objects)
         except Unavailable as error:
             log.warning("announcement_missed", error=error.detail)
         finally:

@@ -21,7 +21,7 @@ from core.errors import Unavailable
 from core.jobs import feeds, orphans
 from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_records
-from core.jobs.strays import Strays
+from core.jobs.strays import StrayMessages
 from core.settings import ReconcilerSettings
 from core.telemetry import configure_logging
 from core.user_models import library
@@ -91,7 +91,7 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
         Chore("jobs", every_s, Reconciler(store, queue, settings.lease).look),
         Chore("feeds", every_s, partial(feeds.compact, store=store, objects=objects)),
         Chore("copies", every_s, partial(copy_records, store=store, objects=objects)),
-        Chore("messages", 10 * every_s, Strays(queue).look),
+        Chore("messages", 10 * every_s, StrayMessages(queue).look),
         Chore("record", _TIDY_EVERY_S, store.tidy),
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
         LongChore("orphans", _TIDY_EVERY_S, partial(orphans.sweep, store=store, objects=objects)),

@@ -26,8 +26,8 @@ XML, ZIP = "application/xml", "application/zip"
 _ZIP_BEGINNING = b"PK\x03\x04"
 _KNOWN = {XML: XML, "text/xml": XML, ZIP: ZIP, "application/x-zip-compressed": ZIP}
 # How long a request waits for the validation before it is answered 202.
-_PATIENCE_S = 5.0
-_GLANCE_S = 0.1
+_TIMEOUT_S = 5.0
+_POLL_S = 0.1
 _BODY: dict[str, Any] = {
     "requestBody": {
         "required": True,
@@ -163,12 +163,12 @@ def _refused(record: ModelRecord, service: Service) -> BadModel:
 
 
 async def _settled(record: ModelRecord, service: Service) -> ModelRecord:
-    """The record once a worker has accepted or refused the model, or as it is after `_PATIENCE_S`.
+    """The record once a worker has accepted or refused the model, or as it is after `_TIMEOUT_S`.
 
     Finding out which engines can run the model takes several seconds more: a later request returns that.
     """
-    until = time.monotonic() + _PATIENCE_S
+    until = time.monotonic() + _TIMEOUT_S
     while record.status == "validating" and time.monotonic() < until and not service.stopping:
-        await sleep(_GLANCE_S)
+        await sleep(_POLL_S)
         record = await run_sync(library.find, record.id, service.store)
     return record

@@ -39,13 +39,13 @@ from core.rendering.camera import camera_choices, model_camera
 router = APIRouter(tags=["catalog"])
 
 # How long a request waits for the stills before it is answered 202.
-_PATIENCE_S = 5.0
-_GLANCE_S = 0.1
+_TIMEOUT_S = 5.0
+_POLL_S = 0.1
 # The maximum in one preview; the stills of a model's further cameras are asked for one by one.
-_MOST_STILLS = 32
+_MAX_STILLS = 32
 
 
-class Asked(Parameters):
+class PreviewParameters(Parameters):
     """The environment that the stills show, and the camera."""
 
     options: str = Field(
@@ -84,7 +84,7 @@ class PreviewView(View):
     links: dict[str, str]
 
     @classmethod
-    def of(cls, wanted: PreviewRequest, stills: Sequence[Still], here: str, asked: Asked) -> Self:
+    def of(cls, wanted: PreviewRequest, stills: Sequence[Still], here: str, asked: PreviewParameters) -> Self:
         said = asked.model_dump(exclude_unset=True, exclude={"camera"})
 
         def href(**also: object) -> str:
@@ -125,7 +125,7 @@ class PreviewView(View):
 )
 async def preview_environment(
     environment_id: Annotated[str, Path(examples=["ant"])],
-    asked: Annotated[Asked, Query()],
+    asked: Annotated[PreviewParameters, Query()],
     service: ServiceDep,
     request: Request,
 ) -> Any:
@@ -143,7 +143,9 @@ async def preview_environment(
     return await run_sync(file_response, request, _file(wanted, still), service.objects)
 
 
-def _wanted(environment_id: str, asked: Asked, service: Service) -> tuple[PreviewRequest, str | int | None]:
+def _wanted(
+    environment_id: str, asked: PreviewParameters, service: Service
+) -> tuple[PreviewRequest, str | int | None]:
     """The stills to render, and the camera that the request asks for.
 
     Raises EnvironmentNotFound, and Rejected with the same messages as for a job.
@@ -156,7 +158,7 @@ def _wanted(environment_id: str, asked: Asked, service: Service) -> tuple[Previe
         camera = None if asked.camera is None else _camera(asked.camera, info.cameras)
     except Rejected as refusal:
         raise in_the_query(refusal) from None
-    shown = cameras[:_MOST_STILLS]
+    shown = cameras[:_MAX_STILLS]
     request = PreviewRequest(
         environment=environment_id,
         options=options.model_dump(mode="json"),
@@ -176,16 +178,16 @@ def _camera(said: str, cameras: Sequence[str]) -> str | int:
 
 
 async def _drawn(wanted: PreviewRequest, service: Service) -> Preview | None:
-    """The stills once they exist; None after `_PATIENCE_S`.
+    """The stills once they exist; None after `_TIMEOUT_S`.
 
     Raises NoWorker, TooManyPreviews; NothingDraws and Rejected where a worker tried and failed.
     """
-    until = time.monotonic() + _PATIENCE_S
+    until = time.monotonic() + _TIMEOUT_S
     drawn = await run_sync(library.find, wanted, service.objects)
     if drawn is None:
         await run_sync(_ask, wanted, service)
     while drawn is None and time.monotonic() < until and not service.stopping:
-        await sleep(_GLANCE_S)
+        await sleep(_POLL_S)
         drawn = await run_sync(library.find, wanted, service.objects)
     if drawn is not None and drawn.failure is not None:
         # The next request tries again.

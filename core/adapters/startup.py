@@ -28,17 +28,17 @@ from core.settings import StoreSettings
 
 log = structlog.get_logger()
 
-_PATIENCE_S = 10.0
+_TIMEOUT_S = 10.0
 # A store that has just started may not know its bucket and its keys yet.
-_BELIEVED_AFTER_S = 3.0
+_REFUSAL_IS_FINAL_AFTER_S = 3.0
 _REFUSALS = (RecordsRefuse, StorageRefuses)
 
 # KEYS: a name that nobody else uses. It is deleted, or expires after a second if this is cut off.
 _WRITE = "redis.call('SET', KEYS[1], '', 'PX', 1000) return redis.call('DEL', KEYS[1])"
 
 
-def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> None:
-    """Return when each store serves, or has been unavailable for `patience_s`: it may come back later.
+def check_stores(settings: StoreSettings, timeout_s: float = _TIMEOUT_S) -> None:
+    """Return when each store serves, or has been unavailable for `timeout_s`: it may come back later.
 
     Raises Misconfigured if a store answers and refuses for some seconds: waiting will not mend that.
     """
@@ -52,7 +52,7 @@ def check_stores(settings: StoreSettings, patience_s: float = _PATIENCE_S) -> No
     }
     for name, look in looks.items():
         try:
-            _try(look, patience_s)
+            _try(look, timeout_s)
         except _REFUSALS as error:
             raise Misconfigured(error.detail) from error
         except Unavailable as error:
@@ -80,11 +80,11 @@ def _upgrade(engine: Engine) -> None:
     schema.upgrade(engine)
 
 
-def _try(look: Callable[[], None], patience_s: float) -> None:
+def _try(look: Callable[[], None], timeout_s: float) -> None:
     try:
-        retry_while_unavailable(look, patience_s, gives_up_on=_REFUSALS)
+        retry_while_unavailable(look, timeout_s, gives_up_on=_REFUSALS)
     except _REFUSALS:
-        retry_while_unavailable(look, _BELIEVED_AFTER_S)
+        retry_while_unavailable(look, _REFUSAL_IS_FINAL_AFTER_S)
 
 
 @reaching_redis()

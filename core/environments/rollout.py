@@ -22,7 +22,7 @@ ParametricPolicy = Callable[[Any, State, jax.Array], jax.Array]
 TARGET = "target_position"
 
 _STEPS_PER_CALL = 200
-_MOST_WORLDS = 64
+_MAX_ENVS = 64
 
 
 def random_policy(action_size: int) -> Policy:
@@ -58,12 +58,12 @@ class _Row:
 class Roller:
     """Compiles a policy's episodes in an environment once, for any parameters, seed, length and number.
 
-    num_worlds: episodes that run side by side; results do not depend on it.
+    num_envs: episodes that run side by side; results do not depend on it.
     """
 
-    def __init__(self, environment: Environment, policy: ParametricPolicy, *, num_worlds: int = 1) -> None:
+    def __init__(self, environment: Environment, policy: ParametricPolicy, *, num_envs: int = 1) -> None:
         self._environment = environment
-        self._num_worlds = num_worlds
+        self._num_envs = num_envs
         self._reset = jax.jit(jax.vmap(environment.reset))
         self._advance = jax.jit(lambda *state: _advance(environment, policy, *state))
 
@@ -76,11 +76,11 @@ class Roller:
         """
         first = 0
         while num_episodes is None or first < num_episodes:
-            numbers = jnp.arange(first, first + self._num_worlds)
+            numbers = jnp.arange(first, first + self._num_envs)
             keys = jax.vmap(jax.random.fold_in, (None, 0))(key, numbers)
-            wanted = self._num_worlds if num_episodes is None else min(self._num_worlds, num_episodes - first)
+            wanted = self._num_envs if num_episodes is None else min(self._num_envs, num_episodes - first)
             yield from self._batch(parameters, keys, num_steps, wanted)
-            first += self._num_worlds
+            first += self._num_envs
 
     def _batch(self, parameters: Any, keys: jax.Array, num_steps: int, wanted: int) -> Iterator[Episode]:
         state: State = self._reset(keys)
@@ -97,10 +97,10 @@ class Roller:
         names = (*start, "action", "reward", "done")
         steps = {name: np.concatenate([getattr(row, name) for row in rows]) for name in names}
         metrics = {name: np.concatenate([row.metrics[name] for row in rows]) for name in rows[0].metrics}
-        for world in range(wanted):
-            own = {name: values[:, world] for name, values in steps.items()}
-            begin = {name: np.asarray(values)[world] for name, values in start.items()}
-            measured = {name: values[:, world] for name, values in metrics.items()}
+        for env in range(wanted):
+            own = {name: values[:, env] for name, values in steps.items()}
+            begin = {name: np.asarray(values)[env] for name, values in start.items()}
+            measured = {name: values[:, env] for name, values in metrics.items()}
             yield _episode(self._environment, begin, own, measured, num_steps)
 
 
@@ -111,7 +111,7 @@ def rollout(
     roller = Roller(
         environment,
         lambda parameters, state, key: policy(state.obs, key),
-        num_worlds=min(num_episodes, _MOST_WORLDS),
+        num_envs=min(num_episodes, _MAX_ENVS),
     )
     episodes = list(roller.episodes(None, key, num_steps=num_steps, num_episodes=num_episodes))
     return trajectory_of(environment, episodes)

@@ -8,7 +8,7 @@ from typing import Any
 
 from core.errors import IllegalTransition, LeaseLost, StaleJob
 from core.jobs.job import Artifact, Job
-from core.jobs.status import LOSSES, MOST, RETRIED, JobStatus
+from core.jobs.status import LOSSES, MAX_ATTEMPTS, RETRIED, JobStatus
 from core.jobs.store import JobStore
 from core.reasons import Reason
 from core.storage.objects import ObjectStore
@@ -141,8 +141,8 @@ def given_back(job: Job, reason: Reason, message: str, now: datetime) -> Job:
     if lost >= job.spec.max_attempts:
         ending = f"{message} All {job.spec.max_attempts} attempts are used up."
         return job.ended(JobStatus.FAILED, reason, ending, now)
-    if reason in MOST and job.num_ended({reason}) + 1 >= MOST[reason]:
-        ending = f"{message} {MOST[reason]} attempts ended like this; there is no further one."
+    if reason in MAX_ATTEMPTS and job.num_ended({reason}) + 1 >= MAX_ATTEMPTS[reason]:
+        ending = f"{message} {MAX_ATTEMPTS[reason]} attempts ended like this; there is no further one."
         return job.ended(JobStatus.FAILED, reason, ending, now)
     return job.requeued(reason, message, now, not_before=_not_before(job, reason, now))
 

@@ -33,14 +33,14 @@ from core.user_models.store import ModelStore
 _HARMLESS_BYTES = 2**29
 
 # A humanoid's trajectory of this length takes 2 GB.
-_MOST_ROLLOUT_STEPS = 1_000_000
+_MAX_ROLLOUT_STEPS = 1_000_000
 
 
 def check(spec: JobSpec, store: JobStore) -> None:
     """Raises Rejected with all problems of the first check that finds any."""
     info, _ = chosen(spec.environment, store)
     check_physics(spec.physics, info.cannot_run)
-    _check_worlds(spec, info)
+    _check_num_envs(spec, info)
     _check_cameras(spec, info)
     _check_gpus(spec)
     match spec:
@@ -69,7 +69,7 @@ def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
         check_width(spec.video.width, len(spec.video.cameras))
 
 
-def _check_worlds(spec: JobSpec, info: EnvironmentInfo) -> None:
+def _check_num_envs(spec: JobSpec, info: EnvironmentInfo) -> None:
     if spec.randomization and info.own_physics:
         detail = f"{info.id} runs on Brax's own physics, which has no domain randomization."
         raise Rejected(detail, [Problem("/randomization", detail)])
@@ -179,9 +179,9 @@ def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
 
 
 def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) -> None:
-    if (steps := spec.num_steps * spec.num_episodes) > _MOST_ROLLOUT_STEPS:
+    if (steps := spec.num_steps * spec.num_episodes) > _MAX_ROLLOUT_STEPS:
         detail = (
-            f"num_steps × num_episodes = {steps:,}, but a rollout may have {_MOST_ROLLOUT_STEPS:,} steps: "
+            f"num_steps × num_episodes = {steps:,}, but a rollout may have {_MAX_ROLLOUT_STEPS:,} steps: "
             f"its trajectory is held in memory. Submit several rollouts with different seeds."
         )
         raise Rejected(detail, [Problem("/num_steps", detail), Problem("/num_episodes", detail)])

@@ -22,7 +22,7 @@ log = structlog.get_logger()
 # A chunk is made from this many bytes, or after this time, or at the job's end.
 MAX_BYTES = 256 * 1024
 MAX_AGE = timedelta(minutes=10)
-_MOST_ENTRIES = 2000
+_MAX_ENTRIES = 2000
 _PAGE = 1000
 # If this many reads give the same wrong bytes, the object itself is damaged.
 _READINGS = 3
@@ -121,7 +121,7 @@ def compact(*, store: JobStore, objects: ObjectStore) -> int:
     """
     due = store.long_feeds(max_bytes=MAX_BYTES, max_age=MAX_AGE)
     for job_id, channel in due:
-        entries = store.oldest_entries(job_id, channel, limit=_MOST_ENTRIES)
+        entries = store.oldest_entries(job_id, channel, limit=_MAX_ENTRIES)
         if entries:  # Otherwise another process was faster, or the job was deleted.
             store.replace_by_chunk(job_id, _chunk(job_id, channel, entries, objects))
     return len(due)

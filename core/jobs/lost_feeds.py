@@ -12,7 +12,7 @@ from core.storage import keys
 from core.storage.objects import ObjectStore
 
 _FIRST_DIGITS = 12  # of a chunk's name
-_MOST_ENTRIES = 100_000
+_MAX_ENTRIES = 100_000
 
 
 def chunks_beyond(
@@ -26,7 +26,7 @@ def chunks_beyond(
     known = store.chunks([job_id]).get(job_id, ())
     beyond: list[Chunk] = []
     for channel in get_args(Channel):
-        rows = store.oldest_entries(job_id, channel, limit=_MOST_ENTRIES)
+        rows = store.oldest_entries(job_id, channel, limit=_MAX_ENTRIES)
         last = max((chunk.last for chunk in known if chunk.channel == channel), default=0)
         for chunk, said in _chunks(job_id, channel, found, objects):
             if chunk.first <= last:

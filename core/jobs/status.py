@@ -55,6 +55,6 @@ LOSSES = frozenset(
     }
 )
 # Reasons that may be the fault of a machine or a card, but count as the job's own after this many attempts.
-MOST: dict[Reason, int] = {Reason.OUT_OF_HOST_MEMORY: 2, Reason.DEVICE_FAILED: 3}
+MAX_ATTEMPTS: dict[Reason, int] = {Reason.OUT_OF_HOST_MEMORY: 2, Reason.DEVICE_FAILED: 3}
 # A training that reports one of these may succeed elsewhere.
-RETRIED = LOSSES | MOST.keys()
+RETRIED = LOSSES | MAX_ATTEMPTS.keys()

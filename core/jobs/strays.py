@@ -5,7 +5,7 @@ from collections.abc import Set
 from core.jobs.queue import JobQueue
 
 
-class Strays:
+class StrayMessages:
     """Drops what was a stray at two reads of the queue: during one, a worker may just be taking it."""
 
     def __init__(self, queue: JobQueue) -> None:

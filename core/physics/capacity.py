@@ -13,7 +13,7 @@ from core.physics.model import initial_qpos
 # a body that touched nothing in the trial may still fall over later.
 _ROOM = 2.0
 _LEAST_CONTACTS, _LEAST_ROWS = 8, 24
-_NUM_TRIALS, _TRIAL_S, _MOST_STEPS, _STEPS_PER_CONTROL = 8, 2.0, 1000, 20
+_NUM_TRIALS, _TRIAL_S, _MAX_STEPS, _STEPS_PER_CONTROL = 8, 2.0, 1000, 20
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def measure(model: mujoco.MjModel, pairs: NDArray[np.integer], *, seed: int = 0)
     random = np.random.default_rng(seed)
     limited = model.actuator_ctrllimited.astype(bool)
     low, high = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]])
-    num_steps = min(_MOST_STEPS, round(_TRIAL_S / model.opt.timestep))
+    num_steps = min(_MAX_STEPS, round(_TRIAL_S / model.opt.timestep))
     contacts, rows = 0, 0
     data = mujoco.MjData(model)
     for trial in range(_NUM_TRIALS):

@@ -25,13 +25,13 @@ DERIVED_FIELDS = (
     "xquat",
 )
 # The engine `warp` always adds this one: [] float32, 1 where the step lost contacts or constraint rows
-# because its buffers were full. The other engines return NaN for such a world, or cannot overflow.
+# because its buffers were full. The other engines return NaN for such an environment, or cannot overflow.
 OVERFLOW = "overflow"
 
-# Fields of the model that may differ between worlds, by their names in `mujoco.batch`. Their values do not
-# change the structure of an engine's model, except `dof_frictionloss`: where the model has none, MJX makes no
-# room for any. Constants that MuJoCo derives from them (`CONSTANTS`) are not recomputed: code that changes a
-# mass must pass them, too.
+# Fields of the model that may differ between environments, by their names in `mujoco.batch`. Their values do
+# not change the structure of an engine's model, except `dof_frictionloss`: where the model has none, MJX
+# makes no room for any. Constants that MuJoCo derives from them (`CONSTANTS`) are not recomputed: code that
+# changes a mass must pass them, too.
 MODEL_FIELDS = (
     "actuator_acc0",
     "actuator_biasprm",
@@ -64,12 +64,12 @@ NOMINAL: ModelFields = {}
 
 @struct.dataclass
 class PhysicsState:
-    """The integration state of one world, and the fields that its environment reads.
+    """The integration state of one environment, and the fields that its environment reads.
 
     qpos: [nq], qvel: [nv], act: [na], qacc_warmstart: [nv], time: [] in seconds; all float32.
     derived: the fields the engine was built for, by MuJoCo's names and shapes; with `warp` also `OVERFLOW`.
-    model: those of `MODEL_FIELDS` in which this world differs from the engine's model, in MuJoCo's shapes;
-    float32. They stay the same during an episode.
+    model: those of `MODEL_FIELDS` in which this environment differs from the engine's model, in MuJoCo's
+    shapes; float32. They stay the same during an episode.
     """
 
     qpos: jax.Array
@@ -102,13 +102,13 @@ serialization.register_serialization_state(PhysicsState, _to_state_dict, _from_s
 
 
 def check_model_fields(given: ModelFields) -> None:
-    """Raises ValueError for a field that cannot differ between worlds."""
+    """Raises ValueError for a field that cannot differ between environments."""
     if unknown := sorted(set(given) - set(MODEL_FIELDS)):
-        raise ValueError(f"Worlds cannot differ in {unknown}, only in {MODEL_FIELDS}.")
+        raise ValueError(f"Environments cannot differ in {unknown}, only in {MODEL_FIELDS}.")
 
 
 class Engine(Protocol):
-    """Moves one world; `jax.vmap` makes it many. Pure: equal arguments give equal results."""
+    """Moves one environment; `jax.vmap` makes it many. Pure: equal arguments give equal results."""
 
     @property
     def name(self) -> str:
@@ -118,7 +118,7 @@ class Engine(Protocol):
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
         """The state at time 0 with these positions [nq] and velocities [nv], derived fields computed.
 
-        model: the fields in which this world differs from the engine's model; see PhysicsState.
+        model: the fields in which this environment differs from the engine's model; see PhysicsState.
         """
         ...
 

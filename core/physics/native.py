@@ -21,10 +21,10 @@ _Move = Callable[[Batch, NDArray[np.intp] | None], None]
 
 
 class NativeEngine:
-    """`mujoco.batch` behind a call to the host; under `jax.vmap` one call moves all worlds on all cores.
+    """`mujoco.batch` behind a call to the host; under `jax.vmap` one call moves them all on all cores.
 
-    Worlds are float64 inside and float32 outside. A world that is not finite, or for which MuJoCo reports
-    an error or a warning (an unstable state, a full contact buffer), comes back as NaN.
+    Environments are float64 inside and float32 outside. An environment that is not finite, or for which
+    MuJoCo reports an error or a warning (an unstable state, a full contact buffer), comes back as NaN.
     """
 
     name = "native"
@@ -86,21 +86,21 @@ class NativeEngine:
 
 
 class _Batches:
-    """The host's side: a `Batch` for each number of worlds and each set of fields that they differ in."""
+    """The host's side: a `Batch` for each number of environments and each set of fields they differ in."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = copy.copy(model)
-        # MuJoCo would reset an unstable world and continue; it must be reported instead.
+        # MuJoCo would reset an unstable environment and continue; it must be reported instead.
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._batches: dict[tuple[int, frozenset[str]], Batch] = {}
         # Two threads must not use a Batch at once, and JAX may call back from any of its threads.
         self._lock = threading.Lock()
 
     def move(self, move: _Move, given: Mapping[str, Floats], wanted: tuple[str, ...]) -> tuple[Floats, ...]:
-        """The wanted fields after the move, NaN for a world that broke; leading axes as those of `given`."""
-        worlds = given["time"].shape
+        """The wanted fields after the move, NaN for a broken environment; leading axes as in `given`."""
+        batch_shape = given["time"].shape
         with self._lock:
-            batch = self._batch(int(np.prod(worlds)), frozenset(MODEL_FIELDS.intersection(given)))
+            batch = self._batch(int(np.prod(batch_shape)), frozenset(MODEL_FIELDS.intersection(given)))
             for name, values in given.items():
                 field = batch.expand(name) if name in MODEL_FIELDS else batch.bind(name)
                 field[...] = values.reshape(field.shape)
@@ -110,20 +110,20 @@ class _Batches:
         if broken.any():
             for result in results:
                 result[broken] = np.nan
-        return tuple(result.reshape((*worlds, *result.shape[1:])) for result in results)
+        return tuple(result.reshape((*batch_shape, *result.shape[1:])) for result in results)
 
-    def _batch(self, num_worlds: int, own_fields: frozenset[str]) -> Batch:
+    def _batch(self, num_envs: int, own_fields: frozenset[str]) -> Batch:
         # A later call would have to undo what `expand` did, so each set of fields has its own Batch.
-        key = (num_worlds, own_fields)
+        key = (num_envs, own_fields)
         if key not in self._batches:
-            self._batches[key] = Batch(self._model, num_worlds, nthread=min(num_worlds, num_cores()))
+            self._batches[key] = Batch(self._model, num_envs, nthread=min(num_envs, num_cores()))
         return self._batches[key]
 
 
 def _broken(batch: Batch, move: _Move) -> NDArray[np.bool_]:
-    """Moves the batch; returns which of its worlds [nsim] are invalid afterwards.
+    """Moves the batch; returns which of its environments [nsim] are invalid afterwards.
 
-    A world that is not finite is not moved: MuJoCo would log several lines for each of its substeps.
+    An environment that is not finite is not moved: MuJoCo would log several lines for each of its substeps.
     """
     broken = ~np.isfinite(batch.state).all(axis=1)
     batch.warning[...] = 0

@@ -14,8 +14,8 @@ from core.storage import keys
 from core.storage.objects import ObjectInfo, ObjectStore
 
 # Any client could fill the queue, and previews come before jobs.
-_MOST_WAITING = 16
-_MOST_BYTES = 2**28
+_MAX_WAITING = 16
+_MAX_BYTES = 2**28
 
 
 def find(request: PreviewRequest, objects: ObjectStore) -> Preview | None:
@@ -31,7 +31,7 @@ def ask(request: PreviewRequest, queue: PreviewQueue) -> None:
     """Queue the request, unless it waits already. Raises TooManyPreviews."""
     if queue.contains_preview(request.id):
         return
-    if (waiting := queue.num_previews()) >= _MOST_WAITING:
+    if (waiting := queue.num_previews()) >= _MAX_WAITING:
         raise TooManyPreviews(waiting)
     queue.enqueue_preview(request)
 
@@ -46,7 +46,7 @@ def keep(request: PreviewRequest, pictures: Sequence[bytes], objects: ObjectStor
         digest = hashlib.sha256(body).hexdigest()
         stills.append(Still(camera=camera, key=key, size=len(body), sha256=digest))
     _record(Preview(stills=stills), folder, objects)
-    keep_within(_MOST_BYTES, objects)
+    keep_within(_MAX_BYTES, objects)
 
 
 def keep_failure(

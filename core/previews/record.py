@@ -10,7 +10,7 @@ from core.documents import Stored
 from core.rendering.request import RenderFailure
 
 # Raise it with every change of how a scene looks, so that no outdated still is shown.
-_LOOK = 2
+_SCENE_VERSION = 2
 
 
 class PreviewRequest(Stored):
@@ -30,7 +30,7 @@ class PreviewRequest(Stored):
     @property
     def id(self) -> str:
         """Equal for requests with equal stills."""
-        said = [_LOOK, version("gaitway"), self.model_dump(mode="json")]
+        said = [_SCENE_VERSION, version("gaitway"), self.model_dump(mode="json")]
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
     @property

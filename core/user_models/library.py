@@ -14,7 +14,7 @@ from core.user_models.store import ModelStore
 
 _ID = re.compile(r"sha256:[0-9a-f]{64}")
 # How long a client that was answered 202 may ask why the model was refused.
-_TOLD_FOR = timedelta(days=1)
+_REFUSAL_KEPT_FOR = timedelta(days=1)
 
 
 def find(model_id: str, store: ModelStore) -> ModelRecord:
@@ -74,7 +74,7 @@ def tidy(*, store: ModelStore, objects: ObjectStore, now: datetime) -> int:
     old = [
         record.id
         for record in store.models()
-        if record.status == "refused" and now - (record.refused_at or record.created_at) > _TOLD_FOR
+        if record.status == "refused" and now - (record.refused_at or record.created_at) > _REFUSAL_KEPT_FOR
     ]
     for model_id in old:
         forget(model_id, store=store, objects=objects)

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from gaitway.cli.common import AsJson, client_of, end_code, print_json
 from gaitway.cli.errors import wrong_usage
-from gaitway.cli.watch import tell_what_it_waits_for, watch_job
+from gaitway.cli.watch import print_what_it_waits_for, watch_job
 
 Assignments = Annotated[
     list[str] | None,
@@ -71,7 +71,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
         print_json(job)
     elif not watch:
         print(job.id)
-        tell_what_it_waits_for(client, job, Console(stderr=True))
+        print_what_it_waits_for(client, job, Console(stderr=True))
     raise typer.Exit(end_code(job) if watch and job.is_final else 0)
 
 

@@ -18,7 +18,7 @@ def watch_job(client: Client, job: JobView, console: Console) -> JobView:
     try:
         with JobProgress(console) as progress:
             progress.update(job)
-            tell_what_it_waits_for(client, job, console)
+            print_what_it_waits_for(client, job, console)
             for event in client.events(job.id):
                 progress.update(event)
             job = client.get(job.id)
@@ -33,7 +33,7 @@ def watch_job(client: Client, job: JobView, console: Console) -> JobView:
     return job
 
 
-def tell_what_it_waits_for(client: Client, job: JobView, console: Console) -> None:
+def print_what_it_waits_for(client: Client, job: JobView, console: Console) -> None:
     """Print one line if no present worker could run the job."""
     if job.status == "queued" and (lacks := client.get(job.id).waiting_for):
         console.print(Text(lacks, style="yellow"), soft_wrap=True)

@@ -19,14 +19,14 @@ from gaitway.plots import learning_curve
 from gaitway.service.embedded.interruption import Interrupted
 from gaitway.service.embedded.processes import ServerFailed
 from gaitway.service.embedded.stack import Stack
-from gaitway.service.embedded.up import port_number, positive, tell
+from gaitway.service.embedded.up import port_number, positive, report
 from gaitway.views import JobView
 
 _BUDGETS = {"ant": 800_000}
 
 
 @dataclass(frozen=True)
-class Wishes:
+class DemoOptions:
     """What the user asked for."""
 
     out: Path
@@ -52,34 +52,34 @@ class Wishes:
         }
 
 
-def run_demo(wishes: Wishes) -> int:
+def run_demo(options: DemoOptions) -> int:
     """The exit status: 0 once the job has succeeded and its files are there."""
-    wishes.out.mkdir(parents=True, exist_ok=True)
-    tell("Starting the service: records, object store, API, one worker …")
+    options.out.mkdir(parents=True, exist_ok=True)
+    report("Starting the service: records, object store, API, one worker …")
     job: JobView | None = None
     try:
         with (
-            Stack(wishes.data_dir, port=wishes.port, tell=tell) as stack,
+            Stack(options.data_dir, port=options.port, report=report) as stack,
             stack.interruption.allowed(),
             Client(stack.url) as client,
         ):
             print(f"Gaitway is at {stack.url}  (its interface: {stack.url}/docs)", flush=True)
             started = time.monotonic()
-            job = client.submit(wishes.specification())
+            job = client.submit(options.specification())
             print(f"Job {job.id}, live: {stack.url}/jobs/{job.id}/events", flush=True)
             job = _follow(client, job)
             elapsed_s = time.monotonic() - started
-            kept = _fetch(client, job, wishes.out)
+            kept = _fetch(client, job, options.out)
             _report(job, stack.url, kept, elapsed_s)
     except (ServerFailed, GaitwayError) as failure:
-        tell(f"The demo has failed: {failure}")
-        _say_what_is_kept(wishes, job)
+        report(f"The demo has failed: {failure}")
+        _print_what_is_kept(options, job)
         return 1
     except Interrupted as interrupted:
-        tell("Interrupted; everything that the demo started has ended.")
-        _say_what_is_kept(wishes, job)
+        report("Interrupted; everything that the demo started has ended.")
+        _print_what_is_kept(options, job)
         return interrupted.exit_status
-    _say_what_is_kept(wishes, job)
+    _print_what_is_kept(options, job)
     return 0 if job.succeeded else 1
 
 
@@ -126,11 +126,11 @@ def _report(job: JobView, url: str, kept: dict[str, Path], elapsed_s: float) -> 
     print(f"While the service runs, the video is at {url}/jobs/{job.id}/video", flush=True)
 
 
-def _say_what_is_kept(wishes: Wishes, job: JobView | None) -> None:
+def _print_what_is_kept(options: DemoOptions, job: JobView | None) -> None:
     if job is None:
         return
     with contextlib.suppress(BrokenPipeError):
-        command = shlex.join(["./run", "up", "--data", str(wishes.data_dir)])
+        command = shlex.join(["./run", "up", "--data", str(options.data_dir)])
         print(f"Job {job.id} and its files are kept; to serve them again:  {command}", flush=True)
 
 
@@ -145,7 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--port", type=port_number, help="of the API; by default 8000 or the next free one")
     chosen = parser.parse_args(arguments)
     return run_demo(
-        Wishes(chosen.out.resolve(), chosen.environment, chosen.timesteps, chosen.seed, chosen.port)
+        DemoOptions(chosen.out.resolve(), chosen.environment, chosen.timesteps, chosen.seed, chosen.port)
     )
 
 

@@ -15,9 +15,9 @@ from core.jobs import feeds
 from core.settings import StoreSettings
 from core.storage.objects import ObjectStore
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
-_TELL_EVERY = 100
+_REPORT_EVERY = 100
 _ASKED_AT_ONCE = 1000
 
 
@@ -38,7 +38,7 @@ class _Counts:
         )
 
 
-def import_stores(settings: StoreSettings, tell: Tell, *, without_redis: bool = False) -> bool:
+def import_stores(settings: StoreSettings, report: Report, *, without_redis: bool = False) -> bool:
     """Import what version 0.1 kept in these stores; returns whether all of it could be read.
 
     without_redis: what it had in Redis is lost. Raises ImportRefused, Unavailable, Misconfigured.
@@ -48,12 +48,12 @@ def import_stores(settings: StoreSettings, tell: Tell, *, without_redis: bool = 
     store, objects = job_store(settings), object_store(settings)
     try:
         # A job may need a model.
-        models = _import_models(old, store, tell)
-        jobs = _import_jobs(old, store, objects, tell, without_redis)
+        models = _import_models(old, store, report)
+        jobs = _import_jobs(old, store, objects, report, without_redis)
     finally:
         store.close()
-    tell(models.sentence("Models"))
-    tell(jobs.sentence("Jobs"))
+    report(models.sentence("Models"))
+    report(jobs.sentence("Jobs"))
     return models.unreadable + jobs.unreadable == 0
 
 
@@ -71,7 +71,7 @@ def _version_01(settings: StoreSettings, without_redis: bool) -> Version01:
     return Version01(redis, object_store(settings))
 
 
-def _import_models(old: Version01, store: PostgresJobStore, tell: Tell) -> _Counts:
+def _import_models(old: Version01, store: PostgresJobStore, report: Report) -> _Counts:
     counts = _Counts()
     for model_id in old.model_ids():
         try:
@@ -83,12 +83,12 @@ def _import_models(old: Version01, store: PostgresJobStore, tell: Tell) -> _Coun
                 counts.imported += 1
             except ValueError as error:
                 counts.unreadable += 1
-                tell(f"Model {model_id} is skipped, because its record cannot be read: {error}.")
+                report(f"Model {model_id} is skipped, because its record cannot be read: {error}.")
     return counts
 
 
 def _import_jobs(
-    old: Version01, store: PostgresJobStore, objects: ObjectStore, tell: Tell, without_redis: bool
+    old: Version01, store: PostgresJobStore, objects: ObjectStore, report: Report, without_redis: bool
 ) -> _Counts:
     """Oldest first: a job may need the checkpoint of an older one."""
     counts, now = _Counts(), store.now()
@@ -102,22 +102,22 @@ def _import_jobs(
             "lost: --without-redis imports what the object store has, which is no log and not always the "
             "last state of a job."
         )
-    _tell_of_deleted(list(_missing(sorted(set(live).difference(ids)), store)), tell)
+    _report_deleted(list(_missing(sorted(set(live).difference(ids)), store)), report)
     for number, job_id in enumerate(missing, 1):
         try:
             found = old.read(job_id, now)
             is_new = store.import_job(found.job, found.events, found.logs, found.keys)
         except JobUnreadable as error:
             counts.unreadable += 1
-            tell(f"Job {job_id} is skipped, because its record cannot be read: {error.problem}.")
+            report(f"Job {job_id} is skipped, because its record cannot be read: {error.problem}.")
         else:
             counts.imported += is_new
             counts.known += not is_new
             # After each job: the database should not hold the feeds of all jobs together.
             while feeds.compact(store=store, objects=objects):
                 pass
-        if number % _TELL_EVERY == 0:
-            tell(f"{number:,} of {len(missing):,} jobs")
+        if number % _REPORT_EVERY == 0:
+            report(f"{number:,} of {len(missing):,} jobs")
     return counts
 
 
@@ -129,9 +129,9 @@ def _missing(ids: Sequence[str], store: PostgresJobStore) -> Iterator[str]:
         yield from (job_id for job_id in some if job_id not in known)
 
 
-def _tell_of_deleted(ids: Sequence[str], tell: Tell) -> None:
+def _report_deleted(ids: Sequence[str], report: Report) -> None:
     if ids:
-        tell(
+        report(
             f"{len(ids):,} jobs that Redis has are left out, because the object store has nothing of them: "
             "they were deleted, or GAITWAY_S3_BUCKET is not the bucket that version 0.1 used."
         )

@@ -88,7 +88,7 @@ def test_a_model_that_can_be_used_is_answered_before_each_engine_was_tried(stack
     began = time.monotonic()
     with worker(stack, status="ready", description=described):
         answer = send(stack.http)
-    assert time.monotonic() - began < route._PATIENCE_S
+    assert time.monotonic() - began < route._TIMEOUT_S
     assert (answer.status_code, answer.headers["retry-after"]) == (201, "2")
     assert answer.json()["description"]["engines"] == {"native": None}
 
@@ -100,7 +100,7 @@ def test_the_same_bytes_are_the_same_model(stack: Stack, model: str) -> None:
 
 
 def test_a_slow_validation_is_asked_for_elsewhere(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(route, "_PATIENCE_S", 0.05)
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.05)
     answer = send(stack.http)
     assert (answer.status_code, answer.headers["retry-after"]) == (202, "2")
     model_id = answer.json()["id"]
@@ -149,7 +149,7 @@ def test_what_is_not_what_it_is_called_is_refused_at_once(
 def test_nothing_but_a_worker_looks_into_a_model(
     body: bytes, media_type: str, stack: Stack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(route, "_PATIENCE_S", 0.01)
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.01)
     document = send(stack.http, body, media_type).json()
     assert (document["status"], document["size"]) == ("validating", len(body))
     assert document["id"] == identity(body)
@@ -160,7 +160,7 @@ def test_an_upload_is_held_on_disk_and_not_in_memory(
     stack: Stack, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(route, "_PATIENCE_S", 0.01)
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.01)
     piece, seen = b"\n" * 2**20, list[int]()
 
     def pieces() -> Iterator[bytes]:
@@ -181,7 +181,7 @@ def test_an_upload_is_held_on_disk_and_not_in_memory(
 
 
 def test_no_more_models_wait_than_the_setting_allows(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(route, "_PATIENCE_S", 0.01)
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.01)
     stack.service.settings = stack.service.settings.model_copy(update={"max_waiting_models": 2})
     bodies = [XML + b"\n" * number for number in range(3)]
     assert [send(stack.http, body).status_code for body in bodies[:2]] == [202, 202]

@@ -119,7 +119,7 @@ def test_options_and_size_make_other_stills_with_addresses_that_keep_them(stack:
 def test_while_all_workers_are_busy_the_answer_says_where_to_ask_again(
     stack: Stack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(route, "_PATIENCE_S", 0.05)
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.05)
     announced(stack)
     first, second = (stack.http.get(ANT, params={"camera": "track"}) for _ in range(2))
     assert (first.status_code, second.status_code) == (202, 202)
@@ -143,7 +143,7 @@ def test_without_a_worker_that_could_draw_the_answer_says_so(stack: Stack, devic
 
 
 def test_previews_do_not_fill_the_queue(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(route, "_PATIENCE_S", 0.0)
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.0)
     announced(stack)
     codes = [stack.http.get(ANT, params={"width": 16 + number}).status_code for number in range(18)]
     assert codes == [202] * 16 + [503] * 2

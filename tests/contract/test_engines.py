@@ -48,7 +48,7 @@ FRESH = tuple(name for name in DERIVED_FIELDS if name != "qfrc_actuator")
 
 @dataclass(frozen=True)
 class CompiledEngine:
-    """An engine for the body above; its functions compiled once, for one world and for three."""
+    """An engine for the body above; its functions compiled once, for one environment and for three."""
 
     model: mujoco.MjModel
     engine: Engine
@@ -80,12 +80,12 @@ def bench(request: pytest.FixtureRequest) -> CompiledEngine:
     )
 
 
-def start(model: mujoco.MjModel, num_worlds: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Different positions, velocities and controls for each world."""
+def start(model: mujoco.MjModel, num_envs: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Different positions, velocities and controls for each environment."""
     key = jax.random.key(7)
-    spread = jnp.linspace(0.0, 1.0, num_worlds)[:, None]
+    spread = jnp.linspace(0.0, 1.0, num_envs)[:, None]
     qpos = jnp.asarray(model.qpos0, jnp.float32) + spread * 0.3 * jnp.eye(model.nq)[-1]
-    qvel = 0.2 * jax.random.normal(key, (num_worlds, model.nv))
+    qvel = 0.2 * jax.random.normal(key, (num_envs, model.nv))
     return qpos, qvel, 0.5 + spread
 
 
@@ -98,7 +98,7 @@ def reference(model: mujoco.MjModel, qpos: Any, qvel: Any, ctrl: Any, num_steps:
     return data
 
 
-def world(state: PhysicsState, index: int) -> PhysicsState:
+def state_of(state: PhysicsState, index: int) -> PhysicsState:
     return jax.tree.map(lambda leaf: leaf[index], state)
 
 
@@ -165,17 +165,19 @@ def test_the_actuators_force_is_the_last_substeps(bench: CompiledEngine) -> None
     np.testing.assert_allclose(state.derived["qfrc_actuator"], data.qfrc_actuator, atol=1e-5)
 
 
-def test_many_worlds_move_as_each_would_alone(bench: CompiledEngine) -> None:
+def test_many_environments_move_as_each_would_alone(bench: CompiledEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     together = bench.step_many(bench.reset_many(qpos, qvel), ctrl)
     for index in range(3):
         alone = bench.step(bench.reset(qpos[index], qvel[index]), ctrl[index])
-        for one, other in zip(jax.tree.leaves(world(together, index)), jax.tree.leaves(alone), strict=True):
+        for one, other in zip(
+            jax.tree.leaves(state_of(together, index)), jax.tree.leaves(alone), strict=True
+        ):
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=bench.tolerance * 0.1)
 
 
 @pytest.mark.parametrize("name", ["native", "warp"])
-def test_worlds_may_lie_on_two_axes(name: EngineName, request: pytest.FixtureRequest) -> None:
+def test_environments_may_lie_on_two_axes(name: EngineName, request: pytest.FixtureRequest) -> None:
     # JAX itself sees to it for MJX; the other engines' callbacks are given both axes.
     if name == "warp":
         request.getfixturevalue("warp_kernels")
@@ -201,7 +203,7 @@ def test_equal_arguments_give_equal_results_whatever_came_between(bench: Compile
 
 
 @pytest.mark.parametrize("broken", ["a control that is not a number", "a speed past all reason"])
-def test_a_world_that_breaks_is_not_a_number_and_its_neighbours_do_not_mind(
+def test_an_environment_that_breaks_is_not_a_number_and_its_neighbours_do_not_mind(
     bench: CompiledEngine, broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
@@ -315,7 +317,7 @@ def test_the_engines_move_every_body_alike(
 
 
 def _end_of_a_walk(name: EngineName, environment: str) -> PhysicsState:
-    """The environment's own model and fields on this engine, two worlds, under controls of their own."""
+    """The environment's own model and fields on this engine, twice, under controls of their own."""
     made: list[tuple[Engine, mujoco.MjModel]] = []
 
     def build(

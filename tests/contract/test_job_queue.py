@@ -15,7 +15,7 @@ from core.adapters.memory.queue import Dispatch, MemoryJobQueue
 from core.adapters.rq.queue import MODEL_TASK, PREVIEW_TASK, TASK, RQQueue, job_of
 from core.errors import RecordsUnavailable
 from core.jobs.queue import JobQueue, queue_names
-from core.jobs.strays import Strays
+from core.jobs.strays import StrayMessages
 from core.previews.record import PreviewRequest
 from gaitway.service.embedded.valkey import Valkey
 
@@ -196,7 +196,7 @@ class TestRQ:
         redis_client.lpop("rq:queue:gaitway-any-normal")  # what a worker does, that then dies
         [stray] = queue.strays()
         assert job_of(stray) == JOB
-        strays = Strays(queue)
+        strays = StrayMessages(queue)
         assert [strays.look(), strays.look()] == [0, 1]  # At the first look somebody may be taking it.
         assert [key for key in redis_client.keys("*") if stray.encode() in key] == []
         assert queue.contains_model(MODEL)

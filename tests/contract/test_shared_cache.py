@@ -80,7 +80,7 @@ def test_the_newest_come_first_and_not_too_many(
     first.has(old=b"12345", new=b"12345", newest=b"12345")
     for age, name in enumerate(["newest", "new", "old"]):
         first.stores(name, at=NOW - timedelta(hours=age))
-    monkeypatch.setattr(remote, "_MOST_FETCHED_BYTES", 10)
+    monkeypatch.setattr(remote, "_MAX_FETCHED_BYTES", 10)
     assert set(second.fetches()) == {"new", "newest"}
 
 

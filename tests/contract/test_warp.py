@@ -12,7 +12,7 @@ from core.physics import warp_buffers
 from core.physics.capacity import Capacity
 from core.physics.choose import engine_builder
 from core.physics.engine import OVERFLOW, PhysicsState
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
+from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 
 # A ball that rests on the floor has one contact, which is four constraint rows.
 BALL = """
@@ -87,9 +87,9 @@ def test_a_training_resumed_on_warp_equals_an_uninterrupted_one() -> None:
     environment = catalog.make(info, info.options(), engine_builder("warp"))
     budget = {"num_timesteps": 4 * STEPS_PER_UPDATE, "episode_length": 5, "num_evals": 0}
     straight = checkpoints(
-        small_trainer(environment, checkpoint_every_steps=2 * STEPS_PER_UPDATE, epoch_s=0.0, **budget)
+        small_run(environment, checkpoint_every_steps=2 * STEPS_PER_UPDATE, epoch_s=0.0, **budget)
     )
-    resumed = small_trainer(environment, resume=straight[2 * STEPS_PER_UPDATE], **budget)
+    resumed = small_run(environment, resume=straight[2 * STEPS_PER_UPDATE], **budget)
     assert checkpoints(resumed) == {4 * STEPS_PER_UPDATE: straight[4 * STEPS_PER_UPDATE]}
 
 

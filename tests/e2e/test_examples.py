@@ -35,7 +35,8 @@ def test_the_star_is_trained_by_the_client_and_its_video_table_and_curve_are_bro
     example["main"](client, {**example["JOB"], **SMALL}, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"video.mp4", *example["TABLE_AND_CURVE"]}
     with np.load(tmp_path / "tables.npz") as tables:
-        # Of 2 rounds, 4 worlds and 4 decisions of 25 steps none ends early: half an arm's length is not 1 m.
+        # Of 2 rounds, 4 environments and 4 decisions of 25 steps none ends early: half an arm's length is not
+        # 1 m.
         assert tables["q_table"].shape == (1, 3, 3)
         assert tables["visits"].sum() == 2 * 4 * 4
         assert tables["action_names"].tolist() == ["arm 0", "arm 1", "arm 2"]

@@ -126,7 +126,7 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
 
 
 def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) -> None:
-    # Rounds of 8 worlds, 25 decisions of 2 steps: 400 steps. Angle and its velocity are seen.
+    # Rounds of 8 environments, 25 decisions of 2 steps: 400 steps. Angle and its velocity are seen.
     components = [
         {"index": index, "range": [-bound, bound], "cells": 6} for index, bound in ((1, 0.2), (3, 2.0))
     ]

@@ -117,8 +117,8 @@ def test_a_silent_store_delays_a_job_by_its_patience_alone(
     bench = Bench(tmp_path, job_store)
     silent = threading.Event()
     monkeypatch.setattr(bench.objects, "list", lambda _: silent.wait(30) and iter(()))
-    monkeypatch.setattr(session, "_FETCH_PATIENCE_S", 0.1)
-    monkeypatch.setattr(session, "_STORE_PATIENCE_S", 0.1)
+    monkeypatch.setattr(session, "_FETCH_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(session, "_STORE_TIMEOUT_S", 0.1)
     began = time.monotonic()
     assert bench.run("compiles").status == JobStatus.SUCCEEDED
     assert time.monotonic() - began < 20

@@ -163,7 +163,7 @@ def test_results_that_no_store_takes_end_the_attempt_for_that_reason(
         raise RecordsUnavailable("The test switched it off.")
 
     monkeypatch.setattr(bench.store, "record", away)
-    monkeypatch.setattr(supervisor_module, "_STORAGE_PATIENCE_S", 0.2)
+    monkeypatch.setattr(supervisor_module, "_STORAGE_TIMEOUT_S", 0.2)
     job = bench.run("succeeds")
     assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.STORAGE_UNAVAILABLE)
 

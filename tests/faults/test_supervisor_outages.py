@@ -20,7 +20,7 @@ from core.retry import retry_while_unavailable
 from tests.faults.bench import Bench, wait_until
 from tests.faults.outages import Outages, Watch, pooled
 from worker.supervision import supervisor as supervisor_module
-from worker.supervision.left_attempts import tell_left
+from worker.supervision.left_attempts import record_left
 
 # Long enough for a test on a busy machine to begin its heartbeat.
 LEASE = timedelta(seconds=2)
@@ -159,7 +159,7 @@ def test_a_drain_without_postgresql_is_told_by_the_next_worker_and_costs_no_atte
 ) -> None:
     job = bench.submit(max_attempts=1)
     drain_without_postgresql(name, job, bench)
-    retry_while_unavailable(partial(tell_left, bench.settings.data_dir, bench.store, bench.objects), 10)
+    retry_while_unavailable(partial(record_left, bench.settings.data_dir, bench.store, bench.objects), 10)
     told = bench.store.get(job.id)
     assert (told.status, [a.reason for a in told.attempts]) == (JobStatus.QUEUED, [Reason.WORKER_DRAINED])
     assert told.newest("checkpoint", 10) is not None
@@ -175,7 +175,7 @@ def test_a_drain_without_postgresql_that_nobody_tells_leaves_the_job_to_the_end_
     with bench.watched() as store:
         wait_until(lambda: status_of(store, job) == JobStatus.QUEUED)
         lost = store.get(job.id)
-        tell_left(bench.settings.data_dir, store, bench.objects)  # A worker that comes too late.
+        record_left(bench.settings.data_dir, store, bench.objects)  # A worker that comes too late.
         assert store.get(job.id) == lost
     assert (lost.status, [a.reason for a in lost.attempts]) == (JobStatus.QUEUED, [Reason.WORKER_LOST])
     assert lost.newest("checkpoint", 10) is not None

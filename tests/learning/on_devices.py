@@ -15,7 +15,7 @@ from core.environments import catalog
 from core.environments.environment import Environment
 from core.physics.choose import engine_builder
 from tests import probes
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
+from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 
 # What learning has made, as against what was added up over a whole batch: relative to 1.
 _COMPARED = ("params", "optimizer", "episodes", "key", "num_updates")
@@ -51,11 +51,11 @@ def main(name: str, engine: str) -> None:
         "reset_pool_size": 12,
     }
     run = {"checkpoint_every_steps": STEPS_PER_UPDATE, **budget}
-    one = checkpoints(small_trainer(made(name, engine), **run))
-    eight = checkpoints(small_trainer(made(name, engine), devices=8, **run))
+    one = checkpoints(small_run(made(name, engine), **run))
+    eight = checkpoints(small_run(made(name, engine), devices=8, **run))
     half, end = STEPS_PER_UPDATE, 2 * STEPS_PER_UPDATE
-    moved = small_trainer(made(name, engine), devices=8, resume=one[half], **run)
-    again = small_trainer(made(name, engine), devices=8, resume=eight[half], **run)
+    moved = small_run(made(name, engine), devices=8, resume=one[half], **run)
+    again = small_run(made(name, engine), devices=8, resume=eight[half], **run)
     answer = {
         "devices": jax.device_count(),
         "distance": distance(one[end], eight[end]),

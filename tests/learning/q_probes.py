@@ -1,4 +1,4 @@
-"""Worlds for tables: finite decision processes whose optimum is known, and a star that slides on a plane."""
+"""Environments for tables: finite decision processes with a known optimum, and a star that slides."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -161,7 +161,7 @@ def q_settings(common: Mapping[str, Any] = FINITE, **changes: Any) -> QLearningS
     return QLearningSpec.model_validate({**common, **changes})
 
 
-def q_trainer(
+def q_run(
     environment: Environment,
     settings: QLearningSpec,
     *,

@@ -34,7 +34,7 @@ def small_settings(**changes: Any) -> PPOSpec:
     )
 
 
-def small_trainer(
+def small_run(
     environment: Environment,
     *,
     seed: int = 0,
@@ -61,8 +61,6 @@ def last_evaluation(events: Iterator[Event]) -> dict[str, float]:
     return dict(evaluations[-1].metrics)
 
 
-def checkpoints(trainer: Run[Any]) -> dict[int, bytes]:
+def checkpoints(run: Run[Any]) -> dict[int, bytes]:
     """Every checkpoint that a run asks for, by its step."""
-    return {
-        event.step: trainer.checkpoint() for event in trainer.events() if isinstance(event, CheckpointReady)
-    }
+    return {event.step: run.checkpoint() for event in run.events() if isinstance(event, CheckpointReady)}

@@ -15,14 +15,14 @@ import jax
 
 from core.environments import catalog
 from core.physics.choose import engine_builder
-from tests.learning.runs import STEPS_PER_UPDATE, small_trainer
+from tests.learning.runs import STEPS_PER_UPDATE, small_run
 
 
 def run(changes: dict[str, Any]) -> None:
     """Train to the end."""
     info = catalog.find("inverted_pendulum")
     environment = catalog.make(info, info.options(), engine_builder("native"))
-    for _ in small_trainer(environment, **{"num_timesteps": STEPS_PER_UPDATE, **changes}).events():
+    for _ in small_run(environment, **{"num_timesteps": STEPS_PER_UPDATE, **changes}).events():
         pass
 
 

@@ -15,35 +15,35 @@ from core.algorithms.ppo.policy import policy_from_checkpoint
 from core.algorithms.run import Run
 from core.environments.environment import State
 from tests import probes
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, last_evaluation, small_settings, small_trainer
+from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, last_evaluation, small_run, small_settings
 from tests.probes import Probe
 
 
-def value(trainer: Run[Any], observation: object, observation_size: object = 1, **changes: object) -> float:
+def value(run: Run[Any], observation: object, observation_size: object = 1, **changes: object) -> float:
     """What the trained value network says of an observation."""
-    normalizer, _, parameters = policy_from_checkpoint(trainer.checkpoint())
+    normalizer, _, parameters = policy_from_checkpoint(run.checkpoint())
     network = make_networks(observation_size, 1, small_settings(**changes)).value_network
     return float(network.apply(normalizer, parameters, observation))
 
 
 def test_a_step_that_is_always_cut_off_teaches_nothing_unless_it_is_bootstrapped() -> None:
     # Every reward is 1, every episode one step long. Bootstrapped, V = 1 + 0.5 V = 2.
-    trainer = small_trainer(probes.unending_reward(), episode_length=1, bootstrap_on_timeout=True)
-    last_evaluation(trainer.events())
-    assert value(trainer, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
+    run = small_run(probes.unending_reward(), episode_length=1, bootstrap_on_timeout=True)
+    last_evaluation(run.events())
+    assert value(run, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
     # Left out, the value stays at its beginning: biases 0 and an observation 0 give 0.
-    trainer = small_trainer(probes.unending_reward(), episode_length=1)
-    last_evaluation(trainer.events())
-    assert value(trainer, jnp.zeros(1)) == pytest.approx(0.0, abs=0.05)
+    run = small_run(probes.unending_reward(), episode_length=1)
+    last_evaluation(run.events())
+    assert value(run, jnp.zeros(1)) == pytest.approx(0.0, abs=0.05)
 
 
 def test_begun_episodes_are_bootstrapped_like_others_and_change_nothing_that_is_told_of_episodes() -> None:
     # As above, with episodes of four actions that began at random: V = 1 + 0.5 V = 2 wherever one is cut off.
     options = {"bootstrap_on_timeout": True, "random_initial_episode_length": True}
-    trainer = small_trainer(probes.unending_reward(), episode_length=4, epoch_s=0.0, **options)
-    events = list(trainer.events())
-    assert value(trainer, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
-    assert len(np.unique(FORMAT.read(trainer.checkpoint())[1]["episodes"]["length"])) == 4
+    run = small_run(probes.unending_reward(), episode_length=4, epoch_s=0.0, **options)
+    events = list(run.events())
+    assert value(run, jnp.zeros(1)) == pytest.approx(2.0, abs=0.05)
+    assert len(np.unique(FORMAT.read(run.checkpoint())[1]["episodes"]["length"])) == 4
     # Ends of episodes that had begun before the run are not told; all others have four rewards of 1.
     told = [event.metrics for event in events if isinstance(event, Progress)]
     for name in ("training/episode_reward", "training/episode_length"):
@@ -53,14 +53,14 @@ def test_begun_episodes_are_bootstrapped_like_others_and_change_nothing_that_is_
 
 
 def test_a_run_with_clipped_values_learns_the_same_value() -> None:
-    trainer = small_trainer(probes.constant_reward(), clipping_epsilon_value=0.1)
-    last_evaluation(trainer.events())
-    assert value(trainer, jnp.zeros(1)) == pytest.approx(1.0, abs=0.05)
+    run = small_run(probes.constant_reward(), clipping_epsilon_value=0.1)
+    last_evaluation(run.events())
+    assert value(run, jnp.zeros(1)) == pytest.approx(1.0, abs=0.05)
 
 
 def learning_rates(**changes: object) -> list[float]:
     """The mean learning rate of each of four updates of 16 minibatches, beginning with 1e-3."""
-    trainer = small_trainer(
+    run = small_run(
         probes.action_reward(),
         num_timesteps=4 * STEPS_PER_UPDATE,
         epoch_s=0.0,
@@ -69,8 +69,8 @@ def learning_rates(**changes: object) -> list[float]:
         learning_rate_schedule="ADAPTIVE_KL",
         **changes,
     )
-    events = [event for event in trainer.events() if isinstance(event, Progress)]
-    assert float(FORMAT.read(trainer.checkpoint())[1]["learning_rate"]) > 0
+    events = [event for event in run.events() if isinstance(event, Progress)]
+    assert float(FORMAT.read(run.checkpoint())[1]["learning_rate"]) > 0
     return [event.metrics["training/learning_rate"] for event in events]
 
 
@@ -100,23 +100,23 @@ def test_a_run_with_every_option_resumes_as_if_it_had_not_stopped() -> None:
         "random_initial_episode_length": True,
         "normalize_observations_max_abs_value": 0.5,
     }
-    world = probes.observed_action_reward()
-    straight = checkpoints(small_trainer(world, epoch_s=1000.0, **options))
-    stopped = small_trainer(world, epoch_s=0.0, **options)
+    env = probes.observed_action_reward()
+    straight = checkpoints(small_run(env, epoch_s=1000.0, **options))
+    stopped = small_run(env, epoch_s=0.0, **options)
     next(event for event in stopped.events() if isinstance(event, Progress))
     assert stopped.step == 2 * STEPS_PER_UPDATE
-    assert checkpoints(small_trainer(world, resume=stopped.checkpoint(), **options)) == straight
+    assert checkpoints(small_run(env, resume=stopped.checkpoint(), **options)) == straight
 
 
 def test_lengths_and_budgets_count_steps_of_the_world_however_long_an_action_is_held() -> None:
     # Seven steps are four actions of two: 8 steps with a reward of 1 each.
-    trainer = small_trainer(
+    run = small_run(
         probes.unending_reward(), num_timesteps=4 * STEPS_PER_UPDATE, action_repeat=2, episode_length=7
     )
-    events = list(trainer.events())
+    events = list(run.events())
     progress = [event for event in events if isinstance(event, Progress)][-1]
-    assert (progress.step, trainer.step) == (4 * STEPS_PER_UPDATE, 4 * STEPS_PER_UPDATE)
-    assert int(FORMAT.read(trainer.checkpoint())[1]["num_updates"]) == 2
+    assert (progress.step, run.step) == (4 * STEPS_PER_UPDATE, 4 * STEPS_PER_UPDATE)
+    assert int(FORMAT.read(run.checkpoint())[1]["num_updates"]) == 2
     assert progress.metrics["training/episode_length"] == 8.0
     evaluation = last_evaluation(iter(events))
     assert evaluation["eval/avg_episode_length"] == 8.0
@@ -145,21 +145,21 @@ def two_views(probe: Probe) -> TwoViews:
 
 def test_the_value_sees_more_than_the_policy_where_that_is_asked_for() -> None:
     keys = {"value_obs_key": "privileged_state"}
-    trainer = small_trainer(two_views(probes.observed_reward()), **keys)
-    last_evaluation(trainer.events())
+    run = small_run(two_views(probes.observed_reward()), **keys)
+    last_evaluation(run.events())
     for sign in (-1.0, 1.0):
         seen = {"state": jnp.zeros(1), "privileged_state": jnp.array([sign])}
-        got = value(trainer, seen, VIEWS, **keys)
+        got = value(run, seen, VIEWS, **keys)
         assert got == pytest.approx(sign, abs=0.05)
 
 
 def test_the_policy_acts_on_its_own_observation_alone() -> None:
     # Blind, no action is better than 0, which earns -0.25; with the sign it is ±0.5 for nothing.
-    world = two_views(probes.observed_action_reward())
+    env = two_views(probes.observed_action_reward())
     budget = {"entropy_cost": 1e-2}
-    blind = last_evaluation(small_trainer(world, value_obs_key="privileged_state", **budget).events())
+    blind = last_evaluation(small_run(env, value_obs_key="privileged_state", **budget).events())
     assert blind["eval/episode_reward"] == pytest.approx(-0.25, abs=0.05)
-    seeing = small_trainer(world, policy_obs_key="privileged_state", **budget)
+    seeing = small_run(env, policy_obs_key="privileged_state", **budget)
     assert last_evaluation(seeing.events())["eval/episode_reward"] > -0.05
     assert policy_from_checkpoint(seeing.checkpoint()).config.policy_obs_key == "privileged_state"
     assert np.asarray(FORMAT.read(seeing.checkpoint())[1]["normalizer"]["mean"]["state"]).shape == (1,)
@@ -168,6 +168,6 @@ def test_the_policy_acts_on_its_own_observation_alone() -> None:
 def test_an_evaluation_and_a_policy_see_what_training_saw_where_nothing_is_normalised() -> None:
     # Training reads the sign as it is, and gets -0.25 without it; a bound of 1e-6 would hide it.
     options = {"normalize_observations": False, "normalize_observations_max_abs_value": 1e-6}
-    trainer = small_trainer(probes.observed_action_reward(), entropy_cost=1e-2, **options)
-    assert last_evaluation(trainer.events())["eval/episode_reward"] > -0.05
-    assert policy_from_checkpoint(trainer.checkpoint()).config.normalize_observations_max_abs_value is None
+    run = small_run(probes.observed_action_reward(), entropy_cost=1e-2, **options)
+    assert last_evaluation(run.events())["eval/episode_reward"] > -0.05
+    assert policy_from_checkpoint(run.checkpoint()).config.normalize_observations_max_abs_value is None

@@ -7,7 +7,7 @@ import pytest
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.physics.choose import engine_builder
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
+from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 
 
 def make(environment_id: str, **options: Any) -> Environment:
@@ -25,7 +25,8 @@ def make(environment_id: str, **options: Any) -> Environment:
 def test_a_resumed_run_of_anothers_environment_equals_an_uninterrupted_one(
     environment_id: str, options: dict[str, Any]
 ) -> None:
-    # Two updates of 16 steps for each world, whose episodes end after 5: fresh starts come from the pool.
+    # Two updates of 16 steps for each environment, whose episodes end after 5: fresh starts come from the
+    # pool.
     budget = {
         "num_timesteps": 2 * STEPS_PER_UPDATE,
         "episode_length": 5,
@@ -34,7 +35,7 @@ def test_a_resumed_run_of_anothers_environment_equals_an_uninterrupted_one(
         "num_eval_envs": 2,
     }
     straight = checkpoints(
-        small_trainer(make(environment_id, **options), checkpoint_every_steps=STEPS_PER_UPDATE, **budget)
+        small_run(make(environment_id, **options), checkpoint_every_steps=STEPS_PER_UPDATE, **budget)
     )
-    resumed = small_trainer(make(environment_id, **options), resume=straight[STEPS_PER_UPDATE], **budget)
+    resumed = small_run(make(environment_id, **options), resume=straight[STEPS_PER_UPDATE], **budget)
     assert checkpoints(resumed) == {2 * STEPS_PER_UPDATE: straight[2 * STEPS_PER_UPDATE]}

@@ -9,51 +9,51 @@ from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.policy import policy_from_checkpoint
 from core.algorithms.run import Run
 from tests import probes
-from tests.learning.runs import last_evaluation, small_settings, small_trainer
+from tests.learning.runs import last_evaluation, small_run, small_settings
 
 
-def value(trainer: Run[Any], observation: float) -> float:
+def value(run: Run[Any], observation: float) -> float:
     """What the trained value network says of an observation."""
-    normalizer, _, parameters = policy_from_checkpoint(trainer.checkpoint())
+    normalizer, _, parameters = policy_from_checkpoint(run.checkpoint())
     network = make_networks(1, 1, small_settings()).value_network
     return float(network.apply(normalizer, parameters, jnp.array([observation])))
 
 
 def test_the_value_of_a_constant_reward_is_learnt() -> None:
-    trainer = small_trainer(probes.constant_reward())
-    assert last_evaluation(trainer.events())["eval/episode_reward"] == 1.0
-    assert value(trainer, 0.0) == pytest.approx(1.0, abs=0.05)
+    run = small_run(probes.constant_reward())
+    assert last_evaluation(run.events())["eval/episode_reward"] == 1.0
+    assert value(run, 0.0) == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_value_looks_at_the_observation() -> None:
-    trainer = small_trainer(probes.observed_reward())
-    last_evaluation(trainer.events())
-    assert value(trainer, 1.0) == pytest.approx(1.0, abs=0.05)
-    assert value(trainer, -1.0) == pytest.approx(-1.0, abs=0.05)
+    run = small_run(probes.observed_reward())
+    last_evaluation(run.events())
+    assert value(run, 1.0) == pytest.approx(1.0, abs=0.05)
+    assert value(run, -1.0) == pytest.approx(-1.0, abs=0.05)
 
 
 def test_a_reward_one_step_ahead_is_discounted_once() -> None:
     # 1 comes with the second of two steps: V(0) = 0.5 · 1, V(1) = 1.
-    trainer = small_trainer(probes.delayed_reward())
-    assert last_evaluation(trainer.events())["eval/avg_episode_length"] == 2.0
-    assert value(trainer, 0.0) == pytest.approx(0.5, abs=0.05)
-    assert value(trainer, 1.0) == pytest.approx(1.0, abs=0.05)
+    run = small_run(probes.delayed_reward())
+    assert last_evaluation(run.events())["eval/avg_episode_length"] == 2.0
+    assert value(run, 0.0) == pytest.approx(0.5, abs=0.05)
+    assert value(run, 1.0) == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_policy_finds_the_better_action() -> None:
     # The reward is minus the squared distance from 0.5; doing nothing gives -0.25.
-    assert last_evaluation(small_trainer(probes.action_reward()).events())["eval/episode_reward"] > -0.01
+    assert last_evaluation(small_run(probes.action_reward()).events())["eval/episode_reward"] > -0.01
 
 
 def test_the_policy_looks_at_the_observation() -> None:
     # The best action is ±0.5, as the observation says; not looking at it gives -0.25 at best.
-    trainer = small_trainer(probes.observed_action_reward(), entropy_cost=1e-2)
-    assert last_evaluation(trainer.events())["eval/episode_reward"] > -0.05
+    run = small_run(probes.observed_action_reward(), entropy_cost=1e-2)
+    assert last_evaluation(run.events())["eval/episode_reward"] > -0.05
 
 
 def test_a_cut_off_episode_does_not_count_as_an_end() -> None:
     # Every reward is 1 and nothing terminates: V = 1 + 0.5 V = 2. Were the cut after three steps an end,
     # it would be V = 1 + 0.5 · 2/3 · V = 1.5.
-    trainer = small_trainer(probes.unending_reward(), episode_length=3)
-    assert last_evaluation(trainer.events())["eval/avg_episode_length"] == 3.0
-    assert value(trainer, 0.0) == pytest.approx(2.0, abs=0.1)
+    run = small_run(probes.unending_reward(), episode_length=3)
+    assert last_evaluation(run.events())["eval/avg_episode_length"] == 3.0
+    assert value(run, 0.0) == pytest.approx(2.0, abs=0.1)

@@ -1,4 +1,4 @@
-"""Worlds that differ, in training: when their numbers change, and that runs stay what they are."""
+"""Environments that differ, in training: when their numbers change, and that runs stay what they are."""
 
 from typing import Any
 
@@ -15,14 +15,14 @@ from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.physics.native import NativeEngine
 from tests import probes
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
+from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 
 FALL = Randomization(field="opt.gravity", axis=2, range=(-12.0, -8.0), operation="set")
 BUDGET = {"num_timesteps": 4 * STEPS_PER_UPDATE, "num_evals": 0}
 
 
 def probe() -> Environment:
-    """Nothing falls in it, but its worlds have a gravity each."""
+    """Nothing falls in it, but its environments have a gravity each."""
     return randomize(probes.endless(), [FALL])
 
 
@@ -35,14 +35,14 @@ def pendulum() -> Environment:
 
 
 def gravities(checkpoint: bytes) -> Any:
-    """Of every world, downwards."""
+    """Of every environment, downwards."""
     state = FORMAT.read(checkpoint)[1]["episodes"]["state"]
     return state["physics"]["model"]["opt.gravity"][:, 2]
 
 
 def gravities_after_each_update(**changes: Any) -> list[Any]:
-    trainer = small_trainer(probe(), epoch_s=0.0, **BUDGET, **changes)
-    return [gravities(trainer.checkpoint()) for event in trainer.events() if isinstance(event, Progress)]
+    run = small_run(probe(), epoch_s=0.0, **BUDGET, **changes)
+    return [gravities(run.checkpoint()) for event in run.events() if isinstance(event, Progress)]
 
 
 def drawn_with(seed: int) -> Any:
@@ -50,11 +50,11 @@ def drawn_with(seed: int) -> Any:
     return np.asarray(states.physics.model["opt.gravity"][:, 2])
 
 
-def test_worlds_have_numbers_of_their_own_within_the_range() -> None:
+def test_environments_have_numbers_of_their_own_within_the_range() -> None:
     drawn = drawn_with(seed=0)
     assert drawn.min() >= -12.0
     assert drawn.max() <= -8.0
-    assert len(np.unique(drawn)) > 20  # of 32 worlds; two may take the same model
+    assert len(np.unique(drawn)) > 20  # of 32 environments; two may take the same model
 
 
 def test_equal_seeds_draw_alike_and_others_do_not() -> None:
@@ -62,15 +62,15 @@ def test_equal_seeds_draw_alike_and_others_do_not() -> None:
     assert not np.array_equal(drawn_with(seed=1), drawn_with(seed=2))
 
 
-def test_a_world_keeps_its_number_for_an_episode_and_draws_another_for_the_next() -> None:
-    # An update has 16 steps. Episodes of 32 end in every second one; after that, the worlds are others.
+def test_an_environment_keeps_its_number_for_an_episode_and_draws_another_for_the_next() -> None:
+    # An update has 16 steps. Episodes of 32 end in every second one; after that, the environments are others.
     first, second, third, fourth = gravities_after_each_update(episode_length=32)
     assert not np.array_equal(first, second)
     np.testing.assert_array_equal(second, third)
     assert not np.array_equal(third, fourth)
 
 
-def test_without_a_pool_of_starts_a_world_keeps_its_number_for_the_run() -> None:
+def test_without_a_pool_of_starts_an_environment_keeps_its_number_for_the_run() -> None:
     first, *later = gravities_after_each_update(episode_length=5, reset_pool_size=0)
     for drawn in later:
         np.testing.assert_array_equal(drawn, first)
@@ -78,15 +78,15 @@ def test_without_a_pool_of_starts_a_world_keeps_its_number_for_the_run() -> None
 
 def test_a_resumed_run_equals_an_uninterrupted_one() -> None:
     half = 2 * STEPS_PER_UPDATE
-    straight = checkpoints(small_trainer(pendulum(), checkpoint_every_steps=half, **BUDGET))
-    resumed = small_trainer(pendulum(), resume=straight[half], **BUDGET)
+    straight = checkpoints(small_run(pendulum(), checkpoint_every_steps=half, **BUDGET))
+    resumed = small_run(pendulum(), resume=straight[half], **BUDGET)
     assert checkpoints(resumed) == {2 * half: straight[2 * half]}
 
 
-def test_worlds_that_do_not_differ_leave_nothing_in_a_checkpoint() -> None:
-    trainer = small_trainer(probes.endless(), **BUDGET)
-    next(event for event in trainer.events() if isinstance(event, Progress))
-    plain = trainer.checkpoint()
+def test_environments_that_do_not_differ_leave_nothing_in_a_checkpoint() -> None:
+    run = small_run(probes.endless(), **BUDGET)
+    next(event for event in run.events() if isinstance(event, Progress))
+    plain = run.checkpoint()
     assert "model" not in FORMAT.read(plain)[1]["episodes"]["state"]["physics"]
     with pytest.raises(JobFailed, match=r"model\.opt\.gravity is missing in the checkpoint"):
-        small_trainer(probe(), resume=plain, **BUDGET)
+        small_run(probe(), resume=plain, **BUDGET)

@@ -14,8 +14,8 @@ from core.environments.environment import Environment
 from core.errors import JobFailed
 from core.physics.native import NativeEngine
 from tests import probes
-from tests.learning.q_probes import q_settings, q_trainer, two_rooms
-from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_trainer
+from tests.learning.q_probes import q_run, q_settings, two_rooms
+from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 
 
 def probe() -> Environment:
@@ -35,15 +35,15 @@ Begin = Callable[..., Run[Any]]
 
 def ppo(environment: Callable[[], Environment]) -> tuple[Begin, int]:
     budget = {"num_timesteps": 6 * STEPS_PER_UPDATE, "episode_length": 5, "num_evals": 2}
-    return lambda **run: small_trainer(environment(), **budget, **run), STEPS_PER_UPDATE
+    return lambda **run: small_run(environment(), **budget, **run), STEPS_PER_UPDATE
 
 
 def q_learning(**options: Any) -> tuple[Begin, int]:
-    """Rounds of an episode in 8 worlds for each agent, of 6 decisions of 2 steps."""
+    """Rounds of an episode in 8 environments for each agent, of 6 decisions of 2 steps."""
     epsilon = {"start": 1.0, "end": 0.2, "decay_decisions": 200}
     budget = {"num_episodes": 48, "decision_steps": 2, "num_evals": 2, "epsilon": epsilon}
     settings = q_settings(**budget, **options)
-    return lambda **run: q_trainer(two_rooms(), settings, **run), settings.env_steps_per_update
+    return lambda **run: q_run(two_rooms(), settings, **run), settings.env_steps_per_update
 
 
 REPLAYED: dict[str, Any] = {
@@ -75,22 +75,22 @@ def test_fresh_starts_are_the_same_ones_however_a_run_is_cut(reset_pool_size: in
         "reset_pool_size": reset_pool_size,
         "num_evals": 0,
     }
-    world = probes.Probe(lambda obs, time, action: (action * obs, jnp.zeros(())), random_sign=True)
-    straight = checkpoints(small_trainer(world, epoch_s=1000.0, **budget))
-    stopped = small_trainer(world, epoch_s=0.0, **budget)
+    env = probes.Probe(lambda obs, time, action: (action * obs, jnp.zeros(())), random_sign=True)
+    straight = checkpoints(small_run(env, epoch_s=1000.0, **budget))
+    stopped = small_run(env, epoch_s=0.0, **budget)
     next(event for event in stopped.events() if isinstance(event, Progress))
-    resumed = small_trainer(world, resume=stopped.checkpoint(), **budget)
+    resumed = small_run(env, resume=stopped.checkpoint(), **budget)
     assert checkpoints(resumed) == straight
 
 
 def test_a_checkpoint_holds_first_states_only_where_a_run_goes_back_to_them() -> None:
     budget = {"num_timesteps": STEPS_PER_UPDATE, "num_evals": 0}
-    drawn = checkpoints(small_trainer(probe(), **budget))[STEPS_PER_UPDATE]
-    kept = checkpoints(small_trainer(probe(), reset_pool_size=0, **budget))[STEPS_PER_UPDATE]
+    drawn = checkpoints(small_run(probe(), **budget))[STEPS_PER_UPDATE]
+    kept = checkpoints(small_run(probe(), reset_pool_size=0, **budget))[STEPS_PER_UPDATE]
     assert FORMAT.read(drawn)[1]["episodes"]["first"] is None
     assert FORMAT.read(kept)[1]["episodes"]["first"]["obs"].shape == (32, 1)
     with pytest.raises(JobFailed, match="returns_to_first_state is True in the checkpoint and False"):
-        small_trainer(probe(), resume=kept, **budget)
+        small_run(probe(), resume=kept, **budget)
 
 
 @pytest.mark.parametrize(("begin", "update"), [ppo(probe), q_learning(**REPLAYED)], ids=["ppo", "q_learning"])
@@ -105,12 +105,12 @@ def test_a_run_that_was_stopped_anywhere_goes_on_as_if_it_had_not(begin: Begin, 
 
 def test_the_partition_into_epochs_changes_nothing() -> None:
     budget = {"num_timesteps": 5 * STEPS_PER_UPDATE, "num_evals": 0}
-    one_by_one = checkpoints(small_trainer(probe(), epoch_s=0.0, **budget))
-    all_at_once = checkpoints(small_trainer(probe(), epoch_s=1000.0, **budget))
+    one_by_one = checkpoints(small_run(probe(), epoch_s=0.0, **budget))
+    all_at_once = checkpoints(small_run(probe(), epoch_s=1000.0, **budget))
     assert one_by_one == all_at_once
 
 
 def test_a_finished_run_resumes_to_its_end_at_once() -> None:
-    finished = checkpoints(small_trainer(probe(), num_timesteps=STEPS_PER_UPDATE))
-    resumed = small_trainer(probe(), resume=finished[STEPS_PER_UPDATE], num_timesteps=STEPS_PER_UPDATE)
+    finished = checkpoints(small_run(probe(), num_timesteps=STEPS_PER_UPDATE))
+    resumed = small_run(probe(), resume=finished[STEPS_PER_UPDATE], num_timesteps=STEPS_PER_UPDATE)
     assert checkpoints(resumed) == finished

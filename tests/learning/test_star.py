@@ -63,8 +63,6 @@ def test_ppo_learns_to_go_to_a_target(control: str, num_segments: int, settings:
         simulation_time=4.0,
     )
     resolved = resolve(PPOSpec(**settings, num_evals=3, num_eval_envs=8), row, "cpu")
-    trainer = make_run(environment, resolved, seed=0, checkpoint_every_steps=None)
-    returns = [
-        event.metrics["eval/episode_reward"] for event in trainer.events() if isinstance(event, Evaluated)
-    ]
+    run = make_run(environment, resolved, seed=0, checkpoint_every_steps=None)
+    returns = [event.metrics["eval/episode_reward"] for event in run.events() if isinstance(event, Evaluated)]
     assert returns[-1] > returns[0] + 0.04

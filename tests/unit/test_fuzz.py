@@ -16,8 +16,8 @@ from hypothesis import settings as searching
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from api.doors import Doors
 from api.errors import MalformedBody, RangeNotSatisfiable
+from api.origins import OriginCheck
 from api.ranges import is_known, requested_range
 from api.routes.jobs import Listed
 from api.submissions import EXAMPLES, fingerprint, parse
@@ -200,10 +200,10 @@ _HEADERS = st.binary(max_size=40) | st.sampled_from([b"http://[", b"http://[::1"
 
 @fuzzed
 @given(host=_HEADERS, origin=_HEADERS)
-def test_no_host_and_no_origin_breaks_the_doors(host: bytes, origin: bytes) -> None:
+def test_no_host_and_no_origin_breaks_the_check_of_origins(host: bytes, origin: bytes) -> None:
     headers = [(b"host", host), (b"origin", origin)]
-    assert Doors().refusal({"type": "http", "headers": headers}) is not None
-    assert Doors().refusal({"type": "http", "headers": [(b"host", b"[::1]"), headers[1]]}) is not None
+    assert OriginCheck().refusal({"type": "http", "headers": headers}) is not None
+    assert OriginCheck().refusal({"type": "http", "headers": [(b"host", b"[::1]"), headers[1]]}) is not None
 
 
 _XML = st.sampled_from(

@@ -46,7 +46,7 @@ def test_the_log_says_a_sentence_once_and_another_one_when_it_changes() -> None:
 
 
 def test_the_log_says_the_same_sentence_again_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retry, "_SAY_AGAIN_AFTER_S", 0)
+    monkeypatch.setattr(retry, "_LOG_AGAIN_AFTER_S", 0)
     with capture_logs() as said:
         retry_while_unavailable(Store(*[RecordsUnavailable("away")] * 3).get)
     assert [line["error"] for line in said] == ["away"] * 3

@@ -16,7 +16,7 @@ from core.storage.objects import ObjectInfo, ObjectStore
 from worker.compile_cache.local import is_whole, names, write_out
 
 # What one job downloads at most, the newest first: a large store must not fill a laptop.
-_MOST_FETCHED_BYTES = 2**28
+_MAX_FETCHED_BYTES = 2**28
 # Warp makes a hundred small files for a body, and a store may be far away.
 _AT_ONCE = 8
 
@@ -34,7 +34,7 @@ class SharedCache:
 
     def fetch(self, kept: Path, room: Path) -> int:
         """Download what `kept` lacks and count the files. room: a folder on that disk to write them to."""
-        here, left = names(kept), _MOST_FETCHED_BYTES
+        here, left = names(kept), _MAX_FETCHED_BYTES
         lacking: list[tuple[str, ObjectInfo]] = []
         for name, info in self._newest_first().items():
             if name not in here and (left := left - info.size) >= 0:

@@ -22,10 +22,10 @@ from worker.compile_cache.remote import SharedCache
 log = structlog.get_logger()
 
 # How long a job waits for what others compiled before it starts without it.
-_FETCH_PATIENCE_S = 10.0
+_FETCH_TIMEOUT_S = 10.0
 # How long a worker waits after a job until what it compiled has been uploaded.
-_STORE_PATIENCE_S = 60.0
-_GLANCE_S = 0.05
+_STORE_TIMEOUT_S = 60.0
+_POLL_S = 0.05
 
 
 class Caches:
@@ -45,7 +45,7 @@ class Caches:
         if self._shared_max_bytes:
             self._shared = SharedCache(self._objects, self._machine, environment)
             self._begin("caches_not_fetched", partial(self._fetch, self._shared))
-            self._wait(_FETCH_PATIENCE_S, called_off)
+            self._wait(_FETCH_TIMEOUT_S, called_off)
         _attempt("caches_not_lent", partial(lend, self._kept, self._own))
 
     def keep(self) -> None:
@@ -55,7 +55,7 @@ class Caches:
     def close(self, called_off: Callable[[], bool]) -> None:
         """Finish the upload, within a time limit, and keep the cache within its size."""
         try:
-            self._wait(_STORE_PATIENCE_S, called_off)
+            self._wait(_STORE_TIMEOUT_S, called_off)
         except CalledOff:
             log.info("caches_not_shared", error="The worker shuts down.")
         _attempt("caches_not_bounded", partial(keep_within, self._all, self._max_bytes))
@@ -85,12 +85,12 @@ class Caches:
         self._thread = Thread(target=work, name="caches", daemon=True)
         self._thread.start()
 
-    def _wait(self, patience_s: float, called_off: Callable[[], bool]) -> None:
-        until = time.monotonic() + patience_s
+    def _wait(self, timeout_s: float, called_off: Callable[[], bool]) -> None:
+        until = time.monotonic() + timeout_s
         while self._thread and self._thread.is_alive() and time.monotonic() < until:
             if called_off():
                 raise CalledOff
-            self._thread.join(_GLANCE_S)
+            self._thread.join(_POLL_S)
 
 
 def _attempt(failure: str, step: Callable[[], None]) -> None:

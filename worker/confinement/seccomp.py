@@ -71,7 +71,7 @@ _REFUSED = {
     "kexec_load": (246, 104),
 }
 # Allowed if the first argument is this process, or 0: a crashing process signals itself.
-_ONESELF = {"kill": (62, 129), "tgkill": (234, 131), "prlimit64": (302, 261)}
+_OWN_PROCESS_ONLY = {"kill": (62, 129), "tgkill": (234, 131), "prlimit64": (302, 261)}
 _CLONE, _CLONE3 = (56, 220), 435
 
 
@@ -126,7 +126,7 @@ def _program(processor: _Processor, pid: int) -> list[tuple[int, int, int, int]]
         refuse,
         allow,
     ]
-    for numbers in _ONESELF.values():
+    for numbers in _OWN_PROCESS_ONLY.values():
         lines += [
             (_EQUAL, 0, 5, numbers[processor.column]),
             (_LOAD, 0, 0, _FIRST_ARGUMENT),

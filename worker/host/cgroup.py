@@ -18,7 +18,7 @@ log = structlog.get_logger()
 
 _ROOT = Path("/")
 _NAME = "gaitway-training-"
-_PATIENCE_S, _PAUSE_S = 5.0, 0.01
+_TIMEOUT_S, _PAUSE_S = 5.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def _made(parent: Path, pid: int, limit_bytes: int) -> Path:
 
 def _end(folder: Path) -> None:
     """Kill what is left in it, even outside the training's process group, and remove it."""
-    deadline = time.monotonic() + _PATIENCE_S
+    deadline = time.monotonic() + _TIMEOUT_S
     with suppress(OSError):  # Linux 5.14 or newer.
         (folder / "cgroup.kill").write_text("1")
     while True:

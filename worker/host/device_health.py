@@ -27,7 +27,7 @@ log = structlog.get_logger()
 SUSPICIOUS = frozenset({Reason.NATIVE_CRASH, Reason.DEVICE_FAILED, Reason.TRAINING_STALLED})
 # JAX and CUDA take some 10 s to start on a machine that has just been started.
 _TEST_S = 60.0
-_GLANCE_S = 0.1
+_POLL_S = 0.1
 # From each failed test to the next; the last value repeats.
 _PAUSES_S = (60.0, 300.0, 900.0)
 
@@ -84,7 +84,7 @@ def result_of(test: DeviceTest, called_off: Callable[[], bool]) -> str | None:
     """A sentence that says what is wrong with the device; None also if the test was called off."""
     try:
         while not test.is_over():
-            pause(_GLANCE_S, called_off)
+            pause(_POLL_S, called_off)
     except CalledOff:
         test.close()
         return None

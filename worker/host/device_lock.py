@@ -39,14 +39,14 @@ def slot_names(device: str, worker_pid: int, dev: Path = DEV) -> tuple[str, ...]
 
 @contextmanager
 def slots(
-    paths: Iterable[Path], patience_s: float, called_off: Callable[[], bool] = lambda: False
+    paths: Iterable[Path], timeout_s: float, called_off: Callable[[], bool] = lambda: False
 ) -> Generator[tuple[int, ...]]:
-    """Several locks at once, each as from `slot`; `patience_s` is for all together.
+    """Several locks at once, each as from `slot`; `timeout_s` is for all together.
 
     They are always taken in the order of their names: if two workers took the same locks in different
     orders, each could wait for the other.
     """
-    deadline = time.monotonic() + patience_s
+    deadline = time.monotonic() + timeout_s
     with ExitStack() as held:
         yield tuple(
             held.enter_context(slot(path, deadline - time.monotonic(), called_off)) for path in sorted(paths)
@@ -54,16 +54,16 @@ def slots(
 
 
 @contextmanager
-def slot(path: Path, patience_s: float, called_off: Callable[[], bool] = lambda: False) -> Generator[int]:
+def slot(path: Path, timeout_s: float, called_off: Callable[[], bool] = lambda: False) -> Generator[int]:
     """The lock's file descriptor, to be inherited by the process that uses the device.
 
-    Waits up to `patience_s` for an earlier user to end, then raises SlotTaken; raises CalledOff as soon as
+    Waits up to `timeout_s` for an earlier user to end, then raises SlotTaken; raises CalledOff as soon as
     `called_off` is true. The lock belongs to the open file, not to us: while a process that inherited it
     lives, nobody else gets the lock. At the end, all locks that nobody holds are removed, also those of
     workers long gone.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = _wait_for(path, time.monotonic() + patience_s, called_off)
+    descriptor = _wait_for(path, time.monotonic() + timeout_s, called_off)
     try:
         yield descriptor
     finally:

@@ -6,7 +6,7 @@ import subprocess
 from core.devices import gpu_indices
 from worker.host.memory import allowed_bytes
 
-_PATIENCE_S = 10.0
+_TIMEOUT_S = 10.0
 _MIB = 2**20
 
 
@@ -28,7 +28,7 @@ def device_memory(device: str, memory_limit: int | None) -> int | None:
     ]
     try:
         said = subprocess.run(
-            [program, *asked], capture_output=True, text=True, timeout=_PATIENCE_S, check=True
+            [program, *asked], capture_output=True, text=True, timeout=_TIMEOUT_S, check=True
         )
         return _MIB * min(int(line) for line in said.stdout.splitlines())
     except (OSError, subprocess.SubprocessError, ValueError):

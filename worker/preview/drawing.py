@@ -22,7 +22,7 @@ from core.variables import variable
 from worker.host.child import environment, kill, launch, tail
 
 # Playground's environments compile a reset on MJX, which takes a busy machine a minute.
-_MOST_S = 180.0
+_TIMEOUT_S = 180.0
 log = structlog.get_logger()
 
 
@@ -31,7 +31,7 @@ def draw(
     objects: ObjectStore,
     folder: Path,
     data_dir: Path,
-    timeout_s: float = _MOST_S,
+    timeout_s: float = _TIMEOUT_S,
     models: Confinement = "confined",
 ) -> None:
     """Draw the stills, unless they are stored already, and store them, or the reason why there are none.

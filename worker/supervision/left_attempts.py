@@ -60,7 +60,7 @@ def leave(data_dir: Path, claim: Claim, outcome: Outcome) -> None:
     os.replace(part, part.with_suffix(".json"))
 
 
-def tell_left(data_dir: Path, store: JobStore, objects: ObjectStore) -> None:
+def record_left(data_dir: Path, store: JobStore, objects: ObjectStore) -> None:
     """Record every outcome that is kept here. Raises RecordsUnavailable; what was not recorded stays."""
     for path in sorted((data_dir / LEFT).glob("*.json")):
         try:

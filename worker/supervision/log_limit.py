@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 # Bytes per second in the long run, and bytes at once. A chatty trainer writes a few hundred bytes a second.
 _RATE, _BURST = 64 * 1024, 4 * 2**20
 # Lines that may wait for an unavailable store.
-_MOST_WAITING = 20_000
+_MAX_WAITING = 20_000
 
 
 class LogLimit:
@@ -32,8 +32,8 @@ class LogLimit:
         floor = _RATE if self._num_left_out else 0
         if self._budget < size + floor:
             self._leave_out(f"the process printed more than {_RATE // 1024} kB/s")
-        elif num_waiting > _MOST_WAITING:
-            self._leave_out(f"{_MOST_WAITING} waited for PostgreSQL or the object store")
+        elif num_waiting > _MAX_WAITING:
+            self._leave_out(f"{_MAX_WAITING} waited for PostgreSQL or the object store")
         else:
             self._budget -= size
             yield from self.end()

@@ -34,15 +34,15 @@ from worker.protocol import (
 from worker.supervision.measurements import Measurements
 
 # How long an object that the record no longer names is kept for those who are reading it.
-_LINGER_S = 60.0
-_GLANCE_S = 0.1
+_DELETE_AFTER_S = 60.0
+_POLL_S = 0.1
 # The messages that become an entry of the feed and nothing else, and how many go into one write.
-_MOST_SAID = 100
-_SAID = Hello | PhaseEnded | Advanced | Measured | Noted
+_MAX_FEED_MESSAGES = 100
+_FEED_MESSAGES = Hello | PhaseEnded | Advanced | Measured | Noted
 
 
 @dataclass(frozen=True)
-class _Heard:
+class _Received:
     """A message, or a line of the log, and when it came."""
 
     what: Message | str
@@ -60,7 +60,7 @@ class Outbox:
         self._keep_checkpoints = keep_checkpoints
         self._measurements = Measurements(claim.job_id, claim.store, claim.objects)
         self._dropped: list[tuple[float, str]] = []
-        self._waiting: queue.SimpleQueue[_Heard | None] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[_Received | None] = queue.SimpleQueue()
         self._thread = Thread(target=self._work, name="outbox", daemon=True)
         self._thread.start()
 
@@ -71,17 +71,17 @@ class Outbox:
 
     def put(self, item: Message | str) -> None:
         """Take a message, or a line of the log."""
-        self._waiting.put(_Heard(item, utc_now()))
+        self._waiting.put(_Received(item, utc_now()))
 
-    def close(self, patience_s: float, called_off: Callable[[], bool] = lambda: False) -> bool:
-        """Wait until all is stored, at most `patience_s` or until called off; returns whether all is stored.
+    def close(self, timeout_s: float, called_off: Callable[[], bool] = lambda: False) -> bool:
+        """Wait until all is stored, at most `timeout_s` or until called off; returns whether all is stored.
 
         Raises what `check` raises.
         """
         self._waiting.put(None)
-        deadline = time.monotonic() + patience_s
+        deadline = time.monotonic() + timeout_s
         while self._thread.is_alive() and time.monotonic() < deadline and not called_off():
-            self._thread.join(min(_GLANCE_S, patience_s))
+            self._thread.join(min(_POLL_S, timeout_s))
         self.check()
         return not self._thread.is_alive()
 
@@ -105,7 +105,7 @@ class Outbox:
             if None in items:
                 return
 
-    def _take(self) -> list[_Heard | None]:
+    def _take(self) -> list[_Received | None]:
         """At least one item, and all others that wait already, so that a flood takes few writes."""
         items = [self._waiting.get()]
         with contextlib.suppress(queue.Empty):
@@ -113,15 +113,15 @@ class Outbox:
                 items.append(self._waiting.get_nowait())
         return items
 
-    def _steps(self, heard: Sequence[_Heard]) -> Iterator[Callable[[], None]]:
+    def _steps(self, heard: Sequence[_Received]) -> Iterator[Callable[[], None]]:
         """The writes that store these: one for all lines, one for every 100 messages between two files."""
         lines = [item for item in heard if isinstance(item.what, str)]
         if lines:
             yield partial(self._store_lines, lines, _new_id())
         messages = [item for item in heard if not isinstance(item.what, str)]
-        for is_said, group in groupby(messages, lambda item: isinstance(item.what, _SAID)):
+        for is_said, group in groupby(messages, lambda item: isinstance(item.what, _FEED_MESSAGES)):
             found = list(group)
-            size = _MOST_SAID if is_said else 1
+            size = _MAX_FEED_MESSAGES if is_said else 1
             for first in range(0, len(found), size):
                 part = found[first : first + size]
                 yield partial(self._store_said if is_said else self._store_one, part, _new_id())
@@ -135,12 +135,12 @@ class Outbox:
             return False
         return True
 
-    def _store_lines(self, lines: Sequence[_Heard], write_id: str) -> None:
+    def _store_lines(self, lines: Sequence[_Received], write_id: str) -> None:
         self._record(
             "logs", [Entry(kind="line", time=item.time, data={"text": item.what}) for item in lines], write_id
         )
 
-    def _store_said(self, said: Sequence[_Heard], write_id: str) -> None:
+    def _store_said(self, said: Sequence[_Received], write_id: str) -> None:
         entries = [_entry(item) for item in said]
         newest = next((item.what for item in reversed(said) if isinstance(item.what, Advanced)), None)
         progress = None if newest is None else Progress.model_validate(newest.model_dump(exclude={"type"}))
@@ -149,7 +149,7 @@ class Outbox:
             if entry.kind == "metrics":
                 self._measurements.add(entry)
 
-    def _store_one(self, heard: Sequence[_Heard], write_id: str) -> None:
+    def _store_one(self, heard: Sequence[_Received], write_id: str) -> None:
         (item,) = heard
         match item.what:
             case Started(device=device, engine=engine, details=details):
@@ -185,8 +185,8 @@ class Outbox:
         The collection of orphans removes those that are left when the attempt ends, or cannot be removed.
         """
         now = time.monotonic()
-        due = [key for at, key in self._dropped if now - at > _LINGER_S]
-        self._dropped = [(at, key) for at, key in self._dropped if now - at <= _LINGER_S]
+        due = [key for at, key in self._dropped if now - at > _DELETE_AFTER_S]
+        self._dropped = [(at, key) for at, key in self._dropped if now - at <= _DELETE_AFTER_S]
         self._dropped += [(now, key) for key in dropped]
         with contextlib.suppress(StorageUnavailable):
             for key in due:
@@ -221,7 +221,7 @@ class Outbox:
         return keys.artifact(self._claim.job_id, self._claim.number, sha256, name)
 
 
-def _entry(item: _Heard) -> Entry:
+def _entry(item: _Received) -> Entry:
     match item.what:
         case Hello(pid=pid):
             return Entry(kind="phase", time=item.time, data={"name": "process", "pid": pid})

@@ -13,7 +13,7 @@ _TIMES_THE_LONGEST = 20.0
 _FIRST_S = 3600.0
 # A debugger stops a process for a moment.
 _STOPPED_S = 20.0
-_LOOK_EVERY_S = 1.0
+_CHECK_EVERY_S = 1.0
 _PROC = Path("/proc")
 
 
@@ -48,7 +48,7 @@ class StallWatch:
     def what_is_wrong(self, group: int) -> str | None:
         """A sentence if the group has hung for too long; looks at most once a second."""
         now = self._clock()
-        if now - self._looked_at < _LOOK_EVERY_S:
+        if now - self._looked_at < _CHECK_EVERY_S:
             return None
         self._looked_at = now
         allowed_s = self._allowed_s()

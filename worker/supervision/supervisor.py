@@ -42,11 +42,11 @@ from worker.supervision.tracking import Tracking
 log = structlog.get_logger()
 
 # How often the supervisor checks everything else while it waits for the process to end.
-_GLANCE_S = 0.1
+_POLL_S = 0.1
 # The phases after which there are new programs, and new kernels.
 _COMPILED = ("compile", "first_update")
 # How long finished work waits for an unavailable store before the attempt is given up.
-_STORAGE_PATIENCE_S = 86_400.0
+_STORAGE_TIMEOUT_S = 86_400.0
 # What is stored last gets at least this time, even if the training process has used up the grace time.
 _LAST_S = 3.0
 
@@ -102,11 +102,11 @@ class Supervisor:
     def _attempt(self, heartbeat: Heartbeat, caches: Caches, folder: Path, spool: Path) -> Outcome:
         leaving = self.draining.is_set
         job = retry_while_unavailable(
-            partial(self.claim.store.get, self.claim.job_id), _STORAGE_PATIENCE_S, called_off=leaving
+            partial(self.claim.store.get, self.claim.job_id), _STORAGE_TIMEOUT_S, called_off=leaving
         )
         notes = retry_while_unavailable(
             partial(write_task, job, self.claim, self.device, spool),
-            _STORAGE_PATIENCE_S,
+            _STORAGE_TIMEOUT_S,
             called_off=leaving,
         )
         locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
@@ -136,7 +136,7 @@ class Supervisor:
             tracking.abandon()
         else:
             tracking.finish(outcome.status)
-        if not outbox.close(_STORAGE_PATIENCE_S, self._must_leave(_LAST_S)):
+        if not outbox.close(_STORAGE_TIMEOUT_S, self._must_leave(_LAST_S)):
             outbox.abandon()
             return _not_stored(leaving())
         tracking.write_up(outcome.status, leaving)
@@ -153,7 +153,7 @@ class Supervisor:
         deadline = time.monotonic() + timeout_s
         stop: Stop | None = None
         kill_at = float("inf")
-        while (status := process.poll(_GLANCE_S)) is None:
+        while (status := process.poll(_POLL_S)) is None:
             if heartbeat.lost.is_set():
                 raise LeaseLost(self.claim.job_id)
             readers.outbox.check()
@@ -205,9 +205,9 @@ class Supervisor:
         return lambda: self.draining.for_s() >= grace_s and time.monotonic() >= not_before
 
     def _conclude(self, outcome: Outcome) -> None:
-        tell = partial(end, self.claim, outcome)
+        record_end = partial(end, self.claim, outcome)
         try:
-            job = retry_while_unavailable(tell, _STORAGE_PATIENCE_S, called_off=self._must_leave())
+            job = retry_while_unavailable(record_end, _STORAGE_TIMEOUT_S, called_off=self._must_leave())
         except CalledOff:  # PostgreSQL is unavailable: the next worker records it, or the lease runs out.
             log.warning("attempt_left", job_id=self.claim.job_id, detail=outcome.message)
             with suppress(OSError):  # No room for it: the job counts as a lost worker's.
@@ -252,7 +252,7 @@ class OutputReaders:
             self.stall.hear(is_progress=isinstance(message, Advanced))
             if isinstance(message, Failed | Finished):
                 self.last_word = message
-            self._tracking.tell(message)
+            self._tracking.send(message)
             self.outbox.put(message)
             if isinstance(message, PhaseEnded) and message.name in _COMPILED:
                 self.caches.keep()
@@ -273,7 +273,7 @@ def _not_stored(is_leaving: bool) -> Outcome:
     if is_leaving:
         message = f"The worker was shut down before everything was stored: {why}."
         return Outcome(None, Reason.WORKER_DRAINED, message)
-    hours = _STORAGE_PATIENCE_S / 3600
+    hours = _STORAGE_TIMEOUT_S / 3600
     message = f"The results could not be stored for {hours:.0f} hours: {why}."
     return Outcome(None, Reason.STORAGE_UNAVAILABLE, message)
 

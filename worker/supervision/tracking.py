@@ -21,7 +21,7 @@ from worker.protocol import FileReady, Message, Noted
 from worker.supervision.measurements import Measurements
 from worker.supervision.outbox import Outbox
 from worker.tracking.child import end, start
-from worker.tracking.items import About, Film, WriteUp, about_run, configured
+from worker.tracking.items import About, VideoFile, WriteUp, about_run, configured
 from worker.tracking.live import Live
 
 log = structlog.get_logger()
@@ -30,7 +30,7 @@ _FOLDER = "tracking"
 EVENTS, ARCHIVE, CURVE = "events.out.tfevents", "wandb.tar", "episodes.png"
 # How long a job's end waits for its files to be written, and to be stored, before it does without.
 _WRITE_S, _STORE_S = 60.0, 60.0
-_GLANCE_S = 0.05
+_POLL_S = 0.05
 _NO_PACKAGE = (
     "This worker has no package wandb (uv sync --inexact --extra wandb): the run is not tracked there."
 )
@@ -41,7 +41,7 @@ _NO_KEY = "This worker has no GAITWAY_WANDB_API_KEY: the run is not sent, and ke
 class Tracking:
     """Nothing in here ends a job, except a lost lease.
 
-    Call `tell` with each message, `finish` when the training process has ended, `write_up` when all its
+    Call `send` with each message, `finish` when the training process has ended, `write_up` when all its
     messages are stored; or `abandon`, if the attempt must end at once.
     """
 
@@ -76,9 +76,9 @@ class Tracking:
         except OSError as error:
             self._note(f"Nothing is sent to Weights & Biases: {error.strerror}")
 
-    def tell(self, message: Message) -> None:
+    def send(self, message: Message) -> None:
         if self._live is not None:
-            self._live.tell(message)
+            self._live.send(message)
 
     def finish(self, status: JobStatus | None) -> None:
         """Send the rest, within a time limit. status: the job's, if it ends with this attempt."""
@@ -128,14 +128,14 @@ class Tracking:
         job = self.claim.store.get(self.job.id)
         last = job.attempts[-1]
         config = {**about.config, **configured(last.device, last.engine, last.details).values}
-        films, kept = list[Film](), about.folder / "kept"
+        films, kept = list[VideoFile](), about.folder / "kept"
         kept.mkdir()
         for artifact in sorted(job.artifacts, key=lambda artifact: artifact.step or 0):
             if artifact.role == "video":
                 path = kept / artifact.name
                 with self.claim.objects.open(artifact.key) as pieces, path.open("wb") as file:
                     file.writelines(pieces)
-                films.append(Film(step=artifact.step or 0, path=path))
+                films.append(VideoFile(step=artifact.step or 0, path=path))
         return task.model_copy(
             update={
                 "about": about.model_copy(update={"config": config}),
@@ -179,7 +179,7 @@ def _last_words(
     while child.poll() is None:
         if time.monotonic() > deadline or called_off():
             return [f"Files for TensorBoard and Weights & Biases were not ready within {_WRITE_S:g} s."]
-        time.sleep(_GLANCE_S)
+        time.sleep(_POLL_S)
     return [word["note"] for word in map(json.loads, words) if "note" in word]
 
 

@@ -35,13 +35,13 @@ def live(items: IO[bytes], words: IO[str]) -> int:
     """Send each item to the server as it comes."""
     about = About.model_validate_json(items.readline())
     try:
-        from worker.tracking.run import open_run, tell
+        from worker.tracking.run import log_item, open_run
 
         run = open_run(about, "online")
         say(words, opened=True)
         for line in items:
             item = ITEM.validate_json(line)
-            tell(run, item)
+            log_item(run, item)
             if isinstance(item, End):
                 return 0
     except Exception as error:  # Whatever it is, the job continues.
@@ -88,7 +88,7 @@ def write_curve(measurements: Path, path: Path) -> None:
 
 def write_archive(task: WriteUp, about: About, path: Path) -> None:
     """The whole job as an offline run."""
-    from worker.tracking.run import archive, open_run, tell
+    from worker.tracking.run import archive, log_item, open_run
 
     run = open_run(about, "offline")
     rows = sorted(
@@ -96,10 +96,10 @@ def write_archive(task: WriteUp, about: About, path: Path) -> None:
         key=lambda row: row.step,
     )
     for row in rows:
-        tell(run, row)
+        log_item(run, row)
     for film in task.films:
-        tell(run, film)
-    tell(run, End(exit_code=task.exit_code))
+        log_item(run, film)
+    log_item(run, End(exit_code=task.exit_code))
     archive(about.folder, path)
 
 

@@ -38,7 +38,7 @@ class Row(Stored):
     values: dict[str, float]
 
 
-class Film(Stored):
+class VideoFile(Stored):
     """A video of a step; the file may be consumed."""
 
     kind: Literal["video"] = "video"
@@ -53,8 +53,8 @@ class End(Stored):
     exit_code: int
 
 
-Item = Annotated[Configured | Row | Film | End, Field(discriminator="kind")]
-ITEM: TypeAdapter[Configured | Row | Film | End] = TypeAdapter(Item)
+Item = Annotated[Configured | Row | VideoFile | End, Field(discriminator="kind")]
+ITEM: TypeAdapter[Configured | Row | VideoFile | End] = TypeAdapter(Item)
 
 
 class WriteUp(Stored):
@@ -70,7 +70,7 @@ class WriteUp(Stored):
     curve: Path
     about: About | None = None
     archive: Path | None = None
-    films: list[Film] = []
+    films: list[VideoFile] = []
     exit_code: int = 0
 
 

@@ -13,10 +13,10 @@ from typing import IO, cast
 from core.settings import WorkerSettings
 from worker.protocol import FileReady, Measured, Message, Started
 from worker.tracking.child import end, start
-from worker.tracking.items import About, Configured, End, Film, Row, configured
+from worker.tracking.items import About, Configured, End, Row, VideoFile, configured
 
 # How many items may wait for a slow process.
-_MOST_WAITING = 10_000
+_MAX_WAITING = 10_000
 # How long a job's end waits for the last items; and for them if the server has not even answered yet.
 _FINISH_S, _OPEN_S = 10.0, 2.0
 
@@ -33,14 +33,14 @@ class Live:
         self._spool, self._folder, self._note = spool, about.folder, note
         self._opened = threading.Event()
         self._failed = threading.Event()
-        self._waiting: queue.Queue[bytes] = queue.Queue(_MOST_WAITING)
+        self._waiting: queue.Queue[bytes] = queue.Queue(_MAX_WAITING)
         self._child = start(["live"], about.folder, settings, with_key=True)
         self._put(about)
         self._listener = threading.Thread(target=self._listen, name="tracking_listen", daemon=True)
         self._listener.start()
         threading.Thread(target=self._feed, name="tracking_feed", daemon=True).start()
 
-    def tell(self, message: Message) -> None:
+    def send(self, message: Message) -> None:
         """Send a message of the training process on; its videos are still in the spool."""
         match message:
             case Started(device=device, engine=engine, details=details):
@@ -51,7 +51,7 @@ class Live:
                 # The outbox removes the spool's own as soon as it is stored.
                 with suppress(OSError):
                     os.link(self._spool / path, self._folder / path)
-                    self._put(Film(step=step or 0, path=self._folder / path))
+                    self._put(VideoFile(step=step or 0, path=self._folder / path))
             case _:
                 pass
 
@@ -74,7 +74,7 @@ class Live:
         self._failed.set()
         end(self._child)
 
-    def _put(self, item: About | Configured | Row | Film | End) -> None:
+    def _put(self, item: About | Configured | Row | VideoFile | End) -> None:
         if self._failed.is_set():
             return
         try:

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import wandb
 
-from worker.tracking.items import About, Configured, End, Film, Row
+from worker.tracking.items import About, Configured, End, Row, VideoFile
 
 # How long the server may take to accept a run.
 _OPEN_S = 30.0
@@ -49,14 +49,14 @@ def open_run(about: About, mode: Literal["online", "offline"]) -> Any:
     return run
 
 
-def tell(run: Any, item: Configured | Row | Film | End) -> None:
+def log_item(run: Any, item: Configured | Row | VideoFile | End) -> None:
     """Log one item."""
     match item:
         case Configured(values=values):
             run.config.update(values, allow_val_change=True)
         case Row(step=step, values=values):
             run.log({_STEP: step, **values})
-        case Film(step=step, path=path):
+        case VideoFile(step=step, path=path):
             run.log({_STEP: step, path.stem.partition("-")[0]: wandb.Video(str(path), format="mp4")})
         case End(exit_code=exit_code):
             run.finish(exit_code=exit_code)

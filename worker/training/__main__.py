@@ -8,7 +8,7 @@ from pathlib import Path
 
 from worker.confinement.own_files import keep_to_own_files
 from worker.host.parent_death import die_with_parent
-from worker.training.stopping import Stopping
+from worker.training.stopping import StopRequest
 
 
 def main() -> None:
@@ -16,7 +16,7 @@ def main() -> None:
     if _has_a_users_model(spool):
         keep_to_own_files(spool)
     die_with_parent()
-    stopping = Stopping()
+    stopping = StopRequest()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Sent before anything heavy is imported: from here on the job is known to run.
     os.write(events_fd, json.dumps({"type": "hello", "pid": os.getpid()}).encode() + b"\n")

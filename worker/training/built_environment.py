@@ -70,8 +70,8 @@ def build_environment(task: Task) -> BuiltEnvironment:
     info, options = catalog.resolve(task.spec.environment.id, task.spec.environment.options)
     if task.model:
         info = replace(info, cannot_run=task.engines_that_cannot)
-    num_worlds = _num_worlds(task.spec, info, device) // num_devices
-    choice = choose(task.spec.physics, device, num_worlds, info.on_a_gpu, info.cannot_run)
+    num_envs = _num_envs(task.spec, info, device) // num_devices
+    choice = choose(task.spec.physics, device, num_envs, info.on_a_gpu, info.cannot_run)
     if task.spec.physics == "auto" and task.begun_on is not None:
         choice = EngineChoice(task.begun_on, "The job's checkpoint was made on it.")
     if choice.name == "warp":
@@ -96,7 +96,7 @@ def _named(devices: Sequence[Any]) -> str:
     return ", ".join(kind if number == 1 else f"{number} × {kind}" for kind, number in kinds.items())
 
 
-def _num_worlds(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
+def _num_envs(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
     """The number of environments that the job steps in parallel for most of its time."""
     match spec:
         case TrainSpec():

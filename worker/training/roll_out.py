@@ -25,23 +25,23 @@ from worker.protocol import Advanced, Measured, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
-from worker.training.stopping import Stopping
+from worker.training.stopping import StopRequest
 from worker.training.video import VideoRecorder
 
 # Episodes that run side by side.
-_WORLDS = 64
+_MAX_ENVS = 64
 
 
 def roll_out(
-    task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter, stopping: Stopping
+    task: Task, spec: RolloutSpec, built: BuiltEnvironment, events: EventWriter, stopping: StopRequest
 ) -> bool:
     """Act, record and draw; returns whether a stop cut it short. The episodes until then are kept.
 
     Nothing is kept for an attempt elsewhere, which starts again.
     """
     events.send(built.started(policy=spec.policy.model_dump()))
-    policy, world = _policy(task, spec, built, events)
-    built = replace(built, environment=world)
+    policy, env = _policy(task, spec, built, events)
+    built = replace(built, environment=env)
     episodes = _act(spec, built, policy, events, stopping)
     differs = (
         {"randomization": [rule.model_dump() for rule in spec.randomization]} if spec.randomization else {}
@@ -68,16 +68,16 @@ def _act(
     built: BuiltEnvironment,
     policy: ParametricPolicy,
     events: EventWriter,
-    stopping: Stopping,
+    stopping: StopRequest,
 ) -> list[Episode]:
     """The episodes asked for; after a stop, those that have ended by then."""
     key = jax.random.PRNGKey(spec.seed)
-    worlds = min(spec.num_episodes, _WORLDS)
-    roller = Roller(built.environment, policy, num_worlds=worlds)
+    num_envs = min(spec.num_episodes, _MAX_ENVS)
+    roller = Roller(built.environment, policy, num_envs=num_envs)
     episodes = list[Episode]()
     for episode in roller.episodes(None, key, num_steps=spec.num_steps, num_episodes=spec.num_episodes):
         episodes.append(episode)
-        if len(episodes) % worlds == 0:
+        if len(episodes) % num_envs == 0:
             steps = sum(episode.num_steps for episode in episodes)
             events.send(Advanced(step=steps, total=spec.num_steps * spec.num_episodes))
         if stopping.asked:
@@ -94,8 +94,8 @@ def _policy(
         case CheckpointPolicy():
             content = (events.spool / str(task.checkpoint)).read_bytes()
             trained = policy_from_checkpoint(content, deterministic=spec.deterministic)
-            world, act = trained.acting(built.environment)
-            return lambda _, state, key: act(trained.parameters, state, key), world
+            env, act = trained.acting(built.environment)
+            return lambda _, state, key: act(trained.parameters, state, key), env
         case RandomPolicy():
             policy = random_policy(size)
         case ZeroPolicy():

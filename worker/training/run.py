@@ -14,10 +14,10 @@ from core.reasons import Reason
 from worker.protocol import Failed, Finished, PhaseEnded, Task
 from worker.training.event_writer import EventWriter
 from worker.training.failure import failure
-from worker.training.stopping import Stopping
+from worker.training.stopping import StopRequest
 
 
-def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
+def run(spool: Path, events_fd: int, stopping: StopRequest) -> int:
     """Run the task in the spool; returns the exit status. The last message is Finished or Failed."""
     events, device = EventWriter(spool, events_fd), "cpu"
     try:
@@ -37,7 +37,7 @@ def run(spool: Path, events_fd: int, stopping: Stopping) -> int:
     return 1
 
 
-def _dispatch(task: Task, events: EventWriter, stopping: Stopping) -> bool:
+def _dispatch(task: Task, events: EventWriter, stopping: StopRequest) -> bool:
     """Run the task; returns whether a stop cut it short."""
     began = time.perf_counter()
     with _without_warnings_of_warp():

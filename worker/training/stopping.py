@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL
 
 
-class Stopping:
+class StopRequest:
     """asked: to end after the epoch in progress. leaving: because the job continues elsewhere.
 
     While nothing would be lost, DRAIN_SIGNAL has its default action: it ends the process at once, even during

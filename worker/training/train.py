@@ -18,7 +18,7 @@ from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
-from worker.training.stopping import Stopping
+from worker.training.stopping import StopRequest
 from worker.training.video import VideoRecorder
 
 # A tenth of the budget lies between checkpoints where the job does not say.
@@ -26,7 +26,7 @@ _CHECKPOINTS = 10
 
 
 def train(
-    task: Task, spec: TrainSpec, built: BuiltEnvironment, events: EventWriter, stopping: Stopping
+    task: Task, spec: TrainSpec, built: BuiltEnvironment, events: EventWriter, stopping: StopRequest
 ) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 
@@ -42,7 +42,7 @@ def train(
         for event in run.events():
             if isinstance(event, Progress):
                 stopping.keep_before_leaving()
-            report.tell(event)
+            report.publish(event)
             if stopping.asked:
                 break
             if isinstance(event, Progress):
@@ -97,8 +97,8 @@ class PolicyVideos:
         """Keep a video of the present step as `<name>.mp4`."""
         policy = policy_from_checkpoint(self.run.checkpoint())
         if self._film is None:
-            world, act = policy.acting(self.built.environment)
-            self._film = VideoRecorder(self.spec, replace(self.built, environment=world), act, self.events)
+            env, act = policy.acting(self.built.environment)
+            self._film = VideoRecorder(self.spec, replace(self.built, environment=env), act, self.events)
         self._film.shoot(name, policy.parameters, self.run.step)
 
 
@@ -115,7 +115,7 @@ class Report:
     _warned: bool = False
     _started: tuple[float, int] = (0.0, 0)
 
-    def tell(self, event: Event) -> None:
+    def publish(self, event: Event) -> None:
         match event:
             case Phase(name=name, seconds=seconds):
                 self.events.send(PhaseEnded(name=name, seconds=seconds))

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from core.documents import Stored
 from core.user_models.record import Description
 
-_MOST_BYTES = 16 * 2**20
+_MAX_BYTES = 16 * 2**20
 
 
 class Answer(Stored):
@@ -23,7 +23,7 @@ class Answer(Stored):
 def read_answer(path: Path) -> Answer:
     """The answer in the file; an empty one if it holds none."""
     try:
-        return Answer.model_validate_json(read_plain(path, _MOST_BYTES))
+        return Answer.model_validate_json(read_plain(path, _MAX_BYTES))
     except (OSError, ValidationError):
         return Answer()
 

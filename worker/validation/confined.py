@@ -22,9 +22,17 @@ from worker.host.child import environment, kill, launch, tail
 from worker.validation.answer import Answer, read_answer
 
 ANSWER = "answer.json"
-_TOLD = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "LD_LIBRARY_PATH", "PYTHONPATH", "GAITWAY_STACK_ID")
+_PASSED_VARIABLES = (
+    "PATH",
+    "LANG",
+    "LC_ALL",
+    "LC_CTYPE",
+    "LD_LIBRARY_PATH",
+    "PYTHONPATH",
+    "GAITWAY_STACK_ID",
+)
 _PROGRAM = ("-m", "worker.validation")
-_GLANCE_S = 0.05
+_POLL_S = 0.05
 log = structlog.get_logger()
 
 _INTERRUPTED = "A worker was stopped while it refused the model; send it again to learn why."
@@ -103,7 +111,7 @@ def look(
 def _environment(folder: Path, data_dir: Path) -> dict[str, str]:
     """Only what these libraries need."""
     surroundings = environment(
-        "cpu", data_dir, {name: os.environ[name] for name in _TOLD if name in os.environ}
+        "cpu", data_dir, {name: os.environ[name] for name in _PASSED_VARIABLES if name in os.environ}
     )
     return {
         **surroundings,
@@ -118,7 +126,7 @@ def _environment(folder: Path, data_dir: Path) -> dict[str, str]:
 def _ended(child: "subprocess.Popen[bytes]") -> int | None:
     """Its exit status; None if it still runs after a short wait."""
     try:
-        return child.wait(_GLANCE_S)
+        return child.wait(_POLL_S)
     except subprocess.TimeoutExpired:
         return None
 

@@ -65,8 +65,8 @@ _READ = text("""
     FROM jobs WHERE jobs.id = :job_id
 """)
 # A reader gets a few chunks at a time; each is a request to the object store.
-_MOST_CHUNKS = 4
-_MOST_DUE = 200
+_MAX_CHUNKS = 4
+_MAX_DUE = 200
 # Appending one batch takes a fraction of a call's time limit.
 _BATCH = 1000
 
@@ -125,13 +125,13 @@ def read(connection: Connection, job_id: str, channel: Channel, after: int, limi
 
     None if there is no such job.
     """
-    asked = {"job_id": job_id, "channel": channel, "after": after, "chunks": _MOST_CHUNKS + 1, "limit": limit}
+    asked = {"job_id": job_id, "channel": channel, "after": after, "chunks": _MAX_CHUNKS + 1, "limit": limit}
     found = connection.execute(_READ, asked).first()
     if found is None:
         return None
     parts = [Chunk(**chunk) for chunk in found.chunks or ()]
-    if len(parts) > _MOST_CHUNKS:
-        return FeedPart(parts[:_MOST_CHUNKS], (), rows.status(found.status), is_end=False)
+    if len(parts) > _MAX_CHUNKS:
+        return FeedPart(parts[:_MAX_CHUNKS], (), rows.status(found.status), is_end=False)
     behind = [_entry_of(*entry) for entry in found.entries or ()]
     return FeedPart(parts, behind, rows.status(found.status), is_end=len(behind) < limit)
 
@@ -163,7 +163,7 @@ def due(connection: Connection, max_bytes: int, max_age: timedelta) -> Sequence[
         .group_by(entries.c.job_id, entries.c.channel)
         .having(or_(size >= max_bytes, is_old, has_ended))
         .order_by(entries.c.job_id)
-        .limit(_MOST_DUE)
+        .limit(_MAX_DUE)
     )
     return [(row.job_id, row.channel) for row in found]
 

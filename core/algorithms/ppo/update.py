@@ -76,7 +76,7 @@ class Learner:
         params_key, env_key, key, eval_key = jax.random.split(seed_key, 4)
         params = init_params(self._networks(normalize=True), params_key)
         episodes = start_episodes(
-            self._worlds, env_key, self.settings.num_envs, keep_first=self.settings.returns_to_first_state
+            self._envs, env_key, self.settings.num_envs, keep_first=self.settings.returns_to_first_state
         )
         if self.settings.random_initial_episode_length:
             length_key = jax.random.fold_in(seed_key, 4)  # a fifth, which leaves the other four as they are
@@ -103,7 +103,7 @@ class Learner:
             (state.normalizer, state.params.policy, state.params.value)
         )
         episodes, (transitions, outcome) = collect(
-            self._worlds,
+            self._envs,
             policy,
             state.episodes,
             jax.random.split(act_key, settings.actions_per_update),
@@ -144,7 +144,7 @@ class Learner:
         return new, summarise(outcome) | metrics, failure
 
     @property
-    def _worlds(self) -> VectorEnv:
+    def _envs(self) -> VectorEnv:
         return VectorEnv(self.environment, self.sharding.mesh)
 
     @property
@@ -170,7 +170,7 @@ class Learner:
         pool_key, choose_key = jax.random.split(key)
         shape = (settings.actions_per_update, settings.num_envs)
         return Starts(
-            pool=self.sharding.everywhere(fresh_states(self._worlds, pool_key, settings.reset_pool_size)),
+            pool=self.sharding.everywhere(fresh_states(self._envs, pool_key, settings.reset_pool_size)),
             chosen=self.sharding.split(
                 jax.random.randint(choose_key, shape, 0, settings.reset_pool_size), axis=1
             ),

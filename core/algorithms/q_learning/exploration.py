@@ -11,12 +11,15 @@ from core.algorithms.q_learning.spec import QLearningSpec
 
 @dataclass(frozen=True)
 class Exploration:
-    """What of the schedule is compiled in. decisions: of an agent in one round, in all of its worlds."""
+    """The part of the schedule that is compiled in.
+
+    decisions: of an agent in one round, in all of its environments.
+    """
 
     by_episodes: bool
     shape: Literal["linear", "exponential"]
     decisions_per_round: int
-    worlds: int
+    num_envs: int
 
     @classmethod
     def of(cls, settings: QLearningSpec) -> "Exploration":
@@ -24,7 +27,7 @@ class Exploration:
             by_episodes=settings.epsilon.decay_episodes is not None,
             shape=settings.epsilon.shape,
             decisions_per_round=settings.num_envs * settings.decisions_per_episode,
-            worlds=settings.num_envs,
+            num_envs=settings.num_envs,
         )
 
     def epsilon(
@@ -34,8 +37,8 @@ class Exploration:
 
         From `start` to `end`, in `length` episodes or decisions, and then it stays.
         """
-        per_round = self.worlds if self.by_episodes else self.decisions_per_round
-        within = 0 if self.by_episodes else decision * self.worlds
+        per_round = self.num_envs if self.by_episodes else self.decisions_per_round
+        within = 0 if self.by_episodes else decision * self.num_envs
         # In float32 from the beginning: a long run has more decisions than an int32 counts.
         done = rounds.astype(jnp.float32) * per_round + within
         share = jnp.clip(done / length, 0.0, 1.0)

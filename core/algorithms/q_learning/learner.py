@@ -1,4 +1,4 @@
-"""Rounds of Q-learning: one episode in each world of each agent, and many of them in one compiled loop."""
+"""Rounds of Q-learning, many in one compiled loop; a round is one episode in each environment."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -106,16 +106,16 @@ class Learner:
     def update(
         self, state: TrainingState, hyperparameters: Hyperparameters
     ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
-        """One round: a fresh episode in every world, learnt from decision by decision.
+        """One round: a fresh episode in every environment, learnt from decision by decision.
 
-        A world whose episode has ended stands still, and nothing is learnt from it.
+        An environment whose episode has ended stands still, and nothing is learnt from it.
         """
         settings = self.settings
         next_key, reset_key, act_key = jnp.moveaxis(
             jax.vmap(partial(jax.random.split, num=3))(state.key), 1, 0
         )
         reset_keys = jax.vmap(partial(jax.random.split, num=settings.num_envs))(reset_key)
-        worlds = VectorEnv(self.environment).reset(reset_keys.reshape(-1, reset_keys.shape[-1]))
+        envs = VectorEnv(self.environment).reset(reset_keys.reshape(-1, reset_keys.shape[-1]))
         explore = partial(
             Exploration.of(settings).epsilon,
             hyperparameters.epsilon_start,
@@ -125,13 +125,13 @@ class Learner:
         )
 
         def decide(carry: Any, decision: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
-            learning, worlds, alive = carry
+            learning, envs, alive = carry
             keys = jax.vmap(jax.random.fold_in, (0, None))(act_key, decision)
             choose_key, replay_key = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
-            rows = self._by_agent(worlds.obs)
+            rows = self._by_agent(envs.obs)
             epsilon = explore(decision)
             choices = jax.vmap(epsilon_greedy)(learning.table, rows, epsilon, choose_key)
-            after = self._step(worlds, choices.reshape(worlds.obs.shape), alive)
+            after = self._step(envs, choices.reshape(envs.obs.shape), alive)
             steps = _transitions(rows, choices, after, self._by_agent(after.obs), alive)
             learning, error = jax.vmap(self._learn)(
                 learning, steps, hyperparameters.learning_rate, hyperparameters.discounting, replay_key
@@ -142,7 +142,7 @@ class Learner:
         learning = _Learning(state.table, state.visits, state.replay)
         alive = jnp.ones(settings.num_worlds, bool)
         decisions = jnp.arange(settings.decisions_per_episode)
-        (learning, worlds, alive), seen = jax.lax.scan(decide, (learning, worlds, alive), decisions)
+        (learning, envs, alive), seen = jax.lax.scan(decide, (learning, envs, alive), decisions)
         failure = _failure(seen.pop("unseen"), seen["score"], learning.table)
         new = replace(
             state,
@@ -188,9 +188,9 @@ class Learner:
         """[agents, num_envs, ...] of [agents * num_envs, ...]."""
         return values.reshape(self.settings.num_agents, self.settings.num_envs, *values.shape[1:])
 
-    def _step(self, worlds: State, choices: jax.Array, alive: jax.Array) -> State:
-        after = VectorEnv(self.environment).step(worlds, choices)
-        return select(alive, after, worlds)
+    def _step(self, envs: State, choices: jax.Array, alive: jax.Array) -> State:
+        after = VectorEnv(self.environment).step(envs, choices)
+        return select(alive, after, envs)
 
     def _learn(
         self,
@@ -200,7 +200,7 @@ class Learner:
         discounting: jax.Array,
         key: jax.Array,
     ) -> tuple[_Learning, jax.Array]:
-        """One agent after a decision in all of its worlds; and the mean size of the TD errors, []."""
+        """One agent after a decision in all of its environments; and the mean size of the TD errors, []."""
         settings = self.settings
         update = partial(learn, learning_rate=learning_rate, compound=settings.world_updates == "compound")
         errors = td_errors(learning.table, steps, discounting)
@@ -214,7 +214,7 @@ class Learner:
         return _Learning(table, learning.visits + visits.astype(jnp.int32), replay), size
 
     def _seen(self, after: State, alive: jax.Array) -> dict[str, jax.Array]:
-        """Of one decision, means over an agent's worlds [agents]; of worlds that stand still, nothing."""
+        """Means [agents] over an agent's environments of a decision; those that stand still do not count."""
         values = {name: values for name, values in after.metrics.items() if name != "x_velocity"}
         if (speed := after.metrics.get("x_velocity")) is not None:
             values["forward_speed"] = speed
@@ -251,7 +251,7 @@ def _transitions(
     """[agents, num_envs * num_readers] each, of rows and choices [agents, num_envs, num_readers]."""
 
     def spread(values: jax.Array) -> jax.Array:
-        """One value of each world for all who read in it."""
+        """One value of each environment for all who read in it."""
         return jnp.broadcast_to(values.astype(jnp.float32).reshape(*rows.shape[:2], 1), rows.shape)
 
     steps = Transitions(rows, choices, spread(after.reward), next_rows, spread(after.done), spread(alive))

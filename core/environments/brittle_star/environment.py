@@ -10,7 +10,7 @@ from core.environments.brittle_star.control import controlled
 from core.environments.brittle_star.discretization import towards_target
 from core.environments.brittle_star.light import show
 from core.environments.brittle_star.model import star_model
-from core.environments.brittle_star.observables import OF_THE_BODY
+from core.environments.brittle_star.observables import BODY_OBSERVABLES
 from core.environments.brittle_star.observation import (
     NUM_ROOT_POSITIONS,
     NUM_ROOT_VELOCITIES,
@@ -112,7 +112,9 @@ class BrittleStar(MujocoEnv):
 
     def _observe(self, physics: PhysicsState, measured: Measured) -> jax.Array:
         """The observables of the options, in biorobot's order."""
-        of_the_body = {name: observe_body(physics, name) for name in OF_THE_BODY if name in self._observed}
+        of_the_body = {
+            name: observe_body(physics, name) for name in BODY_OBSERVABLES if name in self._observed
+        }
         every = {**of_the_body, **measured.observables}
         return jnp.concatenate([every[name] for name in self._observed])
 

@@ -17,13 +17,13 @@ TargetObservable = Literal["unit_xy_direction_to_target", "xy_distance_to_target
 LightObservable = Literal["segment_light_intake", "disk_light_intake"]
 Observable = BodyObservable | TargetObservable | LightObservable
 
-OF_THE_BODY: tuple[BodyObservable, ...] = get_args(BodyObservable)
-OF_THE_TARGET: tuple[TargetObservable, ...] = get_args(TargetObservable)
+BODY_OBSERVABLES: tuple[BodyObservable, ...] = get_args(BodyObservable)
+TARGET_OBSERVABLES: tuple[TargetObservable, ...] = get_args(TargetObservable)
 # What a State's `info` holds about the target.
 OF_THE_WAY = ("target_position", "xy_direction_to_target", "xy_distance_to_target")
-OF_THE_LIGHT: tuple[LightObservable, ...] = get_args(LightObservable)
+LIGHT_OBSERVABLES: tuple[LightObservable, ...] = get_args(LightObservable)
 # Engines compute these only for the observation.
-DEAR: tuple[BodyObservable, ...] = ("joint_actuator_force", "actuator_force", "segment_contact")
+COSTLY_OBSERVABLES: tuple[BodyObservable, ...] = ("joint_actuator_force", "actuator_force", "segment_contact")
 
 
 def size_of(observable: Observable, num_segments: int) -> int:

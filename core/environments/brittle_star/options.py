@@ -8,10 +8,10 @@ from pydantic import Field, field_validator, model_validator
 
 from core.documents import Strict
 from core.environments.brittle_star.observables import (
-    DEAR,
-    OF_THE_BODY,
-    OF_THE_LIGHT,
-    OF_THE_TARGET,
+    BODY_OBSERVABLES,
+    COSTLY_OBSERVABLES,
+    LIGHT_OBSERVABLES,
+    TARGET_OBSERVABLES,
     BodyObservable,
     LightObservable,
     Observable,
@@ -28,8 +28,8 @@ DISK_RADIUS_M = 0.125
 LIGHT_MAP_RESOLUTION = 50
 _TIMESTEP_S = 0.002
 _FIRST_SEGMENT_M, _TAPER_M = 0.125, 0.075
-_MOST_STEPS = 100_000
-_MOST_SEGMENTS = 96
+_MAX_STEPS = 100_000
+_MAX_SEGMENTS = 96
 _Metres = Annotated[int, Field(ge=1, le=50)]
 _Point = Annotated[tuple[float, float], Field(strict=False)]
 _OBSERVED = "Observables to include. null: all; with `cpg`, all but the costly forces and contacts."
@@ -126,15 +126,15 @@ class BrittleStarOptions(Strict):
             raise ValueError(
                 f"num_segments_per_arm lists {len(self.segments)} arms, but num_arms = {self.num_arms}"
             )
-        if (total := sum(self.segments)) > _MOST_SEGMENTS:
+        if (total := sum(self.segments)) > _MAX_SEGMENTS:
             raise ValueError(
-                f"the arms have {total} segments; at most {_MOST_SEGMENTS} are allowed: with more the model "
+                f"the arms have {total} segments; at most {_MAX_SEGMENTS} are allowed: with more the model "
                 "does not compile in time"
             )
-        if self.episode_length > _MOST_STEPS:
+        if self.episode_length > _MAX_STEPS:
             raise ValueError(
                 f"simulation_time = {self.simulation_time:g} s is {self.episode_length} control steps of "
-                f"{self.dt:g} s; at most {_MOST_STEPS} are allowed"
+                f"{self.dt:g} s; at most {_MAX_STEPS} are allowed"
             )
         if self.control == "cpg":
             self.cpg.check_steps(self.dt)
@@ -224,11 +224,11 @@ Options = DirectedOptions | UndirectedOptions | LightEscapeOptions
 def observed(options: Options) -> list[Observable]:
     """The names of the observables, in biorobot's order."""
     of_the_task: Mapping[type[Options], tuple[Observable, ...]] = {
-        DirectedOptions: OF_THE_TARGET,
+        DirectedOptions: TARGET_OBSERVABLES,
         UndirectedOptions: (),
-        LightEscapeOptions: OF_THE_LIGHT,
+        LightEscapeOptions: LIGHT_OBSERVABLES,
     }
-    every = (*OF_THE_BODY, *of_the_task[type(options)])
+    every = (*BODY_OBSERVABLES, *of_the_task[type(options)])
     if options.observables is not None:
         return [name for name in every if name in options.observables]
-    return [name for name in every if options.control == "joints" or name not in DEAR]
+    return [name for name in every if options.control == "joints" or name not in COSTLY_OBSERVABLES]

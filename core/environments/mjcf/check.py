@@ -19,7 +19,7 @@ from core.environments.mjcf.vocabulary.terminations import Touching
 from core.errors import Problem
 
 _OPTIONS = "/environment/options"
-_MOST_NAMES = 20
+_MAX_NAMES = 20
 # The fields of terms that name parts of the model, and the kind of part.
 _NAMING: dict[str, Kind] = {
     "body": "body",
@@ -101,7 +101,7 @@ def _of_name(name: str | None, pointer: str, kind: Kind, model: Inventory) -> It
     if near:
         hint = f"did you mean {' or '.join(map(repr, near))}?"
     elif known:
-        hint = f"it has {', '.join(known[:_MOST_NAMES])}{', …' if len(known) > _MOST_NAMES else ''}."
+        hint = f"it has {', '.join(known[:_MAX_NAMES])}{', …' if len(known) > _MAX_NAMES else ''}."
     else:
         hint = "it has none with a name."
     yield Problem(pointer, f"The model has no {what} {name!r}; {hint}")

@@ -12,9 +12,9 @@ from core.rendering.plots.style import COLOURS, new_figure, plain
 Floats = NDArray[np.floating[Any]]
 
 # If there are more paths than colours, some share one and differ only by where they end.
-_MOST_COLOURED = len(COLOURS)
+_MAX_COLOURED = len(COLOURS)
 # A path on a thousand pixels cannot show more points.
-_MOST_POINTS = 2000
+_MAX_POINTS = 2000
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def path_from_above(walks: Sequence[Walk], *, title: str = "") -> Any:
         for number, walk in enumerate(walks):
             _in_one_colour(axes, walk, number, len(walks))
     for walk in walks:
-        _mark(axes, walk, small=len(walks) > _MOST_COLOURED)
+        _mark(axes, walk, small=len(walks) > _MAX_COLOURED)
     _explain(axes, walks)
     axes.set_xlabel("x in m")
     axes.set_ylabel("y in m")
@@ -72,7 +72,7 @@ def _by_time(figure: Any, axes: Any, walk: Walk) -> None:
 
 def _in_one_colour(axes: Any, walk: Walk, number: int, count: int) -> None:
     x, y, _ = _thinned(walk)
-    if count <= _MOST_COLOURED:
+    if count <= _MAX_COLOURED:
         axes.plot(x, y, color=COLOURS[number], linewidth=1.8, label=f"episode {number}")
     else:
         axes.plot(x, y, color=COLOURS[0], linewidth=1.0, alpha=max(0.15, min(0.6, 20 / count)))
@@ -106,7 +106,7 @@ def _explain(axes: Any, walks: Sequence[Walk]) -> None:
         marks.append(mark("end: by the environment", marker="X", color="#d55e00", mec="white"))
     if any(walk.target is not None for walk in walks):
         marks.append(mark("target", marker="*", color="#f0b000", mec="black", markersize=11))
-    if 1 < len(walks) <= _MOST_COLOURED:
+    if 1 < len(walks) <= _MAX_COLOURED:
         marks += axes.get_legend_handles_labels()[0]
     elif len(walks) > 1:
         marks.append(Line2D([], [], color=COLOURS[0], label=f"{len(walks)} episodes"))
@@ -124,7 +124,7 @@ def _widen(axes: Any, walks: Sequence[Walk]) -> None:
 
 
 def _thinned(walk: Walk) -> tuple[Floats, Floats, Floats]:
-    """x, y and time at no more than `_MOST_POINTS` moments, the last one among them."""
+    """x, y and time at no more than `_MAX_POINTS` moments, the last one among them."""
     length = len(walk.time)
-    kept = np.unique(np.linspace(0, length - 1, min(length, _MOST_POINTS)).round().astype(int))
+    kept = np.unique(np.linspace(0, length - 1, min(length, _MAX_POINTS)).round().astype(int))
     return walk.position[kept, 0], walk.position[kept, 1], walk.time[kept]

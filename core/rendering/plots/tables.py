@@ -11,7 +11,7 @@ from core.rendering.plots.style import compact, new_figure
 Numbers = NDArray[Any]
 
 # In a table up to this size, each cell has room for its number.
-_MOST_STATES, _MOST_ACTIONS = 16, 9
+_MAX_STATES, _MAX_ACTIONS = 16, 9
 # More states than these run along the width.
 _TALLEST = 48
 _UNTRIED: dict[str, Any] = {"hatch": "////", "edgecolor": "#9aa5b1", "facecolor": "#f4f5f7", "linewidth": 0.0}
@@ -75,7 +75,7 @@ class _Sheet:
 
     def __init__(self, table: Numbers, states: Sequence[str], actions: Sequence[str], title: str) -> None:
         self._lies = table.shape[0] > _TALLEST
-        self._is_small = table.shape[0] <= _MOST_STATES and table.shape[1] <= _MOST_ACTIONS
+        self._is_small = table.shape[0] <= _MAX_STATES and table.shape[1] <= _MAX_ACTIONS
         rows = table.shape[1] if self._lies else table.shape[0]
         self.figure = new_figure(min(6.4, max(3.0, 1.7 + 0.42 * rows)), title)
         self._axes = self.figure.subplots()

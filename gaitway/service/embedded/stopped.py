@@ -8,18 +8,20 @@ from pathlib import Path
 import psutil
 
 # A worker ends its stopped children after 20 s and gives the job back; this is the last resort.
-PATIENCE_S = 30.0
+MAX_STOPPED_S = 30.0
 _LONGEST_COMMAND = 60
 
 
 class StoppedProcesses:
-    """Watches the descendants of this process. patience_s: how long each may stay stopped.
+    """Watches the descendants of this process. max_stopped_s: how long each may stay stopped.
 
     A process under a debugger does not count.
     """
 
-    def __init__(self, patience_s: float = PATIENCE_S, clock: Callable[[], float] = time.monotonic) -> None:
-        self._patience_s = patience_s
+    def __init__(
+        self, max_stopped_s: float = MAX_STOPPED_S, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._max_stopped_s = max_stopped_s
         self._clock = clock
         self._since: dict[psutil.Process, float] = {}
 
@@ -30,7 +32,7 @@ class StoppedProcesses:
         return [
             _kill(process, now - since)
             for process, since in self._since.items()
-            if now - since >= self._patience_s
+            if now - since >= self._max_stopped_s
         ]
 
 

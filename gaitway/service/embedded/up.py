@@ -10,7 +10,7 @@ from gaitway.service.embedded.processes import ServerFailed
 from gaitway.service.embedded.stack import Stack
 
 
-def tell(sentence: str) -> None:
+def report(sentence: str) -> None:
     """One line for the user, at once."""
     print(sentence, file=sys.stderr, flush=True)
 
@@ -18,15 +18,15 @@ def tell(sentence: str) -> None:
 def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) -> int:
     """Serve until Ctrl-C, SIGTERM or SIGHUP; the exit status."""
     try:
-        with Stack(data_dir, port=port, num_workers=num_workers, tell=tell) as stack:
+        with Stack(data_dir, port=port, num_workers=num_workers, report=report) as stack:
             print(f"Gaitway is at {stack.url}  (its interface: {stack.url}/docs)", flush=True)
             print(f"Data and logs are in {stack.data_dir}. Ctrl-C ends it.", flush=True)
             try:
                 stack.watch()
             except Interrupted:
-                tell("Ending; running jobs save a checkpoint first (Ctrl-C again: at once).")
+                report("Ending; running jobs save a checkpoint first (Ctrl-C again: at once).")
     except ServerFailed as failed:
-        tell(str(failed))
+        report(str(failed))
         return 1
     except Interrupted as interrupted:
         return interrupted.exit_status

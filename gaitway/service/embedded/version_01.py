@@ -8,10 +8,10 @@ _RECORDS = Path("valkey") / "appendonlydir"
 _IMPORTED = f"{_RECORDS.name}.imported"
 
 
-def tell_if_left(data_dir: Path, tell: Callable[[str], None]) -> None:
-    """Tell the user if there are records that are not imported yet."""
+def report_if_left(data_dir: Path, report: Callable[[str], None]) -> None:
+    """Report whether there are records that are not imported yet."""
     if has_records(data_dir):
-        tell(
+        report(
             f"{data_dir} has jobs of version 0.1, which are not listed until they are imported: end the "
             f"service, run `gaitway import --data {shlex.quote(str(data_dir))}`, and start it again."
         )

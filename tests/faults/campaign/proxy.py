@@ -29,7 +29,7 @@ class Mode(StrEnum):
 
 Place = Path | int  # A unix socket, or a port of the loopback interface.
 _PIECE = 65_536
-_GLANCE_S = 0.02
+_POLL_S = 0.02
 _DAWDLE_S = 0.15
 
 
@@ -102,7 +102,7 @@ class Proxy:
                 if self.mode is Mode.SLOW:
                     await asyncio.sleep(_DAWDLE_S)
                 while self.mode is Mode.SILENT:
-                    await asyncio.sleep(_GLANCE_S)
+                    await asyncio.sleep(_POLL_S)
                 sink.write(piece)
                 await sink.drain()
 
@@ -118,7 +118,7 @@ class Proxy:
             while not reading.done():
                 if self.mode is Mode.REFUSE:
                     return b""
-                await asyncio.wait([reading], timeout=_GLANCE_S)
+                await asyncio.wait([reading], timeout=_POLL_S)
             return reading.result()
         finally:
             reading.cancel()

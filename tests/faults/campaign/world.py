@@ -48,7 +48,7 @@ DISKS = {
 }
 _MEMBER = ("-m", "tests.faults.campaign.member")
 _SOCKET = ".s.PGSQL.5432"
-_GLANCE_S = 0.05
+_POLL_S = 0.05
 
 
 @dataclass
@@ -185,7 +185,7 @@ class World:
             self._failure = error
         finally:
             self._ready.set()
-        while not self._over.wait(_GLANCE_S) and self._failure is None:
+        while not self._over.wait(_POLL_S) and self._failure is None:
             if self.weed.process.pid is not None and self.weed.needs_restart():
                 self.weed.stop()  # As the stack does it.
             for member in self.members.values():
@@ -221,7 +221,7 @@ class World:
                     ready = http.get("/readyz")
                     if ready.is_success and workers.is_success and len(workers.json()["items"]) >= 2:
                         return
-                time.sleep(_GLANCE_S)
+                time.sleep(_POLL_S)
         logs = "\n".join(f"--- {party}\n{self.logs(party)[-1500:]}" for party in PARTIES)
         raise TimeoutError(f"the service was not ready within {timeout_s:g} s\n{logs}")
 

@@ -14,11 +14,11 @@ def half(observation: jax.Array, key: jax.Array) -> tuple[jax.Array, dict[str, A
 
 
 def test_an_episode_counts_until_it_ends_and_no_further() -> None:
-    # A world whose observation is its sign: +1 ends with the third step (time 2), -1 never does.
-    world = Probe(
+    # An environment whose observation is its sign: +1 ends with the third step (time 2), -1 never does.
+    env = Probe(
         lambda obs, time, action: (action, jnp.where((obs > 0) & (time >= 2), 1.0, 0.0)), random_sign=True
     )
-    totals = run_episodes(world, half, jax.random.PRNGKey(0), num_envs=8, episode_length=5)
+    totals = run_episodes(env, half, jax.random.PRNGKey(0), num_envs=8, episode_length=5)
     np.testing.assert_array_equal(np.unique(totals.length), [3, 5])
     np.testing.assert_allclose(totals.metrics["reward"], 0.5 * totals.length)
     np.testing.assert_allclose(totals.metrics["x_velocity"], 0.5 * totals.length)
@@ -26,13 +26,13 @@ def test_an_episode_counts_until_it_ends_and_no_further() -> None:
 
 def test_it_stops_when_the_last_episode_has_ended() -> None:
     steps = list[int]()
-    world = Probe(lambda obs, time, action: (action, jnp.ones(())))
+    env = Probe(lambda obs, time, action: (action, jnp.ones(())))
 
     def counting(observation: jax.Array, key: jax.Array) -> tuple[jax.Array, dict[str, Any]]:
         jax.debug.callback(lambda: steps.append(1))
         return half(observation, key)
 
-    totals = run_episodes(world, counting, jax.random.PRNGKey(0), num_envs=2, episode_length=10**6)
+    totals = run_episodes(env, counting, jax.random.PRNGKey(0), num_envs=2, episode_length=10**6)
     jax.effects_barrier()
     np.testing.assert_array_equal(totals.length, [1, 1])
     assert len(steps) == 1

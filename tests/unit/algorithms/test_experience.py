@@ -94,8 +94,8 @@ def learner_of_short_episodes(**changes: object) -> Learner:
     # 64 environments act 4 times in an update, and every second action ends an episode.
     sizes = {"num_envs": 64, "batch_size": 64, "num_minibatches": 1, "unroll_length": 4, "episode_length": 2}
     layers = {"policy_hidden_layer_sizes": [4], "value_hidden_layer_sizes": [4]}
-    world = Marked(lambda obs, time, action: (action, jnp.zeros(())))
-    return Learner(world, PPOSpec.model_validate({**sizes, **layers, **changes}))
+    env = Marked(lambda obs, time, action: (action, jnp.zeros(())))
+    return Learner(env, PPOSpec.model_validate({**sizes, **layers, **changes}))
 
 
 def test_episodes_begin_in_fresh_states_of_their_update() -> None:
@@ -119,8 +119,8 @@ def test_without_a_pool_every_environment_goes_back_to_its_own_start() -> None:
 
 
 def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
-    # Three worlds act three times. The first two began with lengths 2 and 1 of 3, and end after one action
-    # and two; the third began with the run, and its end is the only one of a whole episode.
+    # Three environments act three times. The first two began with lengths 2 and 1 of 3, and end after one
+    # action and two; the third began with the run, and its end is the only one of a whole episode.
     ended = jnp.array([[3, 0, 0], [0, 3, 0], [0, 0, 3]])
     ones = jnp.ones((3, 3))
     outcome = Outcome(ones, ended, ended * 1.0, jnp.where(ended > 0, 1.0, 0.0), ones, {}, None)
@@ -134,7 +134,7 @@ def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
 
 
 def test_networks_see_observations_within_the_bound_and_the_normaliser_sees_all() -> None:
-    # The world shows 0, 1, 2 and so on: mean 7.5, deviation ((16² - 1) / 12)^½.
+    # The environment shows 0, 1, 2 and so on: mean 7.5, deviation ((16² - 1) / 12)^½.
     sizes = {"num_envs": 2, "batch_size": 2, "num_minibatches": 1, "unroll_length": 16, "episode_length": 99}
     layers = {"policy_hidden_layer_sizes": [4], "value_hidden_layer_sizes": [4]}
     bound = {"normalize_observations_max_abs_value": 1e-12}
@@ -163,22 +163,22 @@ class Measured(Probe):
         return replace(after, metrics={"height": after.physics.time, "reward_task": after.reward})
 
 
-def outcome_of_four_steps(world: Environment) -> tuple[dict[str, float], float]:
-    """What is told of 8 worlds that act with ±0.5 four times, under a limit of four; how many show +1."""
+def outcome_of_four_steps(env: Environment) -> tuple[dict[str, float], float]:
+    """Metrics of 8 environments that act with ±0.5 four times, under a limit of four; how many show +1."""
 
     def policy(observation: jax.Array, key: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
         return jnp.full_like(observation, -0.5), {}
 
-    worlds = VectorEnv(world)
-    episodes = start_episodes(worlds, jax.random.PRNGKey(0), 8, keep_first=True)
+    envs = VectorEnv(env)
+    episodes = start_episodes(envs, jax.random.PRNGKey(0), 8, keep_first=True)
     keys = jax.random.split(jax.random.PRNGKey(1), 4)
-    _, (_, outcome) = collect(worlds, policy, episodes, keys, episode_length=4)
+    _, (_, outcome) = collect(envs, policy, episodes, keys, episode_length=4)
     told = {name: float(value) for name, value in summarise(outcome).items()}
     return told, float(jnp.sum(episodes.state.obs > 0))
 
 
 def test_falls_are_the_ends_that_the_environment_made_and_not_the_clock() -> None:
-    # A world of +1 falls with its third step and begins anew; the clock ends one of -1 at its fourth.
+    # An environment of +1 falls with its third step and begins anew; the clock ends one of -1 at its fourth.
     told, falling = outcome_of_four_steps(
         Probe(
             lambda obs, time, action: (action, jnp.where((obs > 0) & (time >= 2), 1.0, 0.0)), random_sign=True
@@ -206,7 +206,7 @@ def test_every_metric_of_the_environment_is_told_as_its_mean_over_the_steps() ->
 
 
 def test_lost_contacts_are_told_as_the_share_of_steps_that_lost_some() -> None:
-    # Nobody falls; each world's second step of four loses some.
-    world = Probe(lambda obs, time, action: (action, jnp.zeros(())))
-    assert outcome_of_four_steps(Overflowing(world))[0]["physics_overflow"] == 0.25
-    assert "physics_overflow" not in outcome_of_four_steps(world)[0]
+    # Nobody falls; each environment's second step of four loses some.
+    env = Probe(lambda obs, time, action: (action, jnp.zeros(())))
+    assert outcome_of_four_steps(Overflowing(env))[0]["physics_overflow"] == 0.25
+    assert "physics_overflow" not in outcome_of_four_steps(env)[0]

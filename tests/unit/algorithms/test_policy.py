@@ -134,19 +134,19 @@ def test_a_policy_that_holds_its_actions_is_shown_step_by_step() -> None:
     networks = make_networks(1, 1, SETTINGS)
     trained = init_params(networks, jax.random.PRNGKey(0))
     held = PolicyParams(init_normalizer(1), trained.policy, trained.value, PolicyConfig(action_repeat=3))
-    world = probes.Probe(lambda obs, time, action: (action, jnp.where(time == 7, 1.0, 0.0)), shows_time=True)
+    env = probes.Probe(lambda obs, time, action: (action, jnp.where(time == 7, 1.0, 0.0)), shows_time=True)
     for params, decided in (
         (held, [0, 0, 0, 3, 3, 3, 6, 6]),
         (held.replace(config=PolicyConfig()), range(8)),
     ):
         policy = load(write_policy(params), is_checkpoint=False)
-        shown, act = policy.acting(world)
+        shown, act = policy.acting(env)
         [episode] = Roller(shown, act).episodes(policy.parameters, KEY, num_steps=20, num_episodes=1)
         times = jnp.array([[float(time)] for time in decided])
         np.testing.assert_allclose(episode.action, make_inference(params)(times, KEY), rtol=1e-5)
         assert len(np.unique(episode.action)) == len(set(decided))
         np.testing.assert_array_equal(episode.reward, episode.action[:, 0])
-        assert (shown.dt, episode.time[-1]) == (world.dt, 8 * world.dt)
+        assert (shown.dt, episode.time[-1]) == (env.dt, 8 * env.dt)
 
 
 def test_a_bounded_policy_keeps_its_bound_and_brax_acts_alike_when_it_is_told(tmp_path: Path) -> None:

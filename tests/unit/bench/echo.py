@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench.child import answer
-from bench.turn import Turn
+from bench.measure.child import answer
+from bench.measure.turn import Turn
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:

@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
-from bench import gpu_profile, report, runs
-from bench.child import ChildFailed
-from bench.result import Options, Result
+from bench.__main__ import MODULES
+from bench.gpu import profile
+from bench.measure import report, runs
+from bench.measure.child import ChildFailed
+from bench.measure.result import Options, Result
 
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
@@ -29,10 +31,10 @@ SECONDS = {
 
 def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
     """100 steps in 1 s, evaluated for 0.5 s of 10; the return is the seed, and Brax's is 1 less."""
-    ours = module != "bench.train_brax"
-    if module == "bench.step_composed":
+    ours = module != "bench.peers.train_brax"
+    if module == "bench.peers.step_composed":
         return {"rates": [50.0, 40.0, 60.0], "contacts": 769, "rows": 2315, "began_at": 0.0, "process_s": 9.0}
-    if module == "bench.notebook_star":
+    if module == "bench.peers.notebook_star":
         return {"control_steps_per_second": 2.0, "compile_s": 90.0, "began_at": 0.0, "process_s": 9.0}
     reward = request["seed"] if ours else request["seed"] - 1
     return {
@@ -72,7 +74,7 @@ def measured(
 ) -> Result:
     monkeypatch.setattr(runs, "run_child", run_child)
     monkeypatch.setattr(runs.tempfile, "tempdir", str(folder))
-    return import_module(f"bench.{name}").measure(Options(quick=True, out=folder, **options))
+    return import_module(MODULES[name]).measure(Options(quick=True, out=folder, **options))
 
 
 def figures(result: Result) -> dict[str, float | None]:
@@ -125,7 +127,7 @@ def test_a_crash_on_more_gpus_is_a_missed_target(tmp_path: Path, monkeypatch: py
         run = refused if request["devices"] > 1 else answered
         return run(module, request, timeout_s=timeout_s)
 
-    monkeypatch.setattr("bench.gpu_scaling.visible_gpus", lambda: ["nvidia0", "nvidia1"])
+    monkeypatch.setattr("bench.gpu.scaling.visible_gpus", lambda: ["nvidia0", "nvidia1"])
     result = measured("gpu_scaling", tmp_path, monkeypatch, crashing)
     gain = next(figure for figure in result.figures if figure.name == "2 GPUs ÷ 1")
     assert (gain.value, gain.met) == (None, False)
@@ -170,7 +172,7 @@ def test_training_is_held_against_a_slower_engine_s_physics_alone(
 
 
 def test_the_parts_of_an_update_add_up_to_it() -> None:
-    parts = gpu_profile.split({"seconds": SECONDS})
+    parts = profile.split({"seconds": SECONDS})
     assert parts == pytest.approx(
         {
             "physics": 0.004,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.comparison import rate
+from bench.measure.comparison import rate
 
 
 def test_a_rate_is_of_the_second_half() -> None:

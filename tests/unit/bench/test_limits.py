@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.limits import Need, card_of, forward_flops, gradient_flops, gradient_step, num_parameters
+from bench.measure.limits import Need, card_of, forward_flops, gradient_flops, gradient_step, num_parameters
 
 
 def test_a_forward_pass_is_two_operations_for_each_weight_and_sample() -> None:

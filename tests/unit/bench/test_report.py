@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from bench import charts, report
-from bench.__main__ import LONG, NAMES, ON_A_GPU, PAGE
-from bench.machine import Machine, this_machine
-from bench.result import Bars, Figure, Line, Panel, Picture, Result, Table, at_least, at_most, below
-from bench.statistics import Estimate, Spread
+from bench.__main__ import MODULES, PAGE
+from bench.measure import charts, report
+from bench.measure.machine import Machine, this_machine
+from bench.measure.result import Bars, Figure, Line, Panel, Picture, Result, Table, at_least, at_most, below
+from bench.measure.statistics import Estimate, Spread
 
 MACHINE = Machine(
     processor="A processor",
@@ -110,7 +110,7 @@ def test_a_smoke_test_never_reaches_the_page() -> None:
 
 def test_the_performance_page_has_a_place_for_every_bench() -> None:
     page = Path(__file__).parents[3].joinpath(PAGE).read_text()
-    for name in (*NAMES, *LONG, *ON_A_GPU):
+    for name in MODULES:
         assert report.filled(page, [result_of(FAST, name=name)])
 
 

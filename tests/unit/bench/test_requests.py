@@ -2,8 +2,8 @@
 
 import pytest
 
-from bench import requests
-from bench.result import Options
+from bench.measure import requests
+from bench.measure.result import Options
 from core.errors import Rejected
 
 SMALL = {"num_envs": 8, "batch_size": 4, "num_minibatches": 4, "unroll_length": 5}  # 80 steps an update

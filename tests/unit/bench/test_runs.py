@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from bench.result import Options
-from bench.runs import Runs, Work
-from bench.turn import TURN
+from bench.measure.result import Options
+from bench.measure.runs import Runs, Work
+from bench.measure.turn import TURN
 
 
 @pytest.fixture(autouse=True)

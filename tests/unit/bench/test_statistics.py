@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.statistics import (
+from bench.measure.statistics import (
     Estimate,
     Spread,
     alternate,

@@ -143,7 +143,7 @@ class TestRestart:
     def test_a_start_ends_a_query_that_outlives_the_killed_server(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_PATIENCE_S", 60)
+        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_TIMEOUT_S", 60)
         server = Postgres(tmp_path, durable=False)
         with server, psycopg.connect(server.url, autocommit=True) as client:
             write(server, 1)
@@ -203,7 +203,7 @@ class TestRestart:
     def test_a_launcher_killed_while_it_makes_the_folder_leaves_nothing_in_the_way(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_PATIENCE_S", 60)
+        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_TIMEOUT_S", 60)
         with subprocess.Popen([sys.executable, "-c", LAUNCHER, str(tmp_path)]) as launcher:
             # From here on it takes some hundred milliseconds more.
             while not (tmp_path / "data.partial" / "base").exists():
@@ -217,7 +217,7 @@ class TestRestart:
 
 class TestFailure:
     def test_two_cannot_use_one_folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_PATIENCE_S", 0.1)
+        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_TIMEOUT_S", 0.1)
         with Postgres(tmp_path, durable=False) as first:
             with pytest.raises(ServerFailed, match="Another postgres uses"):
                 Postgres(tmp_path, durable=False).launch()

@@ -49,11 +49,11 @@ def test_it_does_not_run_where_its_launcher_says_nothing(command: list[str]) -> 
 
 def test_what_is_told_to_a_process_that_has_ended_is_lost(tmp_path: Path) -> None:
     process = ServerProcess("part", tmp_path)
-    process.start([sys.executable, "-c", "input()"], os.environ, is_told=True)
+    process.start([sys.executable, "-c", "input()"], os.environ, takes_input=True)
     pid = process.pid
     assert pid is not None
     os.kill(pid, signal.SIGKILL)
     os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
-    process.tell("too late")
+    process.send_input("too late")
     assert process.status == -signal.SIGKILL
     process.stop(grace_s=0)

@@ -176,7 +176,7 @@ class TestRestart:
 
 class TestFailure:
     def test_two_cannot_use_one_folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_PATIENCE_S", 0.1)
+        monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_TIMEOUT_S", 0.1)
         with Valkey(tmp_path) as first:
             with pytest.raises(ServerFailed, match="Another valkey-server uses"):
                 Valkey(tmp_path).launch()

@@ -42,7 +42,7 @@ def stop(process: psutil.Process) -> None:
 
 def test_a_stopped_descendant_is_ended_after_its_patience(child: subprocess.Popen[bytes]) -> None:
     clock = Clock()
-    watch = StoppedProcesses(patience_s=30, clock=clock)
+    watch = StoppedProcesses(max_stopped_s=30, clock=clock)
     sleeper = grandchild_of(child)
     stop(sleeper)
     assert watch.end() == []
@@ -56,7 +56,7 @@ def test_a_stopped_descendant_is_ended_after_its_patience(child: subprocess.Pope
 
 def test_one_that_goes_on_meanwhile_is_left_alone(child: subprocess.Popen[bytes]) -> None:
     clock = Clock()
-    watch = StoppedProcesses(patience_s=30, clock=clock)
+    watch = StoppedProcesses(max_stopped_s=30, clock=clock)
     sleeper = grandchild_of(child)
     stop(sleeper)
     assert watch.end() == []

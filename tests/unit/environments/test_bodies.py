@@ -16,7 +16,7 @@ from core.environments.info import EnvironmentInfo
 from core.environments.mujoco_env import MujocoEnv
 from core.physics.choose import engine_builder
 
-NUM_WORLDS = 8
+NUM_ENVS = 8
 # The other stars are the same body.
 SLOW = {"brittle_star_undirected"}
 # By the folder of core/environments: the stars' 20 s are 500 actions of 0.04 s.
@@ -76,11 +76,11 @@ def travels(environment: Environment) -> bool:
 
 
 def fresh(case: Case, seed: int = 0) -> State:
-    return case.reset(jax.random.split(jax.random.key(seed), NUM_WORLDS))
+    return case.reset(jax.random.split(jax.random.key(seed), NUM_ENVS))
 
 
 def some_actions(case: Case, seed: int = 1) -> jax.Array:
-    shape = (NUM_WORLDS, case.environment.action_size)
+    shape = (NUM_ENVS, case.environment.action_size)
     return jax.random.uniform(jax.random.key(seed), shape, minval=-1.0, maxval=1.0)
 
 
@@ -147,10 +147,10 @@ def test_initial_states_differ_by_key_and_by_nothing_else(case: Case) -> None:
     once, again, other = fresh(case), fresh(case), fresh(case, seed=5)
     np.testing.assert_array_equal(once.obs, again.obs)
     assert not np.array_equal(once.obs, other.obs)
-    assert len(np.unique(np.asarray(once.obs), axis=0)) == NUM_WORLDS
+    assert len(np.unique(np.asarray(once.obs), axis=0)) == NUM_ENVS
 
 
-def test_a_world_that_breaks_does_not_look_well(case: Case) -> None:
+def test_an_environment_that_breaks_does_not_look_well(case: Case) -> None:
     state = case.step(fresh(case), some_actions(case).at[0].set(jnp.nan))
     assert not np.isfinite(state.obs[0]).all()
     assert np.isfinite(state.obs[1:]).all()
@@ -162,7 +162,7 @@ def test_a_world_that_breaks_does_not_look_well(case: Case) -> None:
 def test_unhealthy_ends_the_episode_unless_told_otherwise(environment_id: str) -> None:
     heights = [0.01, 3.0]  # every torso begins at such a height, in metres
     ends = make(environment_id, healthy_z_range=heights, terminate_when_unhealthy=True)
-    # One world and nothing compiled: a step is all that is asked for.
+    # One environment and nothing compiled: a step is all that is asked for.
     begin, action = ends.reset(jax.random.key(0)), jnp.zeros(ends.action_size)
     up = 2 if is_free(ends) else 1  # in space or in a plane
     lifted = begin.physics.qpos.at[up].add(10.0)

@@ -1,4 +1,4 @@
-"""Rollouts of small known worlds, and of the ant with the native engine."""
+"""Rollouts of small known environments, and of the ant with the native engine."""
 
 from dataclasses import dataclass, replace
 
@@ -99,10 +99,8 @@ def test_episodes_do_not_depend_on_how_many_run_side_by_side() -> None:
         return random_policy(1)(observation, key)
 
     one, many = (
-        list(
-            Roller(probes.endless(), act, num_worlds=worlds).episodes(None, KEY, num_steps=20, num_episodes=5)
-        )
-        for worlds in (1, 3)
+        list(Roller(probes.endless(), act, num_envs=n).episodes(None, KEY, num_steps=20, num_episodes=5))
+        for n in (1, 3)
     )
     assert len(one) == len(many) == 5
     for alone, together in zip(one, many, strict=True):

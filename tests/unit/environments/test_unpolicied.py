@@ -42,7 +42,7 @@ def rolled(environment: Environment, num_steps: int = 3) -> Trajectory:
     return trajectory_of(environment, episodes)
 
 
-@pytest.mark.slow  # each compiles a world
+@pytest.mark.slow  # each compiles an environment
 @pytest.mark.timeout(600)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize(

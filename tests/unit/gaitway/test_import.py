@@ -37,7 +37,7 @@ from gaitway.service.embedded.processes import ServerFailed
 from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.stack import lock_folder
 from gaitway.service.embedded.valkey import Valkey
-from gaitway.service.embedded.version_01 import tell_if_left
+from gaitway.service.embedded.version_01 import report_if_left
 from gaitway.service.embedded.weed import Weed
 from gaitway.service.embedded.weed_environment import REGION
 from gaitway.service.importing import ImportRefused, import_stores, refuse_while_at_work
@@ -702,14 +702,14 @@ def folder(tmp_path: Path) -> Path:
 class TestFolder:
     def test_its_data_are_imported_once(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         reminded: list[str] = []
-        tell_if_left(folder, reminded.append)
+        report_if_left(folder, reminded.append)
         assert f"gaitway import --data {folder}" in reminded[0]
         said: list[str] = []
         assert import_folder(folder, said.append)
         assert "Jobs: 8 imported, 0 in the record before, 0 not readable." in said
         assert not (folder / "valkey" / "appendonlydir").exists()
         assert (folder / "valkey" / "appendonlydir.imported" / "appendonly.aof.manifest").exists()
-        tell_if_left(folder, reminded.append)
+        report_if_left(folder, reminded.append)
         assert len(reminded) == 1
         with EmbeddedServers(folder) as servers:
             for name, value in servers.environment().items():

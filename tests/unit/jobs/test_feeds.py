@@ -38,7 +38,7 @@ class Feed:
     def say(self, *texts: str) -> None:
         self.worker.say(self.claim, "logs", *texts)
 
-    def tell(self, *entries: Entry, write_id: str = "w") -> None:
+    def append(self, *entries: Entry, write_id: str = "w") -> None:
         self.store.record(self.id, self.claim.token, "events", entries, write_id=write_id)
 
     def read(self, channel: Channel = "logs", **asked: Any) -> Sequence[Entry]:
@@ -59,7 +59,7 @@ class Feed:
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every entry is due, three to a chunk."""
     monkeypatch.setattr(feeds, "MAX_BYTES", 1)
-    monkeypatch.setattr(feeds, "_MOST_ENTRIES", 3)
+    monkeypatch.setattr(feeds, "_MAX_ENTRIES", 3)
 
 
 @pytest.fixture
@@ -106,7 +106,7 @@ class TestReading:
         entries = [
             Entry(kind="metrics" if i % 10 == 9 else "note", time=NOON, data={"i": i}) for i in range(50)
         ]
-        feed.tell(*entries)
+        feed.append(*entries)
         for _ in range(3):  # Behind 9 entries, of which two tell of the job's status.
             first = feed.read("events", kind="metrics", limit=3)
             assert [entry.data["i"] for entry in first] == [9, 19, 29]
@@ -133,7 +133,7 @@ def test_a_kind_is_sought_with_a_look_at_a_thousand_entries_each(job_store: Post
     feed = Feed(job_store, MemoryObjectStore())
     for part in range(2):
         others = [Entry(kind="note", time=NOON) for _ in range(1499)]
-        feed.tell(*others, Entry(kind="metrics", time=NOON), write_id=str(part))
+        feed.append(*others, Entry(kind="metrics", time=NOON), write_id=str(part))
     looks: list[str] = []
     event.listen(job_store._engine, "begin", lambda connection: looks.append("look"))
     assert len(feed.read("events", kind="metrics", limit=2)) == 2
@@ -244,7 +244,7 @@ def test_a_feed_waits_for_its_size_its_age_or_its_jobs_end(job_store: PostgresJo
     for feed in (short, ended):
         feed.say("a")
     long.say("x" * feeds.MAX_BYTES)
-    old.tell(Entry(kind="note", time=datetime.now(UTC) - feeds.MAX_AGE))
+    old.append(Entry(kind="note", time=datetime.now(UTC) - feeds.MAX_AGE))
     ended.claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
     feeds.compact(store=job_store, objects=objects)
     made = [

@@ -366,7 +366,8 @@ def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -
             ["/resources/gpus"],
         ),
         (
-            # 6 × 4 = 24 unrolls of 8 worlds go together, but neither 6 nor 8 are shared by four or three.
+            # 6 × 4 = 24 unrolls of 8 environments go together, but neither 6 nor 8 are shared by four or
+            # three.
             {"resources": {"gpus": 4}, "algorithm": {"num_envs": 8, "batch_size": 6, "num_minibatches": 4}},
             "batch_size = 6 is not a multiple of the 4 devices",
             ["/algorithm/batch_size"],
@@ -408,7 +409,7 @@ def test_a_job_of_another_shape_cannot_go_on_from_a_checkpoint(service: Service)
     assert "/algorithm/num_envs" in [problem.pointer for problem in caught.value.problems]
 
 
-def test_a_job_cannot_go_on_from_worlds_of_warp_on_another_engine_nor_the_other_way_round(
+def test_a_job_cannot_go_on_from_environments_of_warp_on_another_engine_nor_the_other_way_round(
     service: Service,
 ) -> None:
     for had, has in (("warp", "mjx"), ("native", "warp")):
@@ -423,7 +424,7 @@ def test_a_job_cannot_go_on_from_worlds_of_warp_on_another_engine_nor_the_other_
         assert service.submit(resume_from={"job": job.id})
 
 
-def test_a_job_goes_on_in_worlds_that_differ_further_but_in_nothing_else(service: Service) -> None:
+def test_a_job_goes_on_in_environments_that_differ_further_but_in_nothing_else(service: Service) -> None:
     friction = {"field": "geom_friction", "range": [0.8, 1.2]}
     job = service.submit(randomization=[friction])
     claim = service.claim(job)

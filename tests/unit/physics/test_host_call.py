@@ -16,7 +16,7 @@ _numbers = itertools.count()
 
 
 def weigh(vector: Any, factor: Any) -> tuple[Any, Any]:
-    """[..., 3], [...] -> [..., 3], [...]; a sum over worlds would show if they came one by one."""
+    """[..., 3], [...] -> [..., 3], [...]; a sum over environments would show if they came one by one."""
     return vector * factor[..., None], vector.sum(axis=-1)
 
 
@@ -54,7 +54,7 @@ def test_mapped_axes_come_together_and_in_front(way: str) -> None:
     name = f"first {way} {next(_numbers)}"
     call = jax.vmap(lambda x, y: host_call(first, name, [()], x, y)[0], in_axes=(1, None))
     x = jnp.arange(24.0).reshape(2, 3, 4)
-    result = jax.jit(jax.vmap(call, in_axes=(0, None)))(x, jnp.float32(0.5))  # worlds: axes 0 and 2
+    result = jax.jit(jax.vmap(call, in_axes=(0, None)))(x, jnp.float32(0.5))  # environments: axes 0 and 2
     np.testing.assert_array_equal(result, x[:, 0, :] + 0.5)
     assert set(seen) == {(2, 4, 3)}
 

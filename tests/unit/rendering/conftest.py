@@ -63,7 +63,7 @@ def rolling_ball(seconds: float, *, dt: float = 0.05, speed: float = 3.0) -> Epi
     )
 
 
-def ball_request(folder: Path, *episodes: Episode, **wishes: object) -> RenderRequest:
+def ball_request(folder: Path, *episodes: Episode, **fields: object) -> RenderRequest:
     """A request for a small video of these episodes, its files in `folder`."""
     model = mujoco.MjModel.from_xml_string(BALL)
     mujoco.mj_saveModel(model, str(folder / "model.mjb"), None)
@@ -78,6 +78,6 @@ def ball_request(folder: Path, *episodes: Episode, **wishes: object) -> RenderRe
             "width": 160,
             "height": 120,
             "fps": 10,
-            **wishes,
+            **fields,
         }
     )

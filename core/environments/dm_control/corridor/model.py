@@ -36,7 +36,7 @@ def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
     spec.option.timestep = options.timestep
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     spec.option.noslip_iterations = 0
-    # The rodent's file reserves 3.4 GB for the contacts of each world.
+    # The rodent's file reserves 3.4 GB for the contacts of each environment.
     spec.nconmax = spec.njmax = -1
     spec.stat.extent = _EXTENT_M
     for sensor in list(spec.sensors):

@@ -24,7 +24,7 @@ def rodent_model(timestep: float) -> mujoco.MjModel:
     """
     spec = mujoco.MjSpec.from_file(str(_xml()))
     spec.option.timestep = timestep
-    # The file reserves 3.4 GB for the contacts of each world.
+    # The file reserves 3.4 GB for the contacts of each environment.
     spec.nconmax = spec.njmax = -1
     spec.stat.extent = _EXTENT_M
     for geom in spec.geoms:

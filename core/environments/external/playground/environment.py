@@ -57,7 +57,7 @@ def load(name: str, implementation: Literal["jax", "warp"]) -> Any:
 class Playground:
     """The package's own reset and step, around a Data that is rebuilt at each step.
 
-    A state therefore holds only a few arrays. On Warp, all worlds share a Data's contacts, so
+    A state therefore holds only a few arrays. On Warp, all environments share a Data's contacts, so
     `jax.tree.map(where, ...)` over two of them would be wrong. `info` is the environment's own.
     """
 
@@ -78,7 +78,7 @@ class Playground:
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
         check_model_fields(model)
-        with self._in_a_world_of(model):
+        with self._with_model(model):
             return self._ours(self._theirs.reset(plain_key(key)), model)
 
     def step(self, state: State, action: jax.Array) -> State:
@@ -86,11 +86,11 @@ class Playground:
         nothing = jnp.zeros(())
         data = self._data(state.physics)
         before = self._state(data, state.obs, nothing, nothing, dict(state.metrics), dict(state.info))
-        with self._in_a_world_of(state.physics.model):
+        with self._with_model(state.physics.model):
             return self._ours(self._theirs.step(before, action), state.physics.model)
 
     @contextmanager
-    def _in_a_world_of(self, fields: ModelFields) -> Generator[None]:
+    def _with_model(self, fields: ModelFields) -> Generator[None]:
         """Put these fields in the model that the package's functions read; tracing is not concurrent."""
         nominal = self._theirs._mjx_model
         if fields:

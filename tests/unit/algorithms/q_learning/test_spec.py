@@ -144,7 +144,7 @@ def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]
                 "action_set": {"kind": "arm_actions", "actions": [[0.5], [0.0]]},
                 "replay": {"buffer_size": 19},
             },
-            "each decision brings 20 transitions",  # of 4 worlds with 5 arms
+            "each decision brings 20 transitions",  # of 4 environments with 5 arms
             ["replay/buffer_size"],
         ),
         (
@@ -209,7 +209,8 @@ def test_an_environment_that_tells_no_direction_cannot_feed_a_discretizer_of_dir
 
 
 def test_tuned_values_lie_under_the_jobs_word_and_budgets_are_whole_rounds() -> None:
-    # 10 episodes in 4 worlds are 3 rounds of 4; 2 agents of 4 worlds, 5 decisions of 2 steps: 80 steps each.
+    # 10 episodes in 4 environments are 3 rounds of 4; 2 agents of 4 environments, 5 decisions of 2 steps: 80
+    # steps each.
     fields = {
         **VALID,
         "num_episodes": 10,

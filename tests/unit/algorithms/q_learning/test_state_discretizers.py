@@ -1,4 +1,4 @@
-"""Which row a world is in, and which action a column is."""
+"""Which row an environment is in, and which action a column is."""
 
 from dataclasses import replace
 from typing import Any

@@ -38,7 +38,7 @@ def test_an_error_looks_at_the_best_that_may_follow_but_not_beyond_an_end() -> N
         (True, [[0.38, 0.5], [0.0, 0.0]]),
     ],
 )
-def test_worlds_that_visit_a_cell_at_once_share_what_it_learns(
+def test_environments_that_visit_a_cell_at_once_share_what_it_learns(
     compound: bool, expected: list[list[float]]
 ) -> None:
     given = steps((0, 0, 1, 0, 1, 1), (0, 0, 3, 0, 1, 1), (0, 1, 5, 0, 1, 1), (1, 0, 7, 0, 1, 0))
@@ -50,8 +50,8 @@ def test_worlds_that_visit_a_cell_at_once_share_what_it_learns(
 
 
 def test_eight_equal_targets_move_a_cell_as_far_as_one_step_or_as_eight() -> None:
-    # What parallel worlds cost: after 3 decisions, the mean has gone 1 - 0.9³ = 0.271 of the way, and
-    # `compound` 1 - 0.9²⁴ = 0.920, just as 24 steps of one world.
+    # What parallel environments cost: after 3 decisions, the mean has gone 1 - 0.9³ = 0.271 of the way, and
+    # `compound` 1 - 0.9²⁴ = 0.920, just as 24 steps of one environment.
     given = steps(*[(0, 0, 1.0, 0, 1.0, 1.0)] * 8)
 
     def after(compound: bool) -> float:
@@ -77,7 +77,7 @@ def test_of_equal_columns_the_first_is_the_best_and_epsilon_decides_how_often_an
 
 
 def epsilon(rounds: int, decision: int, **schedule: object) -> float:
-    """In 4 worlds with 5 decisions an episode; 8 episodes in the run."""
+    """In 4 environments with 5 decisions an episode; 8 episodes in the run."""
     settings = QLearningSpec.model_validate(
         {"num_envs": 4, "decisions_per_episode": 5, "num_episodes": 8, "epsilon": schedule}
     )

@@ -155,7 +155,7 @@ def test_its_row_names_what_its_states_tell() -> None:
         assert set(catalog.find(task).info) == set(state.info)
 
 
-def test_targets_differ_between_worlds_and_stay_for_an_episode() -> None:
+def test_targets_differ_between_environments_and_stay_for_an_episode() -> None:
     environment = build(num_segments_per_arm=1)
     states = jax.vmap(environment.reset)(jax.random.split(jax.random.key(0), 200))
     targets = np.asarray(states.info["target_position"])

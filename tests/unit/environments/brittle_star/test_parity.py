@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from core.environments import catalog
-from core.environments.brittle_star.observables import OF_THE_BODY, OF_THE_LIGHT, OF_THE_TARGET
+from core.environments.brittle_star.observables import BODY_OBSERVABLES, LIGHT_OBSERVABLES, TARGET_OBSERVABLES
 from core.environments.brittle_star.options import DirectedOptions, LightEscapeOptions, UndirectedOptions
 from core.environments.environment import State
 from core.physics.choose import engine_builder
@@ -21,14 +21,14 @@ from tests.unit.environments.brittle_star.reference import reference
 
 NOISY: Any = {"random_initial_rotation": True, "joint_randomization_noise_scale": 0.2}
 TASKS: Any = {
-    "brittle_star": (DirectedOptions(walls="contacts", **NOISY), OF_THE_TARGET),
+    "brittle_star": (DirectedOptions(walls="contacts", **NOISY), TARGET_OBSERVABLES),
     "brittle_star_undirected": (
         UndirectedOptions(actuation="torque_control", num_segments_per_arm=3, **NOISY),
         (),
     ),
     "brittle_star_light_escape": (
         LightEscapeOptions(light_perlin_noise_scale=5, light_seed=7, num_segments_per_arm=3, **NOISY),
-        OF_THE_LIGHT,
+        LIGHT_OBSERVABLES,
     ),
 }
 
@@ -70,7 +70,7 @@ def test_equal_states_are_observed_as_biorobot_observes_them(task: str) -> None:
     touching = 0
     for state in case.states:
         seen = theirs.put(state.physics.qpos, state.physics.qvel, state.info.get("target_position"))
-        values = [np.ravel(seen.observations[name]) for name in (*OF_THE_BODY, *of_the_task)]
+        values = [np.ravel(seen.observations[name]) for name in (*BODY_OBSERVABLES, *of_the_task)]
         touching += int(np.sum(seen.observations["segment_contact"] > 0))
         ours = case.again(state)
         # Both begin with the same float32 numbers and reckon in float64; ours come back as float32.

@@ -16,7 +16,7 @@ from core.errors import JobFailed, Rejected
 from core.jobs import checks
 from core.jobs.spec import JOB_SPEC
 
-NUM_WORLDS = 3
+NUM_ENVS = 3
 pytestmark = pytest.mark.filterwarnings("ignore:Accessing:DeprecationWarning")  # Brax reads MJX by old names
 
 
@@ -40,8 +40,8 @@ def test_an_array_that_reaches_the_result_after_several_steps_is_carried() -> No
 
 
 def episodes(environment: Any, actions: jax.Array) -> Any:
-    """The states [T, NUM_WORLDS, ...] after each of the actions, from equal keys."""
-    keys = jax.random.split(jax.random.PRNGKey(1), NUM_WORLDS)
+    """The states [T, NUM_ENVS, ...] after each of the actions, from equal keys."""
+    keys = jax.random.split(jax.random.PRNGKey(1), NUM_ENVS)
 
     @jax.jit
     def run(keys: jax.Array, actions: jax.Array) -> Any:
@@ -80,7 +80,7 @@ def test_a_state_holds_what_the_next_step_reads_and_keeps_its_form() -> None:
 )
 def test_equal_keys_and_actions_give_what_the_package_gives(name: str, backend: str) -> None:
     ours, theirs = Brax(name, backend), load(name, backend)
-    shape = (5, NUM_WORLDS, ours.action_size)
+    shape = (5, NUM_ENVS, ours.action_size)
     actions = jax.random.uniform(jax.random.PRNGKey(2), shape, minval=-1.0, maxval=1.0)
     states, their_states = episodes(ours, actions), episodes(theirs, actions)
     for field in ("obs", "reward", "done"):
@@ -129,6 +129,6 @@ def test_its_physics_is_chosen_by_an_option_and_by_no_engine() -> None:
     assert (spring.dt, spring.own_physics) == (pytest.approx(0.02), "brax spring")
 
 
-def test_worlds_that_differ_are_beyond_its_physics() -> None:
+def test_environments_that_differ_are_beyond_its_physics() -> None:
     with pytest.raises(JobFailed, match="cannot randomize the model"):
         Brax("inverted_pendulum", "spring").reset(jax.random.PRNGKey(0), {"opt.gravity": jnp.zeros(3)})

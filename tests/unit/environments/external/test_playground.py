@@ -16,13 +16,13 @@ from core.errors import Rejected
 from core.physics.availability import check_physics, choose
 from core.physics.choose import engine_builder
 
-NUM_WORLDS = 3
+NUM_ENVS = 3
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 
 def episodes(environment: Any, actions: jax.Array) -> list[Any]:
-    """The states [T, NUM_WORLDS, ...] after each of the actions, from equal keys; and the first ones."""
-    keys = jax.random.split(jax.random.PRNGKey(1), NUM_WORLDS)
+    """The states [T, NUM_ENVS, ...] after each of the actions, from equal keys; and the first ones."""
+    keys = jax.random.split(jax.random.PRNGKey(1), NUM_ENVS)
 
     @jax.jit
     def run(keys: jax.Array, actions: jax.Array) -> Any:
@@ -51,16 +51,16 @@ def assert_alike(ours: State, theirs: Any) -> None:
     np.testing.assert_allclose(ours.physics.qpos, theirs.data.qpos, atol=1e-5)
 
 
-def test_a_state_is_small_and_keeps_its_form_under_any_number_of_worlds() -> None:
+def test_a_state_is_small_and_keeps_its_form_under_any_number_of_environments() -> None:
     pendulum = Playground("PendulumSwingup", "jax")
-    keys = jax.random.split(jax.random.PRNGKey(0), NUM_WORLDS)
+    keys = jax.random.split(jax.random.PRNGKey(0), NUM_ENVS)
     before = jax.eval_shape(jax.vmap(pendulum.reset), keys)
-    after = jax.eval_shape(jax.vmap(pendulum.step), before, np.zeros((NUM_WORLDS, 1), np.float32))
+    after = jax.eval_shape(jax.vmap(pendulum.step), before, np.zeros((NUM_ENVS, 1), np.float32))
     assert jax.tree.map(lambda x: (x.shape, x.dtype), before) == jax.tree.map(
         lambda x: (x.shape, x.dtype), after
     )
     # qpos, qvel, qacc_warmstart, time; 3 observed; reward, done; a key of two numbers.
-    assert sum(x.size for x in jax.tree.leaves(after)) == NUM_WORLDS * (4 + 3 + 2 + 2)
+    assert sum(x.size for x in jax.tree.leaves(after)) == NUM_ENVS * (4 + 3 + 2 + 2)
 
 
 @pytest.mark.slow  # two programs of MJX
@@ -77,7 +77,7 @@ def test_a_state_is_small_and_keeps_its_form_under_any_number_of_worlds() -> Non
 )
 def test_equal_keys_and_actions_give_what_the_package_gives(name: str, implementation: Any) -> None:
     ours, theirs = Playground(name, implementation), load(name, implementation)
-    shape = (5, NUM_WORLDS, ours.action_size)
+    shape = (5, NUM_ENVS, ours.action_size)
     actions = jax.random.uniform(jax.random.PRNGKey(2), shape, minval=-1.0, maxval=1.0)
     for one, other in zip(episodes(ours, actions), episodes(theirs, actions), strict=True):
         assert_alike(one, other)
@@ -115,7 +115,7 @@ def test_a_target_is_drawn_where_the_episode_has_it() -> None:
 
 
 @pytest.mark.slow  # it compiles two steps
-def test_worlds_may_differ_in_fields_of_the_model() -> None:
+def test_environments_may_differ_in_fields_of_the_model() -> None:
     pendulum: Any = Playground("PendulumSwingup", "jax")
     gravity = {"opt.gravity": np.zeros(3, np.float32)}
     state = pendulum.reset(jax.random.PRNGKey(0), gravity)

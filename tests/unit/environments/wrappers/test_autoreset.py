@@ -16,8 +16,8 @@ from core.environments.wrappers.vectorized import VectorEnv
 from tests.probes import Probe
 
 # The observation is the time, the reward the action; an action above 0.9 terminates.
-WORLD = Probe(lambda obs, time, action: (action, jnp.where(action > 0.9, 1.0, 0.0)), shows_time=True)
-WORLDS = VectorEnv(WORLD)
+ENV = Probe(lambda obs, time, action: (action, jnp.where(action > 0.9, 1.0, 0.0)), shows_time=True)
+ENVS = VectorEnv(ENV)
 
 
 class Remembering(Probe):
@@ -33,20 +33,21 @@ class Remembering(Probe):
         return State(state.physics, count[None], action[0], jnp.zeros(()), {}, {"count": count})
 
 
-REMEMBERINGS = VectorEnv(Remembering(WORLD.rule))
+REMEMBERINGS = VectorEnv(Remembering(ENV.rule))
 
 
 def act(episodes: Episodes, *actions: float) -> Episodes:
-    return step_episodes(WORLDS, episodes, jnp.array(actions)[:, None], episode_length=3)
+    return step_episodes(ENVS, episodes, jnp.array(actions)[:, None], episode_length=3)
 
 
 def test_an_episode_is_cut_off_by_length_or_terminates_and_starts_anew() -> None:
-    episodes = start_episodes(WORLDS, jax.random.PRNGKey(0), 2, keep_first=True)
+    episodes = start_episodes(ENVS, jax.random.PRNGKey(0), 2, keep_first=True)
     episodes = act(episodes, 0.25, 0.5)
     np.testing.assert_array_equal(episodes.state.done, [0, 0])
     np.testing.assert_array_equal(episodes.state.obs, [[1], [1]])
 
-    # The second world terminates with its second step: it is back at time 0, its reward and score are kept.
+    # The second environment terminates with its second step: it is back at time 0, its reward and score are
+    # kept.
     episodes = act(episodes, 0.25, 1.0)
     np.testing.assert_array_equal(episodes.state.done, [0, 1])
     np.testing.assert_array_equal(episodes.truncated, [0, 0])
@@ -56,7 +57,7 @@ def test_an_episode_is_cut_off_by_length_or_terminates_and_starts_anew() -> None
     np.testing.assert_array_equal(episodes.ended_length, [0, 2])
     np.testing.assert_array_equal(episodes.ended_score, [0, 1.5])
 
-    # The first world is cut off with its third step; the second counts from its fresh start.
+    # The first environment is cut off with its third step; the second counts from its fresh start.
     episodes = act(episodes, 0.5, 0.25)
     np.testing.assert_array_equal(episodes.state.done, [1, 0])
     np.testing.assert_array_equal(episodes.truncated, [1, 0])
@@ -68,10 +69,10 @@ def test_an_episode_is_cut_off_by_length_or_terminates_and_starts_anew() -> None
 
 
 def test_episodes_that_began_at_random_end_one_after_the_other_from_the_first_on() -> None:
-    aligned = start_episodes(WORLDS, jax.random.PRNGKey(0), 3000, keep_first=True)
+    aligned = start_episodes(ENVS, jax.random.PRNGKey(0), 3000, keep_first=True)
     episodes = begun_at_random(aligned, jax.random.PRNGKey(1), episode_length=3)
     jax.tree.map(np.testing.assert_array_equal, episodes.state, aligned.state)
-    # A third of the worlds in each length below 3: 1000 of 3000, with a deviation of 26.
+    # A third of the environments in each length below 3: 1000 of 3000, with a deviation of 26.
     np.testing.assert_allclose(np.bincount(episodes.length), [1000] * 3, atol=130)
     # With length k they are cut off after 3 - k actions, and again every three.
     for action in range(1, 7):
@@ -84,7 +85,7 @@ def test_episodes_that_began_at_random_end_one_after_the_other_from_the_first_on
 
 
 def test_an_episode_that_terminates_with_its_last_step_is_not_truncated() -> None:
-    episodes = start_episodes(WORLDS, jax.random.PRNGKey(0), 1, keep_first=True)
+    episodes = start_episodes(ENVS, jax.random.PRNGKey(0), 1, keep_first=True)
     for action in (0.0, 0.0, 1.0):
         episodes = act(episodes, action)
     np.testing.assert_array_equal(episodes.state.done, [1])
@@ -92,7 +93,7 @@ def test_an_episode_that_terminates_with_its_last_step_is_not_truncated() -> Non
     np.testing.assert_array_equal(episodes.ended_length, [3])
 
 
-def test_each_world_goes_back_to_its_own_first_state_and_info_where_that_was_kept() -> None:
+def test_each_environment_goes_back_to_its_own_first_state_and_info_where_that_was_kept() -> None:
     first = start_episodes(REMEMBERINGS, jax.random.PRNGKey(0), 2, keep_first=True)
     assert first.state.obs[0] != first.state.obs[1]
     once = step_episodes(REMEMBERINGS, first, jnp.zeros((2, 1)), episode_length=2)
@@ -102,7 +103,7 @@ def test_each_world_goes_back_to_its_own_first_state_and_info_where_that_was_kep
     np.testing.assert_array_equal(twice.state.info["count"], first.state.info["count"])
 
 
-def test_a_world_whose_episode_ends_starts_anew_from_what_was_drawn_for_it() -> None:
+def test_an_environment_whose_episode_ends_starts_anew_from_what_was_drawn_for_it() -> None:
     episodes = start_episodes(REMEMBERINGS, jax.random.PRNGKey(0), 3)
     pool = fresh_states(REMEMBERINGS, jax.random.PRNGKey(1), 2)
     assert len(np.unique(pool.obs)) == 2
@@ -116,6 +117,6 @@ def test_a_world_whose_episode_ends_starts_anew_from_what_was_drawn_for_it() -> 
 
 
 def test_without_a_start_to_go_to_it_is_a_mistake() -> None:
-    episodes = start_episodes(WORLDS, jax.random.PRNGKey(0), 1)
+    episodes = start_episodes(ENVS, jax.random.PRNGKey(0), 1)
     with pytest.raises(ValueError, match="no states to restart from"):
-        step_episodes(WORLDS, episodes, jnp.zeros((1, 1)), episode_length=3)
+        step_episodes(ENVS, episodes, jnp.zeros((1, 1)), episode_length=3)

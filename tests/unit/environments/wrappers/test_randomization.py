@@ -1,4 +1,4 @@
-"""What a job may ask to differ between worlds, and the models that come of it."""
+"""What a job may ask to differ between environments, and the models that come of it."""
 
 from typing import Any
 
@@ -45,7 +45,8 @@ def test_a_named_geoms_sliding_friction_differs_and_nothing_else() -> None:
     friction = draw(rule("geom_friction", 0.6, 1.4, names=["floor"], axis=0))["geom_friction"]
     assert friction.shape == (NUM_MODELS, 3, 3)
     sliding = friction[:, 0, 0]
-    # The model's 0.5 times 0.6 to 1.4, spread evenly: every tenth of the range has its tenth of the worlds.
+    # The model's 0.5 times 0.6 to 1.4, spread evenly: every tenth of the range has its tenth of the
+    # environments.
     counts, _ = np.histogram(sliding, bins=10, range=(0.3, 0.7))
     assert sliding.min() >= 0.3
     assert sliding.max() <= 0.7

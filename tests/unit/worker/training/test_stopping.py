@@ -8,18 +8,18 @@ from contextlib import suppress
 import pytest
 
 from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL
-from worker.training.stopping import Stopping
+from worker.training.stopping import StopRequest
 
 
 @pytest.fixture
-def stopping() -> Iterator[Stopping]:
+def stopping() -> Iterator[StopRequest]:
     before = {number: signal.getsignal(number) for number in (DRAIN_SIGNAL, STOP_SIGNAL)}
-    yield Stopping()
+    yield StopRequest()
     for number, handler in before.items():
         signal.signal(number, handler)
 
 
-def test_there_is_something_to_keep_again_also_after_a_failure_to_show_it(stopping: Stopping) -> None:
+def test_there_is_something_to_keep_again_also_after_a_failure_to_show_it(stopping: StopRequest) -> None:
     stopping.keep_before_leaving()
     with suppress(RuntimeError), stopping.nothing_to_keep():
         assert signal.getsignal(DRAIN_SIGNAL) == signal.SIG_DFL
@@ -28,7 +28,7 @@ def test_there_is_something_to_keep_again_also_after_a_failure_to_show_it(stoppi
     assert (stopping.asked, stopping.leaving) == (True, True)
 
 
-def test_word_may_be_left_twice(stopping: Stopping) -> None:
+def test_word_may_be_left_twice(stopping: StopRequest) -> None:
     stopping.keep_before_leaving()
     for _ in range(2):
         os.kill(os.getpid(), DRAIN_SIGNAL)

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from core.algorithms.events import Progress
-from tests.learning.runs import small_trainer
+from tests.learning.runs import small_run
 from tests.probes import endless
 from worker.training.event_writer import EventWriter
 from worker.training.train import Report
@@ -14,9 +14,9 @@ from worker.training.train import Report
 def test_contacts_that_are_lost_are_warned_of_once_and_told_each_time(tmp_path: Path) -> None:
     read, write = os.pipe()
     events = EventWriter(tmp_path, write)
-    report = Report(events, small_trainer(endless()))
+    report = Report(events, small_run(endless()))
     for step, lost in enumerate([0.0, 0.1, 0.2]):
-        report.tell(Progress(step, 3, {"training/physics_overflow": lost}))
+        report.publish(Progress(step, 3, {"training/physics_overflow": lost}))
     events._pipe.close()
     with os.fdopen(read, "rb") as pipe:
         said = [json.loads(line) for line in pipe]

@@ -1,0 +1,1 @@
+"""Benches of training, physics, rendering and memory, without a GPU (`memory --gpu` needs one)."""

@@ -1,0 +1,1 @@
+"""The tools of all benches: processes and runs, statistics, results, and the page made from them."""

@@ -1,0 +1,100 @@
+"""The requests of the training benches to their child processes."""
+
+from typing import Any
+
+from bench.measure.result import Options
+from core.algorithms.catalog import resolve
+from core.algorithms.ppo.spec import PPOSpec
+from core.environments import catalog
+from core.environments.info import Device
+from core.physics.availability import EngineName, choose
+from worker.host.device import visible_gpus
+
+Settings = dict[str, Any]
+
+# To try out the bench itself: a body that compiles fast, and a small budget.
+_QUICK_BODY = "inverted_pendulum"
+_QUICK: Settings = {
+    "num_envs": 8,
+    "batch_size": 8,
+    "num_minibatches": 2,
+    "num_updates_per_batch": 1,
+    "unroll_length": 5,
+    "num_eval_envs": 2,
+    "episode_length": 20,
+}
+
+
+def gpu(bench: str, options: Options) -> Device:
+    """`gpu`; without one, `cpu` if the bench is only tried out. Exits with a sentence otherwise."""
+    if visible_gpus():
+        return "gpu"
+    if options.quick:
+        return "cpu"
+    raise SystemExit(f"{bench} needs a GPU, and none is visible here. With --quick it shows that it works.")
+
+
+def body(wanted: str, options: Options) -> str:
+    """The environment to train; a small one if the bench is only tried out."""
+    return _QUICK_BODY if options.quick else wanted
+
+
+def settings(device: Device, environment: str, options: Options, **changed: Any) -> Settings:
+    """Changes to the tuned settings of a body, checked so that a wrong one gives a clear sentence."""
+    given = {**_QUICK, **changed} if options.quick else changed
+    resolved(device, environment, given)
+    return given
+
+
+def resolved(device: Device, environment: str, given: Settings) -> PPOSpec:
+    """All hyperparameters after these changes."""
+    return resolve(PPOSpec.model_validate(given), catalog.find(environment), device)
+
+
+def whole_updates(device: Device, environment: str, given: Settings, updates: int) -> Settings:
+    """The same settings with a budget of this number of updates."""
+    return {**given, "num_timesteps": updates * resolved(device, environment, given).env_steps_per_update}
+
+
+def equal_budget(device: Device, environment: str, given: Settings, *, epochs: int) -> Settings:
+    """The same settings with a budget that both trainers spend exactly.
+
+    Brax rounds each epoch up to whole updates; this project's trainer rounds the whole run.
+    """
+    spec = resolved(device, environment, given)
+    quantum = epochs * spec.env_steps_per_update
+    return {**given, "num_timesteps": -(-spec.num_timesteps // quantum) * quantum}
+
+
+def engine(device: Device, environment: str, given: Settings) -> EngineName:
+    """The engine that `auto` picks."""
+    num_envs = resolved(device, environment, given).num_envs
+    return choose("auto", device, num_envs, catalog.find(environment).on_a_gpu).name
+
+
+def ours(device: Device, environment: str, engine: str, given: Settings, *, seed: int = 0) -> dict[str, Any]:
+    """A request for bench.ours.train_ppo."""
+    return {
+        "environment": environment,
+        "engine": engine,
+        "device": device,
+        "settings": given,
+        "seed": seed,
+        "checkpoint_every_steps": None,
+    }
+
+
+def brax(  # noqa: PLR0913 - as ours, and how often it reports
+    device: Device,
+    environment: str,
+    engine: str,
+    given: Settings,
+    *,
+    seed: int = 0,
+    epochs: int,
+    evaluate: bool = True,
+) -> dict[str, Any]:
+    """A request for bench.peers.train_brax."""
+    request = ours(device, environment, engine, given, seed=seed)
+    del request["checkpoint_every_steps"]
+    return {**request, "epochs": epochs, "evaluate": evaluate}
