@@ -19,7 +19,7 @@ from core.jobs.store import Entry, entry_number
 
 router = APIRouter(tags=["jobs"])
 
-_MOST_ROWS_AS_JSON = 10_000
+_MAX_ROWS_AS_JSON = 10_000
 _EXAMPLE = "step,time,eval/episode_reward\r\n0,2026-11-20T09:00:00+00:00,1.0\r\n"
 _CSV: dict[str, Any] = {
     "content": {"text/csv": {"schema": {"type": "string"}, "example": _EXAMPLE}},
@@ -40,7 +40,7 @@ class Measured(Parameters):
         None,
         ge=1,
         le=100_000,
-        description=f"The most rows of one answer. By default {_MOST_ROWS_AS_JSON} as JSON, where `next` "
+        description=f"The most rows of one answer. By default {_MAX_ROWS_AS_JSON} as JSON, where `next` "
         "leads to the others, and all of them as CSV.",
     )
     format: Literal["json", "csv"] | None = Field(
@@ -68,7 +68,7 @@ def read_metrics(
         if asked.limit is None:
             return _whole_table(job_id, after, service)
         return _part_of_table(job_id, after, asked.limit, service)
-    limit = asked.limit or _MOST_ROWS_AS_JSON
+    limit = asked.limit or _MAX_ROWS_AS_JSON
     entries = service.read_feed(job_id, "events", after=after, kind="metrics", limit=limit)
     rows = Overview.of(entries).newest(entries)
     return Metrics(rows=rows, next=entries[-1].id if entries else asked.after or None)

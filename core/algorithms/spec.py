@@ -13,11 +13,11 @@ class BaseSpec(Strict):
     """An algorithm's hyperparameters; a subclass adds `kind` and its fields.
 
     fixed_by_checkpoint: names of the values that a resumed run must share with its checkpoint; all others
-    may change. checkpoint_holds_worlds: whether a resumed run continues in the environments that it left.
+    may change. checkpoint_holds_envs: whether a resumed run continues in the environments that it left.
     """
 
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = ()
-    checkpoint_holds_worlds: ClassVar[bool] = False
+    checkpoint_holds_envs: ClassVar[bool] = False
 
     @classmethod
     def algorithm(cls) -> str:
@@ -26,7 +26,7 @@ class BaseSpec(Strict):
 
     @property
     @abstractmethod
-    def num_worlds(self) -> int:
+    def num_parallel_envs(self) -> int:
         """How many environments a run steps side by side for most of its time."""
 
     @property

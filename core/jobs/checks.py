@@ -140,7 +140,7 @@ def _check_engine(spec: TrainSpec, source: Job) -> None:
     `auto` is resolved on the worker and cannot be checked here.
     """
     had = next((attempt.engine for attempt in reversed(source.attempts) if attempt.engine), None)
-    if had is None or spec.physics == "auto" or not spec.algorithm.checkpoint_holds_worlds:
+    if had is None or spec.physics == "auto" or not spec.algorithm.checkpoint_holds_envs:
         return
     if (had == "warp") != (spec.physics == "warp"):
         detail = (

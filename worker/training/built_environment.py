@@ -100,6 +100,6 @@ def _num_envs(spec: JobSpec, info: EnvironmentInfo, device: Device) -> int:
     """The number of environments that the job steps in parallel for most of its time."""
     match spec:
         case TrainSpec():
-            return resolve(spec.algorithm, info, device).num_worlds
+            return resolve(spec.algorithm, info, device).num_parallel_envs
         case RolloutSpec():
             return spec.num_episodes

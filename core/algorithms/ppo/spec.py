@@ -35,7 +35,7 @@ class PPOSpec(BaseSpec):
         "normalize_observations_max_abs_value",
         "returns_to_first_state",
     )
-    checkpoint_holds_worlds: ClassVar[bool] = True
+    checkpoint_holds_envs: ClassVar[bool] = True
 
     kind: Literal["ppo"] = "ppo"
     num_timesteps: int = Field(
@@ -173,7 +173,7 @@ class PPOSpec(BaseSpec):
         return -(-self.num_timesteps // self.env_steps_per_update)
 
     @property
-    def num_worlds(self) -> int:
+    def num_parallel_envs(self) -> int:
         return self.num_envs
 
     @property

@@ -57,7 +57,7 @@ class QLearning:
             "epsilon": self.hyperparameters.epsilon_end.tolist(),
             "policy_agent": settings.policy_agent,
         }
-        self.env_steps_per_time_step = settings.num_worlds * settings.decision_steps
+        self.env_steps_per_time_step = settings.num_parallel_envs * settings.decision_steps
         self._learner = Learner(DiscreteEnv(environment, self._table, settings.decision_steps), settings)
 
     def init(self, seed: jax.Array) -> TrainingState:

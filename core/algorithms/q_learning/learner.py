@@ -140,7 +140,7 @@ class Learner:
             return (learning, after, alive & (after.done == 0)), seen
 
         learning = _Learning(state.table, state.visits, state.replay)
-        alive = jnp.ones(settings.num_worlds, bool)
+        alive = jnp.ones(settings.num_parallel_envs, bool)
         decisions = jnp.arange(settings.decisions_per_episode)
         (learning, envs, alive), seen = jax.lax.scan(decide, (learning, envs, alive), decisions)
         failure = _failure(seen.pop("unseen"), seen["score"], learning.table)

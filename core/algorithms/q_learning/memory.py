@@ -38,8 +38,8 @@ def least_memory(settings: "QLearningSpec", environment: "EnvironmentInfo") -> M
                 ("replay.buffer_size", "agents"),
             ),
             Part(
-                f"{settings.num_worlds:,} environments",
-                FLOAT_BYTES * settings.num_worlds * (observation + 1),
+                f"{settings.num_parallel_envs:,} environments",
+                FLOAT_BYTES * settings.num_parallel_envs * (observation + 1),
                 ("num_envs", "agents"),
             ),
         )

@@ -10,10 +10,10 @@ from core.environments.info import EnvironmentInfo, FiniteSpace
 from core.environments.options import Range
 
 # Such a table, its visits and a copy take 120 MB.
-MOST_CELLS = 10_000_000
-MOST_WORLDS = 2**20
+MAX_CELLS = 10_000_000
+MAX_ENVS = 2**20
 # Transitions of all agents' buffers: 2.4 GB.
-MOST_REPLAYED = 10**8
+MAX_REPLAYED = 10**8
 
 Cells = Annotated[int, Field(ge=1, le=100_000)]
 ActionVector = Annotated[list[Annotated[float, Field(ge=-1, le=1)]], Field(min_length=1, max_length=1000)]

@@ -7,9 +7,9 @@ from pydantic import AliasChoices, Field
 from core.algorithms.memory import Memory
 from core.algorithms.q_learning import memory
 from core.algorithms.q_learning.options import (
-    MOST_CELLS,
-    MOST_REPLAYED,
-    MOST_WORLDS,
+    MAX_CELLS,
+    MAX_ENVS,
+    MAX_REPLAYED,
     ActionList,
     ActionSetOptions,
     ArmActions,
@@ -39,7 +39,7 @@ class EpsilonSchedule(Strict):
         default=None,
         ge=1,
         le=10**12,
-        description="Decisions of an agent until `end`, those in all of its worlds. Without either: all of "
+        description="Decisions of an agent until `end`, those in all of its environments. Without either: all of "
         "the run's.",
     )
     shape: Literal["linear", "exponential"] = "linear"
@@ -97,9 +97,11 @@ class QLearningSpec(BaseSpec):
         default=100,
         ge=1,
         le=10**9,
-        description="Episodes of each agent, rounded up to whole rounds: one in each of its worlds.",
+        description="Episodes of each agent, rounded up to whole rounds: one in each of its environments.",
     )
-    num_envs: int = Field(default=10, ge=1, le=MOST_WORLDS, description="Worlds of each agent, side by side.")
+    num_envs: int = Field(
+        default=10, ge=1, le=MAX_ENVS, description="Environments of each agent, side by side."
+    )
     decisions_per_episode: int = Field(
         default=50, ge=1, le=10**6, description="Decisions after which an episode is cut off."
     )
@@ -114,7 +116,7 @@ class QLearningSpec(BaseSpec):
     epsilon: EpsilonSchedule = EpsilonSchedule()
     world_updates: Literal["mean", "compound"] = Field(
         default="mean",
-        description="How worlds that visit the same cell at once change it. mean: one step towards the mean "
+        description="How environments that visit the same cell at once change it. mean: one step towards the mean "
         "of their targets. compound: as far as one step of each, after another, would go: 1 - (1 - "
         "learning_rate)^n of the way.",
     )
@@ -157,18 +159,18 @@ class QLearningSpec(BaseSpec):
         return self.replay.buffer_size if self.replay else 0
 
     @property
-    def num_worlds(self) -> int:
+    def num_parallel_envs(self) -> int:
         return self.num_agents * self.num_envs
 
     @property
     def num_updates(self) -> int:
-        """Rounds: one episode in each world."""
+        """Rounds: one episode in each environment."""
         return -(-self.num_episodes // self.num_envs)
 
     @property
     def env_steps_per_update(self) -> int:
         """Environment steps of one round, of all agents."""
-        return self.num_worlds * self.decisions_per_episode * self.decision_steps
+        return self.num_parallel_envs * self.decisions_per_episode * self.decision_steps
 
     @property
     def budget(self) -> int:
@@ -183,7 +185,7 @@ class QLearningSpec(BaseSpec):
         problems = [
             *_of_the_table(self, environment),
             *_of_the_schedule(self),
-            *_of_the_worlds(self),
+            *_of_the_envs(self),
             *_of_the_replay(self, environment),
         ]
         if not problems:
@@ -291,8 +293,8 @@ def _of_the_observation(discretizer: ObservationGrid, environment: EnvironmentIn
 
 def _of_the_size(settings: QLearningSpec, rows: int, columns: int) -> list[Problem]:
     problems = list[Problem]()
-    if (cells := rows * columns * settings.num_agents) > MOST_CELLS:
-        detail = f"The tables would have {cells:,} cells; {MOST_CELLS:,} are allowed."
+    if (cells := rows * columns * settings.num_agents) > MAX_CELLS:
+        detail = f"The tables would have {cells:,} cells; {MAX_CELLS:,} are allowed."
         problems.append(Problem("/algorithm/state_discretizer", detail))
     if settings.initial_table == "identity" and rows != columns:
         detail = f"An identity table is square; this one has {rows:,} rows and {columns:,} columns."
@@ -323,12 +325,12 @@ def _of_the_schedule(settings: QLearningSpec) -> list[Problem]:
     return problems
 
 
-def _of_the_worlds(settings: QLearningSpec) -> list[Problem]:
-    if settings.num_worlds <= MOST_WORLDS:
+def _of_the_envs(settings: QLearningSpec) -> list[Problem]:
+    if settings.num_parallel_envs <= MAX_ENVS:
         return []
     detail = (
-        f"{settings.num_agents:,} agents with {settings.num_envs:,} worlds each are {settings.num_worlds:,} "
-        f"worlds; {MOST_WORLDS:,} are allowed."
+        f"{settings.num_agents:,} agents with {settings.num_envs:,} environments each are "
+        f"{settings.num_parallel_envs:,} environments; {MAX_ENVS:,} are allowed."
     )
     return [Problem("/algorithm/num_envs", detail)]
 
@@ -343,10 +345,10 @@ def _of_the_replay(settings: QLearningSpec, environment: EnvironmentInfo) -> lis
         problems.append(
             _of_the_buffer(f"buffer_size = {size}, and each decision brings {brought} transitions.")
         )
-    if size * agents > MOST_REPLAYED:
+    if size * agents > MAX_REPLAYED:
         detail = (
             f"{agents:,} agents with buffer_size = {size:,} keep {size * agents:,} transitions; "
-            f"{MOST_REPLAYED:,} are allowed."
+            f"{MAX_REPLAYED:,} are allowed."
         )
         problems.append(_of_the_buffer(detail))
     return problems

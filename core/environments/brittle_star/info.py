@@ -16,7 +16,7 @@ from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
 from core.physics.availability import Rule
 
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
-_MOST_SEGMENTS_ON_MJX = 50
+_MAX_SEGMENTS_ON_MJX = 50
 _ON_A_GPU = (
     Rule("warp", 1, "Measured on an H200: 243 k actions/s in training, 21 k by native on 16 cores."),
     Rule("native", 1, "MJX takes 7.7 k steps/s on an H200, C MuJoCo 20 k on one core."),
@@ -54,11 +54,11 @@ def _finite(options: Options) -> FiniteViews:
 
 
 def _cannot_run(num_segments: int) -> Mapping[str, str]:
-    if num_segments <= _MOST_SEGMENTS_ON_MJX:
+    if num_segments <= _MAX_SEGMENTS_ON_MJX:
         return {}
     return {
         "mjx": f"The star has {num_segments} segments, and MJX does not compile in time with more than "
-        f"{_MOST_SEGMENTS_ON_MJX}. Choose native or warp, or fewer segments."
+        f"{_MAX_SEGMENTS_ON_MJX}. Choose native or warp, or fewer segments."
     }
 
 

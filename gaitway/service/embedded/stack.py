@@ -49,7 +49,7 @@ class Stack:
     """Starts everything on entry, ends everything on exit. Use it from the main thread.
 
     port: of the API on the loopback interface; by default 8000, or the next that is free.
-    tell: takes each sentence for the user. Raises ServerFailed where something does not start.
+    report: takes each sentence for the user. Raises ServerFailed where something does not start.
     """
 
     def __init__(

@@ -47,7 +47,7 @@ class RandomSearch:
         self.seed = jnp.uint32(seed)
         self.hyperparameters = (jnp.float32(settings.learning_rate), jnp.float32(settings.noise))
         self.description = self.header = describe(environment, settings)
-        self.env_steps_per_time_step = settings.num_worlds
+        self.env_steps_per_time_step = settings.num_parallel_envs
         self._environment = environment
 
     def init(self, seed: jax.Array) -> TrainingState:

@@ -18,7 +18,7 @@ class RandomSearchSpec(BaseSpec):
     num_eval_envs: int = 4
 
     @property
-    def num_worlds(self) -> int:
+    def num_parallel_envs(self) -> int:
         return 2 * self.num_directions
 
     @property
@@ -27,7 +27,7 @@ class RandomSearchSpec(BaseSpec):
 
     @property
     def env_steps_per_update(self) -> int:
-        return self.num_worlds * self.episode_length
+        return self.num_parallel_envs * self.episode_length
 
     @property
     def num_updates(self) -> int:

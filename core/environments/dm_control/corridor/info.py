@@ -14,7 +14,7 @@ from core.physics.availability import Rule
 # The length of dm_control's first platform, and the space it leaves before the first wall, in metres.
 FIRST_PLATFORM_M = 6.0
 _BEFORE_THE_FIRST_WALL_M = 2.0
-_MOST_OBSTACLES = 200
+_MAX_OBSTACLES = 200
 
 
 def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -128,9 +128,9 @@ def _check_walls(options: CorridorOptions, needed: float) -> None:
 
 
 def _check_number(number: float, what: str) -> None:
-    if number > _MOST_OBSTACLES:
+    if number > _MAX_OBSTACLES:
         raise ValueError(
-            f"these lengths can give {number:.0f} {what}; at most {_MOST_OBSTACLES} are allowed, because "
+            f"these lengths can give {number:.0f} {what}; at most {_MAX_OBSTACLES} are allowed, because "
             "each costs time at every step"
         )
 

@@ -154,7 +154,7 @@ def test_a_value_out_of_its_range_is_refused_by_its_shape(fields: dict[str, Any]
         ),
         (
             {"num_envs": 2**19, "agents": [{}] * 3},
-            "3 agents with 524,288 worlds each are 1,572,864 worlds",
+            "3 agents with 524,288 environments each are 1,572,864 environments",
             ["num_envs"],
         ),
     ],
@@ -219,7 +219,7 @@ def test_tuned_values_lie_under_the_jobs_word_and_budgets_are_whole_rounds() -> 
         "agents": [{}, {}],
     }
     settings = resolve(parsed(**fields), STAR, "cpu")
-    assert (settings.num_envs, settings.num_worlds, settings.num_updates) == (4, 8, 3)
+    assert (settings.num_envs, settings.num_parallel_envs, settings.num_updates) == (4, 8, 3)
     assert (settings.env_steps_per_update, settings.budget, settings.num_decisions) == (80, 240, 60)
     assert resolve(parsed(**VALID), STAR, "gpu").num_envs == 10
 
