@@ -53,12 +53,12 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         (
             q_learning(state_discretizer={"kind": "arm_role"}),
             "/algorithm/state_discretizer",
-            "ant tells nothing besides",
+            "ant offers no state discretizer",
         ),
         (
             q_learning(action_set={"kind": "leading_arm"}),
             "/algorithm/action_set",
-            "central pattern generator",
+            "ant offers no action set",
         ),
         (q_learning(epsilon={"start": 1.5}), "/algorithm/epsilon/start", "less than or equal to 1, not 1.5"),
         (

@@ -39,8 +39,8 @@ class EpsilonSchedule(Strict):
         default=None,
         ge=1,
         le=10**12,
-        description="Decisions of an agent until `end`, those in all of its environments. Without either: all of "
-        "the run's.",
+        description="Decisions of an agent until `end`, those in all of its environments. Without "
+        "either: all of the run's.",
     )
     shape: Literal["linear", "exponential"] = "linear"
 
@@ -116,8 +116,8 @@ class QLearningSpec(BaseSpec):
     epsilon: EpsilonSchedule = EpsilonSchedule()
     world_updates: Literal["mean", "compound"] = Field(
         default="mean",
-        description="How environments that visit the same cell at once change it. mean: one step towards the mean "
-        "of their targets. compound: as far as one step of each, after another, would go: 1 - (1 - "
+        description="How environments that visit the same cell at once change it. mean: one step towards the "
+        "mean of their targets. compound: as far as one step of each, after another, would go: 1 - (1 - "
         "learning_rate)^n of the way.",
     )
     initial_table: Literal["constant", "random", "identity"] = Field(
