@@ -22,7 +22,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from pydantic import TypeAdapter
 
     from bench.measure.device_memory import peak_bytes
-    from core.algorithms.catalog import AlgorithmSpec, resolve
+    from core.algorithms.catalog import AlgorithmSpec, least_memory, resolve
     from core.algorithms.events import Phase, Progress
     from core.algorithms.run import make_run
     from core.environments import catalog
@@ -48,7 +48,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     checkpoint_bytes = len(run.checkpoint())
     grown_bytes = grown.end() + checkpoint_bytes
     return {
-        "least_bytes": settings.least_memory(row, 1).bytes,
+        "least_bytes": least_memory(settings, row, 1).bytes,
         "taken_bytes": peak_bytes() if device == "gpu" else grown_bytes,
         "checkpoint_bytes": checkpoint_bytes,
         "engine": engine,

@@ -7,12 +7,18 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
+from core.algorithms.memory import Memory
+from core.algorithms.ppo import checks as ppo_checks
+from core.algorithms.ppo import memory as ppo_memory
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.tuned.catalog import tuned as tuned_ppo
+from core.algorithms.ppo.tuned import catalog as ppo_tuned
+from core.algorithms.q_learning import checks as q_learning_checks
+from core.algorithms.q_learning import memory as q_learning_memory
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.q_learning.tuned.catalog import tuned as tuned_q_learning
+from core.algorithms.q_learning.tuned import catalog as q_learning_tuned
 from core.algorithms.spec import BaseSpec
 from core.environments.info import Device, EnvironmentInfo
+from core.errors import Rejected
 
 
 def _ppo_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
@@ -35,27 +41,38 @@ class AlgorithmInfo:
     algorithm: `module:name`, called as `algorithm(environment, settings, seed=, devices=)`; it returns a
     `core.algorithms.algorithm.Algorithm`. policy: `module:name`, called as `policy(content, is_checkpoint=,
     deterministic=)`; it returns a `core.algorithms.policy.TrainedPolicy` from one of its checkpoints or
-    policy files. tuned: the values that fit an environment on a device, all others unset; None if there are
-    none.
+    policy files.
+    tuned: the values that fit an environment on a device, all others unset. refusal: why resolved values do
+    not go together, or not with an environment; None where they do. least_memory: what a run under resolved
+    values certainly needs on each of its devices. A row may leave these three out.
     """
 
     spec: type[BaseSpec]
     algorithm: str
     policy: str
     tuned: Callable[[EnvironmentInfo, Device], BaseSpec] | None = None
+    refusal: Callable[[Any, EnvironmentInfo, Device], Rejected | None] = lambda *_: None
+    least_memory: Callable[[Any, EnvironmentInfo, int], Memory] = lambda *_: Memory([])
 
 
 ALGORITHMS: dict[str, AlgorithmInfo] = {
     row.spec.algorithm(): row
     for row in (
         AlgorithmInfo(
-            PPOSpec, "core.algorithms.ppo.algorithm:PPO", "core.algorithms.ppo.policy:load", tuned_ppo
+            PPOSpec,
+            "core.algorithms.ppo.algorithm:PPO",
+            "core.algorithms.ppo.policy:load",
+            ppo_tuned.tuned,
+            ppo_checks.refusal,
+            ppo_memory.least_memory,
         ),
         AlgorithmInfo(
             QLearningSpec,
             "core.algorithms.q_learning.algorithm:QLearning",
             "core.algorithms.q_learning.policy:load",
-            tuned_q_learning,
+            q_learning_tuned.tuned,
+            q_learning_checks.refusal,
+            q_learning_memory.least_memory,
         ),
     )
 }
@@ -66,10 +83,8 @@ AnySpec = TypeVar("AnySpec", bound=BaseSpec)
 
 def tuned(algorithm: str, environment: EnvironmentInfo, device: Device) -> dict[str, Any]:
     """The hyperparameters that are tuned for the environment, under its options, on this device."""
-    row = ALGORITHMS.get(algorithm)
-    if row is None or row.tuned is None:
-        return {}
-    return row.tuned(environment, device).model_dump(exclude_unset=True)
+    row = ALGORITHMS[algorithm]
+    return row.tuned(environment, device).model_dump(exclude_unset=True) if row.tuned else {}
 
 
 def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnySpec:
@@ -79,9 +94,14 @@ def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnyS
     """
     values = tuned(spec.algorithm(), environment, device)
     settings = type(spec).model_validate({**values, **spec.model_dump(exclude_unset=True)})
-    if refusal := settings.refusal(environment, device):
+    if refusal := ALGORITHMS[spec.algorithm()].refusal(settings, environment, device):
         raise refusal
     return settings
+
+
+def least_memory(settings: BaseSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
+    """The memory that a run under these resolved values certainly needs on each of its devices."""
+    return ALGORITHMS[settings.algorithm()].least_memory(settings, environment, num_devices)
 
 
 def loaded(name: str) -> Callable[..., Any]:

@@ -3,9 +3,7 @@
 from abc import abstractmethod
 from typing import ClassVar
 
-from core.algorithms.memory import Memory
 from core.documents import Strict
-from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
 
@@ -33,14 +31,6 @@ class BaseSpec(Strict):
     @abstractmethod
     def budget(self) -> int:
         """Environment steps that the run was asked to take; a last update may pass it."""
-
-    def refusal(self, environment: EnvironmentInfo, device: Device) -> Rejected | None:
-        """Why these values do not go together, or not with this environment; None where they do."""
-        return None
-
-    def least_memory(self, environment: EnvironmentInfo, num_devices: int) -> Memory:
-        """The memory that a run under these resolved values certainly needs on each of its devices."""
-        return Memory([])
 
     def check_sharing(self, num_devices: int) -> None:
         """Raises Rejected where `num_devices` devices cannot share the run: by default, more than one."""

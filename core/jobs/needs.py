@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from importlib.util import find_spec
 
+from core.algorithms import catalog as algorithms
 from core.algorithms.catalog import resolve
 from core.algorithms.memory import Memory
 from core.devices import gpu_indices
@@ -65,7 +66,7 @@ def least_memory(spec: TrainSpec, info: EnvironmentInfo) -> Mapping[Device, Memo
     """Like `memory_for`, given the environment's row. Raises Rejected."""
     gpus = spec.resources.gpus
     return {
-        device: resolve(spec.algorithm, info, device).least_memory(info, gpus)
+        device: algorithms.least_memory(resolve(spec.algorithm, info, device), info, gpus)
         for device in DEVICES[spec.resources.kind]
     }
 

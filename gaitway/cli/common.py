@@ -12,6 +12,8 @@ from gaitway.client import Client
 from gaitway.views import JobView
 
 _SEARCHED = 1000
+# For commands whose arguments are for the programs that they start.
+PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": list[str]()}
 
 JobName = Annotated[
     str, typer.Argument(metavar="JOB", help="A job's id, an unambiguous beginning or end of it, or `last`.")

@@ -4,10 +4,8 @@ import importlib.util
 
 import typer
 
+from gaitway.cli.common import PASS_ON
 from gaitway.cli.errors import wrong_usage
-
-# Their arguments are for the programs that they start.
-PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": list[str]()}
 
 _NAMES = ("api", "demo", "doctor", "import", "recover", "up", "worker")
 

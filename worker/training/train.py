@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from core.algorithms.catalog import resolve
+from core.algorithms.catalog import least_memory, resolve
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.policy import policy_from_checkpoint
 from core.algorithms.run import Run, make_run
@@ -34,7 +34,7 @@ def train(
     """
     settings = resolve(spec.algorithm, built.info, built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
-    check_memory(settings.least_memory(built.info, built.num_devices), built.device)
+    check_memory(least_memory(settings, built.info, built.num_devices), built.device)
     run = begin_or_resume(task, spec, settings, built, events)
     report = Report(events, run, spec.checkpoints.every_seconds)
     videos = PolicyVideos(spec, built, events, run)

@@ -1,12 +1,8 @@
 """The least memory of a PPO run."""
 
-from typing import TYPE_CHECKING
-
 from core.algorithms.memory import FLOAT_BYTES, Memory, Part, perceptron
-
-if TYPE_CHECKING:
-    from core.algorithms.ppo.spec import PPOSpec
-    from core.environments.info import EnvironmentInfo
+from core.algorithms.ppo.spec import PPOSpec
+from core.environments.info import EnvironmentInfo
 
 # Reward, discount, truncation, and the log-probability of the action.
 _SCALARS = 4
@@ -14,7 +10,7 @@ _SCALARS = 4
 _COPIES = 4
 
 
-def least_memory(settings: "PPOSpec", environment: "EnvironmentInfo", num_devices: int) -> Memory:
+def least_memory(settings: PPOSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
     """Bytes on each device, all in float32.
 
     Left out, because they cannot be bounded from below without loading the environment: the engine's own

@@ -4,10 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from core.algorithms.memory import Memory
-from core.algorithms.ppo import memory
 from core.algorithms.spec import BaseSpec
-from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
 Activation = Literal["swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus"]
@@ -180,17 +177,6 @@ class PPOSpec(BaseSpec):
     def budget(self) -> int:
         return self.num_timesteps
 
-    def refusal(self, environment: EnvironmentInfo, device: Device) -> Rejected | None:
-        """Refuses what Brax's assertions refuse, and what Brax does not check."""
-        return (
-            _uneven_batch(self, device)
-            or _crossed_learning_rates(self)
-            or _unknown_observation(self, environment)
-        )
-
-    def least_memory(self, environment: EnvironmentInfo, num_devices: int) -> Memory:
-        return memory.least_memory(self, environment, num_devices)
-
     def check_sharing(self, num_devices: int) -> None:
         """Devices share environments and minibatches in equal parts."""
         problems = [
@@ -203,42 +189,3 @@ class PPOSpec(BaseSpec):
         ]
         if problems:
             raise Rejected(" ".join(problem.detail for problem in problems), problems)
-
-
-def _uneven_batch(settings: PPOSpec, device: Device) -> Rejected | None:
-    unrolls = settings.batch_size * settings.num_minibatches
-    if unrolls % settings.num_envs == 0:
-        return None
-    return Rejected(
-        f"On a {device.upper()}, batch_size × num_minibatches = {settings.batch_size} × "
-        f"{settings.num_minibatches} = {unrolls} is not a multiple of num_envs = {settings.num_envs}; "
-        f"every environment must contribute the same number of unrolls to a batch.",
-        [
-            Problem(f"/algorithm/{name}", f"{getattr(settings, name)} does not go together with the others.")
-            for name in ("batch_size", "num_minibatches", "num_envs")
-        ],
-    )
-
-
-def _crossed_learning_rates(settings: PPOSpec) -> Rejected | None:
-    lowest, highest = settings.learning_rate_schedule_min_lr, settings.learning_rate_schedule_max_lr
-    if lowest <= highest:
-        return None
-    detail = (
-        f"learning_rate_schedule_min_lr = {lowest:g} is above learning_rate_schedule_max_lr = {highest:g}."
-    )
-    names = ("learning_rate_schedule_min_lr", "learning_rate_schedule_max_lr")
-    return Rejected(detail, [Problem(f"/algorithm/{name}", detail) for name in names])
-
-
-def _unknown_observation(settings: PPOSpec, environment: EnvironmentInfo) -> Rejected | None:
-    """The catalog's environments have one observation each, under Brax's name for it."""
-    problems = [
-        Problem(
-            f"/algorithm/{name}",
-            f"{environment.id} has one observation, 'state', and none called {key!r}.",
-        )
-        for name in ("policy_obs_key", "value_obs_key")
-        if (key := getattr(settings, name)) != "state"
-    ]
-    return Rejected(problems[0].detail, problems) if problems else None

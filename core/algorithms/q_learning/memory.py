@@ -1,13 +1,9 @@
 """The least memory of a tabular Q-learning run."""
 
-from typing import TYPE_CHECKING
-
 from core.algorithms.memory import FLOAT_BYTES, Memory, Part
 from core.algorithms.q_learning.options import choice_space, state_space
-
-if TYPE_CHECKING:
-    from core.algorithms.q_learning.spec import QLearningSpec
-    from core.environments.info import EnvironmentInfo
+from core.algorithms.q_learning.spec import QLearningSpec
+from core.environments.info import EnvironmentInfo
 
 # The table; and while it learns, the visits and the errors of each cell.
 _TABLES = 3
@@ -15,7 +11,7 @@ _TABLES = 3
 _NUMBERS = 6
 
 
-def least_memory(settings: "QLearningSpec", environment: "EnvironmentInfo") -> Memory:
+def least_memory(settings: QLearningSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
     """Bytes, all numbers of 4. A run without states or actions, which is refused elsewhere, has no table."""
     agents, cells = settings.num_agents, 0
     if settings.state_discretizer is not None and settings.action_set is not None:

@@ -2,7 +2,7 @@
 
 import typer
 
-from gaitway.cli.service import PASS_ON
+from gaitway.cli.common import PASS_ON
 from gaitway.service.commands import doctor, importing, recover, services
 
 

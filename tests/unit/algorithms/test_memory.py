@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import pytest
 
+from core.algorithms.catalog import least_memory
 from core.algorithms.memory import perceptron, shown
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
@@ -26,20 +27,20 @@ def test_networks_have_as_many_parameters_as_brax_makes() -> None:
     made = jax.eval_shape(lambda key: init_params(networks, key), jax.random.PRNGKey(0))
     counted = perceptron([27, 8, 4, 16]) + perceptron([27, 16, 1])
     assert counted == sum(leaf.size for leaf in jax.tree.leaves(made))
-    part = settings.least_memory(ANT, 1).parts[1]
+    part = least_memory(settings, ANT, 1).parts[1]
     assert part.bytes == 4 * 4 * counted  # float32; parameters, gradient, two moments
 
 
 def test_transitions_are_counted_by_update_and_shared_by_devices() -> None:
     # 1024 * 32 * 20 = 655,360 transitions of 27 + 8 + 4 = 39 floats.
     settings = ppo(num_envs=4096, batch_size=1024, num_minibatches=32, unroll_length=20)
-    assert settings.least_memory(ANT, 1).parts[0].bytes == 655_360 * 39 * 4
-    assert settings.least_memory(ANT, 4).parts[0].bytes == 655_360 * 39
+    assert least_memory(settings, ANT, 1).parts[0].bytes == 655_360 * 39 * 4
+    assert least_memory(settings, ANT, 4).parts[0].bytes == 655_360 * 39
 
 
 def test_a_replay_buffer_has_the_size_of_the_arrays_it_is() -> None:
     said = {"replay": {"buffer_size": 1000}, "agents": [{}, {}]}
-    part = QLearningSpec.model_validate({"num_envs": 10, **said}).least_memory(ANT, 1).parts[1]
+    part = least_memory(QLearningSpec.model_validate({"num_envs": 10, **said}), ANT, 1).parts[1]
     arrays = jax.tree.leaves(jax.eval_shape(lambda: empty(1000).steps))
     assert part.bytes == 2 * sum(4 * array.size for array in arrays) == 48_000
 
@@ -47,7 +48,7 @@ def test_a_replay_buffer_has_the_size_of_the_arrays_it_is() -> None:
 def test_the_sentence_says_what_is_needed_what_there_is_and_what_to_lower() -> None:
     settings = ppo(batch_size=2**20, num_minibatches=8, unroll_length=1000, num_envs=2**20)
     # 2^20 * 8 * 1000 transitions of 156 bytes are 1.19 TiB; 2^20 environments of 28 floats, 112 MiB.
-    assert settings.least_memory(ANT, 1).does_not_fit(80 * GIB, "the largest GPU of a worker") == (
+    assert least_memory(settings, ANT, 1).does_not_fit(80 * GIB, "the largest GPU of a worker") == (
         "The run needs at least 1.19 TiB of memory on its device (1.19 TiB for the 8,388,608,000 transitions "
         "of one update, 112 MiB for 1,048,576 environments, 4.2 MiB for networks of 275,185 parameters with "
         "their gradient and Adam's moments), but the largest GPU of a worker has 80 GiB: lower batch_size, "
