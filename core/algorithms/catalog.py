@@ -1,4 +1,4 @@
-"""The algorithms a job may name. To add one, write its package and add a member of the union and a row."""
+"""The algorithms that a job may name. To add one, write its package, and add it to the union and to the rows."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -40,8 +40,8 @@ class AlgorithmInfo:
 
     algorithm: `module:name`, called as `algorithm(environment, settings, seed=, devices=)`; it returns a
     `core.algorithms.algorithm.Algorithm`. policy: `module:name`, called as `policy(content, is_checkpoint=,
-    deterministic=)`; it returns a `core.algorithms.policy.TrainedPolicy` from one of its checkpoints or
-    policy files.
+    deterministic=)`; it returns a `core.algorithms.trained_policy.TrainedPolicy` from one of its checkpoints
+    or policy files.
     tuned: the values that fit an environment on a device, all others unset. refusal: why resolved values do
     not go together, or not with an environment; None where they do. least_memory: what a run under resolved
     values certainly needs on each of its devices. A row may leave these three out.

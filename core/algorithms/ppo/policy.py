@@ -14,10 +14,10 @@ from flax import serialization
 
 from core.algorithms.brax_training import make_inference_fn
 from core.algorithms.normalizer import init_normalizer
-from core.algorithms.policy import Acting, TrainedPolicy
 from core.algorithms.ppo.checkpoint import FORMAT
 from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, make_networks
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.trained_policy import Acting, TrainedPolicy
 from core.environments.environment import Environment, ObservationSize, State
 from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed

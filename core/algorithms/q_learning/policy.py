@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from core.algorithms.checkpoint import Format
-from core.algorithms.policy import Acting, TrainedPolicy
 from core.algorithms.q_learning.discrete_env import Tabular
 from core.algorithms.q_learning.options import (
     ActionSetOptions,
     StateDiscretizerOptions,
 )
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
+from core.algorithms.trained_policy import Acting, TrainedPolicy
 from core.environments.environment import Environment, State
 from core.environments.wrappers.action_hold import ActionHold
 from core.errors import JobFailed

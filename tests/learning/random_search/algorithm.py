@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from core.algorithms.algorithm import Failure
 from core.algorithms.checkpoint import Format, describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
-from core.algorithms.policy import Acting, TrainedPolicy
 from core.algorithms.sharding import ONE_DEVICE
+from core.algorithms.trained_policy import Acting, TrainedPolicy
 from core.environments.environment import Environment
 from tests.learning.random_search.spec import RandomSearchSpec
 
