@@ -1,4 +1,4 @@
-"""The algorithms that a job may name. To add one, write its package, and add it to the union and to the rows."""
+"""The algorithms that a job may name. To add one, write its package and add it to the union and the rows."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
