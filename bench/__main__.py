@@ -14,14 +14,14 @@ from rich.console import Console
 from bench.measure import charts, report
 from bench.measure.result import Options, Result
 
-NAMES = {
+DEFAULT = {
     "physics": "bench.cpu.physics",
     "training": "bench.cpu.training",
     "corridor": "bench.cpu.corridor",
     "q_learning": "bench.cpu.q_learning",
     "record": "bench.service.record",
     "faults": "bench.service.faults",
-    "service": "bench.service.service",
+    "service": "bench.service.costs",
     "models": "bench.service.models",
     "video": "bench.cpu.video",
     "demo": "bench.service.demo",
@@ -45,7 +45,7 @@ ON_A_GPU = {
     "gpu_profile": "bench.gpu.profile",
     "gpu_scaling": "bench.gpu.scaling",
 }
-MODULES = {**NAMES, **LONG, **ON_A_GPU}
+MODULES = {**DEFAULT, **LONG, **ON_A_GPU}
 PAGE, PICTURES = Path("docs/performance.md"), Path("docs/pictures")
 UNFINISHED = 75
 
@@ -58,7 +58,7 @@ def main() -> int:
     given = _arguments()
     if given.names == ["report"]:
         return _report(given.out)
-    names = given.names or list(NAMES)
+    names = given.names or list(DEFAULT)
     if len(names) == 1:
         return _measure(names[0], given)
     # Each in its own process: none finds JAX, its caches or its threads as another one left them.
@@ -81,7 +81,7 @@ def _arguments() -> argparse.Namespace:
         "names",
         nargs="*",
         metavar="NAME",
-        help=f"of {', '.join(NAMES)}; only by name {', '.join(LONG)}; on a GPU {', '.join(ON_A_GPU)}; or "
+        help=f"of {', '.join(DEFAULT)}; only by name {', '.join(LONG)}; on a GPU {', '.join(ON_A_GPU)}; or "
         "`report` alone",
     )
     parser.add_argument("--quick", action="store_true", help="only show that the bench works")
@@ -94,7 +94,7 @@ def _arguments() -> argparse.Namespace:
         "--resume", action="store_true", help="keep the runs in DIR/runs, and make those that are missing"
     )
     training.add_argument(
-        "--seconds", type=float, metavar="S", help="begin no run that these do not suffice for"
+        "--seconds", type=float, metavar="S", help="start no run that would not end within S seconds"
     )
     training.add_argument(
         "--only", default="*", metavar="PATTERN", help="make only runs of such names, `brax-*` say"
@@ -102,7 +102,7 @@ def _arguments() -> argparse.Namespace:
     training.add_argument("--seeds", type=int, metavar="N", help="how many of each")
     campaign = parser.add_argument_group("the campaign of faults")
     campaign.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of its seeds")
-    campaign.add_argument("--worlds", type=int, metavar="N", help="so many side by side")
+    campaign.add_argument("--worlds", type=int, metavar="N", help="deployments under test side by side")
     given = parser.parse_args()
     given.names = [name.replace("-", "_") for name in given.names]
     unknown = [name for name in given.names if name not in MODULES]

@@ -214,8 +214,10 @@ class Client:
         return self._newest(job_id, "poster", path, step, None)
 
     def load_policy(self, job_id: str, step: int | None = None, deterministic: bool = True) -> policy.Policy:
-        """The trained policy as a jitted `act(observation, key=None) -> action` on arrays [..., size].
+        """The trained policy as a jitted function: `act(observation, key=None)` on arrays [..., size].
 
+        It returns an action; of Q-learning the columns chosen (docs/q_learning.md), each to be held for
+        `decision_steps` steps.
         step: the policy of this checkpoint; by default the final one, or that of the newest checkpoint if the
         job has no final one yet. deterministic: without exploration noise (otherwise `key` is needed). Call a
         policy that was trained with `action_repeat` once every `action_repeat` steps, and hold its action.

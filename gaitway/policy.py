@@ -10,32 +10,47 @@ if TYPE_CHECKING:
     import jax
 
 Policy = Callable[..., "jax.Array"]
+# (a file's content, is_checkpoint, deterministic) -> (parameters, (parameters, observation, key) -> output)
+Reader = Callable[[bytes, bool, bool], tuple[Any, Any]]
+
+
+def _ppo() -> Reader:
+    from gaitway.policies import ppo
+
+    return ppo.load
+
+
+def _q_learning() -> Reader:
+    from gaitway.policies import q_learning
+
+    return q_learning.load
+
+
+# By algorithm. The call imports JAX.
+READERS: dict[str, Callable[[], Reader]] = {"ppo": _ppo, "q_learning": _q_learning}
 
 
 def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool = True) -> Policy:
-    """The policy in a file of this algorithm as a jitted `act(observation, key=None) -> action`.
+    """The policy in a file of this algorithm as a jitted `act(observation, key=None)` -> the policy's output:
+    an action, or for Q-learning the columns chosen (docs/q_learning.md).
 
-    observation: the input of the algorithm's policies; for PPO [..., observation_size]. action: [...,
-    action_size], each component in [-1, 1]; for Q-learning see docs/q_learning.md. key: a JAX random key,
-    needed by a stochastic policy (ValueError without one).
+    observation: the input of the algorithm's policies; for PPO [..., observation_size]. An action is [...,
+    action_size], each component in [-1, 1]. key: a JAX random key, needed by a stochastic policy (ValueError
+    without one).
     Raises MissingExtra where JAX or msgpack is not installed, and PolicyUnreadable.
     """
+    if algorithm not in READERS:
+        raise PolicyUnreadable(f"This version of gaitway does not read policies of {algorithm!r}.")
     try:
         import jax
 
-        from gaitway.policies import ppo, q_learning
+        read = READERS[algorithm]()
     except ModuleNotFoundError as error:
         raise MissingExtra(
             f"A policy is loaded with JAX and msgpack, and {error.name} is not installed; "
             f"install them with `pip install 'gaitway[policy]'`."
         ) from error
-    readers: dict[str, Callable[[bytes, bool, bool], tuple[Any, Any]]] = {
-        "ppo": ppo.load,
-        "q_learning": q_learning.load,
-    }
-    if algorithm not in readers:
-        raise PolicyUnreadable(f"This version of gaitway does not read policies of {algorithm!r}.")
-    parameters, function = readers[algorithm](path.read_bytes(), is_checkpoint, deterministic)
+    parameters, function = read(path.read_bytes(), is_checkpoint, deterministic)
     answer: Any = jax.jit(function)  # pyright: ignore[reportUnknownMemberType]
     unused = jax.random.key(0)
 

@@ -43,7 +43,7 @@ async def follow_events(
     service: ServiceDep,
     last_event_id: Annotated[EntryId, Header(alias="Last-Event-ID")] = "",
 ) -> Response:
-    """Server-sent events until the job ends; resumes after Last-Event-ID."""
+    """A job's events as server-sent events until it ends; with `Last-Event-ID`, only those after that one."""
     after = entry_number(last_event_id or asked.after)
     job, has_more = await to_thread.run_sync(look, service, job_id, "events", after)
     if after and job.status.is_final and not has_more:

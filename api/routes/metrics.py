@@ -56,7 +56,7 @@ class Measured(Parameters):
 def read_metrics(
     job_id: JobId, asked: Annotated[Measured, Query()], service: ServiceDep, request: Request
 ) -> Metrics | Response:
-    """Metrics; where a later attempt measured a step again, its newer values.
+    """All metrics of a job. Of a step that several attempts measured, the newest values.
 
     JSON comes in pages. CSV has every row, unless `limit` is given.
     """

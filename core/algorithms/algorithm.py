@@ -84,7 +84,7 @@ class Algorithm(Protocol[S]):
 
     @property
     def format(self) -> Format:
-        """The format of its checkpoints."""
+        """The format of its checkpoints; its name must be `gaitway-<kind>-<version>`."""
         ...
 
     @property
@@ -94,7 +94,7 @@ class Algorithm(Protocol[S]):
 
     @property
     def description(self) -> Mapping[str, Any]:
-        """The facts that a checkpoint's header must match for this run to resume from it."""
+        """The part of `header` that must be equal in a run that resumes."""
         ...
 
     @property
@@ -125,7 +125,11 @@ class Algorithm(Protocol[S]):
 
     def training_metrics(self, state: S, sums: Mapping[str, Any], num_updates: int) -> dict[str, float]:
         """An epoch's metrics by Brax's names. state: after the epoch. sums: `update`'s metrics, summed over
-        the epoch's `num_updates`, on the host."""
+        the epoch's `num_updates`, on the host.
+
+        `training/episodes`, those so far, and `training/num_episodes`, those of the whole run, show as
+        progress; `training/epsilon` asks for the plot of episodes.
+        """
         ...
 
     def after_evaluation(self, state: S, totals: EpisodeTotals) -> tuple[S, dict[str, float]]:

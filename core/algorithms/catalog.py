@@ -20,17 +20,19 @@ from core.algorithms.spec import BaseSpec
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 
+DEFAULT_ALGORITHM = "ppo"  # Of a job that names none.
 
-def _ppo_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
+
+def _default_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
     if not isinstance(value, Mapping) or "kind" in value:
         return parse(value)
-    spec = parse({**value, "kind": "ppo"})
+    spec = parse({**value, "kind": DEFAULT_ALGORITHM})
     spec.model_fields_set.discard("kind")  # What a client leaves out stays out (decision 2).
     return spec
 
 
 AlgorithmSpec = Annotated[
-    PPOSpec | QLearningSpec, Field(discriminator="kind"), WrapValidator(_ppo_unless_it_says)
+    PPOSpec | QLearningSpec, Field(discriminator="kind"), WrapValidator(_default_unless_it_says)
 ]
 
 
@@ -42,9 +44,10 @@ class AlgorithmInfo:
     `core.algorithms.algorithm.Algorithm`. policy: `module:name`, called as `policy(content, is_checkpoint=,
     deterministic=)`; it returns a `core.algorithms.trained_policy.TrainedPolicy` from one of its checkpoints
     or policy files.
-    tuned: the values that fit an environment on a device, all others unset. refusal: why resolved values do
-    not go together, or not with an environment; None where they do. least_memory: what a run under resolved
-    values certainly needs on each of its devices. A row may leave these three out.
+    tuned: the values that fit an environment on a device, all others unset; a field `episode_length` gets the
+    environment's without it. refusal: why resolved values do not go together, or not with an environment;
+    None where they do. least_memory: what a run under resolved values certainly needs on each of its devices.
+    A row may leave these three out.
     """
 
     spec: type[BaseSpec]
@@ -84,7 +87,9 @@ AnySpec = TypeVar("AnySpec", bound=BaseSpec)
 def tuned(algorithm: str, environment: EnvironmentInfo, device: Device) -> dict[str, Any]:
     """The hyperparameters that are tuned for the environment, under its options, on this device."""
     row = ALGORITHMS[algorithm]
-    return row.tuned(environment, device).model_dump(exclude_unset=True) if row.tuned else {}
+    has_length = "episode_length" in row.spec.model_fields
+    given = {"episode_length": environment.episode_length} if has_length else {}
+    return given | (row.tuned(environment, device).model_dump(exclude_unset=True) if row.tuned else {})
 
 
 def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnySpec:

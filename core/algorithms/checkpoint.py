@@ -26,9 +26,16 @@ _CANNOT_BE_READ = "The checkpoint cannot be read: it is cut off, or not a checkp
 
 @dataclass(frozen=True)
 class Format:
-    """The format of one algorithm's checkpoints. name: is written into each of them."""
+    """The format of one algorithm's checkpoints.
+
+    name: `gaitway-<kind>-<version>`, which is written into each of them; ValueError for any other.
+    """
 
     name: str
+
+    def __post_init__(self) -> None:
+        if _FORMAT_NAME.fullmatch(self.name) is None:
+            raise ValueError(f"The name of a format must be gaitway-<kind>-<version>, and not {self.name!r}.")
 
     def pack(self, description: Mapping[str, Any], progress: Mapping[str, int], state: Any) -> bytes:
         """The checkpoint of a state; progress: the counters that live outside it."""

@@ -1,7 +1,7 @@
 """Evaluating a policy: whole episodes side by side, without learning."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,8 @@ Policy = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
 
 # [N], or [agents, episodes] as Q-learning groups them; on a device, or on the host.
 PerEnvironment = Float[Array | np.ndarray, "*N"]
+
+V = TypeVar("V")
 
 
 @struct.dataclass
@@ -80,6 +82,11 @@ def run_episodes(
     return jax.lax.while_loop(going, act, trial).totals
 
 
+def clearly_named(metrics: Mapping[str, V]) -> dict[str, V]:
+    """An environment's metrics, with `forward_speed` as the name of `x_velocity`."""
+    return {"forward_speed" if name == "x_velocity" else name: value for name, value in metrics.items()}
+
+
 def evaluation_metrics(totals: EpisodeTotals, action_repeat: int = 1) -> dict[str, float]:
     """Means over the episodes, by Brax's names; totals: arrays on the host.
 
@@ -93,6 +100,6 @@ def evaluation_metrics(totals: EpisodeTotals, action_repeat: int = 1) -> dict[st
     metrics = {f"eval/episode_{name}": float(np.mean(value)) for name, value in summed.items()}
     metrics["eval/episode_reward_std"] = float(np.std(totals.metrics["reward"]))
     metrics["eval/avg_episode_length"] = float(np.mean(totals.length)) * action_repeat
-    if "x_velocity" in totals.metrics:
-        metrics["eval/forward_speed"] = float(np.sum(totals.metrics["x_velocity"]) / np.sum(totals.length))
+    if (speed := clearly_named(totals.metrics).get("forward_speed")) is not None:
+        metrics["eval/forward_speed"] = float(np.sum(speed) / np.sum(totals.length))
     return metrics

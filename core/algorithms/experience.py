@@ -10,7 +10,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Shaped
 
 from core.algorithms.brax_training import Transition
-from core.algorithms.evaluation import Policy
+from core.algorithms.evaluation import Policy, clearly_named
 from core.environments.body_position import body_position
 from core.environments.environment import State
 from core.environments.wrappers.autoreset import Episodes, draw, follow
@@ -152,11 +152,8 @@ def summarise(outcome: Outcome) -> dict[str, Float[Array, ""]]:
     Also means over its steps: the control effort, every metric of the environment by its own name (the speed
     by a clearer one), and the share of steps in which the engine lost contacts, if it can.
     """
-    speed = outcome.metrics.get("x_velocity")
-    own = {name: values for name, values in outcome.metrics.items() if name != "x_velocity"}
-    means = own | {
+    means = clearly_named(outcome.metrics) | {
         "control_effort": outcome.effort,
-        "forward_speed": speed,
         "physics_overflow": outcome.overflow,
     }
     sums = {

@@ -38,7 +38,7 @@ def make_run(  # noqa: PLR0913 - all of them are named
     """A run of the algorithm that the settings belong to.
 
     environment: one environment; the algorithm steps copies of it side by side. settings: resolved, see
-    `core.algorithms.spec.resolve`. seed: not used if the run resumes. devices: how many of JAX's devices
+    `core.algorithms.catalog.resolve`. seed: not used if the run resumes. devices: how many of JAX's devices
     share the run; the result differs only by rounding. For the others see `Run`.
 
     Raises Rejected where the settings, the environment or the devices do not go together;

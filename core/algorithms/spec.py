@@ -10,6 +10,8 @@ from core.errors import Problem, Rejected
 class BaseSpec(Strict):
     """An algorithm's hyperparameters; a subclass adds `kind` and its fields.
 
+    A run also reads what `core.algorithms.algorithm.RunSettings` names, as fields or properties.
+
     fixed_by_checkpoint: names of the values that a resumed run must share with its checkpoint; all others
     may change. checkpoint_holds_envs: whether a resumed run continues in the environments that it left.
     """

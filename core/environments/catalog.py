@@ -1,4 +1,7 @@
-"""All environments. To add one, write a package with `info` and `environment`, and add its line here."""
+"""All environments.
+
+To add one, write a package with `info` and `environment`; add its import and its member of `BUILT_IN` here.
+"""
 
 import difflib
 from collections.abc import Mapping

@@ -12,33 +12,35 @@ Seen = Mapping[str, jax.Array]
 
 @dataclass(frozen=True)
 class StateDiscretizer:
-    """rows: from `Seen` of one environment to [num_readers] int32, each below num_states.
+    """find_rows: from what is seen of one environment to [num_parts] int32 row numbers, each below
+    num_states.
 
-    num_readers: 1, or the parts of the body where each reads for itself. names: the rows', for people; empty
-    where their numbers say as much.
+    num_parts: parts of the body that read for themselves, such as arms; 1: the whole body does.
+    names: the rows', for people; empty where their numbers say as much.
     """
 
     needs: tuple[str, ...]
     num_states: int
-    num_readers: int
-    rows: Callable[[Seen], jax.Array]
+    num_parts: int
+    find_rows: Callable[[Seen], jax.Array]
     names: tuple[str, ...] = ()
 
     def __call__(self, seen: Seen) -> jax.Array:
-        """The rows [num_readers] int32; -1 where what is needed is not finite."""
+        """The rows [num_parts] int32; -1 where what is needed is not finite."""
         finite = [jnp.all(jnp.isfinite(seen[name])) for name in self.needs]
-        return jnp.where(jnp.all(jnp.stack(finite)), self.rows(seen), -1)
+        return jnp.where(jnp.all(jnp.stack(finite)), self.find_rows(seen), -1)
 
 
 @dataclass(frozen=True)
 class ActionSet:
-    """act: from choices [num_choosers] int32, each below num_choices, to an action [action_size].
+    """act: from choices [num_parts] int32, each below num_choices, to an action [action_size].
 
+    num_parts: parts of the body that choose for themselves, such as arms; 1: the whole body does.
     names: the choices', for people; empty where their numbers say as much.
     """
 
     num_choices: int
-    num_choosers: int
+    num_parts: int
     act: Callable[[jax.Array], jax.Array]
     names: tuple[str, ...] = ()
 

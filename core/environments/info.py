@@ -17,7 +17,8 @@ class NoOptions(Strict):
 
 @dataclass(frozen=True)
 class FiniteSpace:
-    """num_parts parts of the body, or the whole, each with one of num_values values."""
+    """num_values: of each part. num_parts: parts of the body that read, or choose, for themselves, such as
+    arms; 1: the whole body does."""
 
     num_values: int
     num_parts: int = 1
@@ -49,7 +50,7 @@ class EnvironmentInfo:
     info: the entries of `State.info` besides the observation, for code that reads states from it.
     finite: the finite views that it offers.
     arguments: further arguments of the factory. on_a_gpu: the engine that `auto` takes on a GPU, by the first
-    rule that fits. cannot_run: engines that cannot run it, and why.
+    rule that fits; `mjx` if none fits. cannot_run: engines that cannot run it, and why.
     package: what it imports that a worker may lack, by its import name.
     own_physics: what steps it if no engine does; its model cannot be randomized.
     vary: the fields above that some options change, by name; the row itself has their values under the

@@ -65,6 +65,7 @@ class MujocoEnv(ABC):
         """The state after a step. Its reward is the sum of `rewards`, and its metrics report the same terms.
 
         rewards: the weighted terms [] by the names of their metrics; costs are negative. metrics: all others.
+        A reset passes its result through `initial`.
         """
         repeated = {name: rewards[term] for name, term in self.aliases.items()}
         reported = {**rewards, **repeated} if self.reports_rewards else {}
@@ -78,7 +79,7 @@ def initial(state: State) -> State:
 
 
 def noisy_start(
-    body: MujocoEnv,
+    environment: MujocoEnv,
     key: jax.Array,
     model: ModelFields,
     scale: float,
@@ -92,13 +93,17 @@ def noisy_start(
     velocity_scale: `scale` if None.
     """
     key_position, key_velocity = jax.random.split(key)
-    fast = scale if velocity_scale is None else velocity_scale
-    qpos = body.initial_qpos + jax.random.uniform(key_position, (body.model.nq,), minval=-scale, maxval=scale)
+    speed_scale = scale if velocity_scale is None else velocity_scale
+    qpos = environment.initial_qpos + jax.random.uniform(
+        key_position, (environment.model.nq,), minval=-scale, maxval=scale
+    )
     if normal_velocity:
-        qvel = fast * jax.random.normal(key_velocity, (body.model.nv,))
+        qvel = speed_scale * jax.random.normal(key_velocity, (environment.model.nv,))
     else:
-        qvel = jax.random.uniform(key_velocity, (body.model.nv,), minval=-fast, maxval=fast)
-    return body.engine.reset(qpos, qvel, model)
+        qvel = jax.random.uniform(
+            key_velocity, (environment.model.nv,), minval=-speed_scale, maxval=speed_scale
+        )
+    return environment.engine.reset(qpos, qvel, model)
 
 
 def travel(position: jax.Array, velocity: jax.Array) -> dict[str, jax.Array]:

@@ -2,7 +2,7 @@
 `core.jobs.checks` checks whether its parts fit together."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import (
     AfterValidator,
@@ -14,8 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from core.algorithms.catalog import AlgorithmSpec
-from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.catalog import ALGORITHMS, DEFAULT_ALGORITHM, AlgorithmSpec
 from core.documents import Strict
 from core.environments.randomization import Randomizations
 from core.physics.availability import PhysicsChoice
@@ -197,7 +196,7 @@ class TrainSpec(_Common):
     """Train a policy; keep checkpoints, metrics and a video."""
 
     kind: Literal["train"] = "train"
-    algorithm: AlgorithmSpec = PPOSpec()
+    algorithm: AlgorithmSpec = cast("AlgorithmSpec", ALGORITHMS[DEFAULT_ALGORITHM].spec())
     checkpoints: CheckpointsSpec = CheckpointsSpec()
     resume_from: ResumePoint | None = None
     tracking: TrackingSpec = TrackingSpec()

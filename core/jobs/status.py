@@ -6,6 +6,12 @@ from core.reasons import Reason
 
 
 class JobStatus(StrEnum):
+    """queued → starting → running → succeeded or failed; cancelling → cancelled.
+
+    A lost or drained attempt returns the job to queued, if it may have another. A queued job is cancelled at
+    once; one that is cancelling may have succeeded or failed before.
+    """
+
     QUEUED = "queued"
     STARTING = "starting"
     RUNNING = "running"

@@ -13,6 +13,9 @@ from gaitway.cli.common import AsJson, client_of, end_code, print_json
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.watch import print_what_it_waits_for, watch_job
 
+# Of the algorithms without `num_timesteps`: what says how long they learn.
+_LENGTHS = {"q_learning": "algorithm.num_episodes=2000"}
+
 Assignments = Annotated[
     list[str] | None,
     typer.Option(
@@ -29,7 +32,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
     file: Annotated[str | None, typer.Option("--file", "-f", help="JSON of a job; `-` reads stdin.")] = None,
     num_timesteps: Annotated[
         int | None,
-        typer.Option(help="PPO's environment steps to train for. Any other hyperparameter: --set."),
+        typer.Option(help="Environment steps to train for (algorithms with num_timesteps)."),
     ] = None,
     seed: Annotated[int | None, typer.Option()] = None,
     name: Annotated[str | None, typer.Option()] = None,
@@ -58,10 +61,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
         assigned(spec, text)
     if isinstance(spec.get("algorithm"), dict):
         kind = spec["algorithm"].setdefault("kind", "ppo")
-        if num_timesteps is not None and kind != "ppo":
+        if num_timesteps is not None and kind in _LENGTHS:
             raise wrong_usage(
-                f"--num-timesteps is for PPO, and this job's algorithm is {kind}: set its hyperparameters "
-                "by --set, e.g. --set algorithm.num_episodes=2000 for q_learning."
+                f"{kind} has no num_timesteps; say how long it learns by --set, e.g. --set {_LENGTHS[kind]}."
             )
     client = client_of(context)
     job = client.submit(spec)

@@ -18,7 +18,7 @@ Answer = Callable[[jax.Array, Seen, jax.Array], jax.Array]
 
 def load(content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[jax.Array, Answer]:
     """The table [rows, columns], and (table, arrays by the names that the state discretizer needs, key) ->
-    columns [num_readers] int32. Raises PolicyUnreadable."""
+    columns [num_parts] int32. Raises PolicyUnreadable."""
     facts, state = checkpoint.read(content, _FORMAT)
     table, epsilon = state["table"], facts["epsilon"]
     if is_checkpoint:
@@ -26,8 +26,8 @@ def load(content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[jax.
         table, epsilon = table[agent], epsilon[agent]
     elif table.ndim != 2:
         raise PolicyUnreadable("This is a checkpoint, and no policy file.")
-    # The files keep the name that the option had in version 0.1.
-    rows = rows_of(facts.get("state_discretizer") or facts["indexer"], facts["num_arms"])
+    # The files keep the name that the option `state_discretizer` had in version 0.1.
+    rows = rows_of(facts["indexer"], facts["num_arms"])
     explored = jnp.float32(epsilon)
 
     def answer(table: jax.Array, seen: Seen, key: jax.Array) -> jax.Array:

@@ -1,4 +1,4 @@
-"""From what is seen of a world to a row of a table, or to one for each arm.
+"""From what is seen of an environment to a row of a table, or to one for each arm.
 
 As `core.algorithms.q_learning.state_discretizers`, which says what each kind is.
 """
@@ -17,7 +17,7 @@ Rows = Callable[[Seen], jax.Array]
 
 
 def rows_of(options: Mapping[str, Any], num_arms: int) -> Rows:
-    """From arrays by name to rows [num_readers] int32: -1 where what is seen is not finite.
+    """From arrays by name to rows [num_parts] int32: -1 where what is seen is not finite.
 
     options: those of the job. Raises PolicyUnreadable for a kind that this version does not know.
     """

@@ -34,8 +34,8 @@ folder that `GAITWAY_SECRETS_DIR` names. A variable wins over a file.
 
 
 @dataclass(frozen=True)
-class Other:
-    """readers: the process, program or tool that reads it."""
+class OtherVariable:
+    """A variable that no settings class has. readers: the programs that read it."""
 
     name: str
     readers: str
@@ -44,44 +44,50 @@ class Other:
 
 
 OTHERS = (
-    Other(SECRETS_DIR, "API, worker, reconciler", "–", "Folder of files that hold settings, one each."),
-    Other("GAITWAY_URL", "`gaitway`, `gaitway.Client`", "`http://127.0.0.1:8000`", "Address of the API."),
-    Other(
+    OtherVariable(
+        SECRETS_DIR, "API, worker, reconciler", "–", "Folder of files that hold settings, one each."
+    ),
+    OtherVariable(
+        "GAITWAY_URL", "`gaitway`, `gaitway.Client`", "`http://127.0.0.1:8000`", "Address of the API."
+    ),
+    OtherVariable(
         "GAITWAY_ADDRESS",
         "Docker Compose",
         "`127.0.0.1`",
         "Address of this host that the API is published at.",
     ),
-    Other("GAITWAY_PORT", "Docker Compose", "`8000`", "Port of this host that the API is published at."),
-    Other(
+    OtherVariable(
+        "GAITWAY_PORT", "Docker Compose", "`8000`", "Port of this host that the API is published at."
+    ),
+    OtherVariable(
         "GAITWAY_SHARE",
         "Docker Compose",
         "–",
         "Address of this host at which workers elsewhere reach its stores; with deploy/share.yml.",
     ),
-    Other("GAITWAY_GPUS", "Docker Compose", "`all`", "How many GPUs the profile `gpu` takes."),
-    Other(
+    OtherVariable("GAITWAY_GPUS", "Docker Compose", "`all`", "How many GPUs the profile `gpu` takes."),
+    OtherVariable(
         "GAITWAY_FLEET",
         "Docker Compose",
         "one for each GPU",
         "Devices of the workers of the profile `gpu`: `gpu:0,1 gpu:2 gpu:3` is a pair and two single GPUs.",
     ),
-    Other("GAITWAY_WORKERS", "Docker Compose", "`1`", "How many workers share the CPU."),
-    Other(
+    OtherVariable("GAITWAY_WORKERS", "Docker Compose", "`1`", "How many workers share the CPU."),
+    OtherVariable(
         "GAITWAY_STOP_WITHIN",
         "Docker Compose",
         "`2m`",
         "How long a worker may drain before it is killed; more than GAITWAY_GRACE.",
     ),
-    Other("GAITWAY_IMAGE", "Docker Compose", "`gaitway`", "Prefix of the images' names."),
-    Other("GAITWAY_TAG", "Docker Compose", "`latest`", "The images' tag."),
-    Other(
+    OtherVariable("GAITWAY_IMAGE", "Docker Compose", "`gaitway`", "Prefix of the images' names."),
+    OtherVariable("GAITWAY_TAG", "Docker Compose", "`latest`", "The images' tag."),
+    OtherVariable(
         "MUJOCO_GL",
         "worker",
         "`egl`, else `osmesa`",
         "The OpenGL back-end that renders videos: `egl`, `osmesa` or `glfw`.",
     ),
-    Other(
+    OtherVariable(
         "MUJOCO_EGL_DEVICE_ID",
         "worker",
         "the job's GPU",

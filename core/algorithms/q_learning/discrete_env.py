@@ -41,7 +41,7 @@ class Tabular:
             make_state_discretizer(state_discretizer, environment),
             make_action_set(action_set, environment),
         )
-        readers, choosers = table.state_discretizer.num_readers, table.action_set.num_choosers
+        readers, choosers = table.state_discretizer.num_parts, table.action_set.num_parts
         if readers != choosers:
             raise JobFailed(
                 Reason.BAD_MODEL,
@@ -51,7 +51,7 @@ class Tabular:
         return table
 
     def rows(self, state: State) -> jax.Array:
-        """The rows [num_readers] int32 of one environment's state."""
+        """The rows [num_parts] int32 of one environment's state."""
         return self.state_discretizer(seen_in(state, self.state_discretizer.needs))
 
     @property
@@ -70,7 +70,7 @@ class Tabular:
 
 @dataclass(frozen=True)
 class DiscreteEnv(Wrapped):
-    """The finite decision process: `obs` is [num_readers] int32 rows, an action [num_readers] int32 columns.
+    """The finite decision process: `obs` is [num_parts] int32 rows, an action [num_parts] int32 columns.
 
     A step is `decision_steps` of the environment's, whose rewards add up; one that ends the episode is the
     last one taken.

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from core.algorithms.algorithm import Failure
-from core.algorithms.evaluation import EpisodeTotals, run_episodes
+from core.algorithms.evaluation import EpisodeTotals, clearly_named, run_episodes
 from core.algorithms.q_learning import replay as replays
 from core.algorithms.q_learning.discrete_env import DiscreteEnv
 from core.algorithms.q_learning.exploration import Exploration, decay_length
@@ -215,9 +215,7 @@ class Learner:
 
     def _seen(self, after: State, alive: jax.Array) -> dict[str, jax.Array]:
         """Means [agents] over an agent's environments of a decision; those that stand still do not count."""
-        values = {name: values for name, values in after.metrics.items() if name != "x_velocity"}
-        if (speed := after.metrics.get("x_velocity")) is not None:
-            values["forward_speed"] = speed
+        values = clearly_named(after.metrics)
         if (lost := after.physics.derived.get(OVERFLOW)) is not None:
             values["physics_overflow"] = lost
         values |= {"score": after.reward, "alive": jnp.ones_like(after.reward)}
@@ -248,7 +246,7 @@ def agent_keys(agents: list[AgentSpec], seed: int) -> jax.Array:
 def _transitions(
     rows: jax.Array, choices: jax.Array, after: State, next_rows: jax.Array, alive: jax.Array
 ) -> Transitions:
-    """[agents, num_envs * num_readers] each, of rows and choices [agents, num_envs, num_readers]."""
+    """[agents, num_envs * num_parts] each, of rows and choices [agents, num_envs, num_parts]."""
 
     def spread(values: jax.Array) -> jax.Array:
         """One value of each environment for all who read in it."""

@@ -1,6 +1,7 @@
 """The hopper and the planar walker: a torso on x, z and pitch that must not fall."""
 
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -8,13 +9,26 @@ import mujoco
 
 from core.environments import rewards
 from core.environments.environment import State
-from core.environments.locomotion.hopper.info import HopperOptions
-from core.environments.locomotion.walker2d.info import Walker2dOptions
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 
 _NUM_SUBSTEPS = 4
 _MAX_OBSERVED_SPEED = 10.0
+
+
+class PlanarOptions(Protocol):
+    """The options that a planar walker reads: fields of its body's own options."""
+
+    forward_reward_weight: float
+    ctrl_cost_weight: float
+    healthy_reward: float
+    terminate_when_unhealthy: bool
+    healthy_angle_range: tuple[float, float]
+    reset_noise_scale: float
+    exclude_current_positions_from_observation: bool
+
+    @property
+    def healthy_z_range(self) -> tuple[float, float | None]: ...
 
 
 def _always(_: PhysicsState) -> jax.Array:
@@ -30,7 +44,7 @@ class PlanarWalker(MujocoEnv):
     def __init__(
         self,
         model: mujoco.MjModel,
-        options: HopperOptions | Walker2dOptions,
+        options: PlanarOptions,
         build_engine: EngineBuilder,
         also_healthy: Callable[[PhysicsState], jax.Array] = _always,
     ) -> None:

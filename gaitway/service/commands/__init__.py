@@ -3,13 +3,13 @@
 import typer
 
 from gaitway.cli.common import PASS_ON
-from gaitway.service.commands import doctor, importing, recover, services
+from gaitway.service.commands import doctor, import_data, recover, services
 
 
 def add_to(app: typer.Typer) -> None:
     """Add them to the program."""
     for command in (doctor.doctor, recover.recover, services.up):
         app.command()(command)
-    app.command("import")(importing.import_data)
+    app.command("import")(import_data.import_data)
     for command in (services.demo, services.api, services.worker):
         app.command(context_settings=PASS_ON)(command)

@@ -1,0 +1,1 @@
+"""`gaitway doctor` checks the settings, the machine, its confinement, the stores and the service."""

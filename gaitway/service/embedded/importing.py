@@ -8,7 +8,7 @@ from gaitway.service.embedded import version_01
 from gaitway.service.embedded.folders import private_folder
 from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.stack import lock_folder
-from gaitway.service.importing import ImportRefused, Report, import_stores
+from gaitway.service.import_01 import ImportRefused, Report, import_stores
 
 
 def import_folder(data_dir: Path, report: Report, *, without_redis: bool = False) -> bool:

@@ -19,6 +19,7 @@ from core.environments.environment import Environment
 from tests.learning.random_search.spec import RandomSearchSpec
 
 FORMAT = Format("gaitway-random_search-1")
+Metrics = dict[str, float]
 
 
 @struct.dataclass
@@ -77,14 +78,10 @@ class RandomSearch:
         weights = jnp.broadcast_to(evaluated, (self.settings.num_eval_envs, *evaluated.shape))
         return self._episodes(weights, jax.random.fold_in(key, update), len(weights), copies=1)
 
-    def training_metrics(
-        self, state: TrainingState, sums: Mapping[str, Any], num_updates: int
-    ) -> dict[str, float]:
+    def training_metrics(self, state: TrainingState, sums: Mapping[str, Any], num_updates: int) -> Metrics:
         return {f"training/{name}": float(value) / num_updates for name, value in sums.items()}
 
-    def after_evaluation(
-        self, state: TrainingState, totals: EpisodeTotals
-    ) -> tuple[TrainingState, dict[str, float]]:
+    def after_evaluation(self, state: TrainingState, totals: EpisodeTotals) -> tuple[TrainingState, Metrics]:
         return state, evaluation_metrics(totals)
 
     def policy(self, state: TrainingState) -> bytes:

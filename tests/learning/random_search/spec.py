@@ -2,6 +2,8 @@
 
 from typing import Literal
 
+from pydantic import Field
+
 from core.algorithms.spec import BaseSpec
 
 
@@ -9,13 +11,13 @@ class RandomSearchSpec(BaseSpec):
     """Augmented random search, version 1 (Mania et al., 2018, arXiv:1803.07055, algorithm 1)."""
 
     kind: Literal["random_search"] = "random_search"
-    num_timesteps: int = 1_000
-    num_directions: int = 8
-    episode_length: int = 8
-    learning_rate: float = 0.1
-    noise: float = 0.1
-    num_evals: int = 1
-    num_eval_envs: int = 4
+    num_timesteps: int = Field(default=1_000, ge=1, le=10**12)
+    num_directions: int = Field(default=8, ge=1, le=2**16)
+    episode_length: int = Field(default=8, ge=1, le=10**6)
+    learning_rate: float = Field(default=0.1, ge=0, le=10)
+    noise: float = Field(default=0.1, gt=0, le=10)
+    num_evals: int = Field(default=1, ge=0, le=10_000)
+    num_eval_envs: int = Field(default=4, ge=1, le=2**16)
 
     @property
     def num_parallel_envs(self) -> int:

@@ -105,4 +105,6 @@ def test_a_checkpoint_says_which_algorithm_wrote_it(kind: str) -> None:
 @pytest.mark.parametrize("name", ["gaitway-ppo", "elsewhere-ppo-2", ""])
 def test_a_checkpoint_that_names_no_algorithm_is_refused(name: str) -> None:
     with pytest.raises(JobFailed, match="cannot be read"):
-        kind_of(Format(name).pack({}, PROGRESS, STATE))
+        kind_of(serialization.msgpack_serialize({"header": {"format": name}}))
+    with pytest.raises(ValueError, match="must be gaitway-<kind>-<version>"):
+        Format(name)

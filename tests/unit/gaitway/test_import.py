@@ -40,7 +40,7 @@ from gaitway.service.embedded.valkey import Valkey
 from gaitway.service.embedded.version_01 import report_if_left
 from gaitway.service.embedded.weed import Weed
 from gaitway.service.embedded.weed_environment import REGION
-from gaitway.service.importing import ImportRefused, import_stores, refuse_while_at_work
+from gaitway.service.import_01 import ImportRefused, import_stores, refuse_while_at_work
 
 OLD: dict[str, Any] = json.loads((Path(__file__).parent / "version_01" / "data.json").read_text())
 IDS: dict[str, str] = OLD["jobs"]
@@ -550,7 +550,7 @@ import os, signal, sys
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.configuration import read
 from core.settings import StoreSettings
-from gaitway.service.importing import import_stores
+from gaitway.service.import_01 import import_stores
 
 original, count = PostgresJobStore.import_job, 0
 

@@ -1,4 +1,8 @@
-"""Which environments PPO has tuned values for. To add some, write a module here and add its line."""
+"""Which environments PPO has tuned values for.
+
+To add some, write {"cpu": ..., "gpu": ...} in a module here, and its line in `_BY_ENVIRONMENT`, or in
+`TUNED_BY_OPTIONS` if they depend on options.
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -20,7 +24,7 @@ from core.algorithms.ppo.tuned.runners import RODENT, corridor
 from core.environments.external.brax.info import SAME_TASK
 from core.environments.info import Device, EnvironmentInfo
 
-_OURS: dict[str, Mapping[Device, PPOSpec]] = {
+_BY_ENVIRONMENT: dict[str, Mapping[Device, PPOSpec]] = {
     "ant": ANT,
     "half_cheetah": HALF_CHEETAH,
     "hopper": HOPPER,
@@ -33,7 +37,7 @@ _OURS: dict[str, Mapping[Device, PPOSpec]] = {
     **PLAYGROUND,
 }
 # By environment. Brax's registry has no tuned settings; a task that is also ours has ours.
-TUNED = {**_OURS, **{theirs: _OURS[ours] for theirs, ours in SAME_TASK.items()}}
+TUNED = {**_BY_ENVIRONMENT, **{theirs: _BY_ENVIRONMENT[ours] for theirs, ours in SAME_TASK.items()}}
 # By environment: values that depend on its options.
 TUNED_BY_OPTIONS: dict[str, Callable[[Any], Mapping[Device, PPOSpec]]] = {
     "brittle_star": brittle_star,
@@ -48,5 +52,4 @@ def tuned(environment: EnvironmentInfo, device: Device) -> PPOSpec:
     values = TUNED.get(environment.id, {})
     if by_options := TUNED_BY_OPTIONS.get(environment.id):
         values = by_options(environment.option_values)
-    own = values[device].model_dump(exclude_unset=True) if device in values else {}
-    return PPOSpec.model_validate({"episode_length": environment.episode_length, **own})
+    return values.get(device, PPOSpec())

@@ -37,7 +37,10 @@ RODENT: Mapping[Device, PPOSpec] = {"cpu": PPOSpec.model_validate(_CPU), "gpu": 
 
 
 def corridor(options: CorridorOptions) -> Mapping[Device, PPOSpec]:
-    """With a new action every 0.01 s the ant's exploration is only a tremble, so it holds each longer."""
+    """The values for a walker in a corridor.
+
+    The ant holds each action for 0.04 s: with a new one every 0.01 s its exploration is only a tremble.
+    """
     held: Mapping[str, Any] = {}
     if options.walker == "ant":
         num_steps = round(_ANT_ACTS_EVERY_S / (options.timestep * options.n_frames))

@@ -38,11 +38,10 @@ def build(task: str = "brittle_star", **options: Any) -> Any:
     assert row.action_size == environment.action_size
     views = environment.discretization
     assert row.finite.state_discretizers == {
-        kind: FiniteSpace(view.num_states, view.num_readers)
-        for kind, view in views.state_discretizers.items()
+        kind: FiniteSpace(view.num_states, view.num_parts) for kind, view in views.state_discretizers.items()
     }
     assert row.finite.action_sets == {
-        kind: FiniteSpace(view.num_choices, view.num_choosers) for kind, view in views.action_sets.items()
+        kind: FiniteSpace(view.num_choices, view.num_parts) for kind, view in views.action_sets.items()
     }
     assert row.episode_length == environment.episode_length
     assert row.dt == pytest.approx(environment.dt)
@@ -94,7 +93,7 @@ def test_five_arms_on_a_disk_of_ours_weigh_what_biorobots_do() -> None:
 def test_an_arm_may_be_missing() -> None:
     environment = build(num_arms=4, num_segments_per_arm=(2, 0, 1, 3))
     assert environment.action_size == 2 * (2 + 0 + 1 + 3)
-    assert environment.discretization.state_discretizers["arm_role"].num_readers == 4
+    assert environment.discretization.state_discretizers["arm_role"].num_parts == 4
 
 
 def test_actions_reach_from_end_to_end_of_the_joints_ranges() -> None:

@@ -8,7 +8,7 @@ import mujoco
 
 from core.environments.environment import State
 from core.environments.info import NoOptions
-from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
+from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 
 _NUM_SUBSTEPS = 10
@@ -49,7 +49,7 @@ class Sled(MujocoEnv):
         return initial(self._after(physics, {}))
 
     def step(self, state: State, action: jax.Array) -> State:
-        physics = self.engine.step(state.physics, action)
+        physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
         return self._after(physics, state.info)
 
     def _after(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> State:

@@ -34,7 +34,7 @@ def import_data(
 
     from core.errors import Misconfigured, Unavailable
     from gaitway.service.embedded.processes import ServerFailed
-    from gaitway.service.importing import ImportRefused
+    from gaitway.service.import_01 import ImportRefused
 
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     try:
@@ -54,7 +54,7 @@ def _from_stores(without_redis: bool) -> bool:
     from core.configuration import read
     from core.errors import Misconfigured
     from core.settings import StoreSettings
-    from gaitway.service.importing import import_stores, refuse_while_at_work
+    from gaitway.service.import_01 import import_stores, refuse_while_at_work
 
     try:
         settings = read(StoreSettings)
