@@ -1,0 +1,270 @@
+"""The rows of the constraint problem: joints at their limits, and points that touch a plane.
+
+Every row that the model can ever have is there at all times; where it is not active, its stiffness D is 0.
+So the program's shape does not depend on the state.
+Source: MuJoCo's documentation, Computation, "Constraint model", and Modeling, "Solver parameters".
+"""
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from core.physics.compiled.arithmetic import (
+    Number,
+    Vector,
+    add,
+    cross,
+    dot,
+    maximum,
+    minimum,
+    rotate,
+    scale,
+    select,
+    subtract,
+    total,
+)
+from core.physics.compiled.dynamics import Motion
+from core.physics.compiled.kinematics import Poses
+from core.physics.compiled.tree import Tree
+
+
+@dataclass(frozen=True)
+class Softness:
+    """How a constraint gives way: MuJoCo's solref and solimp.
+
+    stiffness, damping: of the reference acceleration. impedance: at the surface, in the depth, and the width
+    in m or rad between them; its curve has MuJoCo's default midpoint 0.5 and power 2.
+    A row at distance r < 0 with speed v wants the acceleration -damping · v - stiffness · d(r) · r.
+    """
+
+    stiffness: float
+    damping: float
+    impedance: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A hinge's or slide's range in rad or m. inverse_weight: MuJoCo's `dof_invweight0`."""
+
+    qpos: int
+    dof: int
+    low: float
+    high: float
+    margin: float
+    softness: Softness
+    inverse_weight: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """A sphere of a body, or an end of its capsule, and a plane that stands still.
+
+    offset: the sphere's centre in the body's frame, in m. along: the capsule's axis in the body's frame; None
+    for a sphere. normal: [3]; height: of the plane along its normal, in m. friction: tangential, 0 without
+    any. inverse_weight: MuJoCo's `body_invweight0`, of translations.
+    """
+
+    body: int
+    offset: Vector
+    along: Vector | None
+    radius: float
+    normal: Vector
+    height: float
+    friction: float
+    margin: float
+    softness: Softness
+    inverse_weight: float
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of all constraints: MuJoCo's `efc_J` (entries by degree of freedom), `efc_D` and `efc_aref`.
+
+    stiffness: D, 0 where a row is not active. reference: the wanted acceleration.
+    """
+
+    jacobian: list[dict[int, Number]] = field(default_factory=list[dict[int, Number]])
+    stiffness: list[Number] = field(default_factory=list[Number])
+    reference: list[Number] = field(default_factory=list[Number])
+
+    def add(self, jacobian: dict[int, Number], stiffness: Number, reference: Number) -> None:
+        self.jacobian.append(jacobian)
+        self.stiffness.append(stiffness)
+        self.reference.append(reference)
+
+
+@dataclass(frozen=True)
+class State:
+    """qpos: [nq]. qvel: [nv]."""
+
+    qpos: Vector
+    qvel: Vector
+
+
+def read_limits(model: mujoco.MjModel) -> tuple[Limit, ...]:
+    """The limited hinges and slides."""
+    found = list[Limit]()
+    for joint in np.flatnonzero(model.jnt_limited):
+        dof = int(model.jnt_dofadr[joint])
+        found.append(
+            Limit(
+                qpos=int(model.jnt_qposadr[joint]),
+                dof=dof,
+                low=float(model.jnt_range[joint, 0]),
+                high=float(model.jnt_range[joint, 1]),
+                margin=float(model.jnt_margin[joint]),
+                softness=_softness(model, model.jnt_solref[joint], model.jnt_solimp[joint]),
+                inverse_weight=float(model.dof_invweight0[dof]),
+            )
+        )
+    return tuple(found)
+
+
+def read_points(model: mujoco.MjModel) -> tuple[Point, ...]:
+    """The points of spheres and capsules that can touch a plane, one body's after another's."""
+    at_rest = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, at_rest)
+    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    found = list[Point]()
+    for plane in planes:
+        normal = at_rest.geom_xmat[plane].reshape(3, 3)[:, 2]
+        for geom in range(model.ngeom):
+            if _touch(model, int(plane), geom):
+                found += _points(model, int(plane), geom, normal, float(normal @ at_rest.geom_xpos[plane]))
+    return tuple(found)
+
+
+def rows(
+    tree: Tree, limits: tuple[Limit, ...], points: tuple[Point, ...], at: Poses, moving: Motion, state: State
+) -> Rows:
+    """All rows in this state, limits first; four of each point with friction, for a pyramidal cone."""
+    found = Rows()
+    for limit in limits:
+        _add_limit(found, limit, state)
+    for point in points:
+        _add_point(found, tree, point, at, moving, state.qvel)
+    return found
+
+
+def _add_limit(found: Rows, limit: Limit, state: State) -> None:
+    """The nearer end of the range: both are never active at once."""
+    above, below = state.qpos[limit.qpos] - limit.low, limit.high - state.qpos[limit.qpos]
+    sign = select(above < below, 1.0, -1.0)
+    distance = minimum(above, below) - limit.margin
+    impedance = _impedance(limit.softness, distance)
+    speed = sign * state.qvel[limit.dof]
+    found.add(
+        {limit.dof: sign},
+        _stiffness(impedance, limit.inverse_weight, distance),
+        _reference(limit.softness, impedance, distance, speed),
+    )
+
+
+def _add_point(found: Rows, tree: Tree, point: Point, at: Poses, moving: Motion, qvel: Vector) -> None:
+    """A frictionless row, or the four edges of a pyramid: normal ± friction · each of two tangents."""
+    body = tree.bodies[point.body]
+    centre = add(at.positions[point.body], rotate(at.rotations[point.body], point.offset))
+    gap = dot(point.normal, centre) - point.height - point.radius
+    touched = subtract(centre, scale(point.normal, point.radius + 0.5 * gap))
+    along = rotate(at.rotations[point.body], point.along) if point.along else None
+    arm = subtract(touched, moving.centres[body.root])
+    moved_by = _moved_by(tree, point.body)
+    # How each degree of freedom moves the point, [3].
+    speeds = {i: add(moving.axes[i][3:], cross(moving.axes[i][:3], arm)) for i in moved_by}
+    normal = {i: dot(point.normal, speed) for i, speed in speeds.items()}
+    distance = gap - point.margin
+    impedance = _impedance(point.softness, distance)
+    if not point.friction:
+        speed = total(normal[i] * qvel[i] for i in moved_by)
+        stiffness = _stiffness(impedance, point.inverse_weight, distance)
+        found.add(normal, stiffness, _reference(point.softness, impedance, distance, speed))
+        return
+    weight = point.inverse_weight * (1.0 + point.friction**2) * 2.0 * point.friction**2
+    stiffness = _stiffness(impedance, weight, distance)
+    for tangent in _tangents(point.normal, along):
+        sideways = {i: dot(tangent, speed) for i, speed in speeds.items()}
+        for sign in (1.0, -1.0):
+            edge = {i: normal[i] + (sign * point.friction) * sideways[i] for i in moved_by}
+            speed = total(edge[i] * qvel[i] for i in moved_by)
+            found.add(edge, stiffness, _reference(point.softness, impedance, distance, speed))
+
+
+def _moved_by(tree: Tree, body: int) -> list[int]:
+    """The degrees of freedom that move the body."""
+    while body:
+        own = [i for i, dof in enumerate(tree.dofs) if dof.body == body]
+        if own:
+            return [*tree.dofs[own[-1]].ancestors, own[-1]]
+        body = tree.bodies[body].parent
+    return []
+
+
+def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
+    """Two directions at right angles to the normal and to each other, those of `mju_makeFrame`."""
+    if along is None:
+        along = [0.0, 1.0, 0.0] if abs(normal[1]) < 0.5 else [0.0, 0.0, 1.0]
+    across = subtract(along, scale(normal, dot(normal, along)))
+    length = dot(across, across) ** 0.5
+    first = scale(across, 1.0 / maximum(length, 1e-15))
+    return first, cross(normal, first)
+
+
+def _impedance(softness: Softness, distance: Number) -> Number:
+    """d(r), between its value at the surface and that in the depth."""
+    lowest, highest, width = softness.impedance
+    x = minimum(abs(distance) * (1.0 / width), 1.0)
+    rest = 1.0 - x
+    curve = select(x < 0.5, 2.0 * x * x, 1.0 - 2.0 * (rest * rest))
+    return lowest + curve * (highest - lowest)
+
+
+def _stiffness(impedance: Number, inverse_weight: float, distance: Number) -> Number:
+    """1 / R, with R = (1 - d) / d · A; 0 where the constraint is not active."""
+    return select(distance < 0.0, impedance / ((1.0 - impedance) * inverse_weight), 0.0)
+
+
+def _reference(softness: Softness, impedance: Number, distance: Number, speed: Number) -> Number:
+    return -(softness.damping * speed + softness.stiffness * (impedance * distance))
+
+
+def _touch(model: mujoco.MjModel, plane: int, geom: int) -> bool:
+    if model.body_weldid[model.geom_bodyid[geom]] == 0:
+        return False
+    types, affinities = model.geom_contype, model.geom_conaffinity
+    return bool(types[plane] & affinities[geom] or types[geom] & affinities[plane])
+
+
+def _points(model: mujoco.MjModel, plane: int, geom: int, normal: np.ndarray, height: float) -> list[Point]:
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, model.geom_quat[geom])
+    axis = axes.reshape(3, 3)[:, 2]
+    is_capsule = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE
+    half = float(model.geom_size[geom, 1])
+    pair, body = [plane, geom], int(model.geom_bodyid[geom])
+    share = model.geom_solmix[plane] / model.geom_solmix[pair].sum()
+    fields = (model.geom_solref, model.geom_solimp)
+    mixed = [share * field[plane] + (1.0 - share) * field[geom] for field in fields]
+    return [
+        Point(
+            body=body,
+            offset=[float(x) for x in model.geom_pos[geom] + end * axis],
+            along=[float(x) for x in axis] if is_capsule else None,
+            radius=float(model.geom_size[geom, 0]),
+            normal=[float(x) for x in normal],
+            height=height,
+            friction=float(model.geom_friction[pair, 0].max()) if model.geom_condim[pair].max() > 1 else 0.0,
+            margin=float(model.geom_margin[pair].sum() - model.geom_gap[pair].sum()),
+            softness=_softness(model, *mixed),
+            inverse_weight=float(model.body_invweight0[body, 0]),
+        )
+        for end in ((half, -half) if is_capsule else (0.0,))
+    ]
+
+
+def _softness(model: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> Softness:
+    """Of a time constant and a damping ratio; the time constant is at least two substeps."""
+    time_constant, ratio = max(float(solref[0]), 2.0 * model.opt.timestep), float(solref[1])
+    lowest, highest = (float(x) for x in np.clip(solimp[:2], mujoco.mjMINIMP, mujoco.mjMAXIMP))
+    stiffness = 1.0 / (highest**2 * time_constant**2 * ratio**2)
+    return Softness(stiffness, 2.0 / (highest * time_constant), (lowest, highest, float(solimp[2])))

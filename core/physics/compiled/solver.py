@@ -1,0 +1,213 @@
+"""The acceleration that minimises Gauss' principle with soft constraints, by Newton's method.
+
+Source: MuJoCo's documentation, Computation, "Solvers"; Todorov (2014).
+"""
+
+from dataclasses import dataclass, fields, replace
+
+from core.physics.compiled.arithmetic import (
+    Number,
+    Vector,
+    absolute,
+    both,
+    dot,
+    maximum,
+    minimum,
+    select,
+    sqrt,
+    total,
+)
+from core.physics.compiled.constraints import Rows
+from core.physics.compiled.dynamics import Entries
+from core.physics.compiled.factor import factorize, multiply, solve
+from core.physics.compiled.loop import repeat
+from core.physics.compiled.tree import Tree
+
+
+@dataclass(frozen=True)
+class Settings:
+    """MuJoCo's iterations, ls_iterations, tolerance and ls_tolerance. mean_inertia: the model's, in kg m²."""
+
+    iterations: int
+    line_search_iterations: int
+    tolerance: float
+    line_search_tolerance: float
+    mean_inertia: float
+
+
+@dataclass(frozen=True)
+class Problem:
+    """mass: M. force: all but the constraints', [nv]; free: the acceleration under it, M⁻¹ force."""
+
+    tree: Tree
+    mass: Entries
+    force: Vector
+    free: Vector
+    rows: Rows
+
+
+@dataclass(frozen=True)
+class _Guess:
+    """acceleration: [nv]; inertial: M times it; residual: J times it less the reference, [rows]."""
+
+    acceleration: Vector
+    inertial: Vector
+    residual: Vector
+
+
+def acceleration(problem: Problem, warm: Vector, settings: Settings) -> Vector:
+    """[nv]: MuJoCo's `qacc`. It begins at `warm` [nv] or at the free acceleration, whichever costs less."""
+    tree = problem.tree
+    begun, free = _guess(problem, warm), _guess(problem, problem.free)
+    is_better = _cost(problem, free) < _cost(problem, begun)
+    start = _Guess(
+        *(
+            [
+                select(is_better, x, y)
+                for x, y in zip(getattr(free, one.name), getattr(begun, one.name), strict=True)
+            ]
+            for one in fields(_Guess)
+        )
+    )
+    scale = 1.0 / (settings.mean_inertia * max(1, len(tree.dofs)))
+
+    def iterate(carried: list[Number]) -> tuple[list[Number], Number]:
+        guess = _unpacked(carried, start)
+        direction, gradient = _newton_direction(problem, guess)
+        moved, gain = _line_search(problem, guess, direction, settings, scale)
+        improves = both(
+            gain * scale > settings.tolerance, sqrt(dot(gradient, gradient)) * scale > settings.tolerance
+        )
+        return _packed(moved), improves
+
+    return _unpacked(repeat(settings.iterations, iterate, _packed(start)), start).acceleration
+
+
+def constraint_force(problem: Problem, acceleration: Vector) -> Vector:
+    """[nv]: MuJoCo's `qfrc_constraint` under this acceleration."""
+    return _pulled_back(
+        problem.rows, _forces(problem.rows, _residual(problem.rows, acceleration)), acceleration
+    )
+
+
+def _newton_direction(problem: Problem, guess: _Guess) -> tuple[Vector, Vector]:
+    """-H⁻¹ g, and the gradient g: [nv] each."""
+    rows, forces = problem.rows, _forces(problem.rows, guess.residual)
+    pull = _pulled_back(rows, forces, guess.acceleration)
+    gradient = [x - y - z for x, y, z in zip(guess.inertial, problem.force, pull, strict=True)]
+    hessian = {place: [entry] for place, entry in problem.mass.items()}
+    for jacobian, stiffness, residual in zip(rows.jacobian, rows.stiffness, guess.residual, strict=True):
+        active = select(residual < 0.0, stiffness, 0.0)
+        for i, entry in jacobian.items():
+            weighted = active * entry
+            for j, other in jacobian.items():
+                if j <= i:
+                    hessian[i, j].append(weighted * other)
+    summed = {place: total(terms) for place, terms in hessian.items()}
+    step = solve(problem.tree, factorize(problem.tree, summed), gradient)
+    return [-x for x in step], gradient
+
+
+def _line_search(
+    problem: Problem, guess: _Guess, direction: Vector, settings: Settings, scale: float
+) -> tuple[_Guess, Number]:
+    """The best guess along the direction, and by how much its cost is less.
+
+    The cost along a line is convex, and quadratic between the points where a row begins or ends to push. So
+    Newton's method finds where the slope is 0, kept between places where the cost falls and where it rises.
+    """
+    inertial = multiply(problem.tree, problem.mass, direction)
+    rates = _times(problem.rows, direction)
+    linear = total(x * (y - z) for x, y, z in zip(direction, guess.inertial, problem.force, strict=True))
+    quadratic = 0.5 * dot(direction, inertial)
+    stiffness = problem.rows.stiffness
+
+    def slope(step: Number) -> tuple[Number, Number]:
+        """The cost's first and second derivative."""
+        pushed = [x + step * rate for x, rate in zip(guess.residual, rates, strict=True)]
+        first = total(d * rate * minimum(x, 0.0) for d, rate, x in zip(stiffness, rates, pushed, strict=True))
+        second = total(
+            select(x < 0.0, d * rate * rate, 0.0) for d, rate, x in zip(stiffness, rates, pushed, strict=True)
+        )
+        return linear + 2.0 * quadratic * step + first, 2.0 * quadratic + second
+
+    accuracy = settings.tolerance * settings.line_search_tolerance * sqrt(dot(direction, direction)) / scale
+    at_start, curvature = slope(0.0)
+
+    def narrow(carried: list[Number]) -> tuple[list[Number], Number]:
+        step, low, high = carried
+        first, second = slope(step)
+        low, high = select(first < 0.0, step, low), select(first < 0.0, high, step)
+        guessed = step - first / maximum(second, _TINY)
+        inside = both(low < guessed, guessed < high)
+        bounded = select(high < _FAR, 0.5 * (low + high), 2.0 * step)
+        is_good = absolute(first) < accuracy
+        return [select(is_good, step, select(inside, guessed, bounded)), low, high], ~is_good
+
+    step = repeat(
+        settings.line_search_iterations, narrow, [-at_start / maximum(curvature, _TINY), 0.0, _FAR]
+    )[0]
+    moved = _Guess(
+        [x + step * y for x, y in zip(guess.acceleration, direction, strict=True)],
+        [x + step * y for x, y in zip(guess.inertial, inertial, strict=True)],
+        [x + step * y for x, y in zip(guess.residual, rates, strict=True)],
+    )
+    fallen = total(
+        0.5 * d * ((minimum(x, 0.0) - minimum(y, 0.0)) * (minimum(x, 0.0) + minimum(y, 0.0)))
+        for d, x, y in zip(stiffness, guess.residual, moved.residual, strict=True)
+    )
+    gain = fallen - step * (linear + step * quadratic)
+    return moved, gain
+
+
+# Farther than any step: an end of a line that is not known yet. Below any curvature: for no direction.
+_FAR, _TINY = 1e30, 1e-30
+
+
+def _guess(problem: Problem, acceleration: Vector) -> _Guess:
+    inertial = multiply(problem.tree, problem.mass, acceleration)
+    return _Guess(acceleration, inertial, _residual(problem.rows, acceleration))
+
+
+def _cost(problem: Problem, guess: _Guess) -> Number:
+    apart = total(
+        (x - y) * (a - b)
+        for x, y, a, b in zip(guess.inertial, problem.force, guess.acceleration, problem.free, strict=True)
+    )
+    bent = total(
+        d * minimum(x, 0.0) ** 2 for d, x in zip(problem.rows.stiffness, guess.residual, strict=True)
+    )
+    return 0.5 * (apart + bent)
+
+
+def _residual(rows: Rows, acceleration: Vector) -> Vector:
+    return [x - a for x, a in zip(_times(rows, acceleration), rows.reference, strict=True)]
+
+
+def _times(rows: Rows, vector: Vector) -> Vector:
+    """J times a vector [nv]: [rows]."""
+    return [total(entry * vector[i] for i, entry in jacobian.items()) for jacobian in rows.jacobian]
+
+
+def _forces(rows: Rows, residual: Vector) -> Vector:
+    return [-d * minimum(x, 0.0) for d, x in zip(rows.stiffness, residual, strict=True)]
+
+
+def _pulled_back(rows: Rows, forces: Vector, like: Vector) -> Vector:
+    """Jᵀ times forces [rows]: [nv]."""
+    terms: list[list[Number]] = [[] for _ in like]
+    for jacobian, force in zip(rows.jacobian, forces, strict=True):
+        for i, entry in jacobian.items():
+            terms[i].append(entry * force)
+    return [total(own) for own in terms]
+
+
+def _packed(guess: _Guess) -> list[Number]:
+    return [*guess.acceleration, *guess.inertial, *guess.residual]
+
+
+def _unpacked(values: list[Number], like: _Guess) -> _Guess:
+    size = len(like.acceleration)
+    return replace(
+        like, acceleration=values[:size], inertial=values[size : 2 * size], residual=values[2 * size :]
+    )

@@ -1,0 +1,119 @@
+"""One substep of a model, from its stages.
+
+Source: MuJoCo's documentation, Computation, "Simulation pipeline" and "Numerical integration".
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+
+from core.physics.compiled.arithmetic import (
+    Vector,
+    add,
+    dot,
+    maximum,
+    normalized,
+    quaternion_product,
+    scale,
+    sin_cos,
+    sqrt,
+)
+from core.physics.compiled.constraints import Limit, Point, State, read_limits, read_points, rows
+from core.physics.compiled.dynamics import bias_forces, mass_matrix, motion
+from core.physics.compiled.factor import factorize, solve
+from core.physics.compiled.forces import Actuator, actuator_forces, passive_forces, read_actuators
+from core.physics.compiled.kinematics import poses
+from core.physics.compiled.solver import Problem, Settings, acceleration, constraint_force
+from core.physics.compiled.tree import Tree, read_tree
+
+
+@dataclass(frozen=True)
+class Model:
+    """timestep: in s. implicit_damping: Euler's method takes the dampers' force at the end of the substep."""
+
+    tree: Tree
+    actuators: tuple[Actuator, ...]
+    limits: tuple[Limit, ...]
+    points: tuple[Point, ...]
+    timestep: float
+    implicit_damping: bool
+    solver: Settings
+
+
+@dataclass(frozen=True)
+class Moved:
+    """qpos: [nq]. qvel: [nv]. qacc: [nv], where the next substep's solver begins."""
+
+    qpos: Vector
+    qvel: Vector
+    qacc: Vector
+
+
+def read_model(model: mujoco.MjModel) -> Model:
+    """The model as the stages read it."""
+    is_explicit = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    return Model(
+        tree=read_tree(model),
+        actuators=read_actuators(model),
+        limits=read_limits(model),
+        points=read_points(model),
+        timestep=float(model.opt.timestep),
+        implicit_damping=bool(model.dof_damping.any()) and not is_explicit,
+        solver=Settings(
+            iterations=int(model.opt.iterations),
+            line_search_iterations=int(model.opt.ls_iterations),
+            tolerance=float(model.opt.tolerance),
+            line_search_tolerance=float(model.opt.ls_tolerance),
+            mean_inertia=float(model.stat.meaninertia),
+        ),
+    )
+
+
+def substep(model: Model, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector) -> Moved:
+    """The state one timestep later under a control [nu]. qacc: [nv], the last substep's."""
+    tree = model.tree
+    at = poses(tree, qpos)
+    moving = motion(tree, at, qvel)
+    mass = mass_matrix(tree, moving)
+    _, driven = actuator_forces(model.actuators, qpos, qvel, ctrl)
+    passive = passive_forces(tree, qpos, qvel)
+    bias = bias_forces(tree, moving, qvel)
+    force = [x + y - z for x, y, z in zip(passive, driven, bias, strict=True)]
+    free = solve(tree, factorize(tree, mass), force)
+    problem = Problem(
+        tree, mass, force, free, rows(tree, model.limits, model.points, at, moving, State(qpos, qvel))
+    )
+    found = acceleration(problem, qacc, model.solver)
+    integrated = found
+    if model.implicit_damping:
+        damped = dict(mass)
+        for i, dof in enumerate(tree.dofs):
+            damped[i, i] = damped[i, i] + model.timestep * dof.damping
+        integrated = solve(tree, factorize(tree, damped), add(force, constraint_force(problem, found)))
+    after = add(qvel, scale(integrated, model.timestep))
+    return Moved(_integrated(tree, qpos, after, model.timestep), after, found)
+
+
+def _integrated(tree: Tree, qpos: Vector, qvel: Vector, timestep: float) -> Vector:
+    """The positions after a timestep at these speeds."""
+    moved = list(qpos)
+    for body in tree.bodies:
+        for joint in body.joints:
+            place, dof = joint.qpos, joint.dof
+            if joint.kind in ("slide", "hinge"):
+                moved[place] = qpos[place] + timestep * qvel[dof]
+                continue
+            if joint.kind == "free":
+                for axis in range(3):
+                    moved[place + axis] = qpos[place + axis] + timestep * qvel[dof + axis]
+                place, dof = place + 3, dof + 3
+            moved[place : place + 4] = _turned(qpos[place : place + 4], qvel[dof : dof + 3], timestep)
+    return moved
+
+
+def _turned(quaternion: Vector, speed: Vector, timestep: float) -> Vector:
+    """The quaternion after a timestep at this angular velocity [3] in the body's frame, in rad/s."""
+    rate = sqrt(maximum(dot(speed, speed), 1e-30))
+    sine, cosine = sin_cos(0.5 * timestep * rate)
+    turn = [cosine, *scale(speed, sine / rate)]
+    return normalized(quaternion_product(normalized(quaternion), turn))

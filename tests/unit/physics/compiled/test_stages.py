@@ -1,0 +1,208 @@
+"""Each stage alone, in double precision, against C MuJoCo's own intermediate results."""
+
+from copy import copy
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.physics.compiled.arithmetic import Vector
+from core.physics.compiled.constraints import Rows, State, read_limits, read_points, rows
+from core.physics.compiled.dynamics import Entries, bias_forces, mass_matrix, motion
+from core.physics.compiled.factor import factorize, multiply, solve
+from core.physics.compiled.forces import actuator_forces, passive_forces, read_actuators
+from core.physics.compiled.kinematics import poses
+from core.physics.compiled.tree import Tree, read_tree
+from core.physics.model import brax_model
+
+NUM_STATES = 16
+# A ball joint off its body's origin, two joints of one body, a tilted inertia, two trees, one fixed.
+MIXED = """
+<mujoco>
+  <option gravity="1 2 -9"/>
+  <worldbody>
+    <body name="flying" pos="0 0 1" quat="0.9 0.1 0.2 0.3">
+      <freejoint/>
+      <geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0.2" euler="10 20 30"/>
+      <body pos="0.2 0.1 0" euler="30 0 60">
+        <joint type="ball" pos="0 0.1 0.05"/>
+        <geom type="ellipsoid" size="0.1 0.05 0.2" pos="0 0 0.1"/>
+        <body pos="0 0 0.4">
+          <joint type="hinge" axis="1 2 0" pos="0.1 0 0" ref="20" armature="0.3"/>
+          <joint type="slide" axis="0 1 1" ref="0.2"/>
+          <geom type="capsule" size="0.05 0.2" mass="0.7"/>
+        </body>
+      </body>
+    </body>
+    <body name="fixed" pos="2 0 0"><geom size="0.1"/>
+      <body pos="0 0 1"><joint type="hinge" axis="0 1 0"/><geom type="capsule" size="0.05 0.2"/></body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+BODIES = ("ant", "half_cheetah", "hopper", "walker2d", "humanoid", "inverted_pendulum", "reacher", "mixed")
+
+
+@cache
+def model_of(name: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(MIXED) if name == "mixed" else brax_model(name)
+
+
+class Case:
+    """States of a body drawn at random, C MuJoCo's results for each of them, and ours for all at once."""
+
+    def __init__(self, name: str) -> None:
+        self.model = model_of(name)
+        self.tree: Tree = read_tree(self.model)
+        generator = np.random.default_rng(0)
+        self.datas = [mujoco.MjData(self.model) for _ in range(NUM_STATES)]
+        for data in self.datas:
+            data.qpos[:] += generator.normal(size=self.model.nq)
+            data.qvel[:] = generator.normal(size=self.model.nv)
+            data.ctrl[:] = 2.0 * generator.normal(size=self.model.nu)
+            mujoco.mj_forward(self.model, data)
+        self.qpos: Vector = list(np.stack([data.qpos for data in self.datas], axis=1))
+        self.qvel: Vector = list(np.stack([data.qvel for data in self.datas], axis=1))
+        self.ctrl: Vector = list(np.stack([data.ctrl for data in self.datas], axis=1))
+        self.poses = poses(self.tree, self.qpos)
+        self.motion = motion(self.tree, self.poses, self.qvel)
+        self.mass_matrix = mass_matrix(self.tree, self.motion)
+
+    def of_mujoco(self, field: str) -> NDArray[np.float64]:
+        """[NUM_STATES, ...]."""
+        return np.stack([getattr(data, field) for data in self.datas])
+
+    def dense_mass_matrix(self, data: mujoco.MjData) -> NDArray[np.float64]:
+        dense = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, data, dense)
+        return dense
+
+
+@cache
+def case_of(name: str) -> Case:
+    return Case(name)
+
+
+@pytest.fixture(params=BODIES)
+def case(request: pytest.FixtureRequest) -> Case:
+    return case_of(request.param)
+
+
+def stacked(values: list[Vector]) -> NDArray[np.float64]:
+    """[NUM_STATES, ...] of lists of numbers."""
+    return np.stack([[np.broadcast_to(x, NUM_STATES) for x in row] for row in values]).transpose(2, 0, 1)
+
+
+def dense(entries: Entries, size: int) -> NDArray[np.float64]:
+    found = np.zeros((NUM_STATES, size, size))
+    for (i, j), values in entries.items():
+        found[:, i, j] = found[:, j, i] = values
+    return found
+
+
+def assert_close(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> None:
+    """Equal to 1e-12 of the largest number: sums are taken in another order."""
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12 * max(1.0, float(np.abs(theirs).max())))
+
+
+def test_bodies_and_centres_of_mass_are_where_mujoco_has_them(case: Case) -> None:
+    assert_close(stacked(case.poses.positions), case.of_mujoco("xpos"))
+    assert_close(stacked(case.poses.centres), case.of_mujoco("xipos"))
+    rotations = [[x for row in rotation for x in row] for rotation in case.poses.rotations]
+    assert_close(stacked(rotations), case.of_mujoco("xmat").reshape(NUM_STATES, -1, 9))
+    for root, centre in case.motion.centres.items():
+        assert_close(stacked([centre])[:, 0], case.of_mujoco("subtree_com")[:, root])
+
+
+def test_inertias_axes_and_velocities_are_mujoco_s(case: Case) -> None:
+    assert_close(stacked(case.motion.inertias)[:, 1:], case.of_mujoco("cinert")[:, 1:])
+    assert_close(stacked(case.motion.axes), case.of_mujoco("cdof"))
+    assert_close(stacked(case.motion.velocities), case.of_mujoco("cvel"))
+    assert_close(stacked(case.motion.axis_rates), case.of_mujoco("cdof_dot"))
+
+
+def test_the_mass_matrix_is_mujoco_s_and_has_no_entry_outside_the_tree(case: Case) -> None:
+    theirs = np.stack([case.dense_mass_matrix(data) for data in case.datas])
+    assert_close(dense(case.mass_matrix, case.model.nv), theirs)
+    assert set(case.mass_matrix) == set(case.tree.entries)
+
+
+def test_bias_forces_are_mujoco_s(case: Case) -> None:
+    ours = bias_forces(case.tree, case.motion, case.qvel)
+    assert_close(stacked([ours])[:, 0], case.of_mujoco("qfrc_bias"))
+
+
+def test_the_factor_solves_and_multiplies(case: Case) -> None:
+    right: Vector = list(np.random.default_rng(1).normal(size=(case.model.nv, NUM_STATES)))
+    x = solve(case.tree, factorize(case.tree, case.mass_matrix), right)
+    expected = np.linalg.solve(dense(case.mass_matrix, case.model.nv), np.stack(right, axis=1)[..., None])
+    np.testing.assert_allclose(np.stack(x, axis=1), expected[..., 0], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(multiply(case.tree, case.mass_matrix, x), right, rtol=1e-8, atol=1e-8)
+
+
+def test_passive_and_actuator_forces_are_mujoco_s(case: Case) -> None:
+    passive = passive_forces(case.tree, case.qpos, case.qvel)
+    assert_close(stacked([passive])[:, 0], case.of_mujoco("qfrc_passive"))
+    own, on_joints = actuator_forces(read_actuators(case.model), case.qpos, case.qvel, case.ctrl)
+    if own:
+        assert_close(stacked([own])[:, 0], case.of_mujoco("actuator_force"))
+    assert_close(stacked([on_joints])[:, 0], case.of_mujoco("qfrc_actuator"))
+
+
+class Touching:
+    """States of a body on the floor, and its joints' limits, as C MuJoCo's own steps bring it there."""
+
+    def __init__(self, name: str) -> None:
+        self.model = model_of(name)
+        self.tree = read_tree(self.model)
+        generator = np.random.default_rng(0)
+        data, self.datas = mujoco.MjData(self.model), list[mujoco.MjData]()
+        data.qvel[:] = generator.normal(size=self.model.nv)
+        for step in range(200 + 40 * NUM_STATES):
+            if step % 10 == 0:
+                data.ctrl[:] = generator.uniform(-0.2, 0.2, size=self.model.nu)
+            mujoco.mj_step(self.model, data)
+            if step >= 200 and step % 40 == 39:
+                mujoco.mj_forward(self.model, data)
+                self.datas.append(copy(data))
+        qpos: Vector = list(np.stack([data.qpos for data in self.datas], axis=1))
+        qvel: Vector = list(np.stack([data.qvel for data in self.datas], axis=1))
+        at = poses(self.tree, qpos)
+        moving = motion(self.tree, at, qvel)
+        limits, points = read_limits(self.model), read_points(self.model)
+        self.rows: Rows = rows(self.tree, limits, points, at, moving, State(qpos, qvel))
+
+    def jacobian(self, data: mujoco.MjData) -> NDArray[np.float64]:
+        if mujoco.mj_isSparse(self.model):
+            dense = np.zeros((data.nefc, self.model.nv))
+            structure = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+            mujoco.mju_sparse2dense(dense, data.efc_J, *structure)
+            return dense
+        return data.efc_J.reshape(data.nefc, self.model.nv)
+
+
+@pytest.mark.parametrize("name", ["ant", "half_cheetah", "hopper", "walker2d", "humanoid"])
+def test_rows_press_and_pull_as_mujoco_s(name: str) -> None:
+    """Jᵀ D J and Jᵀ D a, which are all that a solver needs of them, and which no order of rows changes."""
+    body = Touching(name)
+    nv = body.model.nv
+    ours = np.zeros((2, NUM_STATES, nv, nv))
+    for jacobian, stiffness, reference in zip(
+        body.rows.jacobian, body.rows.stiffness, body.rows.reference, strict=True
+    ):
+        row = np.zeros((NUM_STATES, nv))
+        for dof, entry in jacobian.items():
+            row[:, dof] = entry
+        weight = np.broadcast_to(stiffness, NUM_STATES)[:, None]
+        ours[0] += weight[..., None] * row[:, :, None] * row[:, None, :]
+        ours[1, :, :, 0] += weight * row * np.broadcast_to(reference, NUM_STATES)[:, None]
+    theirs = np.zeros_like(ours)
+    for state, data in enumerate(body.datas):
+        jacobian = body.jacobian(data)
+        theirs[0, state] = jacobian.T @ np.diag(data.efc_D) @ jacobian
+        theirs[1, state, :, 0] = jacobian.T @ (data.efc_D * data.efc_aref)
+    assert sum(data.ncon for data in body.datas) > NUM_STATES / 2
+    for mine, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-11 * np.abs(other).max())
