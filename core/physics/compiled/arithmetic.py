@@ -1,14 +1,16 @@
 """Numbers that the stages of a substep compute with, and functions of them.
 
 A stage is a plain function of numbers, so that the same lines can compute and be compiled. A number is a
-constant of the model (float), or a NumPy array with an entry for each environment. Vectors are lists of
-numbers, matrices lists of rows.
+constant of the model (float), a NumPy array with an entry for each environment, or a symbol of a program.
+Vectors are lists of numbers, matrices lists of rows.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
+
+from core.physics.compiled.program import Operation, Symbol, call
 
 # Not a union: every combination of kinds adds and multiplies, which Python's types cannot say.
 Number = Any
@@ -16,28 +18,28 @@ Vector = list[Number]
 Matrix = list[Vector]
 
 
-def sqrt(x: Number) -> Number:
-    return np.sqrt(x)
+def _function(operation: Operation, computed: Callable[..., Number]) -> Callable[..., Number]:
+    """Writes the operation down where an argument is a symbol, and otherwise computes it."""
+
+    def function(*arguments: Number) -> Number:
+        is_symbolic = any(isinstance(argument, Symbol) for argument in arguments)
+        return call(operation, *arguments) if is_symbolic else computed(*arguments)
+
+    return function
 
 
-def sin_cos(x: Number) -> tuple[Number, Number]:
-    return np.sin(x), np.cos(x)
-
-
-def minimum(x: Number, y: Number) -> Number:
-    return np.minimum(x, y)
-
-
-def maximum(x: Number, y: Number) -> Number:
-    return np.maximum(x, y)
+sqrt = _function("sqrt", np.sqrt)
+sine = _function("sin", np.sin)
+cosine = _function("cos", np.cos)
+absolute = _function("absolute", np.abs)
+minimum = _function("minimum", np.minimum)
+maximum = _function("maximum", np.maximum)
+# (condition, chosen, otherwise)
+select = _function("select", np.where)
 
 
 def clip(x: Number, low: Number, high: Number) -> Number:
     return minimum(maximum(x, low), high)
-
-
-def select(condition: Any, chosen: Number, otherwise: Number) -> Number:
-    return np.where(condition, chosen, otherwise)
 
 
 def total(terms: Iterable[Number]) -> Number:
@@ -97,8 +99,7 @@ def normalized(a: Vector) -> Vector:
 
 def rotation_about(axis: Vector, angle: Number) -> Vector:
     """The quaternion of a turn by `angle` in rad about an axis of length 1."""
-    sine, cosine = sin_cos(0.5 * angle)
-    return [cosine, *scale(axis, sine)]
+    return [cosine(0.5 * angle), *scale(axis, sine(0.5 * angle))]
 
 
 def rotation_matrix(quaternion: Vector) -> Matrix:
@@ -109,11 +110,3 @@ def rotation_matrix(quaternion: Vector) -> Matrix:
         [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
         [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
     ]
-
-
-def absolute(x: Number) -> Number:
-    return np.abs(x)
-
-
-def both(x: Any, y: Any) -> Any:
-    return x & y

@@ -13,6 +13,7 @@ import numpy as np
 from core.physics.compiled.arithmetic import (
     Number,
     Vector,
+    absolute,
     add,
     cross,
     dot,
@@ -21,6 +22,7 @@ from core.physics.compiled.arithmetic import (
     rotate,
     scale,
     select,
+    sqrt,
     subtract,
     total,
 )
@@ -205,7 +207,7 @@ def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
     if along is None:
         along = [0.0, 1.0, 0.0] if abs(normal[1]) < 0.5 else [0.0, 0.0, 1.0]
     across = subtract(along, scale(normal, dot(normal, along)))
-    length = dot(across, across) ** 0.5
+    length = sqrt(dot(across, across))
     first = scale(across, 1.0 / maximum(length, 1e-15))
     return first, cross(normal, first)
 
@@ -213,7 +215,7 @@ def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
 def _impedance(softness: Softness, distance: Number) -> Number:
     """d(r), between its value at the surface and that in the depth."""
     lowest, highest, width = softness.impedance
-    x = minimum(abs(distance) * (1.0 / width), 1.0)
+    x = minimum(absolute(distance) * (1.0 / width), 1.0)
     rest = 1.0 - x
     curve = select(x < 0.5, 2.0 * x * x, 1.0 - 2.0 * (rest * rest))
     return lowest + curve * (highest - lowest)

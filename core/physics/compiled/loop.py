@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from core.physics.compiled.arithmetic import Number, select
+from core.physics.compiled.program import Symbol
 
 
 def repeat(
@@ -14,6 +15,9 @@ def repeat(
 
     An environment that need not go on keeps the numbers that it has.
     """
+    symbol = next((number for number in carried if isinstance(number, Symbol)), None)
+    if symbol is not None:
+        return symbol.program.loop(most, body, carried)
     running = np.True_
     for _ in range(most):
         if not np.any(running):

@@ -9,7 +9,6 @@ from core.physics.compiled.arithmetic import (
     Number,
     Vector,
     absolute,
-    both,
     dot,
     maximum,
     minimum,
@@ -75,9 +74,8 @@ def acceleration(problem: Problem, warm: Vector, settings: Settings) -> Vector:
         guess = _unpacked(carried, start)
         direction, gradient = _newton_direction(problem, guess)
         moved, gain = _line_search(problem, guess, direction, settings, scale)
-        improves = both(
-            gain * scale > settings.tolerance, sqrt(dot(gradient, gradient)) * scale > settings.tolerance
-        )
+        steepness = sqrt(dot(gradient, gradient))
+        improves = (gain * scale > settings.tolerance) & (steepness * scale > settings.tolerance)
         return _packed(moved), improves
 
     return _unpacked(repeat(settings.iterations, iterate, _packed(start)), start).acceleration
@@ -139,7 +137,7 @@ def _line_search(
         first, second = slope(step)
         low, high = select(first < 0.0, step, low), select(first < 0.0, high, step)
         guessed = step - first / maximum(second, _TINY)
-        inside = both(low < guessed, guessed < high)
+        inside = (low < guessed) & (guessed < high)
         bounded = select(high < _FAR, 0.5 * (low + high), 2.0 * step)
         is_good = absolute(first) < accuracy
         return [select(is_good, step, select(inside, guessed, bounded)), low, high], ~is_good
@@ -175,7 +173,8 @@ def _cost(problem: Problem, guess: _Guess) -> Number:
         for x, y, a, b in zip(guess.inertial, problem.force, guess.acceleration, problem.free, strict=True)
     )
     bent = total(
-        d * minimum(x, 0.0) ** 2 for d, x in zip(problem.rows.stiffness, guess.residual, strict=True)
+        d * (minimum(x, 0.0) * minimum(x, 0.0))
+        for d, x in zip(problem.rows.stiffness, guess.residual, strict=True)
     )
     return 0.5 * (apart + bent)
 

@@ -10,12 +10,13 @@ import mujoco
 from core.physics.compiled.arithmetic import (
     Vector,
     add,
+    cosine,
     dot,
     maximum,
     normalized,
     quaternion_product,
     scale,
-    sin_cos,
+    sine,
     sqrt,
 )
 from core.physics.compiled.constraints import Limit, Point, State, read_limits, read_points, rows
@@ -114,6 +115,6 @@ def _integrated(tree: Tree, qpos: Vector, qvel: Vector, timestep: float) -> Vect
 def _turned(quaternion: Vector, speed: Vector, timestep: float) -> Vector:
     """The quaternion after a timestep at this angular velocity [3] in the body's frame, in rad/s."""
     rate = sqrt(maximum(dot(speed, speed), 1e-30))
-    sine, cosine = sin_cos(0.5 * timestep * rate)
-    turn = [cosine, *scale(speed, sine / rate)]
+    half = (0.5 * timestep) * rate
+    turn = [cosine(half), *scale(speed, sine(half) / rate)]
     return normalized(quaternion_product(normalized(quaternion), turn))

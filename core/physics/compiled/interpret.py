@@ -1,0 +1,76 @@
+"""Runs a program with NumPy, one operation after another: slow, and the measure of all code that is made."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.physics.compiled.program import Assign, Loop, Operation, Program, Statement
+
+Values = dict[int, NDArray[np.generic]]
+
+_FUNCTIONS: Mapping[Operation, Callable[..., NDArray[np.generic]]] = {
+    "add": np.add,
+    "subtract": np.subtract,
+    "multiply": np.multiply,
+    "divide": np.divide,
+    "negate": np.negative,
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "absolute": np.abs,
+    "minimum": np.minimum,
+    "maximum": np.maximum,
+    "less": np.less,
+    "and": np.logical_and,
+    "not": np.logical_not,
+    "select": np.where,
+}
+
+
+def interpret(
+    program: Program, given: Mapping[str, Sequence[NDArray[np.floating]]]
+) -> dict[str, list[NDArray[np.floating]]]:
+    """The outputs. given: by input, an array [environments] for each of its numbers."""
+    dtype = next(iter(given.values()))[0].dtype
+    values = Values()
+    _run(program.statements, values, given, dtype)
+    return {name: [values[number] for number in numbers] for name, numbers in program.outputs.items()}  # pyright: ignore
+
+
+def _run(
+    statements: Sequence[Statement],
+    values: Values,
+    given: Mapping[str, Sequence[NDArray[np.floating]]],
+    dtype: np.dtype[np.floating],
+) -> None:
+    for statement in statements:
+        match statement:
+            case Assign(target=target, operation="input", arguments=(str(name), int(place))):
+                values[target] = given[name][place]
+            case Assign(target=target, operation="constant", arguments=(value,)):
+                values[target] = np.asarray(value, dtype)
+            case Assign(target=target, operation=operation, arguments=arguments):
+                values[target] = _FUNCTIONS[operation](*(values[int(number)] for number in arguments))
+            case Loop():
+                _repeat(statement, values, given, dtype)
+
+
+def _repeat(
+    loop: Loop,
+    values: Values,
+    given: Mapping[str, Sequence[NDArray[np.floating]]],
+    dtype: np.dtype[np.floating],
+) -> None:
+    """An environment that need not go on keeps the numbers that it has."""
+    for variable, before, _ in loop.carried:
+        values[variable] = values[before]
+    running: NDArray[np.generic] = np.asarray(True)
+    for _ in range(loop.most):
+        if not running.any():
+            break
+        _run(loop.body, values, given, dtype)
+        after = [np.where(running, values[after], values[variable]) for variable, _, after in loop.carried]
+        running = running & values[loop.improves]
+        for (variable, _, _), value in zip(loop.carried, after, strict=True):
+            values[variable] = value

@@ -1,0 +1,179 @@
+"""A program of scalar operations, written down by the stages when they compute with symbols.
+
+A symbol stands for a number that is known only when the program runs. Operations on symbols append to the
+program's open block; equal operations are written once, and those with 0 and 1 not at all.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal
+
+Operation = Literal[
+    "input", "constant", "add", "subtract", "multiply", "divide", "negate",
+    "sqrt", "sin", "cos", "absolute", "minimum", "maximum",
+    "less", "and", "not", "select",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Assign:
+    """Variable `target` is the operation's result. arguments: numbers of variables, or a constant's value, or
+    an input's name and place."""
+
+    target: int
+    operation: Operation
+    arguments: tuple[int | float | str, ...]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Repeats `body` at most `most` times, as long as `improves` is true after it.
+
+    carried: variables with the values before the first repetition and after each: (variable, before, after).
+    """
+
+    most: int
+    carried: tuple[tuple[int, int, int], ...]
+    body: tuple["Statement", ...]
+    improves: int
+
+
+Statement = Assign | Loop
+
+
+@dataclass
+class Program:
+    """statements: of the open block. outputs: variables, by name."""
+
+    statements: list[Statement] = field(default_factory=list[Statement])
+    outputs: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
+    _known: dict[tuple[object, ...], int] = field(default_factory=dict[tuple[object, ...], int])
+    _num_variables: int = 0
+
+    def inputs(self, name: str, size: int) -> list["Symbol"]:
+        """The numbers of an input, such as qpos [nq]."""
+        return [self.write("input", name, place) for place in range(size)]
+
+    def output(self, name: str, values: Sequence["Symbol | float"]) -> None:
+        self.outputs[name] = [self.variable(value) for value in values]
+
+    def write(self, operation: Operation, *arguments: int | float | str) -> "Symbol":
+        """The symbol of an operation, which is written down unless it is there already."""
+        key = (operation, *arguments)
+        if key not in self._known:
+            self._known[key] = self._new_variable()
+            self.statements.append(Assign(self._known[key], operation, arguments))
+        return Symbol(self, self._known[key])
+
+    def variable(self, value: "Symbol | float") -> int:
+        """The variable that holds the value."""
+        if not isinstance(value, Symbol):
+            return self.write("constant", float(value)).number
+        return self.write("negate", value.number).number if value.negative else value.number
+
+    def loop(
+        self,
+        most: int,
+        body: Callable[[list["Symbol"]], tuple[Sequence["Symbol | float"], "Symbol"]],
+        carried: Sequence["Symbol | float"],
+    ) -> list["Symbol"]:
+        """The carried numbers after the repetitions; see Loop."""
+        before = [self.variable(value) for value in carried]
+        inside = [Symbol(self, self._new_variable()) for _ in carried]
+        with self._block() as statements:
+            values, go_on = body(inside)
+            after, improves = [self.variable(value) for value in values], self.variable(go_on)
+        numbers = [symbol.number for symbol in inside]
+        self.statements.append(
+            Loop(most, tuple(zip(numbers, before, after, strict=True)), tuple(statements), improves)
+        )
+        return inside
+
+    @contextmanager
+    def _block(self) -> Iterator[list[Statement]]:
+        """A block of its own: what is computed in it is not known after it."""
+        outer, known = self.statements, dict(self._known)
+        self.statements = []
+        yield self.statements
+        self.statements, self._known = outer, known
+
+    def _new_variable(self) -> int:
+        self._num_variables += 1
+        return self._num_variables - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Symbol:
+    """A program's variable, or its negative: a sign costs no operation."""
+
+    program: Program
+    number: int
+    negative: bool = False
+
+    def __neg__(self) -> "Symbol":
+        return Symbol(self.program, self.number, not self.negative)
+
+    def __add__(self, other: "Symbol | float") -> "Symbol | float":
+        if not isinstance(other, Symbol):
+            if other == 0.0:
+                return self
+            constant = self.program.write("constant", float(abs(other)))
+            other = constant if other > 0.0 else -constant
+        if self.number == other.number:
+            return 2.0 * self if self.negative == other.negative else 0.0
+        first, second = sorted((self, other), key=lambda symbol: symbol.number)
+        if first.negative == second.negative:
+            whole = self.program.write("add", first.number, second.number)
+        else:
+            whole = self.program.write("subtract", first.number, second.number)
+        return -whole if first.negative else whole
+
+    __radd__ = __add__
+
+    def __sub__(self, other: "Symbol | float") -> "Symbol | float":
+        return self + -other
+
+    def __rsub__(self, other: "Symbol | float") -> "Symbol | float":
+        return -self + other
+
+    def __mul__(self, other: "Symbol | float") -> "Symbol | float":
+        if not isinstance(other, Symbol):
+            if other in (0.0, 1.0, -1.0):
+                return (0.0, self, -self)[int(other)]
+            constant = self.program.write("constant", float(abs(other)))
+            other = constant if other > 0.0 else -constant
+        first, second = sorted((self.number, other.number))
+        whole = self.program.write("multiply", first, second)
+        return -whole if self.negative != other.negative else whole
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: "Symbol | float") -> "Symbol | float":
+        if not isinstance(other, Symbol):
+            return self * (1.0 / other)
+        whole = self.program.write("divide", self.number, other.number)
+        return -whole if self.negative != other.negative else whole
+
+    def __rtruediv__(self, other: float) -> "Symbol | float":
+        if other == 0.0:
+            return 0.0
+        return Symbol(self.program, self.program.variable(other)) / self
+
+    def __lt__(self, other: "Symbol | float") -> "Symbol":
+        return self.program.write("less", self.program.variable(self), self.program.variable(other))
+
+    def __gt__(self, other: "Symbol | float") -> "Symbol":
+        return self.program.write("less", self.program.variable(other), self.program.variable(self))
+
+    def __and__(self, other: "Symbol") -> "Symbol":
+        return self.program.write("and", *sorted((self.number, other.number)))
+
+    def __invert__(self) -> "Symbol":
+        return self.program.write("not", self.number)
+
+
+def call(operation: Operation, *arguments: "Symbol | float") -> Symbol:
+    """A function of numbers of which at least one is a symbol."""
+    program = next(argument.program for argument in arguments if isinstance(argument, Symbol))
+    return program.write(operation, *(program.variable(argument) for argument in arguments))

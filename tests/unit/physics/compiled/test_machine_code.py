@@ -1,0 +1,63 @@
+"""Machine code computes what the program says, in float32 and in every lane."""
+
+import numpy as np
+import pytest
+
+from core.physics.compiled.arithmetic import Number
+from core.physics.compiled.interpret import interpret
+from core.physics.compiled.llvm import function
+from core.physics.compiled.loop import repeat
+from core.physics.compiled.machine_code import compiled
+from core.physics.compiled.program import Program
+from core.physics.compiled.substep import read_model, substep
+from tests.unit.physics.compiled.test_substep import NUM_STATES, converged, of_all, states
+
+WIDTH = 8
+
+
+def run(program: Program, given: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
+    """The outputs [number, environments]; as many environments as fill whole vectors."""
+    groups = len(next(iter(given.values()))[0]) // WIDTH
+    inputs = [
+        np.stack(values).reshape(len(values), groups, WIDTH).swapaxes(0, 1) for values in given.values()
+    ]
+    inputs = [np.ascontiguousarray(values, np.float32) for values in inputs]
+    outputs = [np.empty((groups, len(one), WIDTH), np.float32) for one in program.outputs.values()]
+    code = compiled(function(program, "run", WIDTH), "run", len(inputs) + len(outputs))
+    for group in range(groups):
+        code(*(values[group] for values in (*inputs, *outputs)))
+    return {
+        name: values.swapaxes(0, 1).reshape(-1, groups * WIDTH)
+        for name, values in zip(program.outputs, outputs, strict=True)
+    }
+
+
+def test_each_lane_leaves_a_loop_for_itself() -> None:
+    def halve(carried: list[Number]) -> tuple[list[Number], Number]:
+        (x,) = carried
+        return [0.5 * x], x > 4.0
+
+    program = Program()
+    program.output("x", repeat(10, halve, program.inputs("x", 1)))
+    begun = [np.array([1, 2, 4, 5, 8, 9, 64, 1e6], np.float32)]
+    # Halved once too often, as the loop looks after the work is done, and at most ten times.
+    expected = [0.5, 1.0, 2.0, 1.25, 2.0, 1.125, 2.0, 1e6 / 1024]
+    np.testing.assert_array_equal(run(program, {"x": begun})["x"][0], np.array(expected, np.float32))
+
+
+@pytest.mark.parametrize("name", ["ant", "half_cheetah"])
+def test_a_substep_in_machine_code_is_the_substep(name: str) -> None:
+    model = converged(name, implicit_damping=True)
+    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 15, 25, 1e-7
+    datas = states(model)
+    fields = {"qpos": model.nq, "qvel": model.nv, "qacc_warmstart": model.nv, "ctrl": model.nu}
+    given = {name: of_all(datas, name) for name in fields}
+    program = Program()
+    moved = substep(read_model(model), *(program.inputs(name, size) for name, size in fields.items()))
+    for field in ("qpos", "qvel"):
+        program.output(field, getattr(moved, field))
+    exact, found = interpret(program, given), run(program, given)
+    for field, atol in (("qpos", 1e-5), ("qvel", 1e-3)):
+        expected = np.stack(np.broadcast_arrays(*exact[field]))
+        assert expected.shape[1] == NUM_STATES
+        np.testing.assert_allclose(found[field], expected, rtol=0, atol=atol)

@@ -1,0 +1,62 @@
+"""What the stages write down is what they compute."""
+
+import numpy as np
+import pytest
+
+from core.physics.compiled.arithmetic import Number, select, sqrt
+from core.physics.compiled.interpret import interpret
+from core.physics.compiled.loop import repeat
+from core.physics.compiled.program import Assign, Program
+from core.physics.compiled.substep import read_model, substep
+from tests.unit.physics.compiled.test_substep import converged, of_all, states
+
+
+def operations(program: Program) -> list[str]:
+    return [one.operation for one in program.statements if isinstance(one, Assign)]
+
+
+def test_constants_and_signs_cost_nothing_and_equal_operations_are_written_once() -> None:
+    program = Program()
+    x, y = program.inputs("x", 2)
+    assert (x * 0.0, x * 1.0, x - x) == (0.0, x, 0.0)
+    program.output("sum", [x * y - (-y) * x, -(y * x) + 1.0 * (x * y), 0.0 / x])
+    assert operations(program) == ["input", "input", "multiply", "constant", "multiply", "constant"]
+    found = interpret(program, {"x": [np.array([3.0]), np.array([5.0])]})["sum"]
+    assert [value.item() for value in found] == [30.0, 0.0, 0.0]
+
+
+def test_an_environment_leaves_a_loop_when_nothing_improves() -> None:
+    def newton(carried: list[Number]) -> tuple[list[Number], Number]:
+        """Towards the square root of 2."""
+        (x,) = carried
+        after = 0.5 * (x + 2.0 / x)
+        return [after], sqrt((after - x) * (after - x)) > 1e-3
+
+    program = Program()
+    program.output("root", repeat(20, newton, program.inputs("x", 1)))
+    begun = np.array([1.0, 100.0, np.sqrt(2.0)])
+    (written,), (computed,) = interpret(program, {"x": [begun]})["root"], repeat(20, newton, [begun])
+    np.testing.assert_array_equal(written, computed)
+
+
+def test_both_sides_of_a_choice_are_written() -> None:
+    program = Program()
+    (x,) = program.inputs("x", 1)
+    program.output("chosen", [select(x < 0.0, -x, 2.0)])
+    assert interpret(program, {"x": [np.array([-3.0, 3.0])]})["chosen"][0].tolist() == [3.0, 2.0]
+
+
+@pytest.mark.parametrize("name", ["ant", "walker2d"])
+def test_a_substep_that_was_written_down_is_the_substep(name: str) -> None:
+    model = converged(name, implicit_damping=True)
+    model.opt.iterations, model.opt.ls_iterations = 3, 6
+    datas, ours = states(model), read_model(model)
+    fields = {"qpos": model.nq, "qvel": model.nv, "qacc_warmstart": model.nv, "ctrl": model.nu}
+    given = {name: of_all(datas, name) for name in fields}
+    program = Program()
+    moved = substep(ours, *(program.inputs(name, size) for name, size in fields.items()))
+    for field in ("qpos", "qvel", "qacc"):
+        program.output(field, getattr(moved, field))
+    found, expected = interpret(program, given), substep(ours, *given.values())
+    for field in ("qpos", "qvel", "qacc"):
+        np.testing.assert_allclose(found[field], getattr(expected, field), rtol=1e-9, atol=1e-9)
