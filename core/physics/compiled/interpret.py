@@ -1,15 +1,16 @@
 """Runs a program with NumPy, one operation after another: slow, and the measure of all code that is made."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.physics.compiled.program import Assign, Loop, Operation, Program, Statement
 
-Values = dict[int, NDArray[np.generic]]
+Values = dict[int, NDArray[Any]]
 
-_FUNCTIONS: Mapping[Operation, Callable[..., NDArray[np.generic]]] = {
+_FUNCTIONS: Mapping[Operation, Callable[..., NDArray[Any]]] = {
     "add": np.add,
     "subtract": np.subtract,
     "multiply": np.multiply,
@@ -65,7 +66,7 @@ def _repeat(
     """An environment that need not go on keeps the numbers that it has."""
     for variable, before, _ in loop.carried:
         values[variable] = values[before]
-    running: NDArray[np.generic] = np.asarray(True)
+    running: NDArray[Any] = np.asarray(True)
     for _ in range(loop.most):
         if not running.any():
             break

@@ -4,7 +4,7 @@ A symbol stands for a number that is known only when the program runs. Operation
 program's open block; equal operations are written once, and those with 0 and 1 not at all.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
@@ -91,7 +91,7 @@ class Program:
         return inside
 
     @contextmanager
-    def _block(self) -> Iterator[list[Statement]]:
+    def _block(self) -> Generator[list[Statement]]:
         """A block of its own: what is computed in it is not known after it."""
         outer, known = self.statements, dict(self._known)
         self.statements = []
