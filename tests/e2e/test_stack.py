@@ -9,6 +9,7 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -93,7 +94,8 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
         one.process.kill()
         one.process.communicate()
         for left in one.family():
-            left.kill()
+            with suppress(psutil.NoSuchProcess):  # It may end by itself meanwhile.
+                left.kill()
 
 
 def eventually(holds: Callable[[], bool], within_s: float) -> bool:
