@@ -19,7 +19,7 @@ from core.physics.compiled.arithmetic import (
     sine,
     sqrt,
 )
-from core.physics.compiled.constraints import Limit, Point, State, read_limits, read_points, rows
+from core.physics.compiled.constraints import Limit, Point, State, constraint_rows, read_limits, read_points
 from core.physics.compiled.dynamics import bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, solve
 from core.physics.compiled.forces import Actuator, actuator_forces, passive_forces, read_actuators
@@ -81,9 +81,8 @@ def substep(model: Model, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector
     bias = bias_forces(tree, moving, qvel)
     force = [x + y - z for x, y, z in zip(passive, driven, bias, strict=True)]
     free = solve(tree, factorize(tree, mass), force)
-    problem = Problem(
-        tree, mass, force, free, rows(tree, model.limits, model.points, at, moving, State(qpos, qvel))
-    )
+    rows = constraint_rows(tree, model.limits, model.points, at, moving, State(qpos, qvel))
+    problem = Problem(tree, mass, force, free, rows)
     found = acceleration(problem, qacc, model.solver)
     integrated = found
     if model.implicit_damping:
