@@ -5,7 +5,7 @@ So the program's shape does not depend on the state.
 Source: MuJoCo's documentation, Computation, "Constraint model", and Modeling, "Solver parameters".
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -28,6 +28,7 @@ from core.physics.compiled.arithmetic import (
 )
 from core.physics.compiled.dynamics import Motion
 from core.physics.compiled.kinematics import Poses
+from core.physics.compiled.rows import Direction, Group, Rows
 from core.physics.compiled.tree import Tree
 
 
@@ -80,23 +81,6 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Rows:
-    """The rows of all constraints: MuJoCo's `efc_J` (entries by degree of freedom), `efc_D` and `efc_aref`.
-
-    stiffness: D, 0 where a row is not active. reference: the wanted acceleration.
-    """
-
-    jacobian: list[dict[int, Number]] = field(default_factory=list[dict[int, Number]])
-    stiffness: list[Number] = field(default_factory=list[Number])
-    reference: list[Number] = field(default_factory=list[Number])
-
-    def add(self, jacobian: dict[int, Number], stiffness: Number, reference: Number) -> None:
-        self.jacobian.append(jacobian)
-        self.stiffness.append(stiffness)
-        self.reference.append(reference)
-
-
-@dataclass(frozen=True)
 class State:
     """qpos: [nq]. qvel: [nv]."""
 
@@ -137,59 +121,59 @@ def read_points(model: mujoco.MjModel) -> tuple[Point, ...]:
     return tuple(found)
 
 
-def rows(
+def constraint_rows(
     tree: Tree, limits: tuple[Limit, ...], points: tuple[Point, ...], at: Poses, moving: Motion, state: State
 ) -> Rows:
-    """All rows in this state, limits first; four of each point with friction, for a pyramidal cone."""
-    found = Rows()
-    for limit in limits:
-        _add_limit(found, limit, state)
-    for point in points:
-        _add_point(found, tree, point, at, moving, state.qvel)
-    return found
+    """All rows in this state, limits first."""
+    return [
+        *(_of_limit(limit, state) for limit in limits),
+        *(_of_point(tree, point, at, moving, state.qvel) for point in points),
+    ]
 
 
-def _add_limit(found: Rows, limit: Limit, state: State) -> None:
+def _of_limit(limit: Limit, state: State) -> Group:
     """The nearer end of the range: both are never active at once."""
     above, below = state.qpos[limit.qpos] - limit.low, limit.high - state.qpos[limit.qpos]
     sign = select(above < below, 1.0, -1.0)
     distance = minimum(above, below) - limit.margin
-    impedance = _impedance(limit.softness, distance)
-    speed = sign * state.qvel[limit.dof]
-    found.add(
-        {limit.dof: sign},
-        _stiffness(impedance, limit.inverse_weight, distance),
-        _reference(limit.softness, impedance, distance, speed),
-    )
+    return _group([{limit.dof: sign}], [[1.0]], limit.softness, limit.inverse_weight, distance, state.qvel)
 
 
-def _add_point(found: Rows, tree: Tree, point: Point, at: Poses, moving: Motion, qvel: Vector) -> None:
-    """A frictionless row, or the four edges of a pyramid: normal ± friction · each of two tangents."""
+def _of_point(tree: Tree, point: Point, at: Poses, moving: Motion, qvel: Vector) -> Group:
+    """A frictionless row, or the four edges of a pyramid."""
     body = tree.bodies[point.body]
     centre = add(at.positions[point.body], rotate(at.rotations[point.body], point.offset))
     gap = dot(point.normal, centre) - point.height - point.radius
     touched = subtract(centre, scale(point.normal, point.radius + 0.5 * gap))
-    along = rotate(at.rotations[point.body], point.along) if point.along else None
     arm = subtract(touched, moving.centres[body.root])
-    moved_by = _moved_by(tree, point.body)
     # How each degree of freedom moves the point, [3].
-    speeds = {i: add(moving.axes[i][3:], cross(moving.axes[i][:3], arm)) for i in moved_by}
-    normal = {i: dot(point.normal, speed) for i, speed in speeds.items()}
-    distance = gap - point.margin
-    impedance = _impedance(point.softness, distance)
+    speeds = {i: add(moving.axes[i][3:], cross(moving.axes[i][:3], arm)) for i in _moved_by(tree, point.body)}
+    normal, distance, weight = point.normal, gap - point.margin, point.inverse_weight
     if not point.friction:
-        speed = total(normal[i] * qvel[i] for i in moved_by)
-        stiffness = _stiffness(impedance, point.inverse_weight, distance)
-        found.add(normal, stiffness, _reference(point.softness, impedance, distance, speed))
-        return
-    weight = point.inverse_weight * (1.0 + point.friction**2) * 2.0 * point.friction**2
-    stiffness = _stiffness(impedance, weight, distance)
-    for tangent in _tangents(point.normal, along):
-        sideways = {i: dot(tangent, speed) for i, speed in speeds.items()}
-        for sign in (1.0, -1.0):
-            edge = {i: normal[i] + (sign * point.friction) * sideways[i] for i in moved_by}
-            speed = total(edge[i] * qvel[i] for i in moved_by)
-            found.add(edge, stiffness, _reference(point.softness, impedance, distance, speed))
+        along = [{i: dot(normal, speed) for i, speed in speeds.items()}]
+        return _group(along, [[1.0]], point.softness, weight, distance, qvel)
+    axis = rotate(at.rotations[point.body], point.along) if point.along else None
+    frame = [normal, *_tangents(normal, axis)]
+    directions = [{i: dot(one, speed) for i, speed in speeds.items()} for one in frame]
+    friction = point.friction
+    edges = [[1.0, friction, 0.0], [1.0, -friction, 0.0], [1.0, 0.0, friction], [1.0, 0.0, -friction]]
+    weight *= (1.0 + friction**2) * 2.0 * friction**2
+    return _group(directions, edges, point.softness, weight, distance, qvel)
+
+
+def _group(
+    directions: list[Direction],
+    mixtures: list[list[float]],
+    softness: Softness,
+    inverse_weight: float,
+    distance: Number,
+    qvel: Vector,
+) -> Group:
+    impedance = _impedance(softness, distance)
+    stiffness = _stiffness(impedance, inverse_weight, distance)
+    speeds = [total(entry * qvel[i] for i, entry in one.items()) for one in directions]
+    references = [_reference(softness, impedance, distance, dot(mixture, speeds)) for mixture in mixtures]
+    return Group(directions, mixtures, [stiffness] * len(mixtures), references)
 
 
 def _moved_by(tree: Tree, body: int) -> list[int]:

@@ -72,6 +72,7 @@ def _repeat(
             break
         _run(loop.body, values, given, dtype)
         after = [np.where(running, values[after], values[variable]) for variable, _, after in loop.carried]
-        running = running & values[loop.improves]
+        if loop.improves is not None:
+            running = running & values[loop.improves]
         for (variable, _, _), value in zip(loop.carried, after, strict=True):
             values[variable] = value

@@ -26,12 +26,14 @@ _FUNCTIONS: Mapping[Operation, str] = {"sqrt": "sqrt", "sin": "sin", "cos": "cos
 class Writer:
     """The body of a function on vectors of `width` float32.
 
-    block: the label of the block that is being written.
+    sizes: how many numbers of an environment each array holds. block: the label of the block that is being
+    written.
     """
 
     width: int
+    sizes: Mapping[str, int]
     lines: list[str] = field(default_factory=list[str])
-    block: str = "entry"
+    block: str = "group"
     _num_names: int = 0
 
     @property
@@ -102,10 +104,30 @@ class Writer:
         )
 
     def _load(self, target: str, name: str, place: int) -> None:
-        """Inputs lie in vectors, a number after the other."""
-        pointer = self.name()
-        self.line(f"{pointer} = getelementptr {self.number}, ptr %{name}, i64 {place}")
-        self.line(f"{target} = load {self.number}, ptr {pointer}, align 4")
+        pointers = self._pointers(name, place)
+        gather = f"@llvm.masked.gather.v{self.width}f32.v{self.width}p0"
+        self.line(
+            f"{target} = call {self.number} {gather}(<{self.width} x ptr> {pointers}, i32 4, "
+            f"{self.truth} %exists, {self.number} zeroinitializer)"
+        )
+
+    def store(self, name: str, place: int, variable: int) -> None:
+        pointers = self._pointers(name, place)
+        scatter = f"@llvm.masked.scatter.v{self.width}f32.v{self.width}p0"
+        self.line(
+            f"call void {scatter}({self.number} %v{variable}, <{self.width} x ptr> {pointers}, i32 4, "
+            f"{self.truth} %exists)"
+        )
+
+    def _pointers(self, name: str, place: int) -> str:
+        """Where each lane's environment has this number of an array [environments, size]."""
+        first, pointers = self.name(), self.name()
+        self.line(f"{first} = getelementptr float, ptr %{name}, i64 {place}")
+        self.line(
+            f"{pointers} = getelementptr [{self.sizes[name]} x float], ptr {first}, "
+            f"<{self.width} x i64> %environments"
+        )
+        return pointers
 
     def _loop(self, loop: Loop) -> None:
         head, inside, after = (self.name()[1:] for _ in range(3))
@@ -127,7 +149,8 @@ class Writer:
         for variable, _, value in loop.carried:
             kept[variable] = self.name()
             self._select(kept[variable], running, f"%v{value}", f"%v{variable}")
-        self.line(f"{next_running} = and {self.truth} {running}, %v{loop.improves}")
+        improves = "splat (i1 true)" if loop.improves is None else f"%v{loop.improves}"
+        self.line(f"{next_running} = and {self.truth} {running}, {improves}")
         self.line(f"{next_count} = add i32 {count}, 1")
         self.line(f"br label %{head}")
         last = self.block
@@ -145,24 +168,58 @@ class Writer:
 
 
 def function(program: Program, name: str, width: int) -> str:
-    """A module with `void name(inputs..., outputs...)`, in the program's order: pointers to vectors."""
-    writer = Writer(width)
+    """A module with `void name(i64 first, i64 end, inputs..., outputs...)`, in the program's order.
+
+    It moves the environments from first to end - 1. An input or output is a pointer to float32
+    [environments, size].
+    """
+    sizes = _sizes(program)
+    writer = Writer(width, sizes)
     writer.write(program.statements)
     for output, variables in program.outputs.items():
         for place, variable in enumerate(variables):
-            pointer = writer.name()
-            writer.line(f"{pointer} = getelementptr {writer.number}, ptr %to_{output}, i64 {place}")
-            writer.line(f"store {writer.number} %v{variable}, ptr {pointer}, align 4")
-    inputs = dict.fromkeys(
-        str(one.arguments[0])
-        for one in program.statements
-        if isinstance(one, Assign) and one.operation == "input"
+            writer.store(f"to_{output}", place, variable)
+    number, truth, lanes = writer.number, writer.truth, f"<{width} x i64>"
+    pointers = f"<{width} x ptr>"
+    order = ", ".join(f"i64 {lane}" for lane in range(width))
+    arrays = ", ".join(f"ptr noalias %{one}" for one in sizes)
+    kind = f"v{width}f32.v{width}p0"
+    return "\n".join(
+        [
+            *(f"declare {number} @llvm.{one}.v{width}f32({number})" for one in _FUNCTIONS.values()),
+            f"declare i1 @llvm.vector.reduce.or.v{width}i1({truth})",
+            f"declare {number} @llvm.masked.gather.{kind}({pointers}, i32, {truth}, {number})",
+            f"declare void @llvm.masked.scatter.{kind}({number}, {pointers}, i32, {truth})",
+            f"define void @{name}(i64 %first, i64 %end, {arrays}) {{",
+            "entry:",
+            f"  %ends = insertelement {lanes} poison, i64 %end, i64 0",
+            f"  %limit = shufflevector {lanes} %ends, {lanes} poison, <{width} x i32> zeroinitializer",
+            "  br label %next",
+            "next:",
+            f"  %begin = phi i64 [ %first, %entry ], [ %following, %{writer.block} ]",
+            "  %is_left = icmp slt i64 %begin, %end",
+            "  br i1 %is_left, label %group, label %done",
+            "group:",
+            f"  %begins = insertelement {lanes} poison, i64 %begin, i64 0",
+            f"  %all = shufflevector {lanes} %begins, {lanes} poison, <{width} x i32> zeroinitializer",
+            f"  %environments = add {lanes} %all, <{order}>",
+            f"  %exists = icmp slt {lanes} %environments, %limit",
+            *writer.lines,
+            f"  %following = add i64 %begin, {width}",
+            "  br label %next",
+            "done:",
+            "  ret void",
+            "}",
+            "",
+        ]
     )
-    names = [*inputs, *(f"to_{one}" for one in program.outputs)]
-    pointers = ", ".join(f"ptr noalias %{one}" for one in names)
-    declared = [
-        *(f"declare {writer.number} @llvm.{one}.v{width}f32({writer.number})" for one in _FUNCTIONS.values()),
-        f"declare i1 @llvm.vector.reduce.or.v{width}i1({writer.truth})",
-    ]
-    body = [f"define void @{name}({pointers}) {{", "entry:", *writer.lines, "  ret void", "}", ""]
-    return "\n".join([*declared, *body])
+
+
+def _sizes(program: Program) -> dict[str, int]:
+    """The numbers of each input and output, in the order of the function's pointers."""
+    sizes = dict[str, int]()
+    for one in program.statements:
+        if isinstance(one, Assign) and one.operation == "input":
+            name, place = str(one.arguments[0]), int(one.arguments[1])
+            sizes[name] = max(sizes.get(name, 0), place + 1)
+    return sizes | {f"to_{name}": len(variables) for name, variables in program.outputs.items()}

@@ -13,6 +13,8 @@ def repeat(
 ) -> list[Number]:
     """What the numbers are after at most `most` repetitions of `body`, which also says whether to go on.
 
+    True: in any case.
+
     An environment that need not go on keeps the numbers that it has.
     """
     symbol = next((number for number in carried if isinstance(number, Symbol)), None)

@@ -16,9 +16,9 @@ class Function:
     engine: Any
     pointer: Any
 
-    def __call__(self, *arrays: NDArray[np.float32]) -> None:
-        """Arrays of vectors, as the function takes them; it writes into the last ones."""
-        self.pointer(*(array.ctypes.data for array in arrays))
+    def __call__(self, first: int, end: int, *arrays: NDArray[np.float32]) -> None:
+        """Moves the environments from first to end - 1; see `llvm.function`. Other threads run meanwhile."""
+        self.pointer(first, end, *(array.ctypes.data for array in arrays))
 
 
 def compiled(module: str, name: str, num_arrays: int) -> Function:
@@ -34,5 +34,5 @@ def compiled(module: str, name: str, num_arrays: int) -> Function:
     passes.getModulePassManager().run(parsed, passes)
     engine: Any = llvm.create_mcjit_compiler(parsed, machine)
     engine.finalize_object()
-    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * num_arrays)
+    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * num_arrays)
     return Function(engine, kind(engine.get_function_address(name)))

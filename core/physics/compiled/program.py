@@ -28,7 +28,7 @@ class Assign:
 
 @dataclass(frozen=True)
 class Loop:
-    """Repeats `body` at most `most` times, as long as `improves` is true after it.
+    """Repeats `body` at most `most` times, as long as `improves` is true after it; None: always.
 
     carried: variables with the values before the first repetition and after each: (variable, before, after).
     """
@@ -36,7 +36,7 @@ class Loop:
     most: int
     carried: tuple[tuple[int, int, int], ...]
     body: tuple["Statement", ...]
-    improves: int
+    improves: int | None
 
 
 Statement = Assign | Loop
@@ -75,7 +75,7 @@ class Program:
     def loop(
         self,
         most: int,
-        body: Callable[[list["Symbol"]], tuple[Sequence["Symbol | float"], "Symbol"]],
+        body: Callable[[list["Symbol"]], tuple[Sequence["Symbol | float"], "Symbol | bool"]],
         carried: Sequence["Symbol | float"],
     ) -> list["Symbol"]:
         """The carried numbers after the repetitions; see Loop."""
@@ -83,7 +83,8 @@ class Program:
         inside = [Symbol(self, self._new_variable()) for _ in carried]
         with self._block() as statements:
             values, go_on = body(inside)
-            after, improves = [self.variable(value) for value in values], self.variable(go_on)
+            after = [self.variable(value) for value in values]
+            improves = self.variable(go_on) if isinstance(go_on, Symbol) else None
         numbers = [symbol.number for symbol in inside]
         self.statements.append(
             Loop(most, tuple(zip(numbers, before, after, strict=True)), tuple(statements), improves)

@@ -16,10 +16,19 @@ from core.physics.compiled.arithmetic import (
     sqrt,
     total,
 )
-from core.physics.compiled.constraints import Rows
 from core.physics.compiled.dynamics import Entries
 from core.physics.compiled.factor import factorize, multiply, solve
 from core.physics.compiled.loop import repeat
+from core.physics.compiled.rows import (
+    Rows,
+    added,
+    curvature,
+    forces,
+    pulled_back,
+    residual,
+    stiffness_of,
+    times,
+)
 from core.physics.compiled.tree import Tree
 
 
@@ -83,26 +92,16 @@ def acceleration(problem: Problem, warm: Vector, settings: Settings) -> Vector:
 
 def constraint_force(problem: Problem, acceleration: Vector) -> Vector:
     """[nv]: MuJoCo's `qfrc_constraint` under this acceleration."""
-    return _pulled_back(
-        problem.rows, _forces(problem.rows, _residual(problem.rows, acceleration)), acceleration
-    )
+    pushed = forces(problem.rows, residual(problem.rows, acceleration))
+    return pulled_back(problem.rows, pushed, len(acceleration))
 
 
 def _newton_direction(problem: Problem, guess: _Guess) -> tuple[Vector, Vector]:
     """-H⁻¹ g, and the gradient g: [nv] each."""
-    rows, forces = problem.rows, _forces(problem.rows, guess.residual)
-    pull = _pulled_back(rows, forces, guess.acceleration)
+    pull = pulled_back(problem.rows, forces(problem.rows, guess.residual), len(problem.force))
     gradient = [x - y - z for x, y, z in zip(guess.inertial, problem.force, pull, strict=True)]
-    hessian = {place: [entry] for place, entry in problem.mass.items()}
-    for jacobian, stiffness, residual in zip(rows.jacobian, rows.stiffness, guess.residual, strict=True):
-        active = select(residual < 0.0, stiffness, 0.0)
-        for i, entry in jacobian.items():
-            weighted = active * entry
-            for j, other in jacobian.items():
-                if j <= i:
-                    hessian[i, j].append(weighted * other)
-    summed = {place: total(terms) for place, terms in hessian.items()}
-    step = solve(problem.tree, factorize(problem.tree, summed), gradient)
+    hessian = added(problem.mass, curvature(problem.rows, guess.residual))
+    step = solve(problem.tree, factorize(problem.tree, hessian), gradient)
     return [-x for x in step], gradient
 
 
@@ -115,10 +114,10 @@ def _line_search(
     Newton's method finds where the slope is 0, kept between places where the cost falls and where it rises.
     """
     inertial = multiply(problem.tree, problem.mass, direction)
-    rates = _times(problem.rows, direction)
+    rates = times(problem.rows, direction)
     linear = total(x * (y - z) for x, y, z in zip(direction, guess.inertial, problem.force, strict=True))
     quadratic = 0.5 * dot(direction, inertial)
-    stiffness = problem.rows.stiffness
+    stiffness = stiffness_of(problem.rows)
 
     def slope(step: Number) -> tuple[Number, Number]:
         """The cost's first and second derivative."""
@@ -164,7 +163,7 @@ _FAR, _TINY = 1e30, 1e-30
 
 def _guess(problem: Problem, acceleration: Vector) -> _Guess:
     inertial = multiply(problem.tree, problem.mass, acceleration)
-    return _Guess(acceleration, inertial, _residual(problem.rows, acceleration))
+    return _Guess(acceleration, inertial, residual(problem.rows, acceleration))
 
 
 def _cost(problem: Problem, guess: _Guess) -> Number:
@@ -174,31 +173,9 @@ def _cost(problem: Problem, guess: _Guess) -> Number:
     )
     bent = total(
         d * (minimum(x, 0.0) * minimum(x, 0.0))
-        for d, x in zip(problem.rows.stiffness, guess.residual, strict=True)
+        for d, x in zip(stiffness_of(problem.rows), guess.residual, strict=True)
     )
     return 0.5 * (apart + bent)
-
-
-def _residual(rows: Rows, acceleration: Vector) -> Vector:
-    return [x - a for x, a in zip(_times(rows, acceleration), rows.reference, strict=True)]
-
-
-def _times(rows: Rows, vector: Vector) -> Vector:
-    """J times a vector [nv]: [rows]."""
-    return [total(entry * vector[i] for i, entry in jacobian.items()) for jacobian in rows.jacobian]
-
-
-def _forces(rows: Rows, residual: Vector) -> Vector:
-    return [-d * minimum(x, 0.0) for d, x in zip(rows.stiffness, residual, strict=True)]
-
-
-def _pulled_back(rows: Rows, forces: Vector, like: Vector) -> Vector:
-    """Jᵀ times forces [rows]: [nv]."""
-    terms: list[list[Number]] = [[] for _ in like]
-    for jacobian, force in zip(rows.jacobian, forces, strict=True):
-        for i, entry in jacobian.items():
-            terms[i].append(entry * force)
-    return [total(own) for own in terms]
 
 
 def _packed(guess: _Guess) -> list[Number]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 
 from core.physics.compiled.arithmetic import (
+    Number,
     Vector,
     add,
     cosine,
@@ -19,11 +20,12 @@ from core.physics.compiled.arithmetic import (
     sine,
     sqrt,
 )
-from core.physics.compiled.constraints import Limit, Point, State, read_limits, read_points, rows
+from core.physics.compiled.constraints import Limit, Point, State, constraint_rows, read_limits, read_points
 from core.physics.compiled.dynamics import bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, solve
 from core.physics.compiled.forces import Actuator, actuator_forces, passive_forces, read_actuators
 from core.physics.compiled.kinematics import poses
+from core.physics.compiled.loop import repeat
 from core.physics.compiled.solver import Problem, Settings, acceleration, constraint_force
 from core.physics.compiled.tree import Tree, read_tree
 
@@ -70,6 +72,18 @@ def read_model(model: mujoco.MjModel) -> Model:
     )
 
 
+def control_step(
+    model: Model, num_substeps: int, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector
+) -> Moved:
+    """The state after some substeps under a control [nu] that stays the same."""
+
+    def body(carried: list[Number]) -> tuple[list[Number], Number]:
+        moved = substep(model, *_parted(carried, len(qpos), len(qvel)), ctrl)
+        return [*moved.qpos, *moved.qvel, *moved.qacc], True
+
+    return Moved(*_parted(repeat(num_substeps, body, [*qpos, *qvel, *qacc]), len(qpos), len(qvel)))
+
+
 def substep(model: Model, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector) -> Moved:
     """The state one timestep later under a control [nu]. qacc: [nv], the last substep's."""
     tree = model.tree
@@ -81,9 +95,8 @@ def substep(model: Model, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector
     bias = bias_forces(tree, moving, qvel)
     force = [x + y - z for x, y, z in zip(passive, driven, bias, strict=True)]
     free = solve(tree, factorize(tree, mass), force)
-    problem = Problem(
-        tree, mass, force, free, rows(tree, model.limits, model.points, at, moving, State(qpos, qvel))
-    )
+    rows = constraint_rows(tree, model.limits, model.points, at, moving, State(qpos, qvel))
+    problem = Problem(tree, mass, force, free, rows)
     found = acceleration(problem, qacc, model.solver)
     integrated = found
     if model.implicit_damping:
@@ -93,6 +106,12 @@ def substep(model: Model, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector
         integrated = solve(tree, factorize(tree, damped), add(force, constraint_force(problem, found)))
     after = add(qvel, scale(integrated, model.timestep))
     return Moved(_integrated(tree, qpos, after, model.timestep), after, found)
+
+
+def _parted(values: list[Number], num_positions: int, num_speeds: int) -> tuple[Vector, Vector, Vector]:
+    """Positions, velocities and accelerations."""
+    end = num_positions + num_speeds
+    return values[:num_positions], values[num_positions:end], values[end:]
 
 
 def _integrated(tree: Tree, qpos: Vector, qvel: Vector, timestep: float) -> Vector:

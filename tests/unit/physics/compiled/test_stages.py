@@ -9,11 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from core.physics.compiled.arithmetic import Vector
-from core.physics.compiled.constraints import Rows, State, read_limits, read_points, rows
+from core.physics.compiled.constraints import State, constraint_rows, read_limits, read_points
 from core.physics.compiled.dynamics import Entries, bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, multiply, solve
 from core.physics.compiled.forces import actuator_forces, passive_forces, read_actuators
 from core.physics.compiled.kinematics import poses
+from core.physics.compiled.rows import Rows, curvature, pulled_back, stiffness_of
 from core.physics.compiled.tree import Tree, read_tree
 from core.physics.model import brax_model
 
@@ -172,7 +173,7 @@ class Touching:
         at = poses(self.tree, qpos)
         moving = motion(self.tree, at, qvel)
         limits, points = read_limits(self.model), read_points(self.model)
-        self.rows: Rows = rows(self.tree, limits, points, at, moving, State(qpos, qvel))
+        self.rows: Rows = constraint_rows(self.tree, limits, points, at, moving, State(qpos, qvel))
 
     def jacobian(self, data: mujoco.MjData) -> NDArray[np.float64]:
         if mujoco.mj_isSparse(self.model):
@@ -188,16 +189,11 @@ def test_rows_press_and_pull_as_mujoco_s(name: str) -> None:
     """Jᵀ D J and Jᵀ D a, which are all that a solver needs of them, and which no order of rows changes."""
     body = Touching(name)
     nv = body.model.nv
+    pressed = curvature(body.rows, [-1.0] * len(stiffness_of(body.rows)))
+    pulled = [d * a for group in body.rows for d, a in zip(group.stiffness, group.reference, strict=True)]
     ours = np.zeros((2, NUM_STATES, nv, nv))
-    for jacobian, stiffness, reference in zip(
-        body.rows.jacobian, body.rows.stiffness, body.rows.reference, strict=True
-    ):
-        row = np.zeros((NUM_STATES, nv))
-        for dof, entry in jacobian.items():
-            row[:, dof] = entry
-        weight = np.broadcast_to(stiffness, NUM_STATES)[:, None]
-        ours[0] += weight[..., None] * row[:, :, None] * row[:, None, :]
-        ours[1, :, :, 0] += weight * row * np.broadcast_to(reference, NUM_STATES)[:, None]
+    ours[0] = dense(Entries({place: sum(terms) for place, terms in pressed.items()}), nv)
+    ours[1, :, :, 0] = stacked([pulled_back(body.rows, pulled, nv)])[:, 0]
     theirs = np.zeros_like(ours)
     for state, data in enumerate(body.datas):
         jacobian = body.jacobian(data)
