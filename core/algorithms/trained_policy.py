@@ -1,4 +1,4 @@
-"""What an algorithm gives to those who let its policy act: rollouts, videos, evaluations."""
+"""A trained policy of any algorithm, as rollouts and videos use it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -53,7 +53,7 @@ def make_grid(options: DiskPositionGrid | ObservationGrid) -> StateDiscretizer:
 
 
 def seen_in(state: State, needs: tuple[str, ...]) -> Seen:
-    """What a state discretizer needs of one environment's state."""
+    """The parts of one environment's state that a state discretizer needs, by name."""
     obs = state.obs["state"] if isinstance(state.obs, Mapping) else state.obs
     return {name: obs if name == "observation" else state.info[name] for name in needs}
 

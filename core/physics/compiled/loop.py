@@ -11,11 +11,10 @@ from core.physics.compiled.program import Symbol
 def repeat(
     most: int, body: Callable[[list[Number]], tuple[list[Number], Number]], carried: list[Number]
 ) -> list[Number]:
-    """What the numbers are after at most `most` repetitions of `body`, which also says whether to go on.
+    """The numbers after at most `most` repetitions of `body`.
 
-    True: in any case.
-
-    An environment that need not go on keeps the numbers that it has.
+    `body` also returns whether to repeat it, by environment; True: in any case. An environment that stops
+    keeps the numbers that it has.
     """
     symbol = next((number for number in carried if isinstance(number, Symbol)), None)
     if symbol is not None:

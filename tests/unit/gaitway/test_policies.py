@@ -74,14 +74,14 @@ def table_files(discretizer: Mapping[str, Any], num_rows: int) -> Mapping[bool, 
 
 
 def network_answers(content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
-    """What the service itself computes with a network."""
+    """The service's own answers with a network."""
     own = load_policy(content, "ppo", is_checkpoint=is_checkpoint, deterministic=deterministic)
     answer: Any = jax.jit(lambda params, *seen: make_inference(params, deterministic=deterministic)(*seen))
     return lambda observation, key: answer(own.parameters, observation, key)
 
 
 def table_answers(content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
-    """What the service itself computes with a table, on a star of five arms."""
+    """The service's own answers with a table, on a star of five arms."""
     learnt = tables.table_from_checkpoint(content) if is_checkpoint else tables.read_policy(content)
     options: Any = TypeAdapter(StateDiscretizerOptions).validate_python(learnt.facts["state_discretizer"])
     rows = make_state_discretizer(options, PlanarStar(observation_size=8))

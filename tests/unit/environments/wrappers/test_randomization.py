@@ -1,4 +1,4 @@
-"""What a job may ask to differ between environments, and the models that come of it."""
+"""Jobs whose environments differ in their models, and the models that they get."""
 
 from typing import Any
 

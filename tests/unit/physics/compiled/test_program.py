@@ -1,4 +1,4 @@
-"""What the stages write down is what they compute."""
+"""A program that the stages write computes the same as the stages."""
 
 import numpy as np
 import pytest
