@@ -1,0 +1,53 @@
+"""What the stages cannot move is found, and named."""
+
+import mujoco
+import pytest
+
+from core.physics.compiled.coverage import uncovered
+from core.physics.model import brax_model
+
+BODY = """
+<mujoco>
+  <option {option}/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1"/>
+    <body name="trunk">
+      <freejoint name="root"/>
+      <geom name="ball" type="{geom}" size="0.1 0.1 0.1"/>
+      <body pos="0.3 0 0">
+        <joint name="hip" {joint}/>
+        <geom type="capsule" size="0.05 0.1" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><general joint="hip" {actuator}/></actuator>
+</mujoco>
+"""
+
+
+def body(option: str = "", geom: str = "sphere", joint: str = "", actuator: str = "") -> mujoco.MjModel:
+    xml = BODY.format(option=option, geom=geom, joint=joint, actuator=actuator)
+    return mujoco.MjModel.from_xml_string(xml)
+
+
+@pytest.mark.parametrize("name", ["ant", "half_cheetah", "hopper", "walker2d", "humanoid", "reacher"])
+def test_brax_s_bodies_are_covered(name: str) -> None:
+    assert uncovered(brax_model(name)) is None
+
+
+def test_a_plain_body_is_covered() -> None:
+    assert uncovered(body()) is None
+
+
+@pytest.mark.parametrize(
+    ("parts", "named"),
+    [
+        ({"option": 'integrator="RK4"'}, "rk4"),
+        ({"option": 'solver="PGS"'}, "PGS"),
+        ({"geom": "cylinder"}, "'ball' can touch: a cylinder and a plane"),
+        ({"actuator": 'gaintype="muscle" biastype="muscle" lengthrange="0 1"'}, "muscle"),
+        ({"joint": 'actuatorfrcrange="-1 1"'}, "'hip'"),
+    ],
+)
+def test_what_is_not_covered_is_named(parts: dict[str, str], named: str) -> None:
+    assert named in (uncovered(body(**parts)) or "")
