@@ -1,6 +1,7 @@
 """What a model has that the stages do not compute, found before any code is made."""
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -137,7 +138,7 @@ def _unusual(solref: np.ndarray, solimp: np.ndarray) -> np.ndarray:
 
 
 def _where(
-    model: mujoco.MjModel, kind: str, found: np.ndarray, words: str, numbers: np.ndarray | None = None
+    model: mujoco.MjModel, kind: str, found: Any, words: str, numbers: np.ndarray | None = None
 ) -> Iterator[str]:
     """The first element for which `found` is true. numbers: the elements' own, if not their places."""
     for place in np.flatnonzero(found)[:1]:
