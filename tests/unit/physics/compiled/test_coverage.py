@@ -45,7 +45,10 @@ def test_a_plain_body_is_covered() -> None:
         ({"option": 'integrator="RK4"'}, "rk4"),
         ({"option": 'solver="PGS"'}, "PGS"),
         ({"geom": "cylinder"}, "'ball' can touch: a cylinder and a plane"),
-        ({"actuator": 'gaintype="muscle" biastype="muscle" lengthrange="0 1"'}, "muscle"),
+        (
+            {"actuator": 'gaintype="muscle" gainprm="0.7 1 1 2 0.5 1.6 1.5 1.3 1.2" lengthrange="0 1"'},
+            "muscle",
+        ),
         ({"joint": 'actuatorfrcrange="-1 1"'}, "'hip'"),
     ],
 )
