@@ -136,7 +136,8 @@ def _line_search(
         first, second = slope(step)
         low, high = select(first < 0.0, step, low), select(first < 0.0, high, step)
         guessed = step - first / maximum(second, _TINY)
-        inside = (low < guessed) & (guessed < high)
+        # At an end, too: a guess that rounding leaves where it was is as good as it gets.
+        inside = ~(guessed < low) & ~(guessed > high)
         bounded = select(high < _FAR, 0.5 * (low + high), 2.0 * step)
         is_good = absolute(first) < accuracy
         return [select(is_good, step, select(inside, guessed, bounded)), low, high], ~is_good

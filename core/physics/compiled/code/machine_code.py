@@ -17,12 +17,24 @@ class Function:
     pointer: Any
 
     def __call__(self, first: int, end: int, *arrays: NDArray[np.float32]) -> None:
-        """Moves the environments from first to end - 1; see `llvm.function`. Other threads run meanwhile."""
+        """Moves the environments from first to end - 1; see `cpu_function`. Other threads run meanwhile."""
         self.pointer(first, end, *(array.ctypes.data for array in arrays))
 
 
+def vector_width() -> int:
+    """How many float32 a vector of this processor holds."""
+    features: Any = llvm.get_host_cpu_features()
+    if features.get("avx512f"):
+        return 16
+    return 8 if features.get("avx") else 4
+
+
 def compiled(module: str, name: str, num_arrays: int) -> Function:
-    """The function of a module, optimised for this processor. Raises RuntimeError for a wrong module."""
+    """The function of a module, for this processor. Raises RuntimeError for a wrong module.
+
+    LLVM's general passes are left out: they find nothing in a program that has no needless operation, and take
+    as long as the rest.
+    """
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine: Any = llvm.Target.from_default_triple().create_target_machine(
@@ -30,8 +42,6 @@ def compiled(module: str, name: str, num_arrays: int) -> Function:
     )
     parsed: Any = llvm.parse_assembly(module)
     parsed.verify()
-    passes: Any = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
-    passes.getModulePassManager().run(parsed, passes)
     engine: Any = llvm.create_mcjit_compiler(parsed, machine)
     engine.finalize_object()
     kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * num_arrays)

@@ -1,0 +1,85 @@
+"""A program as a function for a CPU, with an environment in each lane of a vector."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from core.physics.compiled.code.arrays import array_sizes
+from core.physics.compiled.code.writer import Target, Writer
+from core.physics.compiled.program import Program
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Arrays [environments, size]; lanes without an environment are neither read nor written."""
+
+    sizes: Mapping[str, int]
+
+    def load(self, writer: Writer, target: str, name: str, place: int) -> None:
+        width, number, truth = writer.target.width, writer.target.number, writer.target.truth
+        pointers = self._pointers(writer, name, place)
+        writer.line(
+            f"{target} = call {number} @llvm.masked.gather.v{width}f32.v{width}p0("
+            f"<{width} x ptr> {pointers}, i32 4, {truth} %exists, {number} zeroinitializer)"
+        )
+
+    def store(self, writer: Writer, name: str, place: int, value: str) -> None:
+        width, number, truth = writer.target.width, writer.target.number, writer.target.truth
+        pointers = self._pointers(writer, name, place)
+        writer.line(
+            f"call void @llvm.masked.scatter.v{width}f32.v{width}p0("
+            f"{number} {value}, <{width} x ptr> {pointers}, i32 4, {truth} %exists)"
+        )
+
+    def _pointers(self, writer: Writer, name: str, place: int) -> str:
+        """Where each lane's environment has this number."""
+        first = writer.value(f"getelementptr float, ptr %{name}, i64 {place}")
+        lanes = f"<{writer.target.width} x i64> %environments"
+        return writer.value(f"getelementptr [{self.sizes[name]} x float], ptr {first}, {lanes}")
+
+
+def cpu_function(program: Program, name: str, width: int) -> str:
+    """A module with `void name(i64 first, i64 end, inputs..., outputs...)`, in the program's order.
+
+    It moves the environments from first to end - 1, `width` at a time. An input or output is a pointer to
+    float32 [environments, size].
+    """
+    sizes = array_sizes(program)
+    target = Target(width, allowed="")
+    writer = Writer(target, _Rows(sizes), block="group")
+    writer.write(program.statements)
+    for output, variables in program.outputs.items():
+        for place, variable in enumerate(variables):
+            writer.memory.store(writer, f"to_{output}", place, f"%v{variable}")
+    lanes, pointers = target.of("i64"), target.of("ptr")
+    order = ", ".join(f"i64 {lane}" for lane in range(width))
+    arrays = ", ".join(f"ptr noalias %{one}" for one in sizes)
+    kind = f"v{width}f32.v{width}p0"
+    return "\n".join(
+        [
+            *target.declarations(),
+            f"declare {target.number} @llvm.masked.gather.{kind}"
+            f"({pointers}, i32, {target.truth}, {target.number})",
+            f"declare void @llvm.masked.scatter.{kind}({target.number}, {pointers}, i32, {target.truth})",
+            f"define void @{name}(i64 %first, i64 %end, {arrays}) {{",
+            "entry:",
+            f"  %ends = insertelement {lanes} poison, i64 %end, i64 0",
+            f"  %limit = shufflevector {lanes} %ends, {lanes} poison, <{width} x i32> zeroinitializer",
+            "  br label %next",
+            "next:",
+            f"  %begin = phi i64 [ %first, %entry ], [ %following, %{writer.block} ]",
+            "  %is_left = icmp slt i64 %begin, %end",
+            "  br i1 %is_left, label %group, label %done",
+            "group:",
+            f"  %begins = insertelement {lanes} poison, i64 %begin, i64 0",
+            f"  %all = shufflevector {lanes} %begins, {lanes} poison, <{width} x i32> zeroinitializer",
+            f"  %environments = add {lanes} %all, <{order}>",
+            f"  %exists = icmp slt {lanes} %environments, %limit",
+            *writer.lines,
+            f"  %following = add i64 %begin, {width}",
+            "  br label %next",
+            "done:",
+            "  ret void",
+            "}",
+            "",
+        ]
+    )

@@ -1,0 +1,259 @@
+"""A program's operations as LLVM's instructions, on numbers of an environment or of several in a vector.
+
+Source: LLVM's language reference. Products and sums may be fused, and nothing is reordered: an environment's
+numbers do not depend on its neighbours.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from core.physics.compiled.program import Assign, Loop, Operation, Statement
+
+_INSTRUCTIONS: Mapping[Operation, str] = {
+    "add": "fadd contract",
+    "subtract": "fsub contract",
+    "multiply": "fmul contract",
+    "negate": "fneg",
+}
+_INTRINSICS = ("sqrt", "fabs", "fma")
+
+
+@dataclass(frozen=True)
+class Target:
+    """How a kind of processor takes numbers.
+
+    width: environments in a vector; 1: no vector. allowed: what a division and a square root may do besides
+    rounding correctly, in LLVM's words.
+    """
+
+    width: int
+    allowed: str
+
+    @property
+    def number(self) -> str:
+        return self.of("float")
+
+    @property
+    def integer(self) -> str:
+        return self.of("i32")
+
+    @property
+    def truth(self) -> str:
+        return self.of("i1")
+
+    @property
+    def suffix(self) -> str:
+        """Of an intrinsic function's name."""
+        return "f32" if self.width == 1 else f"v{self.width}f32"
+
+    def of(self, element: str) -> str:
+        return element if self.width == 1 else f"<{self.width} x {element}>"
+
+    def constant(self, value: float) -> str:
+        # LLVM writes a float32 as the bits of the equal float64.
+        return self.splat("float", f"0x{np.float64(np.float32(value)).view(np.uint64):016X}")
+
+    def splat(self, element: str, value: str) -> str:
+        return value if self.width == 1 else f"splat ({element} {value})"
+
+    def declarations(self) -> list[str]:
+        """Of the functions that `Writer` calls."""
+        number = self.number
+        found = [f"declare {number} @llvm.{one}.{self.suffix}({number})" for one in _INTRINSICS[:2]]
+        found.append(f"declare {number} @llvm.fma.{self.suffix}({number}, {number}, {number})")
+        if self.width > 1:
+            found.append(f"declare i1 @llvm.vector.reduce.or.v{self.width}i1({self.truth})")
+        return found
+
+
+class Memory(Protocol):
+    """Where inputs and outputs are."""
+
+    def load(self, writer: "Writer", target: str, name: str, place: int) -> None: ...
+
+    def store(self, writer: "Writer", name: str, place: int, value: str) -> None: ...
+
+
+@dataclass
+class Writer:
+    """The body of a function. block: the label of the block that is being written."""
+
+    target: Target
+    memory: Memory
+    block: str
+    lines: list[str] = field(default_factory=list[str])
+    _num_names: int = 0
+    # By the name of an angle: sine and cosine of what is left of it, and its quadrant.
+    _angles: dict[str, tuple[str, str, str]] = field(default_factory=dict[str, tuple[str, str, str]])
+
+    def name(self) -> str:
+        self._num_names += 1
+        return f"%t{self._num_names}"
+
+    def line(self, text: str) -> None:
+        self.lines.append(f"  {text}")
+
+    def value(self, text: str) -> str:
+        """The name of the instruction's result."""
+        name = self.name()
+        self.line(f"{name} = {text}")
+        return name
+
+    def write(self, statements: Sequence[Statement]) -> None:
+        for statement in statements:
+            if isinstance(statement, Loop):
+                self._loop(statement)
+            else:
+                self._assign(statement)
+
+    def _assign(self, statement: Assign) -> None:
+        target, operation, arguments = f"%v{statement.target}", statement.operation, statement.arguments
+        match operation:
+            case "input":
+                self.memory.load(self, target, str(arguments[0]), int(arguments[1]))
+            case "constant":
+                # `bitcast` gives a constant a name.
+                number = self.target.number
+                constant = self.target.constant(float(arguments[0]))
+                self.line(f"{target} = bitcast {number} {constant} to {number}")
+            case "minimum" | "maximum" | "less" | "and" | "not" | "select":
+                self._choose(target, operation, [f"%v{argument}" for argument in arguments])
+            case _:
+                self._compute(target, operation, [f"%v{argument}" for argument in arguments])
+
+    def _compute(self, target: str, operation: Operation, names: list[str]) -> None:
+        number, suffix, allowed = self.target.number, self.target.suffix, self.target.allowed
+        match operation:
+            case "divide":
+                self.line(f"{target} = fdiv {allowed} {number} {names[0]}, {names[1]}")
+            case "sqrt":
+                self.line(f"{target} = call {allowed} {number} @llvm.sqrt.{suffix}({number} {names[0]})")
+            case "absolute":
+                self.line(f"{target} = call {number} @llvm.fabs.{suffix}({number} {names[0]})")
+            case "sin" | "cos":
+                self._turn(target, operation, names[0])
+            case _:
+                self.line(f"{target} = {_INSTRUCTIONS[operation]} {number} {', '.join(names)}")
+
+    def _choose(self, target: str, operation: Operation, names: list[str]) -> None:
+        number, truth = self.target.number, self.target.truth
+        match operation:
+            case "less":
+                self.line(f"{target} = fcmp olt {number} {names[0]}, {names[1]}")
+            case "and":
+                self.line(f"{target} = and {truth} {names[0]}, {names[1]}")
+            case "not":
+                self.line(f"{target} = xor {truth} {names[0]}, {self.target.splat('i1', 'true')}")
+            case "select":
+                self._select(target, *names)
+            case _:
+                order = "olt" if operation == "minimum" else "ogt"
+                is_first = self.value(f"fcmp {order} {number} {names[0]}, {names[1]}")
+                self._select(target, is_first, names[0], names[1])
+
+    def _select(self, target: str, condition: str, chosen: str, otherwise: str) -> None:
+        number, truth = self.target.number, self.target.truth
+        self.line(f"{target} = select {truth} {condition}, {number} {chosen}, {number} {otherwise}")
+
+    def _turn(self, target: str, operation: Operation, angle: str) -> None:
+        """Sine or cosine: of an angle below π/4 and its quadrant.
+
+        Source: Moshier's Cephes library, sinf.c: the polynomials; Cody and Waite (1980): the quadrant. Right
+        to 2 units in the last place below 8,000 rad.
+        """
+        if angle not in self._angles:
+            self._angles[angle] = self._reduced(angle)
+        sine, cosine, quadrant = self._angles[angle]
+        target_, integer, truth = self.target, self.target.integer, self.target.truth
+        one, two = target_.splat("i32", "1"), target_.splat("i32", "2")
+        odd = self.value(f"trunc {integer} {quadrant} to {truth}")
+        if operation == "cos":
+            sine, cosine = cosine, sine
+            quadrant = self.value(f"add {integer} {quadrant}, {one}")
+        value = self.name()
+        self._select(value, odd, cosine, sine)
+        half = self.value(f"and {integer} {quadrant}, {two}")
+        sign = self.value(f"shl {integer} {half}, {target_.splat('i32', '30')}")
+        bits = self.value(f"bitcast {target_.number} {value} to {integer}")
+        turned = self.value(f"xor {integer} {bits}, {sign}")
+        self.line(f"{target} = bitcast {integer} {turned} to {target_.number}")
+
+    def _reduced(self, angle: str) -> tuple[str, str, str]:
+        """Sine and cosine of the angle less its quadrants, and the number of quadrants in the low bits."""
+        number, constant = self.target.number, self.target.constant
+        # Adding 1.5 · 2^23 rounds to an integer, which is then in the sum's low bits.
+        shifted = self._fused(angle, constant(2.0 / np.pi), constant(12582912.0))
+        quadrant = self.value(f"bitcast {number} {shifted} to {self.target.integer}")
+        count = self.value(f"fsub {number} {shifted}, {constant(12582912.0)}")
+        left = angle
+        for part in (1.5703125, 4.837512969970703125e-4, 7.54978995489188216e-8):
+            left = self._fused(count, constant(-part), left)
+        square = self.value(f"fmul {number} {left}, {left}")
+        sine = self._polynomial(square, (-1.9515295891e-4, 8.3321608736e-3, -1.6666654611e-1, 0.0))
+        cosine = self._polynomial(
+            square, (2.443315711809948e-5, -1.388731625493765e-3, 4.166664568298827e-2, -0.5, 1.0)
+        )
+        return self._fused(sine, left, left), cosine, quadrant
+
+    def _polynomial(self, x: str, coefficients: Sequence[float]) -> str:
+        """The highest power's coefficient first."""
+        value = self.target.constant(coefficients[0])
+        for coefficient in coefficients[1:]:
+            value = self._fused(value, x, self.target.constant(coefficient))
+        return value
+
+    def _fused(self, a: str, b: str, c: str) -> str:
+        """a b + c, rounded once."""
+        number = self.target.number
+        return self.value(
+            f"call {number} @llvm.fma.{self.target.suffix}({number} {a}, {number} {b}, {number} {c})"
+        )
+
+    def _loop(self, loop: Loop) -> None:
+        head, inside, after = (self.name()[1:] for _ in range(3))
+        count, next_count, running, next_running = (self.name() for _ in range(4))
+        begun, truth = self.block, self.target.truth
+        known = dict(self._angles)
+        self.line(f"br label %{head}")
+        self.lines.append(f"{head}:")
+        place = len(self.lines)  # of the phis, which need the last block of the body
+        any_runs = self._any(running)
+        is_left = self.value(f"icmp slt i32 {count}, {loop.most}")
+        goes_on = self.value(f"and i1 {any_runs}, {is_left}")
+        self.line(f"br i1 {goes_on}, label %{inside}, label %{after}")
+        self.lines.append(f"{inside}:")
+        self.block = inside
+        self.write(loop.body)
+        kept = dict[int, str]()
+        for variable, _, value in loop.carried:
+            kept[variable] = f"%v{value}"
+            if loop.improves is not None:
+                kept[variable] = self.name()
+                self._select(kept[variable], running, f"%v{value}", f"%v{variable}")
+        true = self.target.splat("i1", "true")
+        improves = true if loop.improves is None else f"%v{loop.improves}"
+        self.line(f"{next_running} = and {truth} {running}, {improves}")
+        self.line(f"{next_count} = add i32 {count}, 1")
+        self.line(f"br label %{head}")
+        last = self.block
+        self.lines[place:place] = [
+            f"  {count} = phi i32 [ 0, %{begun} ], [ {next_count}, %{last} ]",
+            f"  {running} = phi {truth} [ {true}, %{begun} ], [ {next_running}, %{last} ]",
+            *(
+                f"  %v{variable} = phi {self.target.number} "
+                f"[ %v{before}, %{begun} ], [ {kept[variable]}, %{last} ]"
+                for variable, before, _ in loop.carried
+            ),
+        ]
+        self.lines.append(f"{after}:")
+        self.block, self._angles = after, known
+
+    def _any(self, running: str) -> str:
+        """Whether an environment is left that runs."""
+        if self.target.width == 1:
+            return running
+        reduce = f"@llvm.vector.reduce.or.v{self.target.width}i1"
+        return self.value(f"call i1 {reduce}({self.target.truth} {running})")
