@@ -20,7 +20,7 @@ from core.physics.compiled.arithmetic import (
     sine,
     sqrt,
 )
-from core.physics.compiled.constraints import Limit, Point, State, constraint_rows, read_limits, read_points
+from core.physics.compiled.constraints import Constraints, State, constraint_rows, read_constraints
 from core.physics.compiled.dynamics import bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, solve
 from core.physics.compiled.forces import Actuator, actuator_forces, passive_forces, read_actuators
@@ -36,8 +36,7 @@ class Model:
 
     tree: Tree
     actuators: tuple[Actuator, ...]
-    limits: tuple[Limit, ...]
-    points: tuple[Point, ...]
+    constraints: Constraints
     timestep: float
     implicit_damping: bool
     solver: Settings
@@ -58,8 +57,7 @@ def read_model(model: mujoco.MjModel) -> Model:
     return Model(
         tree=read_tree(model),
         actuators=read_actuators(model),
-        limits=read_limits(model),
-        points=read_points(model),
+        constraints=read_constraints(model),
         timestep=float(model.opt.timestep),
         implicit_damping=bool(model.dof_damping.any()) and not is_explicit,
         solver=Settings(
@@ -95,7 +93,7 @@ def substep(model: Model, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector
     bias = bias_forces(tree, moving, qvel)
     force = [x + y - z for x, y, z in zip(passive, driven, bias, strict=True)]
     free = solve(tree, factorize(tree, mass), force)
-    rows = constraint_rows(tree, model.limits, model.points, at, moving, State(qpos, qvel))
+    rows = constraint_rows(tree, model.constraints, at, moving, State(qpos, qvel))
     problem = Problem(tree, mass, force, free, rows)
     found = acceleration(problem, qacc, model.solver)
     integrated = found
