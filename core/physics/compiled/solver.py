@@ -133,11 +133,13 @@ def _line_search(
         first, second = at(step)
         low, high = select(first < 0.0, step, low), select(first < 0.0, high, step)
         guessed = step - first / maximum(second, _TINY)
-        # At an end, too: a guess that rounding leaves where it was is as good as it gets.
-        inside = ~(guessed < low) & ~(guessed > high)
+        # Not at an end: between rows that begin and end to push, guesses can go from one end to the other.
+        inside = (low < guessed) & (guessed < high)
         bounded = select(high < _FAR, 0.5 * (low + high), 2.0 * step)
-        is_good = absolute(first) < accuracy
-        return [select(is_good, step, select(inside, guessed, bounded)), low, high], ~is_good
+        # A guess that rounding leaves where it was is as good as it gets.
+        moves = ~(~(guessed < step) & ~(step < guessed))
+        goes_on = moves & ~(absolute(first) < accuracy)
+        return [select(goes_on, select(inside, guessed, bounded), step), low, high], goes_on
 
     step = repeat(
         settings.line_search_iterations, narrow, [-at_start / maximum(curvature_there, _TINY), 0.0, _FAR]

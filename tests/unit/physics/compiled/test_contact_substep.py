@@ -1,0 +1,141 @@
+"""Substeps of bodies with other contacts than feet on a plane, against C MuJoCo, both converged."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from core.environments.dm_control.corridor.info import CorridorOptions
+from core.environments.dm_control.corridor.model import corridor_model
+from core.physics.compiled.coverage import uncovered
+from core.physics.compiled.substep import read_model, substep
+from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
+from tests.unit.physics.compiled.test_substep import converge, of_all, relative
+
+NUM_STATES, NUM_SUBSTEPS = 12, 20
+# A quadruped's trunk and two limbs that hit each other, on the ground and on a step.
+LIMBS = """
+<mujoco>
+  <option timestep="0.002" cone="{cone}" impratio="{impratio}"/>
+  <default><joint damping="0.3" armature="0.01" {joint}/><geom friction="0.9 0.1 0.05" {geom}/></default>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1"/>
+    <geom name="step" type="box" size="0.3 1 0.1" pos="0.5 0 0"/>
+    <body name="trunk" pos="0 0 0.45">
+      <freejoint/>
+      <geom type="{trunk}" size="0.25 0.15 0.1"/>
+      <body name="left" pos="0.1 0.15 0">
+        <joint name="a" axis="1 0 0" range="-90 90"/><joint name="b" axis="0 1 0" range="-60 60"/>
+        <geom type="capsule" fromto="0 0 0 0.1 0.05 -0.3" size="0.05"/>
+      </body>
+      <body name="right" pos="0.1 -0.15 0">
+        <joint name="c" axis="1 0 0" range="-90 90"/><joint name="d" axis="0 1 0" range="-60 60"/>
+        <geom type="capsule" fromto="0 0 0 0.1 -0.05 -0.3" size="0.05"/>
+        <geom size="0.08" pos="0.1 -0.05 -0.3"/>
+      </body>
+    </body>
+  </worldbody>
+  <contact>{contact}</contact>
+  <actuator><motor joint="a" gear="8"/><motor joint="b" gear="8"/><motor joint="c" gear="8"/>
+  <motor joint="d" gear="8"/></actuator>
+</mujoco>
+"""
+
+
+def limbs(
+    cone: str = "pyramidal", impratio: str = "1", joint: str = "", geom: str = "", trunk: str = "box"
+) -> mujoco.MjModel:
+    # The trunk touches the floor alone: boxes and the like have no contact with the step's box.
+    parts = {"cone": cone, "impratio": impratio, "joint": joint, "geom": geom, "trunk": trunk}
+    contact = '<exclude body1="world" body2="trunk"/><pair geom1="floor" geom2="trunk" condim="3"/>'
+    xml = LIMBS.replace('type="{trunk}"', 'name="trunk" type="{trunk}"')
+    return mujoco.MjModel.from_xml_string(xml.format(contact=contact, **parts))
+
+
+def falling(model: mujoco.MjModel) -> list[mujoco.MjData]:
+    """States as they come about where the body falls again and again."""
+    generator, found = np.random.default_rng(0), list[mujoco.MjData]()
+    while len(found) < NUM_STATES:
+        data = mujoco.MjData(model)
+        data.qpos[:2] += generator.uniform(-0.2, 0.5, size=2)
+        data.qvel[:] = generator.normal(size=model.nv)
+        for step in range(1, 361):
+            if step % 20 == 1:
+                data.ctrl[:] = generator.uniform(-1.0, 1.0, size=model.nu)
+            mujoco.mj_step(model, data)
+            if step % 120 == 0:
+                kept = mujoco.MjData(model)
+                mujoco.mj_copyData(kept, model, data)
+                found.append(kept)
+    return found
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: limbs(joint='frictionloss="0.5"'),
+        lambda: limbs(trunk="ellipsoid", geom='condim="4"'),
+        lambda: limbs(cone="elliptic", impratio="3", geom='condim="6"', trunk="cylinder"),
+    ],
+    ids=["box, friction loss", "ellipsoid, turning", "cylinder, elliptic"],
+)
+def test_a_body_with_all_kinds_of_contacts_moves_as_in_mujoco(make: Callable[[], mujoco.MjModel]) -> None:
+    model = converge(make(), implicit_damping=True)
+    assert uncovered(model) is None
+    assert_moves_as_mujoco(model, falling(model))
+
+
+def step_converged(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """C MuJoCo's step. With elliptic cones its solver stops too early where it begins far away."""
+    if model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
+        mujoco.mj_forward(model, data)
+        data.qacc_warmstart[:] = data.qacc
+    mujoco.mj_step(model, data)
+
+
+def test_the_ant_moves_in_its_corridor_as_in_mujoco() -> None:
+    model = converge(corridor_model(CorridorOptions()), implicit_damping=True)
+    assert uncovered(model) is None
+    generator, datas = np.random.default_rng(0), list[mujoco.MjData]()
+    # At the end of the first platform, on a gap, in a gap and beside the floor.
+    for x, y, z in ((5.9, 0.0, 0.4), (7.6, 0.1, 0.3), (7.7, 0.0, 0.0), (10.5, 2.5, 0.3)):
+        data = mujoco.MjData(model)
+        data.qpos[:3] = x, y, z
+        data.qvel[:] = generator.normal(size=model.nv)
+        for step in range(1, 81):
+            if step % 20 == 1:
+                data.ctrl[:] = generator.uniform(-1.0, 1.0, size=model.nu)
+            mujoco.mj_step(model, data)
+            if step % 20 == 0:
+                kept = mujoco.MjData(model)
+                mujoco.mj_copyData(kept, model, data)
+                datas.append(kept)
+    assert_same_rows(model, [after_forward(model, data) for data in datas])
+    assert_moves_as_mujoco(model, datas)
+
+
+def after_forward(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    """A copy whose rows are those of its state."""
+    copied = mujoco.MjData(model)
+    mujoco.mj_copyData(copied, model, data)
+    mujoco.mj_forward(model, copied)
+    return copied
+
+
+def assert_moves_as_mujoco(model: mujoco.MjModel, datas: list[mujoco.MjData]) -> None:
+    ours = read_model(model)
+    ours = replace(ours, solver=replace(ours.solver, iterations=20, line_search_iterations=30))
+    fields = ("qpos", "qvel", "qacc_warmstart", "ctrl")
+    qpos, qvel, qacc, ctrl = (of_all(datas, name) for name in fields)
+    assert sum(data.ncon > 0 for data in datas) > len(datas) / 4
+    for number in range(1, NUM_SUBSTEPS + 1):
+        moved = substep(ours, qpos, qvel, qacc, ctrl)
+        qpos, qvel, qacc = moved.qpos, moved.qvel, moved.qacc
+        for data in datas:
+            step_converged(model, data)
+        if number == 1:
+            assert relative(qacc, of_all(datas, "qacc")) < 1e-9
+    assert relative(qpos, of_all(datas, "qpos")) < 1e-6
+    assert relative(qvel, of_all(datas, "qvel")) < 1e-6
