@@ -45,11 +45,11 @@ class _Builder:
                 return WarpEngine(enough_iterations(with_solver(model, accelerated)), num_substeps, derived)
             case "compiled":
                 check_installed("compiled")
-                from core.physics.compiled.coverage import check_covered
                 from core.physics.compiled.engine import CompiledEngine
+                from core.physics.compiled.refusal import check_covered
 
                 solved = enough_iterations(with_solver(model, accelerated))
-                check_covered(solved)
+                check_covered(solved, derived)
                 return CompiledEngine(solved, num_substeps, derived)
             case _:
                 assert_never(self.name)

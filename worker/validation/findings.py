@@ -15,7 +15,7 @@ from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
 from core.errors import BadModel
 from core.physics.availability import EngineName, is_installed
-from core.physics.compiled.coverage import check_covered
+from core.physics.compiled.refusal import check_covered
 from core.physics.model import initial_qpos
 from core.user_models.record import Description
 

@@ -6,10 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from core.errors import JobFailed
-from core.physics.availability import beyond_compiled
 from core.physics.compiled.pairs import touching_geoms
-from core.reasons import Reason
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 # Switches that the stages follow, and those that change nothing that they compute.
@@ -29,12 +26,6 @@ def uncovered(model: mujoco.MjModel) -> str | None:
     """The first reason why the stages cannot move the model, such as "its geom 'rock' is a mesh"; None: they
     can."""
     return next((reason for check in _CHECKS for reason in check(model)), None)
-
-
-def check_covered(model: mujoco.MjModel) -> None:
-    """Raises JobFailed("bad_model") if the stages cannot move the model."""
-    if reason := uncovered(model):
-        raise JobFailed(Reason.BAD_MODEL, beyond_compiled(reason))
 
 
 def _options(model: mujoco.MjModel) -> Iterator[str]:

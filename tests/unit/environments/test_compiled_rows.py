@@ -6,8 +6,8 @@ import mujoco
 import pytest
 
 from core.environments import catalog
-from core.physics.availability import beyond_compiled
-from core.physics.compiled.coverage import uncovered
+from core.errors import JobFailed
+from core.physics.compiled.refusal import check_covered
 from core.physics.engine import Engine, SolverSettings
 from core.physics.model import with_solver
 
@@ -28,10 +28,10 @@ CHANGED: list[tuple[str, dict[str, Any]]] = [
 
 
 class Asked(Exception):
-    """The model that an environment asks an engine for."""
+    """The model that an environment asks an engine for, and the fields that it reads."""
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
+    def __init__(self, model: mujoco.MjModel, derived: tuple[str, ...]) -> None:
+        self.model, self.derived = model, derived
 
 
 class Asking:
@@ -47,7 +47,15 @@ class Asking:
         *,
         accelerated: SolverSettings | None = None,
     ) -> Engine:
-        raise Asked(with_solver(model, accelerated))
+        raise Asked(with_solver(model, accelerated), derived)
+
+
+def refusal(asked: Asked) -> str | None:
+    try:
+        check_covered(asked.model, asked.derived)
+    except JobFailed as failure:
+        return failure.detail
+    return None
 
 
 @pytest.mark.parametrize(
@@ -61,8 +69,7 @@ def test_a_row_refuses_what_its_model_has_and_the_engine_lacks_and_nothing_else(
     info, parsed = catalog.resolve(environment, options)
     with pytest.raises(Asked) as asked:
         catalog.make(info, parsed, Asking())
-    reason = uncovered(asked.value.model)
-    assert info.cannot_run.get("compiled") == (None if reason is None else beyond_compiled(reason))
+    assert info.cannot_run.get("compiled") == refusal(asked.value)
 
 
 def test_environments_with_physics_of_their_own_refuse_it() -> None:

@@ -32,6 +32,17 @@ def test_no_code_is_made_for_a_body_beyond_compiled_and_the_element_is_named() -
     assert failure.value.reason == "bad_model"
 
 
+def test_no_code_is_made_for_fields_beyond_compiled() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/><site name="eye"/></body></worldbody>
+        <actuator><motor joint="hip"/></actuator>
+        <sensor><rangefinder name="ray" site="eye"/></sensor></mujoco>"""
+    )
+    with pytest.raises(JobFailed, match=r"'compiled' cannot run the model: .*sensor") as failure:
+        engine_builder("compiled")(model, 1, ("sensordata",))
+    assert failure.value.reason == "bad_model"
+
+
 def test_compiled_solves_as_the_environment_asks_and_with_two_iterations_at_least(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
