@@ -24,6 +24,9 @@ from core.reasons import Reason
 from worker.protocol import Started, Task
 from worker.training.compilations import keep_programs, keep_warp_kernels
 
+# What an engine needs besides MuJoCo and MJX, by the names of the package index.
+_ENGINES_PACKAGES = {"warp": ("warp-lang",), "compiled": ("llvmlite",)}
+
 
 @dataclass(frozen=True)
 class BuiltEnvironment:
@@ -39,7 +42,7 @@ class BuiltEnvironment:
 
     def started(self, **details: Any) -> Started:
         """The facts on this attempt for the job's record."""
-        also = [*(["warp-lang"] if self.engine == "warp" else []), *_brought_by(self.info)]
+        also = [*_ENGINES_PACKAGES.get(self.engine, ()), *_brought_by(self.info)]
         packages = ("jax", "brax", "mujoco", "mujoco-mjx", *also)
         versions = {name: version(name) for name in packages}
         return Started(

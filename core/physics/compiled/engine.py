@@ -9,13 +9,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.errors import JobFailed
 from core.physics.compiled.code.piece import Piece
-from core.physics.compiled.coverage import uncovered
+from core.physics.compiled.refusal import check_covered
 from core.physics.compiled.substep import read_model
 from core.physics.compiled.write import control_step_program
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
-from core.reasons import Reason
 
 _CARRIED = ("qpos", "qvel", "qacc_warmstart")
 # In float32 no solver gets below this part of its cost.
@@ -31,10 +29,7 @@ class CompiledEngine:
     name = "compiled"
 
     def __init__(self, model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> None:
-        if reason := uncovered(model):
-            raise JobFailed(
-                Reason.BAD_MODEL, f"The engine 'compiled' cannot move this model, because {reason}."
-            )
+        check_covered(model, derived)
         self._model, self._num_substeps, self._derived = model, num_substeps, derived
         self._duration = num_substeps * model.opt.timestep
         self._step = _call(self._control_step())
