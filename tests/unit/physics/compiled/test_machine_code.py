@@ -9,7 +9,7 @@ from core.physics.compiled.code.machine_code import loaded, machine_code
 from core.physics.compiled.interpret import interpret
 from core.physics.compiled.loop import repeat
 from core.physics.compiled.program import Program
-from core.physics.compiled.substep import control_step, read_model
+from core.physics.compiled.substep import State, control_step, read_model
 from tests.unit.physics.compiled.test_substep import NUM_STATES, converged, of_all, states
 
 WIDTH = 8
@@ -49,8 +49,8 @@ def test_two_substeps_in_machine_code_are_two_substeps(name: str) -> None:
     fields = {"qpos": model.nq, "qvel": model.nv, "qacc_warmstart": model.nv, "ctrl": model.nu}
     given = {name: of_all(datas, name) for name in fields}
     program = Program()
-    inputs = (program.inputs(name, size) for name, size in fields.items())
-    moved = control_step(read_model(model), 2, *inputs)
+    qpos, qvel, qacc, ctrl = (program.inputs(name, size) for name, size in fields.items())
+    moved = control_step(read_model(model), 2, State(qpos, qvel, [], qacc), ctrl)
     for field in ("qpos", "qvel"):
         program.output(field, getattr(moved, field))
     exact, found = interpret(program, given), run(program, given)
