@@ -125,6 +125,12 @@ def substep(model: Model, state: State, ctrl: Vector) -> Moved:
     return Moved(qpos, qvel, done.act, found, done.on_dofs)
 
 
+def actuator_forces(model: Model, state: State, ctrl: Vector) -> Vector:
+    """[nv]: MuJoCo's `qfrc_actuator` in this state."""
+    at = poses(model.tree, state.qpos)
+    return _smooth_forces(model, state, ctrl, at, motion(model.tree, at, state.qvel))[1].on_dofs
+
+
 def _implicit(fields: Fields, tree: Tree) -> Implicit:
     if fields.model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
         return "velocities"

@@ -55,7 +55,7 @@ PULLED = """
     <position joint="hip" kp="3" timeconst="0.1" gear="2" inheritrange="0"/>
     <intvelocity joint="reach" kp="5" kv="0.1" actrange="-0.6 0.6"/>
     <general joint="hip" dyntype="filter" dynprm="0.05" gaintype="affine" gainprm="1 2 -0.5" actearly="true"/>
-    <general tendon="both" gear="-2" dyntype="filterexact" dynprm="0.02" biastype="affine" biasprm="1 -2 -0.3"/>
+    <general tendon="both" gear="-2" dyntype="filterexact" dynprm="0.02" biastype="affine" biasprm="1 -2 -1"/>
     <general tendon="across" gaintype="affine" gainprm="1 0 -2" ctrlrange="-0.2 0.2" forcerange="-0.3 0.3"/>
   </actuator>
 </mujoco>
