@@ -57,7 +57,8 @@ def derived_program(plan: Plan) -> Program:
     state = State(given["qpos"], given["qvel"], blank, [0.0] * plan.model.nv)
     forces = actuator_forces(model, state, [0.0] * plan.model.nu) if _OF_FORCES in plan.derived else []
     for name, values in _derived(plan, given, state, [0.0], forces).items():
-        program.output(name, values)
+        if values:
+            program.output(name, values)
     return program
 
 
@@ -81,7 +82,7 @@ def _derived(
     own = {name: given[name] for name in plan.own}
     scene = Scene(Fields(plan.model, own), state.qpos, state.qvel, time[0] if time else 0.0)
     found = derived(scene, tuple(name for name in plan.derived if name != _OF_FORCES))
-    return found | ({_OF_FORCES: forces} if _OF_FORCES in plan.derived else {})
+    return {name: forces if name == _OF_FORCES else found[name] for name in plan.derived}
 
 
 def _is_sound(values: Sequence[Symbol | float]) -> Symbol:

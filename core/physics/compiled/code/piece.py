@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from core.physics.compiled.code.arrays import array_sizes
 from core.physics.compiled.code.kept_code import kept
 from core.physics.compiled.program import Program
 
@@ -25,7 +26,7 @@ class Piece:
         from core.physics.compiled.code.machine_code import machine_code, processor, vector_width
 
         def make() -> bytes:
-            return machine_code(cpu_function(self.write(), FUNCTION, vector_width()))
+            return machine_code(cpu_function(self._written(), FUNCTION, vector_width()))
 
         return kept(f"{self.described} for {processor()}", make)
 
@@ -35,6 +36,15 @@ class Piece:
         from core.physics.compiled.code.ptx import ptx
 
         def make() -> bytes:
-            return ptx(gpu_kernel(self.write(), FUNCTION, num_threads), compute_capability).encode()
+            return ptx(gpu_kernel(self._written(), FUNCTION, num_threads), compute_capability).encode()
 
         return kept(f"{self.described} for {compute_capability} in {num_threads}", make).decode()
+
+    def _written(self) -> Program:
+        """The program. Raises ValueError if its arrays are others, which would write into foreign memory."""
+        program = self.write()
+        expected = {**self.inputs, **{f"to_{name}": size for name, size in self.outputs.items()}}
+        found = array_sizes(program)
+        if list(found.items()) != list(expected.items()):
+            raise ValueError(f"The program's arrays are {found}, and should be {expected}.")
+        return program
