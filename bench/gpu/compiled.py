@@ -76,6 +76,7 @@ def _request(body: str, engines: list[str], num_envs: list[int], options: Option
         "num_envs": num_envs,
         "rounds": 2 if options.quick else 5,
         "steps_per_call": 5 if options.quick else 100,
+        "own_settings": False,
     }
 
 

@@ -2,6 +2,7 @@
 
 import ctypes
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -21,6 +22,7 @@ class Function:
         self.pointer(first, end, *(array.ctypes.data for array in arrays))
 
 
+@cache
 def vector_width() -> int:
     """How many float32 a vector of this processor holds."""
     features: Any = llvm.get_host_cpu_features()
