@@ -6,9 +6,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from core.physics.compiled.collisions.table import COLLIDERS
+from core.physics.compiled.constraints import read_constraints
 from core.physics.compiled.derived import DERIVED_FIELDS
-from core.physics.compiled.pairs import touching_geoms
+from core.physics.compiled.pairs import read_pairs
 from core.physics.compiled.sensors import is_known
+from core.physics.compiled.softness import is_computable
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 # Switches that the stages follow, and those that change nothing that they compute.
@@ -34,6 +37,10 @@ _WITHOUT_EFFECT = (
     | _DISABLE.mjDSBL_MULTICCD
 )
 _ENABLED_WITHOUT_EFFECT = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV
+
+
+# Every row is code of its own, which is compiled, and run for all environments, whether it is active or not.
+MOST_ROWS = 1000
 
 
 def uncovered(model: mujoco.MjModel) -> str | None:
@@ -78,8 +85,6 @@ def _options(model: mujoco.MjModel) -> Iterator[str]:
     integrators = mujoco.mjtIntegrator
     if option.integrator not in (integrators.mjINT_EULER, integrators.mjINT_IMPLICITFAST):
         yield f"its integrator is {_word(mujoco.mjtIntegrator(option.integrator).name)}"
-    if option.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL:
-        yield "its friction cones are elliptic"
     if option.solver == mujoco.mjtSolver.mjSOL_PGS:
         yield "its solver is PGS"
     if option.noslip_iterations:
@@ -121,15 +126,17 @@ def _parts(model: mujoco.MjModel) -> Iterator[str]:
 
 def _joints(model: mujoco.MjModel) -> Iterator[str]:
     rotates = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL))
-    limited = (model.jnt_limited != 0) & _keeps_limits(model)
-    yield from _where(model, "joint", rotates & limited, "is a ball joint with a limit")
     ranged = rotates & (model.jnt_actfrclimited != 0)
     yield from _where(model, "joint", ranged, "has several axes and limits its actuators' forces")
     yield from _where(model, "joint", model.jnt_stiffnesspoly.any(axis=-1), "is not a linear spring")
     joint_of = model.dof_jntid
     yield from _where(model, "joint", model.dof_dampingpoly.any(axis=-1), "is not a linear damper", joint_of)
-    yield from _where(model, "joint", model.dof_frictionloss, "has friction loss", joint_of)
-    yield from _where(model, "joint", limited & _unusual(model.jnt_solref, model.jnt_solimp), _SOFTNESS)
+    rough = (model.dof_frictionloss != 0) & _uncomputable(model.dof_solimp)
+    yield from _where(model, "joint", rough, _CURVE, joint_of)
+    limited = (model.jnt_limited != 0) & _keeps_limits(model)
+    yield from _where(model, "joint", limited & _uncomputable(model.jnt_solimp), _CURVE)
+    both_ends = limited & ~rotates & (np.ptp(model.jnt_range, axis=1) < 2.0 * model.jnt_margin)
+    yield from _where(model, "joint", both_ends, "can be at both ends of its range at once")
 
 
 def _tendons(model: mujoco.MjModel) -> Iterator[str]:
@@ -144,6 +151,8 @@ def _tendons(model: mujoco.MjModel) -> Iterator[str]:
 
 
 def _actuators(model: mujoco.MjModel) -> Iterator[str]:
+    if not model.nactuator:
+        return
     kinds, targets = mujoco.mjtTrn, model.actuator_trntype
     covered = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT, kinds.mjTRN_TENDON)
     yield from _where(model, "actuator", ~np.isin(targets, covered), "acts on neither a joint nor a tendon")
@@ -184,36 +193,38 @@ def _flies_alone(model: mujoco.MjModel, body: int) -> bool:
 def _contacts(model: mujoco.MjModel) -> Iterator[str]:
     if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
         return
-    kinds, plane = mujoco.mjtGeom, mujoco.mjtGeom.mjGEOM_PLANE
-    on_planes = (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE)
-    if model.npair:
-        yield "it lists pairs of geoms that touch"
-    for one, other in touching_geoms(model):
-        names = f"its geoms {_named(model, 'geom', one)} and {_named(model, 'geom', other)} can touch"
-        types = {int(model.geom_type[one]), int(model.geom_type[other])}
-        if plane not in types:
-            yield f"{names}, and neither is a plane"
-        elif not types - {plane} <= set(on_planes):
-            yield f"{names}: a {_word(kinds(max(types)).name)} and a plane"
-        elif model.geom_condim[[one, other]].max() > 3:
-            yield f"{names} with torsional or rolling friction"
-        elif model.geom_priority[one] != model.geom_priority[other]:
-            yield f"{names} and have different priorities"
-        elif _unusual(model.geom_solref[[one, other]], model.geom_solimp[[one, other]]).any():
-            yield f"{names}: {_SOFTNESS}"
-        elif model.geom_adhesion[[one, other]].any() or model.geom_surfacevel[[one, other]].any():
+    for pair in read_pairs(model):
+        both = [pair.one, pair.other]
+        one, other = (_named(model, "geom", number) for number in both)
+        names = f"its geoms {one} and {other} can touch"
+        kinds = [int(kind) for kind in model.geom_type[both]]
+        if (kinds[0], kinds[1]) not in COLLIDERS:
+            first, second = (_word(mujoco.mjtGeom(kind).name) for kind in kinds)
+            yield f"{names}: a {first} and a {second}"
+        elif not is_computable(pair.parameters.softness.impedance.power):
+            yield f"{names}: its contact {_CURVE}"
+        elif model.geom_adhesion[both].any() or model.geom_surfacevel[both].any():
             yield f"{names} with adhesion or a moving surface"
+    for place in np.flatnonzero(model.pair_adhesion)[:1]:
+        yield f"its pair {_named(model, 'pair', int(place))} has adhesion"
+
+
+def _rows(model: mujoco.MjModel) -> Iterator[str]:
+    """Last, as it reads the constraints, which other checks must have let pass."""
+    num_rows = read_constraints(model).num_rows
+    if num_rows > MOST_ROWS:
+        yield f"it can have {num_rows} constraint rows at once, more than {MOST_ROWS}"
 
 
 _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
-    _options, _combinations, _parts, _joints, _tendons, _actuators, _contacts,
+    _options, _combinations, _parts, _joints, _tendons, _actuators, _contacts, _rows,
 )  # fmt: skip
-_SOFTNESS = "has a `solref` of stiffness and damping, or a `solimp` with its own midpoint or power"
+_CURVE = "has a `solimp` whose power is not a multiple of a half"
 
 
-def _unusual(solref: np.ndarray, solimp: np.ndarray) -> np.ndarray:
-    """[n]: where softness is not given as `constraints.Softness` reads it."""
-    return (solref <= 0.0).any(axis=-1) | (solimp[:, 3:] != (0.5, 2.0)).any(axis=-1)
+def _uncomputable(solimp: np.ndarray) -> np.ndarray:
+    """[n]: where the stages have no operation for the curve of a `solimp` [n, 5]."""
+    return np.array([not is_computable(power) for power in solimp[:, 4]], bool)
 
 
 def _where(

@@ -1,4 +1,4 @@
-"""M = Lᵀ D L with the tree's sparsity, and linear equations with it.
+"""M = Lᵀ D L of a symmetric matrix with few entries, and linear equations with it.
 
 Source: Featherstone (2008), section 6.5.
 """
@@ -19,29 +19,30 @@ class Factor:
 
 
 def factorize(tree: Tree, matrix: Entries) -> Factor:
-    """Eliminates from the leaves to the root, which creates no entry outside of the tree's."""
+    """Eliminates from the leaves to the root, which creates no entry in a matrix with the tree's alone."""
     left, lower = dict(matrix), Entries()
     inverse: list[Number] = [0.0] * len(tree.dofs)
     for k in reversed(range(len(tree.dofs))):
         inverse[k] = 1.0 / left[k, k]
-        ancestors = tree.dofs[k].ancestors
-        for place, i in enumerate(ancestors):
+        bound = sorted(j for i, j in left if i == k and j < k)
+        for place, i in enumerate(bound):
             factor = left[k, i] * inverse[k]
             lower[k, i] = factor
-            for j in ancestors[: place + 1]:
-                left[i, j] = left[i, j] - factor * left[k, j]
+            for j in bound[: place + 1]:
+                left[i, j] = left.get((i, j), 0.0) - factor * left[k, j]
     return Factor(lower, inverse)
 
 
 def solve(tree: Tree, factor: Factor, right: Vector) -> Vector:
     """x [nv] with M x = right."""
     x = list(right)
-    for k in reversed(range(len(tree.dofs))):
-        for j in tree.dofs[k].ancestors:
+    rows = [sorted(j for i, j in factor.lower if i == k) for k in range(len(tree.dofs))]
+    for k in reversed(range(len(rows))):
+        for j in rows[k]:
             x[j] = x[j] - factor.lower[k, j] * x[k]
     x = [value * inverse for value, inverse in zip(x, factor.inverse_diagonal, strict=True)]
-    for k, dof in enumerate(tree.dofs):
-        for j in dof.ancestors:
+    for k, row in enumerate(rows):
+        for j in row:
             x[k] = x[k] - factor.lower[k, j] * x[j]
     return x
 

@@ -1,16 +1,59 @@
-"""Which geoms of a model can touch: MuJoCo's own filter, which no state changes.
+"""Which geoms of a model can touch: MuJoCo's own filter, which no state changes; and how such contacts push.
 
-Source: MuJoCo's documentation, Computation, "Collision detection", "Selection".
+Source: MuJoCo's documentation, Computation, "Collision detection", "Selection", "Parameters".
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from core.physics.compiled.softness import Softness, read_softness
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Those of a contact.
+
+    friction: one for each direction but the normal: tangents, turning about the normal, rolling; empty
+    without friction. margin: the distance in m below which it pushes. reach: in m; farther geoms are not
+    looked at. friction_damping: of an elliptic cone's directions but the normal.
+    """
+
+    friction: tuple[float, ...]
+    softness: Softness
+    margin: float
+    reach: float
+    friction_damping: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Numbers of two geoms in MuJoCo's order: the contact's normal is from the first to the second."""
+
+    one: int
+    other: int
+    parameters: Parameters
+
+
+def read_pairs(model: mujoco.MjModel) -> list[Pair]:
+    """The geoms that can touch: pairs that the model lists, and those that its filter lets pass."""
+    listed = listed_geoms(model)
+    found = [_pair(model, one, other, _of_pair(model, place)) for place, (one, other) in enumerate(listed)]
+    return found + [
+        _pair(model, one, other, _of_geoms(model, one, other)) for one, other in touching_geoms(model)
+    ]
+
+
+def listed_geoms(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """The geoms of each `<pair>`."""
+    return [(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
+
 
 def touching_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
     """Pairs of geoms, the lower number first, without those that the model lists as pairs."""
+    listed = {frozenset(pair) for pair in listed_geoms(model)}
     bodies, types, affinities = model.geom_bodyid, model.geom_contype, model.geom_conaffinity
     welds = model.body_weldid[bodies]
     for one in range(model.ngeom):
@@ -18,8 +61,23 @@ def touching_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
         asks = (types[one] & affinities[later]) | (types[later] & affinities[one])
         # The world of a user's model may have thousands of geoms: those pairs are not looked at one by one.
         for other in np.flatnonzero((asks != 0) & (welds[later] != welds[one])) + one + 1:
-            if _bodies_may(model, int(bodies[one]), int(bodies[other])):
+            is_listed = frozenset((one, int(other))) in listed
+            if not is_listed and _bodies_may(model, int(bodies[one]), int(bodies[other])):
                 yield one, int(other)
+
+
+def softness_of(model: mujoco.MjModel, one: int, other: int) -> tuple[np.ndarray, np.ndarray]:
+    """solref [2] and solimp [5] of two geoms: those of the one with the higher priority, or between both."""
+    priorities = model.geom_priority[[one, other]]
+    if priorities[0] != priorities[1]:
+        first = (one, other)[int(priorities.argmax())]
+        return model.geom_solref[first], model.geom_solimp[first]
+    share = _share(float(model.geom_solmix[one]), float(model.geom_solmix[other]))
+    solref, solimp = model.geom_solref, model.geom_solimp
+    mixed = share * solref[one] + (1.0 - share) * solref[other]
+    are_times = bool((solref[[one, other], 0] > 0.0).all())
+    reference = mixed if are_times else np.minimum(solref[one], solref[other])
+    return reference, share * solimp[one] + (1.0 - share) * solimp[other]
 
 
 def _bodies_may(model: mujoco.MjModel, one: int, other: int) -> bool:
@@ -33,3 +91,43 @@ def _bodies_may(model: mujoco.MjModel, one: int, other: int) -> bool:
         return False
     signature = (min(one, other) << 16) + max(one, other)
     return signature not in model.exclude_signature
+
+
+def _pair(model: mujoco.MjModel, one: int, other: int, parameters: Parameters) -> Pair:
+    first, second = (one, other) if model.geom_type[one] <= model.geom_type[other] else (other, one)
+    return Pair(first, second, parameters)
+
+
+def _of_geoms(model: mujoco.MjModel, one: int, other: int) -> Parameters:
+    both = [one, other]
+    priorities = model.geom_priority[both]
+    chosen = [both[int(priorities.argmax())]] if priorities[0] != priorities[1] else both
+    sliding, turning, rolling = (float(x) for x in model.geom_friction[chosen].max(axis=0))
+    friction = (sliding, sliding, turning, rolling, rolling)
+    softness = read_softness(*softness_of(model, one, other), model.opt.timestep)
+    margin, gap = float(model.geom_margin[both].sum()), float(model.geom_gap[both].sum())
+    dimensions = int(model.geom_condim[chosen].max())
+    return Parameters(_bounded(friction, dimensions), softness, margin, margin + gap, softness.damping)
+
+
+def _of_pair(model: mujoco.MjModel, place: int) -> Parameters:
+    solimp, own = model.pair_solimp[place], model.pair_solreffriction[place]
+    softness = read_softness(model.pair_solref[place], solimp, model.opt.timestep)
+    damping = softness.damping
+    if own.all() and (own[0] > 0.0) == (own[1] > 0.0):
+        damping = read_softness(own, solimp, model.opt.timestep).damping
+    margin, gap = float(model.pair_margin[place]), float(model.pair_gap[place])
+    friction = tuple(float(x) for x in model.pair_friction[place])
+    return Parameters(_bounded(friction, int(model.pair_dim[place])), softness, margin, margin + gap, damping)
+
+
+def _bounded(friction: tuple[float, ...], dimensions: int) -> tuple[float, ...]:
+    return tuple(max(float(mujoco.mjMINMU), x) for x in friction[: dimensions - 1])
+
+
+def _share(one: float, other: float) -> float:
+    """The first geom's part in a mixture."""
+    smallest = float(mujoco.mjMINVAL)
+    if one < smallest or other < smallest:
+        return 0.5 if max(one, other) < smallest else float(one >= smallest)
+    return one / (one + other)

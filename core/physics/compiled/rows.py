@@ -1,15 +1,15 @@
 """The rows of the constraint problem in a state, and products with them.
 
-Rows come in groups whose entries are mixtures of a few directions: the four edges of a friction pyramid are
-the normal plus or minus the friction times each of two tangents. Products go through the directions, which
-takes fewer operations.
+Rows come in groups that push along a few directions by a law of their own: the four edges of a friction
+pyramid mix its normal and two tangents. Products go through the directions, which takes fewer operations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from core.physics.compiled.arithmetic import Number, Vector, dot, minimum, select, total
+from core.physics.compiled.arithmetic import Number, Vector, dot, total
 from core.physics.compiled.dynamics import Entries
+from core.physics.compiled.laws import Law, Slope
 
 # How a motion of each degree of freedom that matters moves along it.
 Direction = dict[int, Number]
@@ -17,88 +17,94 @@ Direction = dict[int, Number]
 
 @dataclass(frozen=True)
 class Group:
-    """mixtures: by row, a coefficient for each direction. The directions have the same degrees of freedom.
-
-    stiffness: by row, MuJoCo's `efc_D`, 0 where the row is not active. reference: by row, the wanted
-    acceleration, `efc_aref`.
-    """
+    """The directions have the same degrees of freedom. reference: by direction, the wanted acceleration."""
 
     directions: Sequence[Direction]
-    mixtures: Sequence[Sequence[float]]
-    stiffness: Vector
     reference: Vector
+    law: Law
 
 
 Rows = Sequence[Group]
 
 
-def stiffness_of(rows: Rows) -> Vector:
-    """D, [rows]."""
-    return [value for group in rows for value in group.stiffness]
-
-
 def times(rows: Rows, vector: Vector) -> Vector:
-    """J times a vector [nv]: [rows]."""
-    found: Vector = []
-    for group in rows:
-        along = [total(entry * vector[i] for i, entry in one.items()) for one in group.directions]
-        found += [dot(mixture, along) for mixture in group.mixtures]
-    return found
+    """A vector [nv] along all directions."""
+    return [
+        total(entry * vector[i] for i, entry in direction.items())
+        for group in rows
+        for direction in group.directions
+    ]
 
 
 def residual(rows: Rows, acceleration: Vector) -> Vector:
-    """J times an acceleration [nv], less the reference: [rows]. Rows push where it is below 0."""
+    """An acceleration [nv] along all directions, less the reference."""
     wanted = (value for group in rows for value in group.reference)
     return [x - a for x, a in zip(times(rows, acceleration), wanted, strict=True)]
 
 
 def pulled_back(rows: Rows, forces: Vector, num_dofs: int) -> Vector:
-    """Jᵀ times forces [rows]: [nv]."""
+    """Forces along all directions, as forces on the degrees of freedom [nv]."""
     terms: list[list[Number]] = [[] for _ in range(num_dofs)]
-    for group, own in zip(rows, _by_group(rows, forces), strict=True):
-        for column, direction in zip(zip(*group.mixtures, strict=True), group.directions, strict=True):
-            force = dot(column, own)
+    for group, own in by_group(rows, forces):
+        for direction, force in zip(group.directions, own, strict=True):
             for i, entry in direction.items():
                 terms[i].append(entry * force)
     return [total(own) for own in terms]
 
 
 def forces(rows: Rows, residual: Vector) -> Vector:
-    """How hard the rows push: [rows]."""
-    return [-d * minimum(x, 0.0) for d, x in zip(stiffness_of(rows), residual, strict=True)]
+    """How hard the rows push along all directions."""
+    return [force for group, own in by_group(rows, residual) for force in group.law.forces(own)]
 
 
 def curvature(rows: Rows, residual: Vector) -> dict[tuple[int, int], list[Number]]:
-    """Jᵀ D J over the rows that push: terms of its lower triangle's entries."""
+    """Jᵀ H J, with the second derivatives H of the rows' cost: terms of its lower triangle's entries."""
     found: dict[tuple[int, int], list[Number]] = {}
-    for group, own in zip(rows, _by_group(rows, residual), strict=True):
-        active = [select(x < 0.0, d, 0.0) for d, x in zip(group.stiffness, own, strict=True)]
-        columns = list(zip(*group.mixtures, strict=True))
-        weights = [[_weight(active, one, other) for other in columns] for one in columns]
+    for group, own in by_group(rows, residual):
+        weights = group.law.weights(own)
         dofs = list(group.directions[0])
-        weighted = {
-            i: [dot(row, [direction[i] for direction in group.directions]) for row in weights] for i in dofs
-        }
+        columns = {i: [direction[i] for direction in group.directions] for i in dofs}
         for i in dofs:
+            weighted = [dot(row, columns[i]) for row in weights]
             for j in dofs:
                 if j <= i:
-                    entry = dot([direction[j] for direction in group.directions], weighted[i])
-                    found.setdefault((i, j), []).append(entry)
+                    found.setdefault((i, j), []).append(dot(columns[j], weighted))
     return found
 
 
-def _weight(active: Vector, one: Sequence[float], other: Sequence[float]) -> Number:
-    return total(a * (x * y) for a, x, y in zip(active, one, other, strict=True) if x and y)
+def cost(rows: Rows, residual: Vector) -> Number:
+    """Of all rows."""
+    return total(group.law.cost(own) for group, own in by_group(rows, residual))
 
 
-def _by_group(rows: Rows, values: Vector) -> list[Vector]:
-    found, place = list[Vector](), 0
+def fall(rows: Rows, before: Vector, after: Vector) -> Number:
+    """By how much less the cost is after."""
+    pairs = zip(by_group(rows, before), by_group(rows, after), strict=True)
+    return total(group.law.fall(own, then) for (group, own), (_, then) in pairs)
+
+
+def slope(rows: Rows, residual: Vector, rates: Vector) -> Slope:
+    """Of the cost where the residual moves on at these rates."""
+    pairs = zip(by_group(rows, residual), by_group(rows, rates), strict=True)
+    slopes = [group.law.slope(own, rate) for (group, own), (_, rate) in pairs]
+
+    def summed(step: Number) -> tuple[Number, Number]:
+        at_step = [one(step) for one in slopes]
+        return total(first for first, _ in at_step), total(second for _, second in at_step)
+
+    return summed
+
+
+def by_group(rows: Rows, values: Sequence[Number]) -> Iterator[tuple[Group, Vector]]:
+    """Each group with its own part of a number for each direction."""
+    place = 0
     for group in rows:
-        found.append(values[place : place + len(group.mixtures)])
-        place += len(group.mixtures)
-    return found
+        end = place + len(group.directions)
+        yield group, list(values[place:end])
+        place = end
 
 
 def added(mass: Entries, terms: dict[tuple[int, int], list[Number]]) -> Entries:
-    """M plus terms of its own entries."""
-    return {place: total([entry, *terms.get(place, [])]) for place, entry in mass.items()}
+    """M plus terms of its own entries, and of others where rows bind branches of the tree together."""
+    places: Iterable[tuple[int, int]] = dict.fromkeys([*mass, *terms])
+    return {place: total([mass.get(place, 0.0), *terms.get(place, [])]) for place in places}

@@ -11,7 +11,6 @@ from core.physics.compiled.arithmetic import (
     absolute,
     dot,
     maximum,
-    minimum,
     select,
     sqrt,
     total,
@@ -22,11 +21,13 @@ from core.physics.compiled.loop import repeat
 from core.physics.compiled.rows import (
     Rows,
     added,
+    cost,
     curvature,
+    fall,
     forces,
     pulled_back,
     residual,
-    stiffness_of,
+    slope,
     times,
 )
 from core.physics.compiled.tree import Tree
@@ -56,7 +57,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class _Guess:
-    """acceleration: [nv]; inertial: M times it; residual: J times it less the reference, [rows]."""
+    """acceleration: [nv]; inertial: M times it; residual: along the rows' directions."""
 
     acceleration: Vector
     inertial: Vector
@@ -117,23 +118,19 @@ def _line_search(
     rates = times(problem.rows, direction)
     linear = total(x * (y - z) for x, y, z in zip(direction, guess.inertial, problem.force, strict=True))
     quadratic = 0.5 * dot(direction, inertial)
-    stiffness = stiffness_of(problem.rows)
+    bend = slope(problem.rows, guess.residual, rates)
 
-    def slope(step: Number) -> tuple[Number, Number]:
+    def at(step: Number) -> tuple[Number, Number]:
         """The cost's first and second derivative."""
-        pushed = [x + step * rate for x, rate in zip(guess.residual, rates, strict=True)]
-        first = total(d * rate * minimum(x, 0.0) for d, rate, x in zip(stiffness, rates, pushed, strict=True))
-        second = total(
-            select(x < 0.0, d * rate * rate, 0.0) for d, rate, x in zip(stiffness, rates, pushed, strict=True)
-        )
+        first, second = bend(step)
         return linear + 2.0 * quadratic * step + first, 2.0 * quadratic + second
 
     accuracy = settings.tolerance * settings.line_search_tolerance * sqrt(dot(direction, direction)) / scale
-    at_start, curvature = slope(0.0)
+    at_start, curvature_there = at(0.0)
 
     def narrow(carried: list[Number]) -> tuple[list[Number], Number]:
         step, low, high = carried
-        first, second = slope(step)
+        first, second = at(step)
         low, high = select(first < 0.0, step, low), select(first < 0.0, high, step)
         guessed = step - first / maximum(second, _TINY)
         # At an end, too: a guess that rounding leaves where it was is as good as it gets.
@@ -143,17 +140,14 @@ def _line_search(
         return [select(is_good, step, select(inside, guessed, bounded)), low, high], ~is_good
 
     step = repeat(
-        settings.line_search_iterations, narrow, [-at_start / maximum(curvature, _TINY), 0.0, _FAR]
+        settings.line_search_iterations, narrow, [-at_start / maximum(curvature_there, _TINY), 0.0, _FAR]
     )[0]
     moved = _Guess(
         [x + step * y for x, y in zip(guess.acceleration, direction, strict=True)],
         [x + step * y for x, y in zip(guess.inertial, inertial, strict=True)],
         [x + step * y for x, y in zip(guess.residual, rates, strict=True)],
     )
-    fallen = total(
-        0.5 * d * ((minimum(x, 0.0) - minimum(y, 0.0)) * (minimum(x, 0.0) + minimum(y, 0.0)))
-        for d, x, y in zip(stiffness, guess.residual, moved.residual, strict=True)
-    )
+    fallen = fall(problem.rows, guess.residual, moved.residual)
     gain = fallen - step * (linear + step * quadratic)
     return moved, gain
 
@@ -172,11 +166,7 @@ def _cost(problem: Problem, guess: _Guess) -> Number:
         (x - y) * (a - b)
         for x, y, a, b in zip(guess.inertial, problem.force, guess.acceleration, problem.free, strict=True)
     )
-    bent = total(
-        d * (minimum(x, 0.0) * minimum(x, 0.0))
-        for d, x in zip(stiffness_of(problem.rows), guess.residual, strict=True)
-    )
-    return 0.5 * (apart + bent)
+    return 0.5 * apart + cost(problem.rows, guess.residual)
 
 
 def _packed(guess: _Guess) -> list[Number]:

@@ -9,13 +9,7 @@ import mujoco
 
 from core.physics.compiled.actuation import Actuator, ActuatorState, Driven, driven, read_actuators
 from core.physics.compiled.arithmetic import Number, Vector, add, scale
-from core.physics.compiled.constraints import (
-    Limit,
-    Point,
-    constraint_rows,
-    read_limits,
-    read_points,
-)
+from core.physics.compiled.constraints import Constraints, constraint_rows, read_constraints
 from core.physics.compiled.constraints import State as Placed
 from core.physics.compiled.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, solve
@@ -38,8 +32,7 @@ class Model:
     tendons: tuple[Tendon, ...]
     actuators: tuple[Actuator, ...]
     fluid: Fluid
-    limits: tuple[Limit, ...]
-    points: tuple[Point, ...]
+    constraints: Constraints
     timestep: float
     implicit: Implicit
     warm_start: bool
@@ -67,15 +60,12 @@ def read_model(model: mujoco.MjModel, own: Own = NOMINAL) -> Model:
     """The model as the stages read it. own: see `Fields`."""
     fields, bit = Fields(model, own), mujoco.mjtDisableBit
     tree = read_tree(model, own)
-    free, untouched = fields.disables(bit.mjDSBL_LIMIT), fields.disables(bit.mjDSBL_CONTACT)
-    unconstrained = fields.disables(bit.mjDSBL_CONSTRAINT)
     return Model(
         tree=tree,
         tendons=read_tendons(model, own),
         actuators=read_actuators(model, own),
         fluid=read_fluid(model, own),
-        limits=() if free or unconstrained else read_limits(model),
-        points=() if untouched or unconstrained else read_points(model),
+        constraints=read_constraints(model),
         timestep=float(model.opt.timestep),
         implicit=_implicit(fields, tree),
         warm_start=not fields.disables(bit.mjDSBL_WARMSTART),
@@ -117,7 +107,7 @@ def substep(model: Model, state: State, ctrl: Vector) -> Moved:
     force, done = _smooth_forces(model, state, ctrl, at, moving)
     free = solve(tree, factorize(tree, mass), force)
     placed = Placed(state.qpos, state.qvel)
-    rows = constraint_rows(tree, model.limits, model.points, at, moving, placed)
+    rows = constraint_rows(tree, model.constraints, at, moving, placed)
     problem = Problem(tree, mass, force, free, rows)
     found = acceleration(problem, state.qacc if model.warm_start else free, model.solver)
     qvel = add(state.qvel, scale(_integrated(model, problem, found, done), model.timestep))

@@ -44,7 +44,10 @@ def test_a_plain_body_is_covered() -> None:
     [
         ({"option": 'integrator="RK4"'}, "rk4"),
         ({"option": 'solver="PGS"'}, "PGS"),
-        ({"geom": "cylinder"}, "'ball' can touch: a cylinder and a plane"),
+        (
+            {"geom": "ellipsoid", "joint": 'limited="true" range="-1 1" solimplimit="0.9 0.95 0.1 0.5 2.2"'},
+            "'hip'",
+        ),
         (
             {"actuator": 'gaintype="muscle" gainprm="0.7 1 1 2 0.5 1.6 1.5 1.3 1.2" lengthrange="0 1"'},
             "muscle",

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from core.physics.compiled.actuation import ActuatorState, driven, read_actuators
 from core.physics.compiled.arithmetic import Vector
-from core.physics.compiled.constraints import State, constraint_rows, read_limits, read_points
 from core.physics.compiled.dynamics import Entries, bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, multiply, solve
 from core.physics.compiled.forces import passive_forces
 from core.physics.compiled.kinematics import poses
-from core.physics.compiled.rows import Rows, curvature, pulled_back, stiffness_of
 from core.physics.compiled.tree import Tree, read_tree
 from core.physics.model import brax_model
+from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
 
 NUM_STATES = 16
 # A ball joint off its body's origin, two joints of one body, a tilted inertia, two trees, one fixed.
@@ -159,7 +158,6 @@ class Touching:
 
     def __init__(self, name: str) -> None:
         self.model = model_of(name)
-        self.tree = read_tree(self.model)
         generator = np.random.default_rng(0)
         data, self.datas = mujoco.MjData(self.model), list[mujoco.MjData]()
         data.qvel[:] = generator.normal(size=self.model.nv)
@@ -170,37 +168,10 @@ class Touching:
             if step >= 200 and step % 40 == 39:
                 mujoco.mj_forward(self.model, data)
                 self.datas.append(copy(data))
-        qpos: Vector = list(np.stack([data.qpos for data in self.datas], axis=1))
-        qvel: Vector = list(np.stack([data.qvel for data in self.datas], axis=1))
-        at = poses(self.tree, qpos)
-        moving = motion(self.tree, at, qvel)
-        limits, points = read_limits(self.model), read_points(self.model)
-        self.rows: Rows = constraint_rows(self.tree, limits, points, at, moving, State(qpos, qvel))
-
-    def jacobian(self, data: mujoco.MjData) -> NDArray[np.float64]:
-        if mujoco.mj_isSparse(self.model):
-            dense = np.zeros((data.nefc, self.model.nv))
-            structure = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
-            mujoco.mju_sparse2dense(dense, data.efc_J, *structure)
-            return dense
-        return data.efc_J.reshape(data.nefc, self.model.nv)
 
 
 @pytest.mark.parametrize("name", ["ant", "half_cheetah", "hopper", "walker2d", "humanoid"])
 def test_rows_press_and_pull_as_mujoco_s(name: str) -> None:
-    """Jᵀ D J and Jᵀ D a, which are all that a solver needs of them, and which no order of rows changes."""
     body = Touching(name)
-    nv = body.model.nv
-    pressed = curvature(body.rows, [-1.0] * len(stiffness_of(body.rows)))
-    pulled = [d * a for group in body.rows for d, a in zip(group.stiffness, group.reference, strict=True)]
-    ours = np.zeros((2, NUM_STATES, nv, nv))
-    ours[0] = dense(Entries({place: sum(terms) for place, terms in pressed.items()}), nv)
-    ours[1, :, :, 0] = stacked([pulled_back(body.rows, pulled, nv)])[:, 0]
-    theirs = np.zeros_like(ours)
-    for state, data in enumerate(body.datas):
-        jacobian = body.jacobian(data)
-        theirs[0, state] = jacobian.T @ np.diag(data.efc_D) @ jacobian
-        theirs[1, state, :, 0] = jacobian.T @ (data.efc_D * data.efc_aref)
     assert sum(data.ncon for data in body.datas) > NUM_STATES / 2
-    for mine, other in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-11 * np.abs(other).max())
+    assert_same_rows(body.model, body.datas)

@@ -15,7 +15,11 @@ Arrays = list[NDArray[np.float64]]
 
 
 def converged(name: str, *, implicit_damping: bool) -> mujoco.MjModel:
-    model = brax_model(name)
+    return converge(brax_model(name), implicit_damping=implicit_damping)
+
+
+def converge(model: mujoco.MjModel, *, implicit_damping: bool) -> mujoco.MjModel:
+    """The model itself, with settings with which MuJoCo's solver leaves no error."""
     model.opt.iterations, model.opt.ls_iterations = 100, 50
     model.opt.tolerance, model.opt.ls_tolerance = 1e-15, 1e-6
     if not implicit_damping:

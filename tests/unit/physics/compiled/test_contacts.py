@@ -1,0 +1,174 @@
+"""Contacts of each kind of geoms, and each kind of row, against C MuJoCo in states that overlap at random."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from core.physics.compiled.coverage import uncovered
+from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
+
+NUM_STATES = 100
+# Two arms of a tree whose ends meet, and what stands still.
+MEETING = """
+<mujoco>
+  <option {option}/>
+  <default><geom {default}/></default>
+  <worldbody>
+    {world}
+    <body name="trunk" pos="0 0 0.5">
+      <freejoint/>
+      <geom size="0.02" contype="0" conaffinity="0"/>
+      <body name="left">
+        <joint name="a" type="ball" armature="0.1"/><joint name="b" type="slide" axis="1 0 0"/>
+        {left}
+      </body>
+      <body name="right">
+        <joint name="c" type="ball" armature="0.1"/><joint name="d" type="slide" axis="0 1 0"/>
+        {right}
+      </body>
+    </body>
+  </worldbody>
+  {more}
+</mujoco>
+"""
+PLANE = '<geom name="still" type="plane" size="5 5 1" euler="10 20 0" pos="0 0 0.4"/>'
+BOX = '<body pos="0.1 0 0.3" euler="10 20 30"><geom name="still" type="box" size="0.2 0.3 0.25"/></body>'
+BALL = '<geom name="left" type="sphere" size="0.2" pos="0.05 0 0"/>'
+ROD = '<geom name="rod" type="capsule" size="0.1 0.2" euler="20 50 0"/>'
+
+
+def meeting(
+    world: str = "", left: str = "", right: str = "", option: str = "", default: str = "", more: str = ""
+) -> mujoco.MjModel:
+    still = left or '<geom size="0.1" contype="0" conaffinity="0"/>'
+    other = right or '<geom size="0.1" contype="0" conaffinity="0"/>'
+    parts = {"world": world, "left": still, "right": other}
+    return mujoco.MjModel.from_xml_string(MEETING.format(option=option, default=default, more=more, **parts))
+
+
+def at_random(
+    model: mujoco.MjModel, spread: tuple[float, float, float] = (0.3, 0.3, 0.3)
+) -> list[mujoco.MjData]:
+    generator = np.random.default_rng(0)
+    datas = [mujoco.MjData(model) for _ in range(NUM_STATES)]
+    for data in datas:
+        data.qpos[:3] += generator.uniform(-1.0, 1.0, size=3) * spread
+        data.qpos[3:] += generator.normal(scale=0.5, size=model.nq - 3)
+        data.qpos[[11, 16]] *= 0.2
+        data.qvel[:] = generator.normal(size=model.nv)
+        mujoco.mj_normalizeQuat(model, data.qpos)
+        mujoco.mj_forward(model, data)
+    return datas
+
+
+def assert_touches_as_mujoco(model: mujoco.MjModel) -> None:
+    assert uncovered(model) is None
+    datas = at_random(model)
+    assert sum(data.nefc > 0 for data in datas) > NUM_STATES / 10
+    assert_same_rows(model, datas)
+
+
+@pytest.mark.parametrize(
+    ("world", "left", "right"),
+    [
+        (PLANE, BALL, ""),
+        (PLANE, ROD, ""),
+        (PLANE, '<geom type="ellipsoid" size="0.1 0.2 0.3"/>', ""),
+        (PLANE, '<geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0" euler="10 20 30"/>', ""),
+        (PLANE, '<geom type="cylinder" size="0.15 0.2" euler="10 20 30"/>', ""),
+        (BOX, BALL, ""),
+        (BOX, ROD, ""),
+        (BOX, '<geom type="capsule" size="0.05 0.6" euler="20 50 0"/>', ""),
+        ("", '<geom type="box" size="0.2 0.3 0.25"/>', '<geom type="capsule" size="0.05 0.3"/>'),
+        ("", BALL, '<geom size="0.1"/>'),
+        ("", BALL, '<geom type="capsule" size="0.05 0.3"/>'),
+        ("", ROD, '<geom type="capsule" size="0.05 0.3"/>'),
+        ('<geom type="capsule" size="0.05 0.3" pos="0 0 0.5"/>', ROD, ""),
+    ],
+)
+def test_geoms_touch_as_in_mujoco(world: str, left: str, right: str) -> None:
+    assert_touches_as_mujoco(meeting(world, left, right))
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("condim", [1, 3, 4, 6])
+def test_friction_has_mujoco_s_directions(cone: str, condim: int) -> None:
+    default = f'condim="{condim}" friction="0.8 0.2 0.1"'
+    assert_touches_as_mujoco(meeting(PLANE, BALL, ROD, f'cone="{cone}" impratio="4"', default))
+
+
+@pytest.mark.parametrize(
+    "default",
+    [
+        'solref="-1000 -30"',
+        'solref="0.03 0.7" solimp="0.5 0.9 0.1 0.3 3"',
+        'solimp="0.5 0.9 0.1 0.6 1"',
+        'solimp="0.5 0.9 0.1 0.6 2.5"',
+        'solimp="0.5 0.9 0 0.6 2"',
+        'margin="0.1" gap="0.05"',
+        'friction="0 0 0"',
+    ],
+)
+def test_contacts_are_as_soft_as_in_mujoco(default: str) -> None:
+    assert_touches_as_mujoco(meeting(PLANE, BALL, ROD, default=default))
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        'priority="1" friction="0.3 0.2 0.1" condim="4" solref="0.05 1"',
+        'priority="-1" friction="0.3 0.2 0.1" condim="4"',
+        'solmix="3" solref="0.05 0.5" solimp="0.5 0.6 0.1"',
+        'solmix="0" solref="0.05 0.5"',
+        'solref="-500 -20"',
+    ],
+)
+def test_two_geoms_parameters_mix_as_in_mujoco(own: str) -> None:
+    assert_touches_as_mujoco(meeting(PLANE, BALL.replace("/>", f" {own}/>"), ROD))
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_a_listed_pair_has_parameters_of_its_own(cone: str) -> None:
+    pair = """<contact>
+      <pair geom1="left" geom2="still" condim="6" friction="0.9 0.5 0.1 0.2 0.3" solref="0.04 1"
+            solreffriction="0.03 1" margin="0.02"/>
+    </contact>"""
+    assert_touches_as_mujoco(meeting(PLANE, BALL, ROD, f'cone="{cone}"', more=pair))
+
+
+def test_of_many_fixed_boxes_each_is_touched() -> None:
+    boxes = [
+        f'<geom type="box" size="{0.9 + 0.05 * (k % 3)} 0.5 0.2" pos="{2.0 * k - 4.0} 0 {0.1 * (k % 2)}"/>'
+        for k in range(5)
+    ]
+    model = meeting("".join(boxes), BALL, '<geom type="capsule" size="0.1 0.3"/>')
+    datas = at_random(model, spread=(5.0, 0.5, 0.1))
+    touched = {int(geom) for data in datas for geom in data.contact.geom1} | {
+        int(geom) for data in datas for geom in data.contact.geom2
+    }
+    assert set(range(5)) < touched
+    assert_same_rows(model, datas)
+
+
+@pytest.mark.parametrize(
+    ("tag", "attributes"),
+    [
+        ("ball", 'type="ball" limited="true" range="0 30"'),
+        ("hinge", 'type="hinge" limited="true" range="-20 30" margin="0.1"'),
+        ("loss", 'type="ball" frictionloss="2" solreffriction="0.03 1" solimpfriction="0.5 0.8 0.1"'),
+    ],
+)
+def test_joints_rows_are_mujoco_s(tag: str, attributes: str) -> None:
+    model = mujoco.MjModel.from_xml_string(f"""
+      <mujoco><worldbody><body><freejoint/><geom size="0.1"/>
+        <body><joint {attributes}/><geom size="0.1" pos="0 0 0.3"/></body>
+      </body></worldbody></mujoco>
+    """)
+    assert uncovered(model) is None, tag
+    generator = np.random.default_rng(0)
+    datas = [mujoco.MjData(model) for _ in range(NUM_STATES)]
+    for data in datas:
+        data.qpos[:] += generator.normal(size=model.nq)
+        data.qvel[:] = generator.normal(size=model.nv)
+        mujoco.mj_forward(model, data)
+    assert_same_rows(model, datas)
