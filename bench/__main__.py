@@ -16,6 +16,7 @@ from bench.measure.result import Options, Result
 
 DEFAULT = {
     "physics": "bench.cpu.physics",
+    "compiled": "bench.cpu.compiled",
     "training": "bench.cpu.training",
     "corridor": "bench.cpu.corridor",
     "q_learning": "bench.cpu.q_learning",
@@ -36,6 +37,7 @@ LONG = {
 }
 ON_A_GPU = {
     "gpu_engines": "bench.gpu.engines",
+    "gpu_compiled": "bench.gpu.compiled",
     "gpu_ant": "bench.gpu.ant",
     "gpu_humanoid": "bench.gpu.humanoid",
     "gpu_bodies": "bench.gpu.bodies",

@@ -36,12 +36,17 @@ class RunnerOptions(Strict):
     n_frames: int = Field(5, ge=1, le=50, description="Physics steps per control step.")
     timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds per physics step.")
     solver: Literal["newton", "cg"] = Field(
-        "newton", description="Solver on mjx and warp; native keeps Newton."
+        "newton", description="Solver on mjx and warp; the other engines have Newton's."
     )
     iterations: int = Field(
-        4, ge=1, le=100, description="Solver iterations on mjx and warp; native iterates until convergence."
+        4,
+        ge=1,
+        le=100,
+        description="Solver iterations on mjx, warp and compiled; native iterates until convergence.",
     )
-    ls_iterations: int = Field(8, ge=1, le=100, description="Line-search iterations on mjx and warp.")
+    ls_iterations: int = Field(
+        8, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
+    )
 
 
 def check_survives_its_start(height: float, healthy: tuple[float, float], *, terminates: bool) -> None:

@@ -12,12 +12,13 @@ from core.environments.info import Device, EnvironmentInfo
 from core.errors import GaitwayError
 from core.jobs.job import Job
 from core.jobs.spec import Accelerator, JobSpec, TrainSpec
+from core.physics.availability import PACKAGES
 
 DEVICES: dict[Accelerator, tuple[Device, ...]] = {"any": ("cpu", "gpu"), "cpu": ("cpu",), "gpu": ("gpu",)}
 
 # The extra of Gaitway that installs an optional package, by the package's import name.
 _EXTRAS: dict[str, str] = {
-    "warp": "warp",
+    **{package: engine for engine, package in PACKAGES.items()},
     "dm_control": "dm-control",
     "biorobot": "brittle-star",
     "mujoco_playground": "playground",
@@ -27,7 +28,7 @@ _EXTRAS: dict[str, str] = {
 def packages_here() -> tuple[str, ...]:
     """The optional packages that are installed here; none is imported."""
     rows = catalog.ENVIRONMENTS.values()
-    optional = {"warp", *(info.package for info in rows if info.package is not None)}
+    optional = {*PACKAGES.values(), *(info.package for info in rows if info.package is not None)}
     return tuple(package for package in sorted(optional) if find_spec(package) is not None)
 
 
@@ -46,8 +47,9 @@ def packages_for(job: Job) -> Mapping[str, str]:
     engine = job.spec.physics
     if engine == "auto" and isinstance(job.spec, TrainSpec) and job.begun is not None:
         engine = job.begun.engine  # Its checkpoint was made with it.
-    if engine == "warp":
-        needed["warp"] = "the engine warp"
+    for name, package in PACKAGES.items():
+        if name == engine:
+            needed[package] = f"the engine {name}"
     return needed
 
 

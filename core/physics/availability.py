@@ -5,12 +5,15 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Literal
 
-from core.errors import Problem, Rejected
+from core.errors import JobFailed, Problem, Rejected
+from core.reasons import Reason
 
-EngineName = Literal["native", "mjx", "warp"]
-PhysicsChoice = Literal["auto", "native", "mjx", "warp"]
+EngineName = Literal["native", "mjx", "warp", "compiled"]
+PhysicsChoice = Literal["auto", "native", "mjx", "warp", "compiled"]
 
 NO_REFUSALS: Mapping[EngineName, str] = {}
+# The package that an engine needs and a worker may lack, by its import name; the extra has the engine's name.
+PACKAGES: Mapping[EngineName, str] = {"compiled": "llvmlite", "warp": "warp"}
 
 
 @dataclass(frozen=True)
@@ -34,9 +37,25 @@ class EngineChoice:
     reason: str
 
 
-def has_warp() -> bool:
-    """Whether the extra `warp` is installed here; loads nothing."""
-    return find_spec("warp") is not None
+def is_installed(engine: EngineName) -> bool:
+    """Whether what the engine needs is installed here; loads nothing."""
+    package = PACKAGES.get(engine)
+    return package is None or find_spec(package) is not None
+
+
+def check_installed(engine: EngineName) -> None:
+    """Raises JobFailed("no_device") if this worker lacks the package that the engine needs."""
+    if not is_installed(engine):
+        raise JobFailed(
+            Reason.NO_DEVICE,
+            f"The job asks for the engine {engine!r}, which this worker does not have. Install it in its "
+            f"clone with `uv sync --inexact --extra {engine}`, or ask for 'auto', 'native' or 'mjx'.",
+        )
+
+
+def beyond_compiled(reason: str) -> str:
+    """The sentence that refuses the engine `compiled`. reason: that of `compiled.coverage.uncovered`."""
+    return f"The engine 'compiled' cannot run the model: {reason}. Choose another engine, or omit `physics`."
 
 
 def check_physics(choice: PhysicsChoice, cannot_run: Mapping[EngineName, str] = NO_REFUSALS) -> None:
@@ -71,7 +90,7 @@ def choose(
         )
     for rule in on_a_gpu:
         fits = num_envs >= rule.least_num_envs and rule.engine not in cannot_run
-        if fits and (rule.engine != "warp" or has_warp()):
+        if fits and is_installed(rule.engine):
             return EngineChoice(rule.engine, rule.reason)
     if "mjx" in cannot_run:
         return EngineChoice("native", f"MJX cannot run the model: {cannot_run['mjx']}")

@@ -5,8 +5,9 @@ from typing import assert_never
 
 import mujoco
 
-from core.physics.availability import EngineChoice, EngineName, choose
+from core.physics.availability import EngineChoice, EngineName, check_installed, choose
 from core.physics.engine import DERIVED_FIELDS, Engine, EngineBuilder, SolverSettings
+from core.physics.model import enough_iterations, with_solver
 
 __all__ = ["EngineChoice", "choose", "engine_builder"]
 
@@ -35,17 +36,20 @@ class _Builder:
                 return NativeEngine(model, num_substeps, derived)
             case "mjx":
                 from core.physics.mjx import MjxEngine
-                from core.physics.model import with_solver
 
                 return MjxEngine(with_solver(model, accelerated), num_substeps, derived)
             case "warp":
-                from core.physics.kernels import check_warp
-                from core.physics.model import with_solver
-
-                check_warp()
-                from core.physics.warp_engine import WarpEngine, enough_iterations
+                check_installed("warp")
+                from core.physics.warp_engine import WarpEngine
 
                 return WarpEngine(enough_iterations(with_solver(model, accelerated)), num_substeps, derived)
+            case "compiled":
+                check_installed("compiled")
+                from core.physics.compiled.engine import CompiledEngine
+
+                return CompiledEngine(
+                    enough_iterations(with_solver(model, accelerated)), num_substeps, derived
+                )
             case _:
                 assert_never(self.name)
 

@@ -112,7 +112,7 @@ class Engine(Protocol):
 
     @property
     def name(self) -> str:
-        """`native`, `mjx` or `warp`."""
+        """`native`, `mjx`, `warp` or `compiled`."""
         ...
 
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
@@ -158,7 +158,7 @@ class EngineBuilder(Protocol):
     ) -> Engine:
         """An engine that computes these derived fields.
 
-        accelerated: the solver settings for engines on an accelerator (`mjx`, `warp`), where each iteration
-        is expensive; `native` always keeps the model's own, and so does every engine when it is None.
+        accelerated: the solver settings for the engines on which each iteration is expensive (`mjx`, `warp`,
+        `compiled`); `native` always keeps the model's own, and so does every engine when it is None.
         """
         ...

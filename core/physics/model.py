@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:  # Code that only reads a model must not load JAX.
     from core.physics.engine import SolverSettings
 
+_LEAST_ITERATIONS = 2
 _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
 
 
@@ -64,6 +65,17 @@ def with_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> muj
     flags = changed.opt.disableflags & ~flag
     changed.opt.disableflags = flags if settings.implicit_damping else flags | flag
     return changed
+
+
+def enough_iterations(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model (changed) with the two solver iterations that `warp` and `compiled` make at least.
+
+    Measured with the ant on `warp`, 30 M steps on an H200: a return of 3,086 ± 222 (3 seeds) with one
+    iteration and 3,950 (1 seed) with two; MJX-JAX reaches 3,619 ± 114 with one. The second costs 10 % of the
+    training rate. `compiled` has not been measured with one.
+    """
+    model.opt.iterations = max(_LEAST_ITERATIONS, model.opt.iterations)
+    return model
 
 
 def model_field(model: Any, name: str) -> Any:

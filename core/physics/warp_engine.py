@@ -16,7 +16,6 @@ from core.physics.model import model_field
 from core.physics.warp_buffers import LOST, Move, WarpBuffers, program
 from core.reasons import Reason
 
-_LEAST_ITERATIONS = 2
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 
 
@@ -116,16 +115,6 @@ class WarpEngine:
             name: piece.reshape(shape)
             for (name, shape), piece in zip(self._shapes.items(), pieces, strict=True)
         }
-
-
-def enough_iterations(model: mujoco.MjModel) -> mujoco.MjModel:
-    """The model (changed) with the two solver iterations that MuJoCo Warp needs where MJX needs one.
-
-    Measured with the ant, 30 M steps on an H200: a return of 3,086 ± 222 (3 seeds) with one iteration and
-    3,950 (1 seed) with two; MJX-JAX reaches 3,619 ± 114 with one. The second costs 10 % of the training rate.
-    """
-    model.opt.iterations = max(_LEAST_ITERATIONS, model.opt.iterations)
-    return model
 
 
 def _is_sound(values: jax.Array) -> jax.Array:

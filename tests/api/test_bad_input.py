@@ -145,6 +145,7 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/physics",
             "no contacts between ellipsoids and boxes",
         ),
+        (MINIMAL | {"environment": "rodent", "physics": "compiled"}, "/physics", "a tendon, 'lumbar_extend'"),
         (corridor(gap_length=[2, 1]), "/environment/options/gap_length", "low ≤ high"),
         (corridor(gap_length=[1, 50]), "/environment/options", "gap_length goes up to 50 m"),
         (

@@ -18,6 +18,7 @@ import pytest
 from api.routes import models as route
 from core.environments.mjcf.describe import inventory
 from core.jobs.reconciliation import Reconciler
+from core.physics.availability import beyond_compiled
 from core.storage import keys
 from core.user_models import library
 from core.user_models.record import Description
@@ -29,7 +30,12 @@ from tests.unit.environments.mjcf.test_archive import zipped
 
 DESCRIPTION = Description(
     inventory=inventory(mujoco.MjModel.from_xml_string(XML.decode())),
-    engines={"native": None, "mjx": "Ellipsoids and boxes are not implemented.", "warp": None},
+    engines={
+        "native": None,
+        "compiled": beyond_compiled("its geom 'rock' is a mesh"),
+        "mjx": "Ellipsoids and boxes are not implemented.",
+        "warp": None,
+    },
     physics_steps_per_second=1000.0,
     settled_height=0.5,
     complete=True,
@@ -78,7 +84,9 @@ def test_a_model_is_answered_with_what_is_in_it(stack: Stack) -> None:
     assert answer.headers["location"] == f"/models/{document['id']}" == document["links"]["self"]
     assert document["id"] == identity(XML)
     assert document["description"]["inventory"]["sizes"]["nu"] == 1
-    assert document["description"]["engines"]["mjx"] == "Ellipsoids and boxes are not implemented."
+    engines = document["description"]["engines"]
+    assert engines["mjx"] == "Ellipsoids and boxes are not implemented."
+    assert "its geom 'rock' is a mesh" in engines["compiled"]
     assert stack.http.get(f"/models/{document['id']}").json() == document
     assert stack.http.get("/models").json()["items"] == [document]
 
@@ -256,6 +264,7 @@ def test_a_job_may_name_a_model(stack: Stack, model: str) -> None:
             "There is no model",
         ),
         ({"physics": "mjx"}, "/physics", "Ellipsoids and boxes are not implemented."),
+        ({"physics": "compiled"}, "/physics", "its geom 'rock' is a mesh"),
         ({"video": {"camera": "below"}}, "/video/camera", "known are track, above"),
         (
             {"kind": "rollout", "policy": {"kind": "constant", "action": [0.0, 0.0]}},

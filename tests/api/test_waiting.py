@@ -2,6 +2,8 @@
 
 from datetime import timedelta
 
+import pytest
+
 from core.jobs.queue import queue_names
 from core.jobs.store import WorkerInfo
 from tests.api.conftest import NOON, Stack
@@ -20,13 +22,14 @@ def test_a_job_that_nobody_can_take_says_so_until_somebody_can(stack: Stack) -> 
     assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] is None
 
 
-def test_a_job_says_which_package_nobody_has(stack: Stack) -> None:
+@pytest.mark.parametrize(("engine", "package"), [("warp", "warp"), ("compiled", "llvmlite")])
+def test_a_job_says_which_package_nobody_has(engine: str, package: str, stack: Stack) -> None:
     announce(stack, "cpu", packages=("dm_control",))
-    spec = {"kind": "train", "environment": "ant", "physics": "warp"}
+    spec = {"kind": "train", "environment": "ant", "physics": engine}
     job = stack.http.post("/jobs", json=spec).json()["id"]
     told = stack.http.get(f"/jobs/{job}").json()["waiting_for"]
-    assert told.startswith("No suitable worker can run the engine warp")
-    announce(stack, "cpu", packages=("dm_control", "warp"))
+    assert told.startswith(f"No suitable worker can run the engine {engine} (uv sync --inexact --extra")
+    announce(stack, "cpu", packages=("dm_control", package))
     assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] is None
 
 

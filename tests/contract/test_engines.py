@@ -47,7 +47,7 @@ FRESH = tuple(name for name in DERIVED_FIELDS if name != "qfrc_actuator")
 
 
 @dataclass(frozen=True)
-class CompiledEngine:
+class JittedEngine:
     """An engine for the body above; its functions compiled once, for one environment and for three."""
 
     model: mujoco.MjModel
@@ -59,15 +59,15 @@ class CompiledEngine:
     tolerance: float
 
 
-@pytest.fixture(scope="module", params=["native", "mjx", "warp"])
-def bench(request: pytest.FixtureRequest) -> CompiledEngine:
+@pytest.fixture(scope="module", params=["native", "mjx", "warp", "compiled"])
+def bench(request: pytest.FixtureRequest) -> JittedEngine:
     name: EngineName = request.param
     if name == "warp":
         request.getfixturevalue("warp_kernels")
     model = mujoco.MjModel.from_xml_string(BODY)
     engine = engine_builder(name)(model, NUM_SUBSTEPS, DERIVED_FIELDS)
     reset, step = jax.jit(engine.reset), jax.jit(engine.step)
-    return CompiledEngine(
+    return JittedEngine(
         model,
         engine,
         reset,
@@ -102,7 +102,7 @@ def state_of(state: PhysicsState, index: int) -> PhysicsState:
     return jax.tree.map(lambda leaf: leaf[index], state)
 
 
-def test_a_state_has_mujocos_shapes_in_float32(bench: CompiledEngine) -> None:
+def test_a_state_has_mujocos_shapes_in_float32(bench: JittedEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     data = mujoco.MjData(bench.model)
     for state in (bench.reset(qpos[0], qvel[0]), bench.step(bench.reset(qpos[0], qvel[0]), ctrl[0])):
@@ -113,7 +113,7 @@ def test_a_state_has_mujocos_shapes_in_float32(bench: CompiledEngine) -> None:
         assert {leaf.dtype for leaf in jax.tree.leaves(state)} == {np.dtype(np.float32)}
 
 
-def test_a_reset_begins_at_rest_where_it_was_told(bench: CompiledEngine) -> None:
+def test_a_reset_begins_at_rest_where_it_was_told(bench: JittedEngine) -> None:
     qpos, qvel, _ = start(bench.model, 3)
     state = bench.reset_many(qpos, qvel)
     np.testing.assert_array_equal(state.qpos, qpos)
@@ -123,7 +123,7 @@ def test_a_reset_begins_at_rest_where_it_was_told(bench: CompiledEngine) -> None
     assert not np.any(state.qacc_warmstart)
 
 
-def test_steps_follow_plain_mujoco(bench: CompiledEngine) -> None:
+def test_steps_follow_plain_mujoco(bench: JittedEngine) -> None:
     # 20 steps: the ball falls on the floor and the arm swings, so contacts and joints both act.
     qpos, qvel, ctrl = start(bench.model, 3)
     state = bench.reset(qpos[1], qvel[1])
@@ -137,7 +137,7 @@ def test_steps_follow_plain_mujoco(bench: CompiledEngine) -> None:
         )
 
 
-def test_the_solvers_guess_is_carried_from_step_to_step(bench: CompiledEngine) -> None:
+def test_the_solvers_guess_is_carried_from_step_to_step(bench: JittedEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     state = bench.step(bench.step(bench.reset(qpos[0], qvel[0]), ctrl[0]), ctrl[0])
     data = reference(bench.model, qpos[0], qvel[0], ctrl[0], 2)
@@ -145,7 +145,7 @@ def test_the_solvers_guess_is_carried_from_step_to_step(bench: CompiledEngine) -
     np.testing.assert_allclose(state.qacc_warmstart, data.qacc_warmstart, rtol=bench.tolerance, atol=0.05)
 
 
-def test_derived_fields_describe_the_state_that_is_returned(bench: CompiledEngine) -> None:
+def test_derived_fields_describe_the_state_that_is_returned(bench: JittedEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     resting = bench.reset(qpos[2], qvel[2])
     for state in (resting, bench.step(resting, ctrl[2])):
@@ -156,7 +156,7 @@ def test_derived_fields_describe_the_state_that_is_returned(bench: CompiledEngin
             np.testing.assert_allclose(state.derived[name], getattr(data, name), atol=2e-6, err_msg=name)
 
 
-def test_the_actuators_force_is_the_last_substeps(bench: CompiledEngine) -> None:
+def test_the_actuators_force_is_the_last_substeps(bench: JittedEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     state = bench.step(bench.reset(qpos[2], qvel[2]), ctrl[2])
     data = reference(bench.model, qpos[2], qvel[2], ctrl[2], 1)
@@ -165,7 +165,7 @@ def test_the_actuators_force_is_the_last_substeps(bench: CompiledEngine) -> None
     np.testing.assert_allclose(state.derived["qfrc_actuator"], data.qfrc_actuator, atol=1e-5)
 
 
-def test_many_environments_move_as_each_would_alone(bench: CompiledEngine) -> None:
+def test_many_environments_move_as_each_would_alone(bench: JittedEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     together = bench.step_many(bench.reset_many(qpos, qvel), ctrl)
     for index in range(3):
@@ -176,7 +176,7 @@ def test_many_environments_move_as_each_would_alone(bench: CompiledEngine) -> No
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=bench.tolerance * 0.1)
 
 
-@pytest.mark.parametrize("name", ["native", "warp"])
+@pytest.mark.parametrize("name", ["native", "warp", "compiled"])
 def test_environments_may_lie_on_two_axes(name: EngineName, request: pytest.FixtureRequest) -> None:
     # JAX itself sees to it for MJX; the other engines' callbacks are given both axes.
     if name == "warp":
@@ -192,7 +192,7 @@ def test_environments_may_lie_on_two_axes(name: EngineName, request: pytest.Fixt
         np.testing.assert_array_equal(nested.derived["xpos"][index], flat.derived["xpos"])
 
 
-def test_equal_arguments_give_equal_results_whatever_came_between(bench: CompiledEngine) -> None:
+def test_equal_arguments_give_equal_results_whatever_came_between(bench: JittedEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     state = bench.reset_many(qpos, qvel)
     first = bench.step_many(state, ctrl)
@@ -204,7 +204,7 @@ def test_equal_arguments_give_equal_results_whatever_came_between(bench: Compile
 
 @pytest.mark.parametrize("broken", ["a control that is not a number", "a speed past all reason"])
 def test_an_environment_that_breaks_is_not_a_number_and_its_neighbours_do_not_mind(
-    bench: CompiledEngine, broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bench: JittedEngine, broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
     qpos, qvel, ctrl = start(bench.model, 3)
@@ -222,7 +222,7 @@ def test_an_environment_that_breaks_is_not_a_number_and_its_neighbours_do_not_mi
         np.testing.assert_array_equal(after.qpos[index], fine.qpos[index])
 
 
-@pytest.mark.parametrize("name", ["native", "warp"])
+@pytest.mark.parametrize("name", ["native", "warp", "compiled"])
 def test_several_threads_may_use_one_engine(name: EngineName, request: pytest.FixtureRequest) -> None:
     if name == "warp":
         request.getfixturevalue("warp_kernels")
@@ -252,14 +252,17 @@ def _after_steps(step: Callable[..., PhysicsState], state: PhysicsState, ctrl: j
     return jax.block_until_ready(state)
 
 
-def test_a_program_with_native_physics_tells_its_model_and_nothing_of_its_process() -> None:
+@pytest.mark.parametrize("name", ["native", "compiled"])
+def test_a_program_with_physics_on_the_host_tells_its_model_and_nothing_of_its_process(
+    name: EngineName,
+) -> None:
     # JAX finds a kept program by its text: equal engines share it, engines that differ must not.
     def text(
         derived: tuple[str, ...] = ("xpos",), num_substeps: int = NUM_SUBSTEPS, mass: float = 1.0
     ) -> str:
         model = mujoco.MjModel.from_xml_string(BODY)
         model.body_mass[1] *= mass
-        engine = engine_builder("native")(model, num_substeps, derived)
+        engine = engine_builder(name)(model, num_substeps, derived)
         qpos, qvel, ctrl = start(model, 3)
         step = jax.vmap(lambda qpos, qvel, ctrl: engine.step(engine.reset(qpos, qvel), ctrl))
         return jax.jit(step).lower(qpos, qvel, ctrl).as_text()
@@ -269,11 +272,12 @@ def test_a_program_with_native_physics_tells_its_model_and_nothing_of_its_proces
     assert len({text(), *others}) == 5
 
 
-def test_engines_that_are_equal_or_not_may_live_side_by_side_and_die() -> None:
+@pytest.mark.parametrize("name", ["native", "compiled"])
+def test_engines_that_are_equal_or_not_may_live_side_by_side_and_die(name: EngineName) -> None:
     def stepped(mass: float) -> jax.Array:
         model = mujoco.MjModel.from_xml_string(BODY)
         model.body_mass[1] *= mass
-        engine = engine_builder("native")(model, NUM_SUBSTEPS, ())
+        engine = engine_builder(name)(model, NUM_SUBSTEPS, ())
         qpos, qvel, ctrl = start(model, 3)
         return jax.jit(jax.vmap(engine.step))(jax.vmap(engine.reset)(qpos, qvel), ctrl).qvel
 
@@ -291,7 +295,11 @@ def ant() -> mujoco.MjModel:
 
 BODIES = [name for name, info in catalog.BUILT_IN.items() if not info.takes_model]
 # Warp compiles kernels for some seconds, MJX its program for up to a minute, the rodent's for many.
-FAST = [("mjx", "ant"), *(("warp", body) for body in ("ant", "humanoid", "rodent"))]
+FAST = [
+    ("mjx", "ant"),
+    *(("warp", body) for body in ("ant", "humanoid", "rodent")),
+    *(("compiled", body) for body in BODIES if "compiled" not in catalog.BUILT_IN[body].cannot_run),
+]
 SLOW = [
     pytest.param(engine, body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
     for engine in ("mjx", "warp")

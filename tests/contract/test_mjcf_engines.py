@@ -41,9 +41,13 @@ def after_a_step(engine: EngineName, folder: Path, heights: tuple[float, ...]) -
     return [step(replace(start, physics=one), jnp.array([0.3])) for one in starts]
 
 
-@pytest.mark.slow  # MJX and MuJoCo Warp compile for half a minute each.
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("engine", ["mjx", "warp"])
+# MJX and MuJoCo Warp compile for half a minute each.
+SLOW = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+
+@pytest.mark.parametrize(
+    "engine", [pytest.param("mjx", marks=SLOW), pytest.param("warp", marks=SLOW), "compiled"]
+)
 def test_every_engine_earns_sees_and_ends_alike(
     engine: EngineName, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -1,4 +1,4 @@
-"""A machine's compiled programs: files that never change, with the names that JAX and Warp gave them.
+"""A machine's compiled programs: files that never change, with the names that their makers gave them.
 
 A job works in a folder of its own, with links to all of them. So it may write in place (JAX), or leave half a
 file when it is killed: the machine's folder takes over whole files only, and only after a job got through its
@@ -17,8 +17,9 @@ from pathlib import Path
 
 # In GAITWAY_DATA_DIR, for the machine; and in an attempt's spool, for the job.
 CACHE = "cache"
-# Warp's folders while it builds (they end in process and thread), and its sources, which it never reads.
-_NOT_KEPT = re.compile(r"_p\d+_t\d+/|\.(cu|cpp)$")
+# Warp's folders while it builds (they end in process and thread), its sources, which it never reads, and
+# files that the engine `compiled` is still writing.
+_NOT_KEPT = re.compile(r"_p\d+_t\d+/|\.(cu|cpp)$|^compiled/tmp")
 _ZSTANDARD = b"\x28\xb5\x2f\xfd"
 
 

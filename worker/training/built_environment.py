@@ -22,7 +22,10 @@ from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
 from core.physics.choose import EngineChoice, choose, engine_builder
 from core.reasons import Reason
 from worker.protocol import Started, Task
-from worker.training.compilations import keep_programs, keep_warp_kernels
+from worker.training.compilations import keep_machine_code, keep_programs, keep_warp_kernels
+
+# What an engine needs besides MuJoCo and MJX, by the names of the package index.
+_ENGINES_PACKAGES = {"warp": ("warp-lang",), "compiled": ("llvmlite",)}
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class BuiltEnvironment:
 
     def started(self, **details: Any) -> Started:
         """The facts on this attempt for the job's record."""
-        also = [*(["warp-lang"] if self.engine == "warp" else []), *_brought_by(self.info)]
+        also = [*_ENGINES_PACKAGES.get(self.engine, ()), *_brought_by(self.info)]
         packages = ("jax", "brax", "mujoco", "mujoco-mjx", *also)
         versions = {name: version(name) for name in packages}
         return Started(
@@ -76,6 +79,8 @@ def build_environment(task: Task) -> BuiltEnvironment:
         choice = EngineChoice(task.begun_on, "The job's checkpoint was made on it.")
     if choice.name == "warp":
         keep_warp_kernels()
+    if choice.name == "compiled":
+        keep_machine_code()
     model = Path(task.model).absolute() if task.model else None  # It is in the spool, our working directory.
     environment = catalog.make(info, options, engine_builder(choice.name), model)
     environment = randomize(environment, task.spec.randomization)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import jax
 
+from core.physics.compiled.code.kept_code import keep_code
 from core.physics.kernels import keep_kernels
 from worker.compile_cache.local import CACHE
 
@@ -24,3 +25,9 @@ def keep_warp_kernels() -> None:
     """Cache Warp's kernels, too. Raises JobFailed without Warp."""
     if Path(CACHE).is_dir():
         keep_kernels(Path(CACHE, "warp").absolute())
+
+
+def keep_machine_code() -> None:
+    """Cache the code that the engine `compiled` makes, too."""
+    if Path(CACHE).is_dir():
+        keep_code(Path(CACHE, "compiled").absolute())

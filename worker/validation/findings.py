@@ -14,7 +14,8 @@ from core.environments.mjcf.info import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import compiled, read
 from core.errors import BadModel
-from core.physics.availability import EngineName, has_warp
+from core.physics.availability import EngineName, is_installed
+from core.physics.compiled.refusal import check_covered
 from core.physics.model import initial_qpos
 from core.user_models.record import Description
 
@@ -40,14 +41,15 @@ def findings(file: Path) -> Iterator[Description]:
     found = inventory(model)
     description = Description(
         inventory=found,
-        engines={"native": None},
+        # Reading the model shows whether `compiled` can run it: that needs no compiler.
+        engines={"native": None, "compiled": _what_keeps(check_covered, model)},
         physics_steps_per_second=trial.steps_per_second,
         settled_height=trial.height,
         notes=list(_notes(found, trial)),
     )
     yield description
     turns: list[tuple[EngineName, Callable[[mujoco.MjModel], None]]] = [("mjx", _try_mjx)]
-    if has_warp():
+    if is_installed("warp"):
         turns.append(("warp", _try_warp))
     for name, attempt in turns:
         engines = {**description.engines, name: _what_keeps(attempt, model)}

@@ -13,7 +13,7 @@ from core.environments.brittle_star.options import (
     observed,
 )
 from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
-from core.physics.availability import Rule
+from core.physics.availability import EngineName, Rule, beyond_compiled
 
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
 _MAX_SEGMENTS_ON_MJX = 50
@@ -53,13 +53,16 @@ def _finite(options: Options) -> FiniteViews:
     return FiniteViews(states, cannot_offer={**why, "arm_actions": "its arms differ in their joints"})
 
 
-def _cannot_run(num_segments: int) -> Mapping[str, str]:
-    if num_segments <= _MAX_SEGMENTS_ON_MJX:
-        return {}
-    return {
-        "mjx": f"The star has {num_segments} segments, and MJX does not compile in time with more than "
-        f"{_MAX_SEGMENTS_ON_MJX}. Choose native or warp, or fewer segments."
+def _cannot_run(num_segments: int) -> Mapping[EngineName, str]:
+    cannot: dict[EngineName, str] = {
+        "compiled": beyond_compiled("it moves in a fluid (`density`, `viscosity`)")
     }
+    if num_segments > _MAX_SEGMENTS_ON_MJX:
+        cannot["mjx"] = (
+            f"The star has {num_segments} segments, and MJX does not compile in time with more than "
+            f"{_MAX_SEGMENTS_ON_MJX}. Choose native or warp, or fewer segments."
+        )
+    return cannot
 
 
 def _row(id: str, task: str, description: str, options: type[Options]) -> EnvironmentInfo:

@@ -72,9 +72,14 @@ class BrittleStarOptions(Strict):
     time_scale: float = Field(2.0, ge=0.25, le=5, description="A physics step takes this times 2 ms.")
     simulation_time: float = Field(20.0, gt=0, le=4000, description="Seconds until an episode is cut off.")
     iterations: int = Field(
-        4, ge=1, le=100, description="Solver iterations on mjx and warp; native iterates until convergence."
+        4,
+        ge=1,
+        le=100,
+        description="Solver iterations on mjx, warp and compiled; native iterates until convergence.",
     )
-    ls_iterations: int = Field(8, ge=1, le=100, description="Line-search iterations on mjx and warp.")
+    ls_iterations: int = Field(
+        8, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
+    )
 
     @property
     def segments(self) -> list[int]:

@@ -52,10 +52,15 @@ class MjcfOptions(Strict):
         description="Seconds per physics step; null: the model's.",
     )
     solver: Literal["newton", "cg"] = Field(
-        default="newton", description="Constraint solver on mjx and warp; native keeps the model's."
+        default="newton",
+        description="Constraint solver on mjx and warp; compiled has Newton's, native keeps the model's.",
     )
-    iterations: int = Field(default=4, ge=1, le=100, description="Solver iterations on mjx and warp.")
-    ls_iterations: int = Field(default=8, ge=1, le=100, description="Line-search iterations on mjx and warp.")
+    iterations: int = Field(
+        default=4, ge=1, le=100, description="Solver iterations on mjx, warp and compiled."
+    )
+    ls_iterations: int = Field(
+        default=8, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
+    )
 
     @model_validator(mode="after")
     def _has_a_metric_for_each_term(self) -> Self:

@@ -51,9 +51,17 @@ class State:
 
 
 def read_constraints(model: mujoco.MjModel) -> Constraints:
-    """The model's."""
+    """The model's, without the kinds that it disables."""
+    bit = mujoco.mjtDisableBit
+
+    def keeps(kind: mujoco.mjtDisableBit) -> bool:
+        return not model.opt.disableflags & (kind | bit.mjDSBL_CONSTRAINT)
+
     return Constraints(
-        read_joint_frictions(model), read_limits(model), read_ball_limits(model), read_contacts(model)
+        frictions=read_joint_frictions(model) if keeps(bit.mjDSBL_FRICTIONLOSS) else (),
+        limits=read_limits(model) if keeps(bit.mjDSBL_LIMIT) else (),
+        ball_limits=read_ball_limits(model) if keeps(bit.mjDSBL_LIMIT) else (),
+        contacts=read_contacts(model) if keeps(bit.mjDSBL_CONTACT) else (),
     )
 
 

@@ -8,12 +8,26 @@ import numpy as np
 
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.constraints import read_constraints
+from core.physics.compiled.derived import DERIVED_FIELDS
 from core.physics.compiled.pairs import read_pairs
+from core.physics.compiled.sensors import is_known
 from core.physics.compiled.softness import is_computable
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 # Switches that the stages follow, and those that change nothing that they compute.
-_FOLLOWED = _DISABLE.mjDSBL_EULERDAMP | _DISABLE.mjDSBL_FILTERPARENT
+_FOLLOWED = (
+    _DISABLE.mjDSBL_EULERDAMP
+    | _DISABLE.mjDSBL_FILTERPARENT
+    | _DISABLE.mjDSBL_CONSTRAINT
+    | _DISABLE.mjDSBL_LIMIT
+    | _DISABLE.mjDSBL_CONTACT
+    | _DISABLE.mjDSBL_SPRING
+    | _DISABLE.mjDSBL_DAMPER
+    | _DISABLE.mjDSBL_GRAVITY
+    | _DISABLE.mjDSBL_CLAMPCTRL
+    | _DISABLE.mjDSBL_WARMSTART
+    | _DISABLE.mjDSBL_ACTUATION
+)
 _WITHOUT_EFFECT = (
     _DISABLE.mjDSBL_SENSOR
     | _DISABLE.mjDSBL_MIDPHASE
@@ -35,16 +49,46 @@ def uncovered(model: mujoco.MjModel) -> str | None:
     return next((reason for check in _CHECKS for reason in check(model)), None)
 
 
+def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
+    """The first reason why these derived fields cannot be computed for a model that the stages can move."""
+    if unknown := sorted(set(names) - set(DERIVED_FIELDS)):
+        return f"{unknown[0]} is not a derived field"
+    return next(_sensors(model), None) if "sensordata" in names else None
+
+
+def _sensors(model: mujoco.MjModel) -> Iterator[str]:
+    kinds, camera = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_CAMERA
+    if model.nsensor and model.opt.disableflags & (_DISABLE.mjDSBL_SENSOR | _DISABLE.mjDSBL_ACTUATION):
+        yield "sensordata: it disables sensors or actuators"
+    for number, kind in enumerate(model.sensor_type):
+        name = f"sensordata: its sensor {_named(model, 'sensor', number)}"
+        if not is_known(int(kind)):
+            yield f"{name} is of the kind {_word(kinds(int(kind)).name)}"
+        elif (model.sensor_objtype[number] == camera) or (model.sensor_reftype[number] == camera):
+            yield f"{name} is about a camera"
+        elif model.sensor_delay[number] or model.sensor_interval[number].any():
+            yield f"{name} is read late or at intervals"
+        elif kind == kinds.mjSENS_ACTUATORPOS and not _is_on_scalar(model, int(model.sensor_objid[number])):
+            yield f"{name} is the length of an actuator on a joint with several axes"
+
+
+def _is_on_scalar(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator acts on a hinge, a slide or a tendon."""
+    joints = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+    if not np.isin(model.actuator_trntype[actuator], joints):
+        return True
+    return np.count_nonzero(model.dof_jntid == model.actuator_trnid[actuator, 0]) == 1
+
+
 def _options(model: mujoco.MjModel) -> Iterator[str]:
     option = model.opt
-    if option.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+    integrators = mujoco.mjtIntegrator
+    if option.integrator not in (integrators.mjINT_EULER, integrators.mjINT_IMPLICITFAST):
         yield f"its integrator is {_word(mujoco.mjtIntegrator(option.integrator).name)}"
     if option.solver == mujoco.mjtSolver.mjSOL_PGS:
         yield "its solver is PGS"
     if option.noslip_iterations:
         yield "it asks for the noslip solver"
-    if option.density or option.viscosity:
-        yield "it moves in a fluid (`density`, `viscosity`)"
     for bit in _DISABLE.__members__.values():
         if option.disableflags & bit & ~(_FOLLOWED | _WITHOUT_EFFECT):
             yield f"it disables a part of MuJoCo ({_word(bit.name)})"
@@ -53,67 +97,102 @@ def _options(model: mujoco.MjModel) -> Iterator[str]:
             yield f"it enables a part of MuJoCo ({_word(bit.name)})"
 
 
+def _combinations(model: mujoco.MjModel) -> Iterator[str]:
+    """Options that do not go together with what the model has."""
+    option = model.opt
+    is_implicit = option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    if option.density or option.viscosity:
+        if is_implicit:
+            yield "it moves in a fluid, and its integrator is implicitfast"
+        if model.geom_fluid[:, 0].any():
+            yield "its geoms move in the fluid as ellipsoids (`fluidshape`)"
+    if is_implicit and any(_flies_alone(model, body) for body in range(1, model.nbody)):
+        yield "its integrator is implicitfast, and a free body of it carries no joints"
+    if option.disableactuator:
+        yield "it disables groups of actuators"
+
+
 def _parts(model: mujoco.MjModel) -> Iterator[str]:
     """Kinds of parts of which the stages know none."""
     if model.neq:
         yield f"its equality {_named(model, 'equality', 0)} ties bodies or joints together"
-    if model.ntendon:
-        yield f"it has a tendon, {_named(model, 'tendon', 0)}"
     if model.nflex:
         yield f"it has a flexible body, {_named(model, 'flex', 0)}"
     if model.nmocap:
         yield "it has a mocap body"
     if model.nplugin:
         yield "it uses a plugin"
-    if model.na:
-        yield "an actuator of it has an activation"
 
 
 def _joints(model: mujoco.MjModel) -> Iterator[str]:
-    joint_type = mujoco.mjtJoint
-    rotates = np.isin(model.jnt_type, (joint_type.mjJNT_FREE, joint_type.mjJNT_BALL))
-    yield from _where(model, "joint", rotates & (model.jnt_stiffness != 0), "is a spring in three dimensions")
-    yield from _where(model, "joint", model.jnt_actfrclimited, "limits its actuators' forces")
+    rotates = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL))
+    ranged = rotates & (model.jnt_actfrclimited != 0)
+    yield from _where(model, "joint", ranged, "has several axes and limits its actuators' forces")
     yield from _where(model, "joint", model.jnt_stiffnesspoly.any(axis=-1), "is not a linear spring")
     joint_of = model.dof_jntid
     yield from _where(model, "joint", model.dof_dampingpoly.any(axis=-1), "is not a linear damper", joint_of)
     rough = (model.dof_frictionloss != 0) & _uncomputable(model.dof_solimp)
     yield from _where(model, "joint", rough, _CURVE, joint_of)
-    limited = model.jnt_limited != 0
+    limited = (model.jnt_limited != 0) & _keeps_limits(model)
     yield from _where(model, "joint", limited & _uncomputable(model.jnt_solimp), _CURVE)
     both_ends = limited & ~rotates & (np.ptp(model.jnt_range, axis=1) < 2.0 * model.jnt_margin)
     yield from _where(model, "joint", both_ends, "can be at both ends of its range at once")
 
 
-def _bodies(model: mujoco.MjModel) -> Iterator[str]:
-    yield from _where(model, "body", model.body_gravcomp, "has gravity compensation")
+def _tendons(model: mujoco.MjModel) -> Iterator[str]:
+    is_fixed = model.wrap_type[model.tendon_adr] == mujoco.mjtWrap.mjWRAP_JOINT
+    yield from _where(model, "tendon", ~is_fixed, "is a spatial one")
+    limited = (model.tendon_limited != 0) & _keeps_limits(model)
+    yield from _where(model, "tendon", limited, "has a limit")
+    yield from _where(model, "tendon", model.tendon_frictionloss, "has friction loss")
+    yield from _where(model, "tendon", model.tendon_actfrclimited, "limits its actuators' forces")
+    yield from _where(model, "tendon", model.tendon_stiffnesspoly.any(axis=-1), "is not a linear spring")
+    yield from _where(model, "tendon", model.tendon_dampingpoly.any(axis=-1), "is not a linear damper")
 
 
 def _actuators(model: mujoco.MjModel) -> Iterator[str]:
     if not model.nactuator:
         return
-    on_joints = np.isin(
-        model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    )
-    yield from _where(model, "actuator", ~on_joints, "does not act on a joint")
-    single = {int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)}
-    has_more = [
-        bool(on) and int(model.jnt_type[joint]) not in single
-        for on, joint in zip(on_joints, model.actuator_trnid[:, 0], strict=True)
-    ]
-    yield from _where(model, "actuator", np.array(has_more, bool), "acts on a joint with several axes")
-    gain, bias = mujoco.mjtGain, mujoco.mjtBias
+    kinds, targets = mujoco.mjtTrn, model.actuator_trntype
+    covered = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT, kinds.mjTRN_TENDON)
+    yield from _where(model, "actuator", ~np.isin(targets, covered), "acts on neither a joint nor a tendon")
+    gain, bias, dynamics = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
     simple = np.isin(model.actuator_gaintype, (gain.mjGAIN_FIXED, gain.mjGAIN_AFFINE)) & np.isin(
         model.actuator_biastype, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE)
     )
     yield from _where(model, "actuator", ~simple, "is a muscle, a motor with dynamics or a user's own kind")
+    filters = dynamics.mjDYN_INTEGRATOR, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT
+    known = np.isin(model.actuator_dyntype, (dynamics.mjDYN_NONE, *filters))
+    yield from _where(model, "actuator", ~known | (model.actuator_actnum > 1), "has dynamics of its own kind")
+    turns = np.array([not _is_on_scalar(model, number) for number in range(model.nactuator)], bool)
+    in_parent = turns & (targets == kinds.mjTRN_JOINTINPARENT)
+    yield from _where(
+        model, "actuator", in_parent, "acts on a joint with several axes, in its parent's frame"
+    )
+    by_length = (model.actuator_gainprm[:, 1] != 0) | (model.actuator_biasprm[:, 1] != 0)
+    yield from _where(model, "actuator", turns & by_length, "holds a joint with several axes in a position")
     yield from _where(model, "actuator", model.actuator_delay > 0, "acts with a delay")
     for field in ("armature", "damping", "dampingpoly"):
         values = np.reshape(getattr(model, f"actuator_{field}"), (model.nactuator, -1))
         yield from _where(model, "actuator", values.any(axis=1), f"has `{field}` of its own")
 
 
+def _keeps_limits(model: mujoco.MjModel) -> bool:
+    """Whether the ranges of joints and tendons are kept."""
+    return not (model.opt.disableflags & (_DISABLE.mjDSBL_LIMIT | _DISABLE.mjDSBL_CONSTRAINT))
+
+
+def _flies_alone(model: mujoco.MjModel, body: int) -> bool:
+    """Whether the body has a free joint, and neither it nor what it carries has another joint."""
+    first = int(model.body_jntadr[body])
+    tree = int(model.body_treeid[body])
+    is_free = first >= 0 and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE
+    return bool(is_free and model.tree_dofnum[tree] == 6)
+
+
 def _contacts(model: mujoco.MjModel) -> Iterator[str]:
+    if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
+        return
     for pair in read_pairs(model):
         both = [pair.one, pair.other]
         one, other = (_named(model, "geom", number) for number in both)
@@ -138,7 +217,7 @@ def _rows(model: mujoco.MjModel) -> Iterator[str]:
 
 
 _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
-    _options, _parts, _joints, _bodies, _actuators, _contacts, _rows,
+    _options, _combinations, _parts, _joints, _tendons, _actuators, _contacts, _rows,
 )  # fmt: skip
 _CURVE = "has a `solimp` whose power is not a multiple of a half"
 

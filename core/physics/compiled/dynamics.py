@@ -22,6 +22,8 @@ from core.physics.compiled.spatial import about_centre, cross_force, cross_motio
 from core.physics.compiled.tree import Joint, Tree
 
 Entries = dict[tuple[int, int], Number]
+# By body: a spatial force [6] about its tree's centre of mass.
+Wrenches = dict[int, Vector]
 _STILL = [0.0] * 6
 
 
@@ -72,8 +74,11 @@ def mass_matrix(tree: Tree, moving: Motion) -> Entries:
     return found
 
 
-def bias_forces(tree: Tree, moving: Motion, qvel: Vector) -> Vector:
-    """[nv]: MuJoCo's `qfrc_bias`, of gravity, centrifugal and Coriolis accelerations."""
+def bias_forces(tree: Tree, moving: Motion, qvel: Vector, pushed: Wrenches | None = None) -> Vector:
+    """[nv]: MuJoCo's `qfrc_bias`, of gravity, centrifugal and Coriolis accelerations.
+
+    pushed: forces on bodies, which are subtracted, as `projected` would make them.
+    """
     accelerations, forces = [[0.0, 0.0, 0.0, *scale(tree.gravity, -1.0)]], [_STILL]
     for number, body in list(enumerate(tree.bodies))[1:]:
         acceleration = accelerations[body.parent]
@@ -83,18 +88,24 @@ def bias_forces(tree: Tree, moving: Motion, qvel: Vector) -> Vector:
         inertia, velocity = moving.inertias[number], moving.velocities[number]
         turning = cross_force(velocity, momentum(inertia, velocity))
         accelerations.append(acceleration)
-        forces.append(add(momentum(inertia, acceleration), turning))
+        force = add(momentum(inertia, acceleration), turning)
+        forces.append(subtract(force, pushed[number]) if pushed and number in pushed else force)
+    return _along_axes(tree, moving, forces)
+
+
+def projected(tree: Tree, moving: Motion, pushed: Wrenches) -> Vector:
+    """[nv]: the forces on the degrees of freedom that forces on bodies make."""
+    return _along_axes(tree, moving, [pushed.get(number, _STILL) for number in range(len(tree.bodies))])
+
+
+def _along_axes(tree: Tree, moving: Motion, forces: list[Vector]) -> Vector:
     carried = _summed_to_the_root(tree, forces)
     return [dot(moving.axes[i], carried[dof.body]) for i, dof in enumerate(tree.dofs)]
 
 
 def _centre(tree: Tree, at: Poses, root: int) -> Vector:
     members = [number for number, body in enumerate(tree.bodies) if number and body.root == root]
-    mass = total(tree.bodies[number].mass for number in members)
-    return [
-        total(at.centres[number][k] * (tree.bodies[number].mass / mass) for number in members)
-        for k in range(3)
-    ]
+    return [total(at.centres[number][k] * tree.bodies[number].share for number in members) for k in range(3)]
 
 
 def _axes(joint: Joint, at: Poses, body: int, centre: Vector) -> list[list[Vector]]:

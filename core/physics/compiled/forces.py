@@ -1,94 +1,46 @@
-"""Springs, dampers and actuators.
+"""Passive forces: springs and dampers of joints, and what holds bodies against gravity.
 
-Source: MuJoCo's documentation, Computation, "Passive forces" and "Actuation model".
+Source: MuJoCo's documentation, Computation, "Passive forces".
 """
 
-from dataclasses import dataclass
-
-import mujoco
-import numpy as np
-
-from core.physics.compiled.arithmetic import Number, Vector, clip
-from core.physics.compiled.tree import Tree
-
-Range = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Actuator:
-    """A force on one hinge or slide: (gain · control + bias) · gear.
-
-    gain, bias: three coefficients each, of 1, of the length and of its rate, which are the joint's position
-    and speed times the gear. qpos, dof: the joint's addresses. control_range, force_range: None without
-    bounds.
-    """
-
-    qpos: int
-    dof: int
-    gear: float
-    gain: Vector
-    bias: Vector
-    control_range: Range | None
-    force_range: Range | None
-
-
-def read_actuators(model: mujoco.MjModel) -> tuple[Actuator, ...]:
-    """The model's actuators, which must be on hinges and slides, and without activations."""
-    return tuple(_actuator(model, number) for number in range(model.nu))
+from core.physics.compiled.arithmetic import Vector, cross, normalized, quaternion_product, scale, subtract
+from core.physics.compiled.dynamics import Motion, Wrenches, projected
+from core.physics.compiled.fields import is_zero
+from core.physics.compiled.kinematics import Poses
+from core.physics.compiled.rotations import conjugate, rotation_vector
+from core.physics.compiled.tree import Joint, Tree
 
 
 def passive_forces(tree: Tree, qpos: Vector, qvel: Vector) -> Vector:
-    """[nv]: MuJoCo's `qfrc_passive`, of springs on hinges and slides, and of dampers."""
-    found: Vector = [-dof.damping * speed for dof, speed in zip(tree.dofs, qvel, strict=True)]
+    """[nv]: the joints' springs and dampers."""
+    found: Vector = [-(dof.damping * speed) for dof, speed in zip(tree.dofs, qvel, strict=True)]
     for body in tree.bodies:
         for joint in body.joints:
-            if joint.stiffness:
-                stretch = qpos[joint.qpos] - joint.spring[0]
-                found[joint.dof] = found[joint.dof] - joint.stiffness * stretch
+            if not is_zero(joint.stiffness):
+                for place, stretch in enumerate(_stretch(joint, qpos), joint.dof):
+                    found[place] = found[place] - joint.stiffness * stretch
     return found
 
 
-def actuator_forces(
-    actuators: tuple[Actuator, ...], qpos: Vector, qvel: Vector, ctrl: Vector
-) -> tuple[Vector, Vector]:
-    """The actuators' own forces [nu], and those on the degrees of freedom [nv], MuJoCo's `qfrc_actuator`."""
-    own, found = list[Number](), [0.0] * len(qvel)
-    for actuator, control in zip(actuators, ctrl, strict=True):
-        length, rate = actuator.gear * qpos[actuator.qpos], actuator.gear * qvel[actuator.dof]
-        wanted = clip(control, *actuator.control_range) if actuator.control_range else control
-        force = _affine(actuator.gain, length, rate) * wanted + _affine(actuator.bias, length, rate)
-        if actuator.force_range:
-            force = clip(force, *actuator.force_range)
-        own.append(force)
-        found[actuator.dof] = found[actuator.dof] + actuator.gear * force
-    return own, found
+def weight_held(tree: Tree, at: Poses, moving: Motion) -> Vector:
+    """[nv]: the forces of gravity compensation; empty where no body has any."""
+    held = Wrenches()
+    for number, body in enumerate(tree.bodies):
+        if number and body.gravity_compensation:
+            force = scale(tree.gravity, -(body.mass * body.gravity_compensation))
+            arm = subtract(at.centres[number], moving.centres[body.root])
+            held[number] = [*cross(arm, force), *force]
+    return projected(tree, moving, held) if held else []
 
 
-def _affine(coefficients: Vector, length: Number, rate: Number) -> Number:
-    constant, of_length, of_rate = coefficients
-    value: Number = constant
-    if of_length:
-        value = value + of_length * length
-    if of_rate:
-        value = value + of_rate * rate
-    return value
-
-
-def _actuator(model: mujoco.MjModel, number: int) -> Actuator:
-    joint = int(model.actuator_trnid[number, 0])
-    affine_gain = model.actuator_gaintype[number] == mujoco.mjtGain.mjGAIN_AFFINE
-    affine_bias = model.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE
-    gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
-    return Actuator(
-        qpos=int(model.jnt_qposadr[joint]),
-        dof=int(model.jnt_dofadr[joint]),
-        gear=float(model.actuator_gear[number, 0]),
-        gain=[float(gain[0]), *(float(x) for x in (gain[1:3] if affine_gain else np.zeros(2)))],
-        bias=[float(x) for x in (bias[:3] if affine_bias else np.zeros(3))],
-        control_range=_range(model.actuator_ctrllimited[number], model.actuator_ctrlrange[number]),
-        force_range=_range(model.actuator_forcelimited[number], model.actuator_forcerange[number]),
-    )
-
-
-def _range(limited: int, bounds: np.ndarray) -> Range | None:
-    return (float(bounds[0]), float(bounds[1])) if limited else None
+def _stretch(joint: Joint, qpos: Vector) -> Vector:
+    """How far each degree of freedom is from where the spring rests; rotations as a vector in rad."""
+    place = joint.qpos
+    if joint.kind in ("hinge", "slide"):
+        return [qpos[place] - joint.spring[0]]
+    shift: Vector = []
+    if joint.kind == "free":
+        shift = subtract(qpos[place : place + 3], joint.spring[:3])
+        place += 3
+    turned = quaternion_product(conjugate(joint.spring[-4:]), normalized(qpos[place : place + 4]))
+    return [*shift, *rotation_vector(turned)]

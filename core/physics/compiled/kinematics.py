@@ -19,13 +19,15 @@ from core.physics.compiled.tree import Joint, Tree
 
 @dataclass(frozen=True)
 class Poses:
-    """By body: positions [3] in m, rotations [3][3] and centres of mass [3] in m, in the world.
+    """By body, in the world: positions [3] in m, rotations as [3][3] and as quaternions [4], and centres of
+    mass [3] in m.
 
     By the address of a joint's first degree of freedom: anchors [3] in m and axes [3], in the world.
     """
 
     positions: list[Vector]
     rotations: list[Matrix]
+    quaternions: list[Vector]
     centres: list[Vector]
     anchors: dict[int, Vector]
     axes: dict[int, Vector]
@@ -39,8 +41,7 @@ class _Frame:
 
 def poses(tree: Tree, qpos: Vector) -> Poses:
     """qpos: [nq]; quaternions in it need not have length 1."""
-    found = Poses([], [], [], {}, {})
-    quaternions = list[Vector]()
+    found = Poses([], [], [], [], {}, {})
     for number, body in enumerate(tree.bodies):
         if number == 0:
             frame = _Frame(body.position, body.quaternion)
@@ -48,12 +49,12 @@ def poses(tree: Tree, qpos: Vector) -> Poses:
             above = found.rotations[body.parent]
             frame = _Frame(
                 add(found.positions[body.parent], rotate(above, body.position)),
-                quaternion_product(quaternions[body.parent], body.quaternion),
+                quaternion_product(found.quaternions[body.parent], body.quaternion),
             )
         for joint in body.joints:
             _move(frame, joint, qpos, found)
         rotation = rotation_matrix(frame.quaternion)
-        quaternions.append(frame.quaternion)
+        found.quaternions.append(frame.quaternion)
         found.positions.append(frame.position)
         found.rotations.append(rotation)
         found.centres.append(add(frame.position, rotate(rotation, body.centre)))

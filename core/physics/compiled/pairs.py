@@ -54,14 +54,16 @@ def listed_geoms(model: mujoco.MjModel) -> list[tuple[int, int]]:
 def touching_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
     """Pairs of geoms, the lower number first, without those that the model lists as pairs."""
     listed = {frozenset(pair) for pair in listed_geoms(model)}
+    bodies, types, affinities = model.geom_bodyid, model.geom_contype, model.geom_conaffinity
+    welds = model.body_weldid[bodies]
     for one in range(model.ngeom):
-        for other in range(one + 1, model.ngeom):
-            if frozenset((one, other)) in listed:
-                continue
-            if _bodies_may(model, int(model.geom_bodyid[one]), int(model.geom_bodyid[other])):
-                types, affinities = model.geom_contype, model.geom_conaffinity
-                if types[one] & affinities[other] or types[other] & affinities[one]:
-                    yield one, other
+        later = slice(one + 1, None)
+        asks = (types[one] & affinities[later]) | (types[later] & affinities[one])
+        # The world of a user's model may have thousands of geoms: those pairs are not looked at one by one.
+        for other in np.flatnonzero((asks != 0) & (welds[later] != welds[one])) + one + 1:
+            is_listed = frozenset((one, int(other))) in listed
+            if not is_listed and _bodies_may(model, int(bodies[one]), int(bodies[other])):
+                yield one, int(other)
 
 
 def softness_of(model: mujoco.MjModel, one: int, other: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,63 +3,72 @@
 Source: MuJoCo's documentation, Computation, "Simulation pipeline" and "Numerical integration".
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 
-from core.physics.compiled.arithmetic import (
-    Number,
-    Vector,
-    add,
-    cosine,
-    dot,
-    maximum,
-    normalized,
-    quaternion_product,
-    scale,
-    sine,
-    sqrt,
-)
-from core.physics.compiled.constraints import Constraints, State, constraint_rows, read_constraints
-from core.physics.compiled.dynamics import bias_forces, mass_matrix, motion
+from core.physics.compiled.actuation import Actuator, ActuatorState, Driven, driven, read_actuators
+from core.physics.compiled.arithmetic import Number, Vector, add, scale
+from core.physics.compiled.constraints import Constraints, constraint_rows, read_constraints
+from core.physics.compiled.constraints import State as Placed
+from core.physics.compiled.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, solve
-from core.physics.compiled.forces import Actuator, actuator_forces, passive_forces, read_actuators
-from core.physics.compiled.kinematics import poses
+from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
+from core.physics.compiled.fluid import Fluid, drag_forces, read_fluid
+from core.physics.compiled.forces import passive_forces, weight_held
+from core.physics.compiled.integration import Implicit, add_slopes, implicit_inertia, integrated
+from core.physics.compiled.kinematics import Poses, poses
 from core.physics.compiled.loop import repeat
 from core.physics.compiled.solver import Problem, Settings, acceleration, constraint_force
+from core.physics.compiled.tendons import Tendon, read_tendons, tendon_forces, with_armature
 from core.physics.compiled.tree import Tree, read_tree
 
 
 @dataclass(frozen=True)
 class Model:
-    """timestep: in s. implicit_damping: Euler's method takes the dampers' force at the end of the substep."""
+    """timestep: in s. warm_start: whether the solver may begin at the last substep's acceleration."""
 
     tree: Tree
+    tendons: tuple[Tendon, ...]
     actuators: tuple[Actuator, ...]
+    fluid: Fluid
     constraints: Constraints
     timestep: float
-    implicit_damping: bool
+    implicit: Implicit
+    warm_start: bool
     solver: Settings
 
 
 @dataclass(frozen=True)
-class Moved:
-    """qpos: [nq]. qvel: [nv]. qacc: [nv], where the next substep's solver begins."""
+class State:
+    """What a substep begins with. qpos: [nq]. qvel: [nv]. act: [na]. qacc: [nv], the last substep's."""
 
     qpos: Vector
     qvel: Vector
+    act: Vector
     qacc: Vector
 
 
-def read_model(model: mujoco.MjModel) -> Model:
-    """The model as the stages read it."""
-    is_explicit = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+@dataclass(frozen=True)
+class Moved(State):
+    """qfrc_actuator: [nv], of the last substep."""
+
+    qfrc_actuator: Vector
+
+
+def read_model(model: mujoco.MjModel, own: Own = NOMINAL) -> Model:
+    """The model as the stages read it. own: see `Fields`."""
+    fields, bit = Fields(model, own), mujoco.mjtDisableBit
+    tree = read_tree(model, own)
     return Model(
-        tree=read_tree(model),
-        actuators=read_actuators(model),
+        tree=tree,
+        tendons=read_tendons(model, own),
+        actuators=read_actuators(model, own),
+        fluid=read_fluid(model, own),
         constraints=read_constraints(model),
         timestep=float(model.opt.timestep),
-        implicit_damping=bool(model.dof_damping.any()) and not is_explicit,
+        implicit=_implicit(fields, tree),
+        warm_start=not fields.disables(bit.mjDSBL_WARMSTART),
         solver=Settings(
             iterations=int(model.opt.iterations),
             line_search_iterations=int(model.opt.ls_iterations),
@@ -71,67 +80,89 @@ def read_model(model: mujoco.MjModel) -> Model:
 
 
 def control_step(
-    model: Model, num_substeps: int, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector
+    model: Model, num_substeps: int, state: State, ctrl: Vector, *, reads_forces: bool = False
 ) -> Moved:
-    """The state after some substeps under a control [nu] that stays the same."""
+    """The state after some substeps under a control [nu] that stays the same.
+
+    reads_forces: whether `qfrc_actuator` is wanted; it is empty otherwise.
+    """
+    sizes = [len(part) for part in (state.qpos, state.qvel, state.act, state.qacc)]
+    blank: Vector = [0.0] * len(state.qvel) if reads_forces else []
 
     def body(carried: list[Number]) -> tuple[list[Number], Number]:
-        moved = substep(model, *_parted(carried, len(qpos), len(qvel)), ctrl)
-        return [*moved.qpos, *moved.qvel, *moved.qacc], True
+        moved = substep(model, State(*_parted(carried, sizes)[:4]), ctrl)
+        kept = moved if reads_forces else replace(moved, qfrc_actuator=[])
+        return _joined(kept), True
 
-    return Moved(*_parted(repeat(num_substeps, body, [*qpos, *qvel, *qacc]), len(qpos), len(qvel)))
+    begun = Moved(state.qpos, state.qvel, state.act, state.qacc, blank)
+    return Moved(*_parted(repeat(num_substeps, body, _joined(begun)), sizes))
 
 
-def substep(model: Model, qpos: Vector, qvel: Vector, qacc: Vector, ctrl: Vector) -> Moved:
-    """The state one timestep later under a control [nu]. qacc: [nv], the last substep's."""
+def substep(model: Model, state: State, ctrl: Vector) -> Moved:
+    """The state one timestep later under a control [nu]."""
     tree = model.tree
-    at = poses(tree, qpos)
-    moving = motion(tree, at, qvel)
-    mass = mass_matrix(tree, moving)
-    _, driven = actuator_forces(model.actuators, qpos, qvel, ctrl)
-    passive = passive_forces(tree, qpos, qvel)
-    bias = bias_forces(tree, moving, qvel)
-    force = [x + y - z for x, y, z in zip(passive, driven, bias, strict=True)]
+    at = poses(tree, state.qpos)
+    moving = motion(tree, at, state.qvel)
+    mass = with_armature(model.tendons, mass_matrix(tree, moving))
+    force, done = _smooth_forces(model, state, ctrl, at, moving)
     free = solve(tree, factorize(tree, mass), force)
-    rows = constraint_rows(tree, model.constraints, at, moving, State(qpos, qvel))
+    placed = Placed(state.qpos, state.qvel)
+    rows = constraint_rows(tree, model.constraints, at, moving, placed)
     problem = Problem(tree, mass, force, free, rows)
-    found = acceleration(problem, qacc, model.solver)
-    integrated = found
-    if model.implicit_damping:
-        damped = dict(mass)
-        for i, dof in enumerate(tree.dofs):
-            damped[i, i] = damped[i, i] + model.timestep * dof.damping
-        integrated = solve(tree, factorize(tree, damped), add(force, constraint_force(problem, found)))
-    after = add(qvel, scale(integrated, model.timestep))
-    return Moved(_integrated(tree, qpos, after, model.timestep), after, found)
+    found = acceleration(problem, state.qacc if model.warm_start else free, model.solver)
+    qvel = add(state.qvel, scale(_integrated(model, problem, found, done), model.timestep))
+    qpos = integrated(tree, state.qpos, qvel, model.timestep)
+    return Moved(qpos, qvel, done.act, found, done.on_dofs)
 
 
-def _parted(values: list[Number], num_positions: int, num_speeds: int) -> tuple[Vector, Vector, Vector]:
-    """Positions, velocities and accelerations."""
-    end = num_positions + num_speeds
-    return values[:num_positions], values[num_positions:end], values[end:]
+def actuator_forces(model: Model, state: State, ctrl: Vector) -> Vector:
+    """[nv]: MuJoCo's `qfrc_actuator` in this state."""
+    at = poses(model.tree, state.qpos)
+    return _smooth_forces(model, state, ctrl, at, motion(model.tree, at, state.qvel))[1].on_dofs
 
 
-def _integrated(tree: Tree, qpos: Vector, qvel: Vector, timestep: float) -> Vector:
-    """The positions after a timestep at these speeds."""
-    moved = list(qpos)
-    for body in tree.bodies:
-        for joint in body.joints:
-            place, dof = joint.qpos, joint.dof
-            if joint.kind in ("slide", "hinge"):
-                moved[place] = qpos[place] + timestep * qvel[dof]
-                continue
-            if joint.kind == "free":
-                for axis in range(3):
-                    moved[place + axis] = qpos[place + axis] + timestep * qvel[dof + axis]
-                place, dof = place + 3, dof + 3
-            moved[place : place + 4] = _turned(qpos[place : place + 4], qvel[dof : dof + 3], timestep)
-    return moved
+def _implicit(fields: Fields, tree: Tree) -> Implicit:
+    if fields.model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+        return "velocities"
+    damped = any(not is_zero(dof.damping) for dof in tree.dofs)
+    return "damping" if damped and not fields.disables(mujoco.mjtDisableBit.mjDSBL_EULERDAMP) else "nothing"
 
 
-def _turned(quaternion: Vector, speed: Vector, timestep: float) -> Vector:
-    """The quaternion after a timestep at this angular velocity [3] in the body's frame, in rad/s."""
-    rate = sqrt(maximum(dot(speed, speed), 1e-30))
-    half = (0.5 * timestep) * rate
-    turn = [cosine(half), *scale(speed, sine(half) / rate)]
-    return normalized(quaternion_product(normalized(quaternion), turn))
+def _smooth_forces(
+    model: Model, state: State, ctrl: Vector, at: Poses, moving: Motion
+) -> tuple[Vector, Driven]:
+    """All forces but the constraints', [nv], and what the actuators do."""
+    tree, qpos, qvel = model.tree, state.qpos, state.qvel
+    held = weight_held(tree, at, moving)
+    own = ActuatorState(qpos, qvel, state.act, ctrl, held)
+    done = driven(tree, model.actuators, own, model.timestep)
+    passive = add(passive_forces(tree, qpos, qvel), tendon_forces(model.tendons, qpos, qvel))
+    for i, dof in enumerate(tree.dofs):
+        if held and not dof.holds_weight:
+            passive[i] = passive[i] + held[i]
+    bias = bias_forces(tree, moving, qvel, drag_forces(tree, model.fluid, at, moving))
+    return [x + y - z for x, y, z in zip(passive, done.on_dofs, bias, strict=True)], done
+
+
+def _integrated(model: Model, problem: Problem, found: Vector, done: Driven) -> Vector:
+    """The acceleration by which the velocity changes, [nv]."""
+    if model.implicit == "nothing":
+        return found
+    tree = model.tree
+    inertia: Entries = implicit_inertia(tree, problem.mass, model.timestep)
+    if model.implicit == "velocities":
+        add_slopes(inertia, model.tendons, model.actuators, done.slopes, model.timestep)
+    return solve(tree, factorize(tree, inertia), add(problem.force, constraint_force(problem, found)))
+
+
+def _joined(moved: Moved) -> list[Number]:
+    return [*moved.qpos, *moved.qvel, *moved.act, *moved.qacc, *moved.qfrc_actuator]
+
+
+def _parted(values: list[Number], sizes: list[int]) -> list[Vector]:
+    """Parts of these sizes, and what is left."""
+    parts, place = list[Vector](), 0
+    for size in sizes:
+        parts.append(values[place : place + size])
+        place += size
+    return [*parts, values[place:]]

@@ -412,7 +412,7 @@ def test_a_job_of_another_shape_cannot_go_on_from_a_checkpoint(service: Service)
 def test_a_job_cannot_go_on_from_environments_of_warp_on_another_engine_nor_the_other_way_round(
     service: Service,
 ) -> None:
-    for had, has in (("warp", "mjx"), ("native", "warp")):
+    for had, has in (("warp", "mjx"), ("native", "warp"), ("warp", "compiled"), ("compiled", "warp")):
         job = service.submit()
         claim = service.claim(job)
         claim.start(device="NVIDIA H200", engine=had, details={})
@@ -422,6 +422,17 @@ def test_a_job_cannot_go_on_from_environments_of_warp_on_another_engine_nor_the_
         assert [problem.pointer for problem in caught.value.problems] == ["/physics"]
         assert service.submit(resume_from={"job": job.id}, physics=had)
         assert service.submit(resume_from={"job": job.id})
+
+
+@pytest.mark.parametrize(("had", "has"), [("native", "compiled"), ("compiled", "mjx")])
+def test_a_job_may_go_on_from_environments_of_another_engine_whose_states_have_the_same_fields(
+    had: str, has: str, service: Service
+) -> None:
+    job = service.submit()
+    claim = service.claim(job)
+    claim.start(device="cpu", engine=had, details={})
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
+    assert service.submit(resume_from={"job": job.id}, physics=has)
 
 
 def test_a_job_goes_on_in_environments_that_differ_further_but_in_nothing_else(service: Service) -> None:

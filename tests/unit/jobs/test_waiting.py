@@ -72,6 +72,8 @@ def test_devices_that_were_set_aside_are_named_unless_another_worker_fits() -> N
         ({"physics": "warp"}, [()], "the engine warp (uv sync --inexact --extra warp)"),
         ({"physics": "warp"}, [(), ("warp",)], None),
         ({"physics": "warp"}, [(), None], None),  # A worker of an older version may have it.
+        ({"physics": "compiled"}, [("warp",)], "the engine compiled (uv sync --inexact --extra compiled)"),
+        ({"physics": "compiled"}, [(), ("llvmlite",)], None),
         ({"physics": "native"}, [()], None),
         ({}, [()], None),
         ({"environment": "rodent"}, [()], "the environment rodent (uv sync --inexact --extra dm-control)"),
@@ -103,13 +105,14 @@ def test_an_environment_may_need_a_package_that_no_extra_installs(monkeypatch: p
     assert "json" in packages_here()
 
 
-def test_a_job_that_began_on_warp_needs_it_again() -> None:
+@pytest.mark.parametrize("engine", ["warp", "compiled"])
+def test_a_job_that_began_on_an_engine_with_a_package_needs_it_again(engine: str) -> None:
     without, job = worker("cpu", packages=()), make_job()
     file = Artifact(name="c", role="checkpoint", media_type="", size=1, sha256="", key="k", step=1)
-    running = job.claimed("w", NOON).running(device="cpu", engine="warp").with_artifacts((file,))
+    running = job.claimed("w", NOON).running(device="cpu", engine=engine).with_artifacts((file,))
     waiting = running.requeued(Reason.WORKER_DRAINED, "", NOON)
     assert what_it_waits_for(job, [without]) is None
-    assert "the engine warp" in str(what_it_waits_for(waiting, [without]))
+    assert f"the engine {engine}" in str(what_it_waits_for(waiting, [without]))
 
 
 _RODENT_ON_WARP = {"environment": "rodent", "physics": "warp"}
@@ -121,6 +124,7 @@ _RODENT_ON_WARP = {"environment": "rodent", "physics": "warp"}
         ({}, (), [("cpu", "ready", ("warp",))], None),
         ({"physics": "warp"}, (), [("cpu", "ready", ("warp",))], "the engine warp"),
         ({"physics": "warp"}, ("warp",), [("cpu", "ready", ("warp",))], None),
+        ({"physics": "compiled"}, ("warp",), [("cpu", "ready", ("llvmlite",))], "the engine compiled"),
         ({"physics": "warp"}, (), [], None),
         ({"physics": "warp"}, (), [("cpu", "ready", ())], None),
         ({"physics": "warp"}, (), [("cpu", "ready", None)], None),  # It may have it, or not.

@@ -21,6 +21,8 @@ RULES = (
         ("mjx", "cpu", "mjx"),
         ("warp", "gpu", "warp"),
         ("warp", "cpu", "warp"),
+        ("compiled", "cpu", "compiled"),
+        ("compiled", "gpu", "compiled"),
     ],
 )
 def test_auto_goes_by_the_device_and_a_name_is_obeyed(
@@ -50,6 +52,18 @@ def test_a_rule_is_passed_over_whose_engine_cannot_run_the_environment(
 ) -> None:
     monkeypatch.setattr(availability, "find_spec", lambda name: True)
     assert choose("auto", "gpu", 8192, RULES, {"native": "It cannot."}).name == "warp"
+
+
+def test_a_rule_for_compiled_is_followed_where_its_compiler_is_and_it_can_run_the_body(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rules = (Rule("compiled", 64, "Small bodies."), Rule("warp", 64, "Ants."))
+    monkeypatch.setattr(availability, "find_spec", lambda name: True)
+    assert choose("auto", "gpu", 64, rules).reason == "Small bodies."
+    assert choose("auto", "gpu", 63, rules).name == "mjx"
+    assert choose("auto", "gpu", 64, rules, {"compiled": "It cannot."}).name == "warp"
+    monkeypatch.setattr(availability, "find_spec", lambda name: None if name == "llvmlite" else True)
+    assert choose("auto", "gpu", 64, rules).name == "warp"
 
 
 def test_a_rules_reason_is_the_choices() -> None:

@@ -9,7 +9,7 @@ from core.documents import Strict
 from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker
 from core.environments.info import EnvironmentInfo
 from core.environments.options import Range, RunnerOptions, Weight, check_survives_its_start
-from core.physics.availability import Rule
+from core.physics.availability import EngineName, Rule, beyond_compiled
 
 # The length of dm_control's first platform, and the space it leaves before the first wall, in metres.
 FIRST_PLATFORM_M = 6.0
@@ -153,13 +153,29 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
     }
 
 
-def _cannot_run(options: CorridorOptions) -> Mapping[str, str]:
-    if not WALKERS[options.walker].has_ellipsoids or options.arena == "empty":
-        return {}
-    return {
-        "mjx": f"MJX has no contacts between ellipsoids and boxes: the {options.walker} has ellipsoids, and "
-        f"the arena {options.arena!r} has boxes. Choose native or warp, or the arena 'empty'."
-    }
+def _cannot_run(options: CorridorOptions) -> Mapping[EngineName, str]:
+    cannot: dict[EngineName, str] = {}
+    if WALKERS[options.walker].has_ellipsoids and options.arena != "empty":
+        cannot["mjx"] = (
+            f"MJX has no contacts between ellipsoids and boxes: the {options.walker} has ellipsoids, and "
+            f"the arena {options.arena!r} has boxes. Choose native or warp, or the arena 'empty'."
+        )
+    if reason := _BEYOND_COMPILED[options.walker] or _BOXES[options.arena]:
+        cannot["compiled"] = beyond_compiled(reason)
+    return cannot
+
+
+# What `compiled` lacks for a walker in any arena, and for every walker in an arena.
+_BEYOND_COMPILED: Mapping[Walker, str] = {
+    "ant": "",
+    "rodent": "it has a tendon, 'walker/lumbar_extend'",
+    "humanoid": "an actuator of it has an activation",
+}
+_BOXES: Mapping[Arena, str] = {
+    "empty": "",
+    "gaps": "its geoms 'start_floor' and 'walker/torso_geom' can touch, and neither is a plane",
+    "walls": "its geoms 'wall_0' and 'walker/torso_geom' can touch, and neither is a plane",
+}
 
 
 _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from core.environments.info import EnvironmentInfo
 from core.environments.options import Range, RunnerOptions, check_survives_its_start
-from core.physics.availability import Rule
+from core.physics.availability import Rule, beyond_compiled
 
 STANDING_HEIGHT_M = 0.047
 
@@ -25,9 +25,14 @@ class RodentOptions(RunnerOptions):
     exclude_current_positions_from_observation: bool = Field(False, description="Hide x and y.")
     # With two iterations of Newton's method the body flies apart, even in float64.
     iterations: int = Field(
-        4, ge=3, le=100, description="Solver iterations on mjx and warp; native iterates until convergence."
+        4,
+        ge=3,
+        le=100,
+        description="Solver iterations on mjx, warp and compiled; native iterates until convergence.",
     )
-    ls_iterations: int = Field(8, ge=4, le=100, description="Line-search iterations on mjx and warp.")
+    ls_iterations: int = Field(
+        8, ge=4, le=100, description="Line-search iterations on mjx, warp and compiled."
+    )
 
     @model_validator(mode="after")
     def _stands(self) -> Self:
@@ -52,4 +57,5 @@ INFO = EnvironmentInfo(
         Rule("warp", 1, "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),
         Rule("native", 1, "MJX takes many minutes to compile the training, for 21 k steps/s on an H200."),
     ),
+    cannot_run={"compiled": beyond_compiled("it has a tendon, 'lumbar_extend'")},
 )

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import Field
 
@@ -39,7 +39,7 @@ SAME_TASK = {
 
 def _row(name: str, facts: Mapping[str, Any]) -> EnvironmentInfo:
     why = f"{FAMILY}/{name} has Brax's own physics: choose it by options.backend and leave `physics` out."
-    cannot: dict[EngineName, str] = {"native": why, "mjx": why, "warp": why}
+    cannot: dict[EngineName, str] = dict.fromkeys(get_args(EngineName), why)
     ours = SAME_TASK.get(f"{FAMILY}/{name}")
     also = f" {ours!r} is the same task on this service's engines." if ours else ""
 

@@ -11,9 +11,8 @@ from core.physics.availability import EngineName
 FAMILY = "playground"
 TABLE = Path(__file__).parent / "table.json"
 
-_STEPS_ITSELF: dict[EngineName, str] = {
-    "native": "MuJoCo Playground's environments step MJX themselves: choose mjx or warp, or omit `physics`."
-}
+_WHY = "MuJoCo Playground's environments step MJX themselves: choose mjx or warp, or omit `physics`."
+_STEPS_ITSELF: dict[EngineName, str] = {"native": _WHY, "compiled": _WHY}
 
 
 def _row(name: str, facts: Mapping[str, Any]) -> EnvironmentInfo:

@@ -4,7 +4,7 @@ from core.physics.compiled.program import Assign, Program
 
 
 def array_sizes(program: Program) -> dict[str, int]:
-    """How many numbers of an environment each input and each output holds, in the order of the code's pointers.
+    """By input and output: how many numbers of an environment it holds, in the order of the code's pointers.
 
     Outputs have the prefix `to_`.
     """

@@ -26,9 +26,7 @@ class _Rows:
 
     def _pointer(self, writer: Writer, name: str, place: int) -> str:
         row = f"[{self.sizes[name]} x float]"
-        return writer.value(
-            f"getelementptr {row}, ptr addrspace(1) %{name}, i64 %environment, i64 {place}"
-        )
+        return writer.value(f"getelementptr {row}, ptr addrspace(1) %{name}, i64 %environment, i64 {place}")
 
 
 def gpu_kernel(program: Program, name: str, threads: int) -> str:
@@ -50,7 +48,7 @@ def gpu_kernel(program: Program, name: str, threads: int) -> str:
             f'target triple = "{TRIPLE}"',
             *_TARGET.declarations(),
             *(f"{read}.{register}()" for register in ("tid.x", "ctaid.x")),
-            f'define ptx_kernel void @{name}(ptr addrspace(1) %count, {arrays}) '
+            f"define ptx_kernel void @{name}(ptr addrspace(1) %count, {arrays}) "
             f'"nvvm.maxntid"="{threads}" {{',
             "entry:",
             "  %thread = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()",

@@ -2,6 +2,7 @@
 
 import ctypes
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -21,6 +22,7 @@ class Function:
         self.pointer(first, end, *(array.ctypes.data for array in arrays))
 
 
+@cache
 def vector_width() -> int:
     """How many float32 a vector of this processor holds."""
     features: Any = llvm.get_host_cpu_features()
@@ -29,20 +31,39 @@ def vector_width() -> int:
     return 8 if features.get("avx") else 4
 
 
-def compiled(module: str, name: str, num_arrays: int) -> Function:
-    """The function of a module, for this processor. Raises RuntimeError for a wrong module.
+def processor() -> str:
+    """The processor that the code is made for."""
+    return f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
 
-    LLVM's general passes are left out: they find nothing in a program that has no needless operation, and take
-    as long as the rest.
+
+def machine_code(module: str) -> bytes:
+    """An object file for this processor. Raises RuntimeError for a wrong module.
+
+    LLVM's general passes are left out: they find nothing in a program that has no needless operation, and
+    take as long as the rest.
     """
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    machine: Any = llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=2
-    )
     parsed: Any = llvm.parse_assembly(module)
     parsed.verify()
-    engine: Any = llvm.create_mcjit_compiler(parsed, machine)
+    return _machine().emit_object(parsed)
+
+
+def loaded(code: bytes, name: str, num_arrays: int) -> Function:
+    """The function of an object file that `machine_code` made."""
+    engine: Any = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * num_arrays)
     return Function(engine, kind(engine.get_function_address(name)))
+
+
+def _machine() -> Any:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    # Code of several megabytes may lie farther from where it is called than a short jump reaches.
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=2,
+        codemodel="jitdefault",
+        jit=True,
+    )

@@ -8,7 +8,7 @@ from core.physics.compiled.code.gpu_kernel import TRIPLE
 
 
 def ptx(module: str, compute_capability: str) -> str:
-    """The module as PTX for cards from this capability on, such as "9.0". Raises RuntimeError for a wrong one."""
+    """PTX for cards of this compute capability, such as "9.0". Raises RuntimeError for a wrong module."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine: Any = llvm.Target.from_triple(TRIPLE).create_target_machine(

@@ -295,7 +295,9 @@ def test_mjx_is_refused_for_more_segments_than_it_compiles_in_time() -> None:
 @pytest.mark.parametrize("task", STARS)
 def test_a_gpu_gets_warp_and_the_host_without_warp(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for is_there, engine in ((True, "warp"), (False, "native")):
-        monkeypatch.setattr(availability, "has_warp", lambda found=is_there: found)
+        monkeypatch.setattr(
+            availability, "is_installed", lambda name, found=is_there: name != "warp" or found
+        )
         assert choose("auto", "gpu", 2048, catalog.find(task).on_a_gpu).name == engine
 
 

@@ -351,7 +351,9 @@ def test_mjx_is_refused_where_ellipsoids_meet_boxes() -> None:
 
 def test_a_gpu_gets_warp_for_it_and_the_host_without_warp(monkeypatch: pytest.MonkeyPatch) -> None:
     for is_there, engine in ((True, "warp"), (False, "native")):
-        monkeypatch.setattr(availability, "has_warp", lambda found=is_there: found)
+        monkeypatch.setattr(
+            availability, "is_installed", lambda name, found=is_there: name != "warp" or found
+        )
         assert choose("auto", "gpu", 2048, catalog.find("corridor").on_a_gpu).name == engine
 
 

@@ -166,7 +166,9 @@ def test_buffers_of_warp_hold_a_rodent_that_falls_anyhow() -> None:
 
 def test_a_gpu_gets_warp_for_it_and_the_host_without_warp(monkeypatch: pytest.MonkeyPatch) -> None:
     for is_there, engine in ((True, "warp"), (False, "native")):
-        monkeypatch.setattr(availability, "has_warp", lambda found=is_there: found)
+        monkeypatch.setattr(
+            availability, "is_installed", lambda name, found=is_there: name != "warp" or found
+        )
         assert choose("auto", "gpu", 2048, catalog.find("rodent").on_a_gpu).name == engine
 
 

@@ -111,6 +111,7 @@ def test_its_physics_is_chosen_by_an_option_and_by_no_engine() -> None:
     job = {"kind": "train", "environment": "brax/ant"}
     for extra, place in (
         ({"physics": "mjx"}, "/physics"),
+        ({"physics": "compiled"}, "/physics"),
         (
             {"environment": {"id": "brax/ant", "options": {"backend": "bullet"}}},
             "/environment/options/backend",

@@ -97,8 +97,9 @@ def test_they_run_on_mjx_wherever_c_mujoco_would_be_taken() -> None:
     info = catalog.find("playground/CheetahRun")
     assert choose("auto", "cpu", 256, info.on_a_gpu, info.cannot_run).name == "mjx"
     assert choose("auto", "gpu", 2048, info.on_a_gpu, info.cannot_run).name == "mjx"
-    with pytest.raises(Rejected, match="step MJX themselves"):
-        check_physics("native", info.cannot_run)
+    for engine in ("native", "compiled"):
+        with pytest.raises(Rejected, match="step MJX themselves"):
+            check_physics(engine, info.cannot_run)
 
 
 @pytest.mark.slow  # it compiles a reset with contacts

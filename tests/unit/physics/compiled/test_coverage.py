@@ -52,7 +52,7 @@ def test_a_plain_body_is_covered() -> None:
             {"actuator": 'gaintype="muscle" gainprm="0.7 1 1 2 0.5 1.6 1.5 1.3 1.2" lengthrange="0 1"'},
             "muscle",
         ),
-        ({"joint": 'actuatorfrcrange="-1 1"'}, "'hip'"),
+        ({"joint": 'damping="1 0.5"'}, "'hip'"),
     ],
 )
 def test_what_is_not_covered_is_named(parts: dict[str, str], named: str) -> None:

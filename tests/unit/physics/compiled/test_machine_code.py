@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from core.physics.compiled.arithmetic import Number
-from core.physics.compiled.interpret import interpret
 from core.physics.compiled.code.cpu_function import cpu_function
+from core.physics.compiled.code.machine_code import loaded, machine_code
+from core.physics.compiled.interpret import interpret
 from core.physics.compiled.loop import repeat
-from core.physics.compiled.code.machine_code import compiled
 from core.physics.compiled.program import Program
-from core.physics.compiled.substep import control_step, read_model
+from core.physics.compiled.substep import State, control_step, read_model
 from tests.unit.physics.compiled.test_substep import NUM_STATES, converged, of_all, states
 
 WIDTH = 8
@@ -20,7 +20,7 @@ def run(program: Program, given: dict[str, list[np.ndarray]]) -> dict[str, np.nd
     inputs = [np.ascontiguousarray(np.transpose(values), np.float32) for values in given.values()]
     num_envs = len(inputs[0])
     outputs = [np.full((num_envs, len(one)), np.inf, np.float32) for one in program.outputs.values()]
-    code = compiled(cpu_function(program, "run", WIDTH), "run", len(inputs) + len(outputs))
+    code = loaded(machine_code(cpu_function(program, "run", WIDTH)), "run", len(inputs) + len(outputs))
     # The last environment of the first call, and the only one of the second, are not a whole vector.
     code(0, num_envs - 1, *inputs, *outputs)
     assert all(np.isinf(values[-1]).all() for values in outputs)
@@ -49,8 +49,8 @@ def test_two_substeps_in_machine_code_are_two_substeps(name: str) -> None:
     fields = {"qpos": model.nq, "qvel": model.nv, "qacc_warmstart": model.nv, "ctrl": model.nu}
     given = {name: of_all(datas, name) for name in fields}
     program = Program()
-    inputs = (program.inputs(name, size) for name, size in fields.items())
-    moved = control_step(read_model(model), 2, *inputs)
+    qpos, qvel, qacc, ctrl = (program.inputs(name, size) for name, size in fields.items())
+    moved = control_step(read_model(model), 2, State(qpos, qvel, [], qacc), ctrl)
     for field in ("qpos", "qvel"):
         program.output(field, getattr(moved, field))
     exact, found = interpret(program, given), run(program, given)

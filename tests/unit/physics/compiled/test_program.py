@@ -7,7 +7,7 @@ from core.physics.compiled.arithmetic import Number, select, sqrt
 from core.physics.compiled.interpret import interpret
 from core.physics.compiled.loop import repeat
 from core.physics.compiled.program import Assign, Program
-from core.physics.compiled.substep import read_model, substep
+from core.physics.compiled.substep import State, read_model, substep
 from tests.unit.physics.compiled.test_substep import converged, of_all, states
 
 
@@ -54,9 +54,11 @@ def test_a_substep_that_was_written_down_is_the_substep(name: str) -> None:
     fields = {"qpos": model.nq, "qvel": model.nv, "qacc_warmstart": model.nv, "ctrl": model.nu}
     given = {name: of_all(datas, name) for name in fields}
     program = Program()
-    moved = substep(ours, *(program.inputs(name, size) for name, size in fields.items()))
+    qpos, qvel, qacc, ctrl = (program.inputs(name, size) for name, size in fields.items())
+    moved = substep(ours, State(qpos, qvel, [], qacc), ctrl)
     for field in ("qpos", "qvel", "qacc"):
         program.output(field, getattr(moved, field))
-    found, expected = interpret(program, given), substep(ours, *given.values())
+    qpos, qvel, qacc, ctrl = given.values()
+    found, expected = interpret(program, given), substep(ours, State(qpos, qvel, [], qacc), ctrl)
     for field in ("qpos", "qvel", "qacc"):
         np.testing.assert_allclose(found[field], getattr(expected, field), rtol=1e-9, atol=1e-9)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from core.physics.compiled.actuation import ActuatorState, driven, read_actuators
 from core.physics.compiled.arithmetic import Vector
 from core.physics.compiled.dynamics import Entries, bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, multiply, solve
-from core.physics.compiled.forces import actuator_forces, passive_forces, read_actuators
+from core.physics.compiled.forces import passive_forces
 from core.physics.compiled.kinematics import poses
 from core.physics.compiled.tree import Tree, read_tree
 from core.physics.model import brax_model
@@ -145,10 +146,11 @@ def test_the_factor_solves_and_multiplies(case: Case) -> None:
 def test_passive_and_actuator_forces_are_mujoco_s(case: Case) -> None:
     passive = passive_forces(case.tree, case.qpos, case.qvel)
     assert_close(stacked([passive])[:, 0], case.of_mujoco("qfrc_passive"))
-    own, on_joints = actuator_forces(read_actuators(case.model), case.qpos, case.qvel, case.ctrl)
-    if own:
-        assert_close(stacked([own])[:, 0], case.of_mujoco("actuator_force"))
-    assert_close(stacked([on_joints])[:, 0], case.of_mujoco("qfrc_actuator"))
+    state = ActuatorState(case.qpos, case.qvel, [], case.ctrl, [])
+    done = driven(case.tree, read_actuators(case.model), state, case.model.opt.timestep)
+    if done.forces:
+        assert_close(stacked([done.forces])[:, 0], case.of_mujoco("actuator_force"))
+    assert_close(stacked([done.on_dofs])[:, 0], case.of_mujoco("qfrc_actuator"))
 
 
 class Touching:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.physics.compiled.substep import read_model, substep
+from core.physics.compiled.substep import State, read_model, substep
 from core.physics.model import brax_model
 
 NUM_STATES, NUM_SUBSTEPS = 64, 20
@@ -60,15 +60,14 @@ def test_a_body_on_the_floor_moves_as_in_mujoco(name: str, implicit_damping: boo
     model = converged(name, implicit_damping=implicit_damping)
     datas, ours = states(model), read_model(model)
     ours = replace(ours, solver=replace(ours.solver, iterations=15, line_search_iterations=25))
-    qpos, qvel = of_all(datas, "qpos"), of_all(datas, "qvel")
-    qacc, ctrl = of_all(datas, "qacc_warmstart"), of_all(datas, "ctrl")
+    state = State(*(of_all(datas, field) for field in ("qpos", "qvel")), [], of_all(datas, "qacc_warmstart"))
+    ctrl = of_all(datas, "ctrl")
     assert sum(data.ncon > 0 for data in datas) > NUM_STATES / 4
     for number in range(1, NUM_SUBSTEPS + 1):
-        moved = substep(ours, qpos, qvel, qacc, ctrl)
-        qpos, qvel, qacc = moved.qpos, moved.qvel, moved.qacc
+        state = substep(ours, state, ctrl)
         for data in datas:
             mujoco.mj_step(model, data)
         if number == 1:
-            assert relative(qacc, of_all(datas, "qacc")) < 1e-9
-    assert relative(qpos, of_all(datas, "qpos")) < 1e-6
-    assert relative(qvel, of_all(datas, "qvel")) < 1e-6
+            assert relative(state.qacc, of_all(datas, "qacc")) < 1e-9
+    assert relative(state.qpos, of_all(datas, "qpos")) < 1e-6
+    assert relative(state.qvel, of_all(datas, "qvel")) < 1e-6

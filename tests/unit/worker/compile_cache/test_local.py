@@ -61,6 +61,12 @@ def test_what_warp_has_in_work_and_its_sources_stay_behind(kept: Path, own: Path
     assert take_over(own, kept) == ["warp/1.18.0/wp_a/a.meta", "warp/1.18.0/wp_a/a.sm90.cubin"]
 
 
+def test_code_that_is_still_being_written_stays_behind(kept: Path, own: Path) -> None:
+    for name in ("3f1a", "tmpab_12"):
+        write(own / "compiled" / name, b"x")
+    assert take_over(own, kept) == ["compiled/3f1a"]
+
+
 def test_a_zstandard_frame_without_its_library_is_not_trusted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,5 +1,6 @@
 """What a training process finds of the GPUs that its worker serves."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -54,3 +55,11 @@ def test_a_job_that_goes_on_takes_the_engine_of_its_checkpoint_where_the_choice_
     assert build_environment(begun).engine == "mjx"
     asked_for = spec.model_copy(update={"physics": "native"})
     assert build_environment(begun.model_copy(update={"spec": asked_for})).engine == "native"
+
+
+def test_the_record_has_the_versions_of_what_the_engine_needs() -> None:
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "inverted_pendulum"})
+    native = build_environment(Task(job_id="j", attempt=1, spec=spec, device="cpu"))
+    for engine, also in (("native", set[str]()), ("warp", {"warp-lang"}), ("compiled", {"llvmlite"})):
+        versions = replace(native, engine=engine).started().details["versions"]
+        assert set(versions) == {"jax", "brax", "mujoco", "mujoco-mjx"} | also

@@ -60,7 +60,7 @@ def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path:
     body = body.replace(b'name="sphere" size="0.1"', b'name="sphere" type="ellipsoid" size="0.1 0.1 0.2"')
     first, last = look(body, tmp_path, tmp_path, Limits())
     assert first.description is not None
-    assert (first.description.engines, first.description.complete) == ({"native": None}, False)
+    assert (set(first.description.engines), first.description.complete) == ({"native", "compiled"}, False)
     found = last.description
     assert found is not None
     assert found.complete
@@ -69,9 +69,8 @@ def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path:
     assert found.settled_height == pytest.approx(0.5)  # There is no gravity.
     assert found.notes == []
     assert (found.engines["native"], found.engines["warp"]) == (None, None)
-    why = found.engines["mjx"]
-    assert why is not None
-    assert "not implemented" in why
+    for engine, why in (("mjx", "not implemented"), ("compiled", "'compiled' cannot run the model: its ")):
+        assert why in (found.engines[engine] or "")
 
 
 def test_what_an_engine_can_hold_but_not_step_is_found_too(tmp_path: Path) -> None:

@@ -1,0 +1,102 @@
+"""Engines under one body, in turns: `python -m bench.ours.run_steps FOLDER`.
+
+Request: environment; engines, the one to judge first; num_envs, how many to step, for each measurement;
+rounds; steps_per_call, the control steps in a compiled loop; own_settings, whether every engine solves under
+the model's own settings. Bodies move under random controls from their start, and are measured after a second
+of their time, when they touch what they fall on.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from bench.measure.child import answer
+
+
+def work(request: dict[str, Any]) -> dict[str, Any]:
+    """rates: by engine and number of environments, control steps per second, round by round. ready_s: by
+    engine, from its building to the end of the first loop, compiling included. same: by engine, whether a
+    second loop from the same states ended in the same bits. finite: the share of environments that did not
+    break."""
+    import jax
+
+    from core.physics.choose import engine_builder
+
+    rates: dict[str, dict[str, list[float]]] = {}
+    told: dict[str, dict[str, Any]] = {"ready_s": {}, "same": {}, "finite": {}}
+    for num_envs in request["num_envs"]:
+        loops = dict[str, Callable[[], Any]]()
+        for engine in request["engines"]:
+            began = time.perf_counter()
+            body = _body(request["environment"], engine_builder(engine), own_settings=request["own_settings"])
+            loop = _loop(body, num_envs, request["steps_per_call"])
+            first = jax.block_until_ready(loop())
+            told["ready_s"].setdefault(engine, time.perf_counter() - began)
+            again = jax.block_until_ready(loop())
+            told["same"].setdefault(engine, bool((first.qpos == again.qpos).all()))
+            told["finite"].setdefault(engine, float(jax.numpy.isfinite(first.qpos).all(axis=1).mean()))
+            loops[engine] = loop
+        for _ in range(request["rounds"]):
+            for engine, loop in loops.items():
+                began = time.perf_counter()
+                jax.block_until_ready(loop())
+                rate = num_envs * request["steps_per_call"] / (time.perf_counter() - began)
+                rates.setdefault(engine, {}).setdefault(str(num_envs), []).append(rate)
+    return {"rates": rates, **told}
+
+
+@dataclass(frozen=True)
+class _Body:
+    """dt: seconds of a control step."""
+
+    engine: Any
+    model: Any
+    dt: float
+
+
+def _body(environment: str, build: Any, *, own_settings: bool) -> _Body:
+    """The engine that the environment asks for."""
+    from core.environments import catalog
+
+    made = list[_Body]()
+
+    def build_and_keep(model: Any, num_substeps: int, derived: tuple[str, ...], **more: Any) -> Any:
+        engine = build(model, num_substeps, derived, **({} if own_settings else more))
+        made.append(_Body(engine, model, num_substeps * model.opt.timestep))
+        return engine
+
+    info = catalog.find(environment)
+    catalog.make(info, catalog.parse_options(info, {}), build_and_keep)
+    return made[0]
+
+
+def _loop(body: _Body, num_envs: int, steps: int) -> Callable[[], Any]:
+    """Steps all environments from the same states, under controls that change every 5 steps."""
+    import jax
+    import jax.numpy as jnp
+
+    from core.physics.model import initial_qpos
+
+    model, keys = body.model, jax.random.split(jax.random.key(0), 2)
+    limited = model.actuator_ctrllimited.astype(bool)[:, None]
+    low, high = jnp.where(limited, model.actuator_ctrlrange, jnp.array([-1.0, 1.0])).T
+    move = jax.vmap(body.engine.step)
+
+    def run(states: Any, num_steps: int, key: jax.Array) -> Any:
+        def step(states: Any, number: jax.Array) -> tuple[Any, None]:
+            random = jax.random.uniform(jax.random.fold_in(key, number // 5), (num_envs, model.nu))
+            return move(states, low + 0.5 * (1.0 + 0.6 * (random - 0.5)) * (high - low)), None
+
+        return jax.lax.scan(step, states, jnp.arange(num_steps))[0]
+
+    qpos = jnp.tile(jnp.asarray(initial_qpos(model), jnp.float32), (num_envs, 1))
+    qvel = 0.1 * jax.random.normal(keys[0], (num_envs, model.nv))
+    begun = jax.jit(jax.vmap(body.engine.reset))(qpos, qvel)
+    fallen = jax.jit(run, static_argnums=1)(begun, round(1.0 / body.dt), keys[0])
+    timed = jax.jit(run, static_argnums=1)
+    return lambda: timed(fallen, steps, keys[1])
+
+
+if __name__ == "__main__":
+    answer(work)

@@ -1,0 +1,69 @@
+"""A piece of code as a kernel, launched by XLA itself from compiled JAX programs.
+
+XLA launches PTX that a program brings along (`__gpu$xla.gpu.ptx`), so nothing goes through Python, and a loop
+of control steps is recorded like a loop of XLA's own kernels.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from core.physics.compiled.code.piece import FUNCTION, Piece
+
+_TARGET = "__gpu$xla.gpu.ptx"
+# A warp: the fewest that a card runs, so that few environments still spread over all of it.
+_NUM_THREADS = 32
+
+
+class GpuCall:
+    """Moves one environment; `jax.vmap` makes it many, in one kernel."""
+
+    def __init__(self, piece: Piece) -> None:
+        self._piece = piece
+        self._code = piece.gpu_code(jax.devices("gpu")[0].compute_capability, _NUM_THREADS)
+        self._many: Any = jax.custom_batching.custom_vmap(self._launch)
+        self._many.def_vmap(self._on_another_axis)
+
+    def __call__(self, *arrays: jax.Array) -> tuple[jax.Array, ...]:
+        """arrays: the inputs, [size] each. Returns the outputs."""
+        return tuple(output[0] for output in self._many(*(array[None] for array in arrays)))
+
+    def _launch(self, *arrays: jax.Array) -> Sequence[jax.Array]:
+        """arrays: [N, size] each."""
+        num_envs = arrays[0].shape[0]
+        shapes = [
+            jax.ShapeDtypeStruct((num_envs, size), jnp.float32) for size in self._piece.outputs.values()
+        ]
+        num_given = 1 + len(arrays)
+        count = jnp.array([num_envs], jnp.int32)
+        return jax.ffi.ffi_call(_TARGET, shapes)(
+            count,
+            *arrays,
+            name=FUNCTION,
+            kernel_type="ptx",
+            kernel_data=self._code,
+            **_grid(math.ceil(num_envs / _NUM_THREADS)),
+            shared_mem_bytes=np.int32(0),
+            output_indices=np.arange(num_given, num_given + len(shapes), dtype=np.int32),
+        )
+
+    def _on_another_axis(
+        self, size: int, is_mapped: list[bool], *arrays: jax.Array
+    ) -> tuple[list[jax.Array], list[bool]]:
+        """arrays: [size, N, ...], or [N, ...] where not mapped. One launch moves them all."""
+        whole = [
+            array if mapped else jnp.broadcast_to(array, (size, *array.shape))
+            for array, mapped in zip(arrays, is_mapped, strict=True)
+        ]
+        outputs = self._many(*(array.reshape(-1, array.shape[-1]) for array in whole))
+        return [one.reshape(size, -1, one.shape[-1]) for one in outputs], [True] * len(outputs)
+
+
+def _grid(num_blocks: int) -> dict[str, np.int32]:
+    first = {"grid_x": num_blocks, "block_x": _NUM_THREADS}
+    others = dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
+    return {name: np.int32(size) for name, size in (first | others).items()}

@@ -1,0 +1,17 @@
+"""The end of a job that asks for what the stages cannot compute."""
+
+from collections.abc import Sequence
+
+import mujoco
+
+from core.errors import JobFailed
+from core.physics.availability import beyond_compiled
+from core.physics.compiled.coverage import uncovered, uncovered_fields
+from core.reasons import Reason
+
+
+def check_covered(model: mujoco.MjModel, derived: Sequence[str] = ()) -> None:
+    """Raises JobFailed("bad_model") if the stages cannot move the model, or compute these fields of it."""
+    reason = uncovered(model) or uncovered_fields(model, derived)
+    if reason is not None:
+        raise JobFailed(Reason.BAD_MODEL, beyond_compiled(reason))

@@ -1,0 +1,78 @@
+"""What the catalog says that `compiled` cannot run, against the models themselves."""
+
+from typing import Any
+
+import mujoco
+import pytest
+
+from core.environments import catalog
+from core.errors import JobFailed
+from core.physics.compiled.refusal import check_covered
+from core.physics.engine import Engine, SolverSettings
+from core.physics.model import with_solver
+
+# Options that change the model, and not only the reward.
+CHANGED: list[tuple[str, dict[str, Any]]] = [
+    *(
+        ("corridor", {"walker": walker, "arena": arena})
+        for walker in ("ant", "rodent", "humanoid")
+        for arena in ("empty", "gaps", "walls")
+    ),
+    ("corridor", {"walker": "rodent", "solver": "cg"}),
+    ("rodent", {"solver": "cg"}),
+    ("brittle_star", {"walls": "contacts"}),
+    ("brittle_star", {"actuation": "torque_control", "target_position": [1, 1]}),
+    ("brittle_star", {"num_segments_per_arm": [0, 0, 1], "num_arms": 3}),
+    ("brittle_star_undirected", {"control": "cpg"}),
+]
+
+
+class Asked(Exception):
+    """The model that an environment asks an engine for, and the fields that it reads."""
+
+    def __init__(self, model: mujoco.MjModel, derived: tuple[str, ...]) -> None:
+        self.model, self.derived = model, derived
+
+
+class Asking:
+    """Ends the making of the environment where it has its model: nothing is compiled."""
+
+    name = "compiled"
+
+    def __call__(
+        self,
+        model: mujoco.MjModel,
+        num_substeps: int,
+        derived: tuple[str, ...],
+        *,
+        accelerated: SolverSettings | None = None,
+    ) -> Engine:
+        raise Asked(with_solver(model, accelerated), derived)
+
+
+def refusal(asked: Asked) -> str | None:
+    try:
+        check_covered(asked.model, asked.derived)
+    except JobFailed as failure:
+        return failure.detail
+    return None
+
+
+@pytest.mark.parametrize(
+    ("environment", "options"),
+    [*((name, {}) for name, info in catalog.BUILT_IN.items() if not info.takes_model), *CHANGED],
+)
+def test_a_row_refuses_what_its_model_has_and_the_engine_lacks_and_nothing_else(
+    environment: str, options: dict[str, Any]
+) -> None:
+    # Where the engine has learned what it lacked: correct the row's `cannot_run`, or delete it there.
+    info, parsed = catalog.resolve(environment, options)
+    with pytest.raises(Asked) as asked:
+        catalog.make(info, parsed, Asking())
+    assert info.cannot_run.get("compiled") == refusal(asked.value)
+
+
+def test_environments_with_physics_of_their_own_refuse_it() -> None:
+    others = [info for info in catalog.ENVIRONMENTS.values() if info.family != "gaitway"]
+    assert {info.family for info in others} == {"brax", "playground"}
+    assert all("compiled" in info.cannot_run for info in others)

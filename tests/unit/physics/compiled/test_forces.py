@@ -1,0 +1,190 @@
+"""Passive forces, actuators and integrators against C MuJoCo, without contacts."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.physics.compiled.actuation import ActuatorState, driven
+from core.physics.compiled.arithmetic import Vector, add
+from core.physics.compiled.coverage import uncovered
+from core.physics.compiled.dynamics import mass_matrix, motion, projected
+from core.physics.compiled.fluid import drag_forces
+from core.physics.compiled.forces import passive_forces, weight_held
+from core.physics.compiled.kinematics import poses
+from core.physics.compiled.rotations import rotation_vector
+from core.physics.compiled.substep import Model, State, control_step, read_model, substep
+from core.physics.compiled.tendons import tendon_forces, with_armature
+
+NUM_STATES = 8
+PULLED = """
+<mujoco>
+  <option timestep="0.005" {option}><flag {flag}/></option>
+  <default><geom contype="0" conaffinity="0"/></default>
+  <worldbody>
+    <body name="trunk" pos="0 0 1">
+      <joint name="root" type="free" stiffness="3"/>
+      <geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0.2" euler="10 20 30"/>
+      <body name="arm" pos="0.2 0.1 0" euler="30 0 60" gravcomp="0.7">
+        <joint name="shoulder" type="ball" pos="0 0.1 0.05" stiffness="5" damping="0.3"/>
+        <geom type="ellipsoid" size="0.1 0.05 0.2" pos="0 0 0.1"/>
+        <body name="hand" pos="0 0 0.4" gravcomp="1.5">
+          <joint name="wrist" axis="1 2 0" pos="0.1 0 0" springref="20" stiffness="2" damping="0.1"
+            actuatorfrcrange="-0.5 0.5"/>
+          <joint name="reach" type="slide" axis="0 1 1" stiffness="1" armature="0.1" actuatorgravcomp="true"/>
+          <geom type="capsule" size="0.05 0.2" mass="0.7"/>
+        </body>
+      </body>
+      <body name="leg" pos="0 0 -0.3">
+        <joint name="hip" axis="0 1 0" damping="0.02"/><geom type="capsule" size="0.05 0.2"/>
+      </body>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="both" stiffness="2" damping="0.3" armature="0.2" springlength="-0.5 0.5">
+      <joint joint="wrist" coef="0.5"/><joint joint="reach" coef="-2"/></fixed>
+    <fixed name="across" stiffness="1" armature="0.1">
+      <joint joint="hip" coef="0.5"/><joint joint="reach" coef="1.5"/></fixed>
+  </tendon>
+  <actuator>
+    <motor joint="root" gear="1 2 3 4 5 6"/>
+    <velocity joint="shoulder" gear="1 0 -2" kv="0.1"/>
+    <position joint="wrist" kp="20" kv="0.2" ctrlrange="-1 1" forcerange="-3 3"/>
+    <position joint="hip" kp="3" timeconst="0.1" gear="2" inheritrange="0"/>
+    <intvelocity joint="reach" kp="5" kv="0.1" actrange="-0.6 0.6"/>
+    <general joint="hip" dyntype="filter" dynprm="0.05" gaintype="affine" gainprm="1 2 -0.5" actearly="true"/>
+    <general tendon="both" gear="-2" dyntype="filterexact" dynprm="0.02" biastype="affine" biasprm="1 -2 -1"/>
+    <general tendon="across" gaintype="affine" gainprm="1 0 -2" ctrlrange="-0.2 0.2" forcerange="-0.3 0.3"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def pulled(option: str = "", flag: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(PULLED.format(option=option, flag=flag))
+
+
+def random_states(model: mujoco.MjModel, spread: float = 1.0) -> list[mujoco.MjData]:
+    generator = np.random.default_rng(0)
+    datas = [mujoco.MjData(model) for _ in range(NUM_STATES)]
+    for data in datas:
+        data.qpos[:] += spread * generator.normal(size=model.nq)
+        data.qvel[:] = spread * generator.normal(size=model.nv)
+        data.act[:] = spread * generator.normal(size=model.na)
+        data.ctrl[:] = generator.normal(size=model.nu)
+        mujoco.mj_forward(model, data)
+    return datas
+
+
+def of_all(datas: list[mujoco.MjData], field: str) -> Vector:
+    return list(np.stack([getattr(data, field) for data in datas], axis=1))
+
+
+def state_of(datas: list[mujoco.MjData]) -> State:
+    return State(*(of_all(datas, field) for field in ("qpos", "qvel", "act", "qacc_warmstart")))
+
+
+def assert_close(ours: Vector, theirs: Vector, accuracy: float = 1e-12) -> None:
+    expected = np.stack(theirs)
+    found = np.stack([np.broadcast_to(x, expected.shape[1:]) for x in ours])
+    np.testing.assert_allclose(
+        found, expected, rtol=0, atol=accuracy * max(1.0, float(np.abs(expected).max()))
+    )
+
+
+@dataclass(frozen=True)
+class Forces:
+    """passive, actuator: [nv]. mass: M [NUM_STATES, nv, nv]."""
+
+    passive: Vector
+    actuator: Vector
+    act: Vector
+    mass: NDArray[np.float64]
+
+
+def forces_of(model: Model, state: State, ctrl: Vector) -> Forces:
+    tree = model.tree
+    at = poses(tree, state.qpos)
+    moving = motion(tree, at, state.qvel)
+    held = weight_held(tree, at, moving)
+    passive = add(
+        passive_forces(tree, state.qpos, state.qvel), tendon_forces(model.tendons, state.qpos, state.qvel)
+    )
+    passive = add(passive, projected(tree, moving, drag_forces(tree, model.fluid, at, moving)))
+    for i, dof in enumerate(tree.dofs):
+        passive[i] = passive[i] + (held[i] if held and not dof.holds_weight else 0.0)
+    own = ActuatorState(state.qpos, state.qvel, state.act, ctrl, held)
+    done = driven(tree, model.actuators, own, model.timestep)
+    mass = np.zeros((NUM_STATES, len(tree.dofs), len(tree.dofs)))
+    for (i, j), entry in with_armature(model.tendons, mass_matrix(tree, moving)).items():
+        mass[:, i, j] = mass[:, j, i] = entry
+    return Forces(passive, done.on_dofs, done.act, mass)
+
+
+def assert_forces_are_mujoco_s(model: mujoco.MjModel, datas: list[mujoco.MjData]) -> None:
+    ours = forces_of(read_model(model), state_of(datas), of_all(datas, "ctrl"))
+    assert_close(ours.passive, of_all(datas, "qfrc_passive"))
+    assert_close(ours.actuator, of_all(datas, "qfrc_actuator"))
+    theirs = np.zeros_like(ours.mass)
+    for data, dense in zip(datas, theirs, strict=True):
+        mujoco.mj_fullM(model, data, dense)
+        mujoco.mj_step(model, data)
+    assert_close(list(ours.mass), list(theirs))
+    if model.na:
+        assert_close(ours.act, of_all(datas, "act"))
+
+
+@pytest.mark.parametrize(
+    ("option", "flag"),
+    [
+        ("", ""),
+        ('density="1000" viscosity="0.3" wind="1 2 -1"', ""),
+        ("", 'spring="disable"'),
+        ("", 'damper="disable"'),
+        ('density="1000"', 'spring="disable" damper="disable"'),
+        ("", 'gravity="disable"'),
+        ("", 'clampctrl="disable"'),
+        ("", 'actuation="disable"'),
+    ],
+)
+def test_forces_are_mujoco_s(option: str, flag: str) -> None:
+    model = pulled(option, flag)
+    assert uncovered(model) is None
+    assert_forces_are_mujoco_s(model, random_states(model))
+
+
+@pytest.mark.parametrize(
+    ("option", "flag"),
+    [
+        ("", ""),
+        ("", 'eulerdamp="disable"'),
+        ('integrator="implicitfast"', ""),
+        ('integrator="implicitfast"', 'damper="disable" warmstart="disable"'),
+        ('density="100" viscosity="0.1"', 'gravity="disable"'),
+    ],
+)
+def test_a_body_without_contacts_moves_as_in_mujoco(option: str, flag: str) -> None:
+    model = pulled(option, flag)
+    datas = random_states(model, 0.3)
+    ours, state, ctrl = read_model(model), state_of(datas), of_all(datas, "ctrl")
+    after = control_step(ours, 20, state, ctrl, reads_forces=True)
+    for number in range(20):
+        for data in datas:
+            mujoco.mj_step(model, data)
+        if number == 0:
+            assert_close(substep(ours, state, ctrl).qvel, of_all(datas, "qvel"))
+    for field in ("qpos", "qvel", "act", "qfrc_actuator"):
+        assert_close(getattr(after, field), of_all(datas, field), 1e-9)
+
+
+def test_a_rotation_s_vector_is_mujoco_s() -> None:
+    quaternions = np.random.default_rng(0).normal(size=(1000, 4))
+    quaternions[:8] = [*np.eye(4), *-np.eye(4)]
+    quaternions[8:16, 1:] *= 1e-9
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    theirs = np.zeros((1000, 3))
+    for quaternion, vector in zip(quaternions, theirs, strict=True):
+        mujoco.mju_quat2Vel(vector, quaternion, 1.0)
+    np.testing.assert_allclose(np.stack(rotation_vector(list(quaternions.T)), 1), theirs, rtol=0, atol=1e-13)
