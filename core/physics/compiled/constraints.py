@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import mujoco
 
 from core.physics.compiled.arithmetic import Vector
-from core.physics.compiled.contacts import Contact, contact_rows, read_contacts
+from core.physics.compiled.body_rows import BodyGroup
+from core.physics.compiled.contacts import Contact, contact_rows, is_better_by_body, read_contacts
 from core.physics.compiled.dynamics import Motion
 from core.physics.compiled.joint_friction import JointFriction, friction_row, read_joint_frictions
 from core.physics.compiled.kinematics import Poses
@@ -22,7 +23,7 @@ from core.physics.compiled.limits import (
     read_ball_limits,
     read_limits,
 )
-from core.physics.compiled.rows import Rows
+from core.physics.compiled.rows import Group, Rows
 from core.physics.compiled.tree import Tree
 
 
@@ -67,13 +68,15 @@ def read_constraints(model: mujoco.MjModel) -> Constraints:
 
 def constraint_rows(tree: Tree, constraints: Constraints, at: Poses, moving: Motion, state: State) -> Rows:
     """All rows in this state, contacts last."""
-    return [
+    by_body = is_better_by_body(tree, constraints.contacts)
+    groups: list[Group | BodyGroup] = [
         *(friction_row(friction, state.qvel) for friction in constraints.frictions),
         *(limit_row(limit, state.qpos, state.qvel) for limit in constraints.limits),
         *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),
         *(
             group
             for contact in constraints.contacts
-            for group in contact_rows(tree, contact, at, moving, state.qvel)
+            for group in contact_rows(tree, contact, at, moving, by_body=by_body)
         ),
     ]
+    return Rows(groups, tree, moving.axes)

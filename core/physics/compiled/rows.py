@@ -7,9 +7,12 @@ pyramid mix its normal and two tangents. Products go through the directions, whi
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from core.physics.compiled.arithmetic import Number, Vector, dot, total
+from core.physics.compiled import body_rows
+from core.physics.compiled.arithmetic import Number, Vector, dot, scale, total
+from core.physics.compiled.body_rows import BodyGroup
 from core.physics.compiled.dynamics import Entries
 from core.physics.compiled.laws import Law, Slope
+from core.physics.compiled.tree import Tree
 
 # How a motion of each degree of freedom that matters moves along it.
 Direction = dict[int, Number]
@@ -23,32 +26,54 @@ class Group:
     reference: Vector
     law: Law
 
+    @property
+    def size(self) -> int:
+        """The number of directions."""
+        return len(self.directions)
 
-Rows = Sequence[Group]
+
+@dataclass(frozen=True)
+class Rows:
+    """axes: by degree of freedom, [6], in this state; see `Motion`."""
+
+    groups: Sequence[Group | BodyGroup]
+    tree: Tree
+    axes: Sequence[Vector]
 
 
 def times(rows: Rows, vector: Vector) -> Vector:
     """A vector [nv] along all directions."""
-    return [
-        total(entry * vector[i] for i, entry in direction.items())
-        for group in rows
-        for direction in group.directions
-    ]
+    bodies = [group.body for group in rows.groups if isinstance(group, BodyGroup)]
+    motions = body_rows.motions(rows.tree, rows.axes, vector, bodies)
+    found: Vector = []
+    for group in rows.groups:
+        if isinstance(group, BodyGroup):
+            found += [dot(wrench, motions[group.body]) for wrench in group.wrenches]
+        else:
+            found += [total(x * vector[i] for i, x in one.items()) for one in group.directions]
+    return found
 
 
 def residual(rows: Rows, acceleration: Vector) -> Vector:
     """An acceleration [nv] along all directions, less the reference."""
-    wanted = (value for group in rows for value in group.reference)
+    wanted = (value for group in rows.groups for value in group.reference)
     return [x - a for x, a in zip(times(rows, acceleration), wanted, strict=True)]
 
 
 def pulled_back(rows: Rows, forces: Vector, num_dofs: int) -> Vector:
     """Forces along all directions, as forces on the degrees of freedom [nv]."""
     terms: list[list[Number]] = [[] for _ in range(num_dofs)]
+    wrenches: dict[int, list[Vector]] = {}
     for group, own in by_group(rows, forces):
+        if isinstance(group, BodyGroup):
+            pushes = [scale(one, force) for one, force in zip(group.wrenches, own, strict=True)]
+            wrenches.setdefault(group.body, []).extend(pushes)
+            continue
         for direction, force in zip(group.directions, own, strict=True):
             for i, entry in direction.items():
                 terms[i].append(entry * force)
+    for i, force in body_rows.on_dofs(rows.tree, rows.axes, wrenches).items():
+        terms[i].append(force)
     return [total(own) for own in terms]
 
 
@@ -57,18 +82,21 @@ def forces(rows: Rows, residual: Vector) -> Vector:
     return [force for group, own in by_group(rows, residual) for force in group.law.forces(own)]
 
 
-def curvature(rows: Rows, residual: Vector) -> dict[tuple[int, int], list[Number]]:
+def curvature(rows: Rows, residual: Vector) -> body_rows.Terms:
     """Jᵀ H J, with the second derivatives H of the rows' cost: terms of its lower triangle's entries."""
-    found: dict[tuple[int, int], list[Number]] = {}
-    for group, own in by_group(rows, residual):
-        weights = group.law.weights(own)
+    weighted = [(group, group.law.weights(own)) for group, own in by_group(rows, residual)]
+    of_bodies = [(group, weights) for group, weights in weighted if isinstance(group, BodyGroup)]
+    found = body_rows.curvature(rows.tree, rows.axes, of_bodies)
+    for group, weights in weighted:
+        if isinstance(group, BodyGroup):
+            continue
         dofs = list(group.directions[0])
         columns = {i: [direction[i] for direction in group.directions] for i in dofs}
         for i in dofs:
-            weighted = [dot(row, columns[i]) for row in weights]
+            along = [dot(row, columns[i]) for row in weights]
             for j in dofs:
                 if j <= i:
-                    found.setdefault((i, j), []).append(dot(columns[j], weighted))
+                    found.setdefault((i, j), []).append(dot(columns[j], along))
     return found
 
 
@@ -95,11 +123,11 @@ def slope(rows: Rows, residual: Vector, rates: Vector) -> Slope:
     return summed
 
 
-def by_group(rows: Rows, values: Sequence[Number]) -> Iterator[tuple[Group, Vector]]:
+def by_group(rows: Rows, values: Sequence[Number]) -> Iterator[tuple[Group | BodyGroup, Vector]]:
     """Each group with its own part of a number for each direction."""
     place = 0
-    for group in rows:
-        end = place + len(group.directions)
+    for group in rows.groups:
+        end = place + group.size
         yield group, list(values[place:end])
         place = end
 

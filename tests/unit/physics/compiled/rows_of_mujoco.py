@@ -10,7 +10,7 @@ from core.physics.compiled.constraints import State, constraint_rows, read_const
 from core.physics.compiled.dynamics import motion
 from core.physics.compiled.kinematics import poses
 from core.physics.compiled.laws import Pyramid
-from core.physics.compiled.rows import Rows
+from core.physics.compiled.rows import Rows, by_group, times
 from core.physics.compiled.tree import read_tree
 
 Array = NDArray[np.float64]
@@ -29,11 +29,12 @@ def rows_of(model: mujoco.MjModel, datas: list[mujoco.MjData]) -> Rows:
 def ours(rows: Rows, num_states: int, num_dofs: int) -> tuple[Array, Array]:
     """Jᵀ D J [states, nv, nv] and Jᵀ D aref [states, nv], with each edge of a pyramid as a row."""
     pressed, pulled = np.zeros((num_states, num_dofs, num_dofs)), np.zeros((num_states, num_dofs))
-    for group in rows:
-        directions = np.zeros((len(group.directions), num_states, num_dofs))
-        for direction, entries in zip(directions, group.directions, strict=True):
-            for dof, entry in entries.items():
-                direction[:, dof] = entry
+    entries = [times(rows, list(one)) for one in np.eye(num_dofs)]
+    for group, places in by_group(rows, list(range(len(entries[0])))):
+        directions = np.zeros((group.size, num_states, num_dofs))
+        for direction, place in zip(directions, places, strict=True):
+            for dof in range(num_dofs):
+                direction[:, dof] = entries[dof][place]
         reference = np.stack([np.broadcast_to(x, num_states) for x in group.reference])
         stiffness = _stiffness(group.law, len(directions))
         for mixture, own in zip(_mixtures(group.law, len(directions)), stiffness, strict=True):

@@ -10,7 +10,7 @@ import pytest
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.physics.compiled.coverage import uncovered
-from core.physics.compiled.substep import read_model, substep
+from core.physics.compiled.substep import State, read_model, substep
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
 from tests.unit.physics.compiled.test_substep import converge, of_all, relative
 
@@ -127,15 +127,14 @@ def after_forward(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
 def assert_moves_as_mujoco(model: mujoco.MjModel, datas: list[mujoco.MjData]) -> None:
     ours = read_model(model)
     ours = replace(ours, solver=replace(ours.solver, iterations=20, line_search_iterations=30))
-    fields = ("qpos", "qvel", "qacc_warmstart", "ctrl")
-    qpos, qvel, qacc, ctrl = (of_all(datas, name) for name in fields)
+    state = State(*(of_all(datas, field) for field in ("qpos", "qvel")), [], of_all(datas, "qacc_warmstart"))
+    ctrl = of_all(datas, "ctrl")
     assert sum(data.ncon > 0 for data in datas) > len(datas) / 4
     for number in range(1, NUM_SUBSTEPS + 1):
-        moved = substep(ours, qpos, qvel, qacc, ctrl)
-        qpos, qvel, qacc = moved.qpos, moved.qvel, moved.qacc
+        state = substep(ours, state, ctrl)
         for data in datas:
             step_converged(model, data)
         if number == 1:
-            assert relative(qacc, of_all(datas, "qacc")) < 1e-9
-    assert relative(qpos, of_all(datas, "qpos")) < 1e-6
-    assert relative(qvel, of_all(datas, "qvel")) < 1e-6
+            assert relative(state.qacc, of_all(datas, "qacc")) < 1e-9
+    assert relative(state.qpos, of_all(datas, "qpos")) < 1e-6
+    assert relative(state.qvel, of_all(datas, "qvel")) < 1e-6

@@ -4,8 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from core.physics.compiled.arithmetic import Vector
+from core.physics.compiled.body_rows import BodyGroup
 from core.physics.compiled.coverage import uncovered
-from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
+from core.physics.compiled.rows import Group, by_group, curvature, pulled_back, times
+from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows, rows_of
 
 NUM_STATES = 100
 # Two arms of a tree whose ends meet, and what stands still.
@@ -172,3 +175,33 @@ def test_joints_rows_are_mujoco_s(tag: str, attributes: str) -> None:
         data.qvel[:] = generator.normal(size=model.nv)
         mujoco.mj_forward(model, data)
     assert_same_rows(model, datas)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "kind"),
+    [
+        (BALL, ROD, Group),
+        ('<geom type="box" size="0.1 0.2 0.3"/><geom type="box" size="0.3 0.1 0.1"/>', ROD, BodyGroup),
+    ],
+)
+def test_products_are_those_of_the_rows_entries(left: str, right: str, kind: type) -> None:
+    model = meeting(PLANE, left, right)
+    rows = rows_of(model, at_random(model))
+    assert isinstance(rows.groups[0], kind)
+    entries = [times(rows, list(one)) for one in np.eye(model.nv)]
+    columns = np.array([[np.broadcast_to(x, NUM_STATES) for x in column] for column in entries])
+    num_directions = columns.shape[1]
+    moved: Vector = list(np.random.default_rng(0).normal(size=(num_directions, NUM_STATES)))
+    pulled = np.stack(pulled_back(rows, moved, model.nv))
+    np.testing.assert_allclose(pulled, np.einsum("ids,ds->is", columns, np.stack(moved)), atol=1e-9)
+    expected = np.zeros((model.nv, model.nv, NUM_STATES))
+    place = 0
+    for group, own in by_group(rows, moved):
+        weights = np.array([[np.broadcast_to(x, NUM_STATES) for x in row] for row in group.law.weights(own)])
+        some = columns[:, place : place + group.size]
+        expected += np.einsum("ias,abs,jbs->ijs", some, weights, some)
+        place += group.size
+    found = np.zeros_like(expected)
+    for (i, j), terms in curvature(rows, moved).items():
+        found[i, j] = found[j, i] = sum(terms)
+    np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
