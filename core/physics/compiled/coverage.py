@@ -181,7 +181,8 @@ def _actuators(model: mujoco.MjModel) -> Iterator[str]:
     yield from _where(model, "actuator", ~simple, "is a muscle, a motor with dynamics or a user's own kind")
     filters = dynamics.mjDYN_INTEGRATOR, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT
     known = np.isin(model.actuator_dyntype, (dynamics.mjDYN_NONE, *filters))
-    yield from _where(model, "actuator", ~known | (model.actuator_actnum > 1), "has dynamics of its own kind")
+    several = (model.actuator_actnum > 1) | (model.actuator_ctrlnum != 1) | (model.actuator_outnum != 1)
+    yield from _where(model, "actuator", ~known | several, "has dynamics, inputs or outputs of its own kind")
     turns = _turn_several_axes(model)
     in_parent = turns & (targets == kinds.mjTRN_JOINTINPARENT)
     yield from _where(

@@ -64,6 +64,7 @@ PULLED = """
   </actuator>
 </mujoco>
 """
+ROPE = '<spatial name="rope"><site site="a"/><site site="b"/></spatial>'
 
 
 def pulled(option: str = "", flag: str = "") -> mujoco.MjModel:
@@ -157,6 +158,22 @@ def test_forces_are_mujoco_s(option: str, flag: str) -> None:
     model = pulled(option, flag)
     assert uncovered(model) is None
     assert_forces_are_mujoco_s(model, random_states(model))
+
+
+@pytest.mark.parametrize(
+    ("mine", "other", "reason"),
+    [
+        ('<fixed name="across" ', '<fixed name="across" range="0 1" limited="true" ', "'across' has a limit"),
+        ("<tendon>", f"<tendon>{ROPE}", "'rope' is a spatial one"),
+        ('<velocity joint="shoulder"', '<position joint="shoulder"', "holds a joint with several axes"),
+        ("<velocity joint", "<velocity jointinparent", "in its parent's frame"),
+    ],
+)
+def test_what_pulls_otherwise_is_named(mine: str, other: str, reason: str) -> None:
+    xml = PULLED.format(option="", flag="").replace(mine, other)
+    sites = '<worldbody><site name="a"/><site name="b"/>'
+    model = mujoco.MjModel.from_xml_string(xml.replace("<worldbody>", sites))
+    assert reason in (uncovered(model) or "")
 
 
 @pytest.mark.parametrize(
