@@ -56,6 +56,28 @@ def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
     return next(_sensors(model), None) if "sensordata" in names else None
 
 
+def uncovered_own(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
+    """The first reason why environments cannot have these fields of the model for themselves."""
+    return next((reason for name in names for reason in _own(model, name)), None)
+
+
+def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
+    if name in _OF_CONSTRAINTS:
+        yield f"{name} is the same in all environments"
+    if name == "actuator_dynprm":
+        exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
+        yield from (f"{name}: {reason}" for reason in _where(model, "actuator", exact, "is an exact filter"))
+    affine = {
+        "actuator_gainprm": model.actuator_gaintype == mujoco.mjtGain.mjGAIN_AFFINE,
+        "actuator_biasprm": model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE,
+    }
+    if name in affine:
+        turning = affine[name] & _turn_several_axes(model)
+        yield from (
+            f"{name}: {reason}" for reason in _where(model, "actuator", turning, "turns several axes")
+        )
+
+
 def _sensors(model: mujoco.MjModel) -> Iterator[str]:
     kinds, camera = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_CAMERA
     if model.nsensor and model.opt.disableflags & (_DISABLE.mjDSBL_SENSOR | _DISABLE.mjDSBL_ACTUATION):
@@ -70,6 +92,11 @@ def _sensors(model: mujoco.MjModel) -> Iterator[str]:
             yield f"{name} is read late or at intervals"
         elif kind == kinds.mjSENS_ACTUATORPOS and not _is_on_scalar(model, int(model.sensor_objid[number])):
             yield f"{name} is the length of an actuator on a joint with several axes"
+
+
+def _turn_several_axes(model: mujoco.MjModel) -> np.ndarray:
+    """[nactuator]: whether an actuator acts on a ball joint or a free one."""
+    return np.array([not _is_on_scalar(model, number) for number in range(model.nactuator)], bool)
 
 
 def _is_on_scalar(model: mujoco.MjModel, actuator: int) -> bool:
@@ -163,8 +190,9 @@ def _actuators(model: mujoco.MjModel) -> Iterator[str]:
     yield from _where(model, "actuator", ~simple, "is a muscle, a motor with dynamics or a user's own kind")
     filters = dynamics.mjDYN_INTEGRATOR, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT
     known = np.isin(model.actuator_dyntype, (dynamics.mjDYN_NONE, *filters))
-    yield from _where(model, "actuator", ~known | (model.actuator_actnum > 1), "has dynamics of its own kind")
-    turns = np.array([not _is_on_scalar(model, number) for number in range(model.nactuator)], bool)
+    several = (model.actuator_actnum > 1) | (model.actuator_ctrlnum != 1) | (model.actuator_outnum != 1)
+    yield from _where(model, "actuator", ~known | several, "has dynamics, inputs or outputs of its own kind")
+    turns = _turn_several_axes(model)
     in_parent = turns & (targets == kinds.mjTRN_JOINTINPARENT)
     yield from _where(
         model, "actuator", in_parent, "acts on a joint with several axes, in its parent's frame"
@@ -220,6 +248,8 @@ _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
     _options, _combinations, _parts, _joints, _tendons, _actuators, _contacts, _rows,
 )  # fmt: skip
 _CURVE = "has a `solimp` whose power is not a multiple of a half"
+# Fields of `engine.MODEL_FIELDS` that only constraints read.
+_OF_CONSTRAINTS = ("body_invweight0", "dof_frictionloss", "dof_invweight0", "geom_friction", "geom_solref")
 
 
 def _uncomputable(solimp: np.ndarray) -> np.ndarray:

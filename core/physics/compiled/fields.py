@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from core.physics.compiled.arithmetic import Number, Vector
+from core.physics.compiled.arithmetic import Number, Vector, maximum, select
 from core.physics.compiled.program import Symbol
 from core.physics.model import model_field
 
@@ -41,6 +41,15 @@ class Fields:
     def disables(self, *bits: mujoco.mjtDisableBit) -> bool:
         """Whether the model disables one of these parts of MuJoCo."""
         return any(self.model.opt.disableflags & bit for bit in bits)
+
+
+def divided(number: Number, mass: Number, otherwise: Number) -> Number:
+    """number / mass, or another number where there is no mass."""
+    if is_zero(mass):
+        return otherwise
+    if isinstance(mass, float):
+        return number * (1.0 / mass)
+    return select(mass < mujoco.mjMINVAL, otherwise, number / maximum(mass, mujoco.mjMINVAL))
 
 
 def is_zero(number: Number) -> bool:

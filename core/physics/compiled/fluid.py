@@ -23,7 +23,7 @@ from core.physics.compiled.arithmetic import (
     transpose,
 )
 from core.physics.compiled.dynamics import Motion, Wrenches
-from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
+from core.physics.compiled.fields import NOMINAL, Fields, Own, divided, is_zero
 from core.physics.compiled.kinematics import Poses
 from core.physics.compiled.tree import Tree, is_passive_disabled, principal_axes
 
@@ -86,7 +86,7 @@ def _drag(fields: Fields, body: int) -> Drag:
 
     def side(along: int, *across: int) -> Number:
         squared = moments[across[0]] + moments[across[1]] - moments[along]
-        return sqrt(maximum(squared, mujoco.mjMINVAL) / mass * 6.0)
+        return divided(sqrt(6.0 * mass * maximum(squared, mujoco.mjMINVAL)), mass, 0.0)
 
     a, b, c = side(0, 1, 2), side(1, 0, 2), side(2, 0, 1)
     diameter = (a + b + c) * (1.0 / 3.0)

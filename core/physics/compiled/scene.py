@@ -20,7 +20,7 @@ from core.physics.compiled.arithmetic import (
     subtract,
 )
 from core.physics.compiled.dynamics import Motion, motion
-from core.physics.compiled.fields import Fields, is_zero
+from core.physics.compiled.fields import Fields, divided
 from core.physics.compiled.kinematics import Poses, poses
 from core.physics.compiled.tendons import Tendon, read_tendons
 from core.physics.compiled.tree import Tree, read_tree
@@ -67,7 +67,7 @@ class Scene:
             moments[above] = add(moments[above], moments[number])
             masses[above] = masses[above] + masses[number]
         return [
-            value if is_zero(mass) else scale(moment, 1.0 / mass)
+            [divided(x, mass, own) for x, own in zip(moment, value, strict=True)]
             for value, moment, mass in zip(values, moments, masses, strict=True)
         ]
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from core.physics.compiled.arithmetic import Matrix, Number, Vector, dot, total
-from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
+from core.physics.compiled.fields import NOMINAL, Fields, Own, divided
 
 JointKind = Literal["free", "ball", "slide", "hinge"]
 # The lowest and the highest value.
@@ -111,10 +111,11 @@ def _shares(fields: Fields) -> list[Number]:
     """By body: its share of its tree's mass. A tree without mass has its centre in its root."""
     roots = [int(root) for root in fields.model.body_rootid]
     masses = [fields.number("body_mass", number) for number in range(len(roots))]
+    masses[0] = 0.0
     found = list[Number]()
     for number, root in enumerate(roots):
         whole = total(mass for mass, other in zip(masses, roots, strict=True) if other == root)
-        found.append(float(number == root) if is_zero(whole) else masses[number] * (1.0 / whole))
+        found.append(divided(masses[number], whole, float(number == root)))
     return found
 
 

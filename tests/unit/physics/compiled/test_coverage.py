@@ -53,6 +53,11 @@ def test_a_plain_body_is_covered() -> None:
             "muscle",
         ),
         ({"joint": 'damping="1 0.5"'}, "'hip'"),
+        (
+            {"option": 'integrator="implicitfast" density="1"'},
+            "in a fluid, and its integrator is implicitfast",
+        ),
+        ({"option": 'actuatorgroupdisable="0"'}, "groups of actuators"),
     ],
 )
 def test_what_is_not_covered_is_named(parts: dict[str, str], named: str) -> None:

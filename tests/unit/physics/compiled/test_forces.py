@@ -1,5 +1,6 @@
 """Passive forces, actuators and integrators against C MuJoCo, without contacts."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -7,6 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from core.environments.brittle_star.model import star_model
+from core.environments.brittle_star.options import DirectedOptions
+from core.environments.dm_control.rodent.model import rodent_model
 from core.physics.compiled.actuation import ActuatorState, driven
 from core.physics.compiled.arithmetic import Vector, add
 from core.physics.compiled.coverage import uncovered
@@ -60,6 +64,7 @@ PULLED = """
   </actuator>
 </mujoco>
 """
+ROPE = '<spatial name="rope"><site site="a"/><site site="b"/></spatial>'
 
 
 def pulled(option: str = "", flag: str = "") -> mujoco.MjModel:
@@ -156,6 +161,22 @@ def test_forces_are_mujoco_s(option: str, flag: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("mine", "other", "reason"),
+    [
+        ('<fixed name="across" ', '<fixed name="across" range="0 1" limited="true" ', "'across' has a limit"),
+        ("<tendon>", f"<tendon>{ROPE}", "'rope' is a spatial one"),
+        ('<velocity joint="shoulder"', '<position joint="shoulder"', "holds a joint with several axes"),
+        ("<velocity joint", "<velocity jointinparent", "in its parent's frame"),
+    ],
+)
+def test_what_pulls_otherwise_is_named(mine: str, other: str, reason: str) -> None:
+    xml = PULLED.format(option="", flag="").replace(mine, other)
+    sites = '<worldbody><site name="a"/><site name="b"/>'
+    model = mujoco.MjModel.from_xml_string(xml.replace("<worldbody>", sites))
+    assert reason in (uncovered(model) or "")
+
+
+@pytest.mark.parametrize(
     ("option", "flag"),
     [
         ("", ""),
@@ -177,6 +198,21 @@ def test_a_body_without_contacts_moves_as_in_mujoco(option: str, flag: str) -> N
             assert_close(substep(ours, state, ctrl).qvel, of_all(datas, "qvel"))
     for field in ("qpos", "qvel", "act", "qfrc_actuator"):
         assert_close(getattr(after, field), of_all(datas, field), 1e-9)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: rodent_model(0.002),
+        lambda: star_model(DirectedOptions()),
+        lambda: star_model(DirectedOptions(walls="contacts")),
+    ],
+    ids=["rodent", "bound star", "free star"],
+)
+def test_forces_on_real_bodies_are_mujoco_s(build: Callable[[], mujoco.MjModel]) -> None:
+    """The rodent has actuators with activations on tendons, the brittle star is in a fluid."""
+    model = build()
+    assert_forces_are_mujoco_s(model, random_states(model, 0.1))
 
 
 def test_a_rotation_s_vector_is_mujoco_s() -> None:

@@ -1,0 +1,89 @@
+"""Environments whose models differ move as C MuJoCo moves each of those models."""
+
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from core.physics.compiled.coverage import uncovered_own
+from core.physics.compiled.derived import derived
+from core.physics.compiled.fields import Fields
+from core.physics.compiled.interpret import interpret
+from core.physics.compiled.program import Program
+from core.physics.compiled.scene import Scene
+from core.physics.compiled.substep import State, read_model, substep
+from core.physics.engine import MODEL_FIELDS
+from core.physics.model import model_field
+from tests.unit.physics.compiled.test_forces import (
+    PULLED,
+    assert_close,
+    of_all,
+    pulled,
+    random_states,
+    state_of,
+)
+
+OF_CONSTRAINTS = ("body_invweight0", "dof_frictionloss", "dof_invweight0", "geom_friction", "geom_solref")
+UNUSED = ("actuator_acc0", "tendon_invweight0", *OF_CONSTRAINTS)
+OWN = tuple(name for name in MODEL_FIELDS if name not in UNUSED)
+OF_MASSES = ("cinert", "cvel", "subtree_com", "xpos")
+STATE = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl")
+
+
+def changed(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
+    """The model with other numbers in all these fields, and the constants that follow."""
+    generator, other = np.random.default_rng(0), copy.copy(model)
+    for name in OWN:
+        values: Any = model_field(other, name)
+        values[...] += factor * generator.uniform(0.01, 0.1, size=values.shape) * (values != 0.0)
+    other.opt.gravity[:2] = factor
+    other.body_quat[:] /= np.linalg.norm(other.body_quat, axis=1, keepdims=True)
+    bodies = range(other.nbody - 1, 0, -1)
+    other.body_subtreemass[:] = other.body_mass
+    for body in bodies:
+        other.body_subtreemass[other.body_parentid[body]] += other.body_subtreemass[body]
+    return other
+
+
+def test_environments_with_fields_of_their_own_move_as_in_mujoco() -> None:
+    xml = PULLED.replace('<velocity joint="shoulder" gear="1 0 -2" kv="0.1"/>', "")
+    model = mujoco.MjModel.from_xml_string(xml.format(option='density="100" viscosity="0.1"', flag=""))
+    exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
+    model.actuator_dyntype[exact] = int(mujoco.mjtDyn.mjDYN_FILTER)
+    models = [changed(model, factor) for factor in (1.0, 1.5, 2.0, 0.0)] * 2
+    datas = random_states(model, 0.3)
+    own = {name: list(np.stack([np.ravel(model_field(one, name)) for one in models], 1)) for name in OWN}
+    assert uncovered_own(model, OWN) is None
+    state, ctrl = state_of(datas), of_all(datas, "ctrl")
+    expected = substep(read_model(model, own), state, ctrl)
+    seen = derived(Scene(Fields(model, own), state.qpos, state.qvel), OF_MASSES)
+    for one, data in zip(models, datas, strict=True):
+        mujoco.mj_forward(one, data)
+    for field, numbers in seen.items():
+        assert_close(numbers, list(np.stack([np.ravel(getattr(data, field)) for data in datas], 1)))
+    for one, data in zip(models, datas, strict=True):
+        mujoco.mj_step(one, data)
+    for field in ("qpos", "qvel", "act", "qfrc_actuator"):
+        assert_close(getattr(expected, field), of_all(datas, field), 1e-11)
+
+    program = Program()
+    given = {**own, **dict(zip(STATE, (state.qpos, state.qvel, state.act, state.qacc, ctrl), strict=True))}
+    symbols = {name: list(program.inputs(name, len(values))) for name, values in given.items()}
+    read = read_model(model, {name: symbols[name] for name in own})
+    *carried, control = (symbols[name] for name in STATE)
+    program.output("qvel", substep(read, State(*carried), control).qvel)
+    assert_close(interpret(program, given)["qvel"], expected.qvel)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("actuator_dynprm", "exact filter"),
+        ("actuator_biasprm", "turns several axes"),
+        ("geom_friction", "the same in all environments"),
+    ],
+)
+def test_fields_that_must_be_the_same_are_named(name: str, reason: str) -> None:
+    assert reason in (uncovered_own(pulled(), (name,)) or "")
