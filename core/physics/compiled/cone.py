@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from core.physics.compiled.arithmetic import Matrix, Number, Vector, dot, maximum, select, sqrt, total
 from core.physics.compiled.laws import Slope
 
-_SMALLEST = 1e-30
+# Of a squared length: its inverse to the third power is still a number in single precision.
+_SMALLEST = 1e-20
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,8 @@ from core.physics.compiled.collisions.boxes import ball_in_box
 from core.physics.compiled.collisions.shapes import Placed, Touch
 
 _SMALLEST, _FAR = 1e-15, 1e15
+# In m, of a point that is not there.
+_AWAY = 1e3
 # The way to a second point, where there is none. A way of 0 is one: MuJoCo counts that point twice.
 _NONE = -4.0
 
@@ -46,7 +48,7 @@ def capsule_box(capsule: Placed, box: Placed) -> list[Touch]:
 
 
 def _if(exists: Number, touch: Touch) -> Touch:
-    return Touch(touch.position, select(exists, touch.distance, _FAR), touch.normal)
+    return Touch(touch.position, select(exists, touch.distance, _AWAY), touch.normal)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import mujoco
 import pytest
 
-from core.physics.compiled.coverage import uncovered
+from core.physics.compiled.coverage import MOST_ROWS, uncovered
 from core.physics.model import brax_model
 
 BODY = """
@@ -62,3 +62,13 @@ def test_a_plain_body_is_covered() -> None:
 )
 def test_what_is_not_covered_is_named(parts: dict[str, str], named: str) -> None:
     assert named in (uncovered(body(**parts)) or "")
+
+
+def test_more_rows_than_code_can_hold_are_refused() -> None:
+    balls = "".join(f'<geom size="0.1" pos="{k} 0 0" condim="6"/>' for k in range(120))
+    model = mujoco.MjModel.from_xml_string(f"""
+      <mujoco><worldbody><geom type="plane" size="5 5 1"/>
+        <body><freejoint/>{balls}</body>
+      </worldbody></mujoco>
+    """)
+    assert f"more than {MOST_ROWS}" in (uncovered(model) or "")
