@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import jax
@@ -12,7 +13,7 @@ import numpy as np
 
 from core.physics.compiled.code.piece import Piece
 from core.physics.compiled.refusal import check_covered
-from core.physics.compiled.write import Plan, control_step_program, derived_program
+from core.physics.compiled.write import Plan, control_step_in_lanes, control_step_program, derived_program
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
 from core.physics.model import model_field
 
@@ -87,14 +88,14 @@ class CompiledEngine:
         inputs = self._sizes((*read, "time") if reads_time else read) | own_sizes
         written = self._sizes((*(_CARRIED if move == "step" else ()), *self._derived))
         plan = Plan(self._model, inputs, own, self._derived)
-        return Piece(
-            f"{move} {self._described} {own}",
-            lambda: (
-                control_step_program(plan, self._num_substeps) if move == "step" else derived_program(plan)
-            ),
-            inputs,
-            written,
+        described = f"{move} {self._described} {own}"
+        if move == "reset":
+            write = partial(derived_program, plan)
+            return Piece(described, write, write, inputs, written)
+        write, in_lanes = (
+            partial(one, plan, self._num_substeps) for one in (control_step_program, control_step_in_lanes)
         )
+        return Piece(described, write, in_lanes, inputs, written)
 
     def _sizes(self, names: tuple[str, ...]) -> dict[str, int]:
         """Fields without elements are neither read nor written."""

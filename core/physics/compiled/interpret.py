@@ -32,11 +32,22 @@ _FUNCTIONS: Mapping[Operation, Callable[..., NDArray[Any]]] = {
 def interpret(
     program: Program, given: Mapping[str, Sequence[NDArray[np.floating]]]
 ) -> dict[str, list[NDArray[np.floating]]]:
-    """The outputs. given: by input, an array [environments] for each of its numbers."""
+    """The outputs. given: by input, an array [environments] for each of its numbers.
+
+    Where the lanes of a folded program differ, a number is an array [lanes, environments] inside.
+    """
     dtype = next(iter(given.values()))[0].dtype
     values = Values()
     _run(program.statements, values, given, dtype)
-    return {name: [values[number] for number in numbers] for name, numbers in program.outputs.items()}  # pyright: ignore
+    found = dict[str, list[NDArray[np.floating]]]()
+    for name, outputs in program.outputs.items():
+        by_place = dict[int, NDArray[np.floating]]()
+        for output in outputs:
+            for lane, place in enumerate(output.places):
+                value = values[output.variable]
+                by_place[place] = value[lane] if value.ndim > 1 else value
+        found[name] = [by_place[place] for place in range(len(by_place))]
+    return found
 
 
 def _run(
@@ -51,6 +62,14 @@ def _run(
                 values[target] = given[name][place]
             case Assign(target=target, operation="constant", arguments=(value,)):
                 values[target] = np.asarray(value, dtype)
+            case Assign(target=target, operation="limb_constant", arguments=(int(lane), *of_lanes)):
+                values[target] = np.asarray(of_lanes[lane], dtype)
+            case Assign(target=target, operation="lane_constant", arguments=of_lanes):
+                values[target] = np.asarray(of_lanes, dtype)[:, None]
+            case Assign(target=target, operation="lane_input", arguments=(str(name), *places)):
+                values[target] = np.stack([given[name][int(place)] for place in places])
+            case Assign(target=target, operation="lane_sum", arguments=(number,)):
+                values[target] = np.sum(values[int(number)], axis=0)
             case Assign(target=target, operation=operation, arguments=arguments):
                 values[target] = _FUNCTIONS[operation](*(values[int(number)] for number in arguments))
             case Loop():

@@ -2,6 +2,11 @@
 
 A symbol stands for a number that is known only when the program runs. Operations on symbols append to the
 program's open block; equal operations are written once, and those with 0 and 1 not at all.
+
+A program may run in several lanes, each with a limb of the body and all of its trunk (`fold`). Then
+`lane_input` (name, place by lane) and `lane_constant` (value by lane) differ between lanes, and `lane_sum` is
+a number's sum over the lanes, which has the same bits in each. Before it is folded, the program of a whole
+body has `limb_constant` (lane, value by lane): the value of that lane, which must not melt into others.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -10,7 +15,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Operation = Literal[
-    "input", "constant", "add", "subtract", "multiply", "divide", "negate",
+    "input", "constant", "limb_constant", "lane_input", "lane_constant", "lane_sum",
+    "add", "subtract", "multiply", "divide", "negate",
     "sqrt", "sin", "cos", "absolute", "minimum", "maximum",
     "less", "and", "not", "select",
 ]  # fmt: skip
@@ -42,12 +48,21 @@ class Loop:
 Statement = Assign | Loop
 
 
+@dataclass(frozen=True)
+class Output:
+    """A variable that is written out. places: by lane, or one place if all lanes have the same number."""
+
+    variable: int
+    places: tuple[int, ...]
+
+
 @dataclass
 class Program:
-    """statements: of the open block. outputs: variables, by name."""
+    """statements: of the open block. outputs: by name, in the order of their places."""
 
     statements: list[Statement] = field(default_factory=list[Statement])
-    outputs: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
+    outputs: dict[str, list[Output]] = field(default_factory=dict[str, list[Output]])
+    num_lanes: int = 1
     _known: dict[tuple[object, ...], int] = field(default_factory=dict[tuple[object, ...], int])
     _num_variables: int = 0
 
@@ -56,13 +71,13 @@ class Program:
         return [self.write("input", name, place) for place in range(size)]
 
     def output(self, name: str, values: Sequence["Symbol | float"]) -> None:
-        self.outputs[name] = [self.variable(value) for value in values]
+        self.outputs[name] = [Output(self.variable(value), (place,)) for place, value in enumerate(values)]
 
     def write(self, operation: Operation, *arguments: int | float | str) -> "Symbol":
         """The symbol of an operation, which is written down unless it is there already."""
         key = (operation, *arguments)
         if key not in self._known:
-            self._known[key] = self._new_variable()
+            self._known[key] = self.new_variable()
             self.statements.append(Assign(self._known[key], operation, arguments))
         return Symbol(self, self._known[key])
 
@@ -75,31 +90,42 @@ class Program:
     def loop(
         self,
         most: int,
-        body: Callable[[list["Symbol"]], tuple[Sequence["Symbol | float"], "Symbol | bool"]],
+        body: Callable[[list["Symbol | float"]], tuple[Sequence["Symbol | float"], "Symbol | bool"]],
         carried: Sequence["Symbol | float"],
-    ) -> list["Symbol"]:
-        """The carried numbers after the repetitions; see Loop."""
-        before = [self.variable(value) for value in carried]
-        inside = [Symbol(self, self._new_variable()) for _ in carried]
-        with self._block() as statements:
-            values, go_on = body(inside)
-            after = [self.variable(value) for value in values]
-            improves = self.variable(go_on) if isinstance(go_on, Symbol) else None
-        numbers = [symbol.number for symbol in inside]
-        self.statements.append(
-            Loop(most, tuple(zip(numbers, before, after, strict=True)), tuple(statements), improves)
-        )
+    ) -> list["Symbol | float"]:
+        """The carried numbers after the repetitions; see Loop. Constants that stay are not carried."""
+        changes = [isinstance(value, Symbol) for value in carried]
+        while True:
+            inside = [
+                Symbol(self, self.new_variable()) if one else value
+                for value, one in zip(carried, changes, strict=True)
+            ]
+            with self.block() as statements:
+                values, go_on = body(inside)
+                found = [
+                    one or isinstance(after, Symbol) or after != value
+                    for value, after, one in zip(carried, values, changes, strict=True)
+                ]
+                afters = [self.variable(value) for value, one in zip(values, found, strict=True) if one]
+                improves = self.variable(go_on) if isinstance(go_on, Symbol) else None
+            if found == changes:
+                break
+            changes = found  # The body was written as if some of them were constants.
+        variables = [one.number for one in inside if isinstance(one, Symbol)]
+        befores = [self.variable(value) for value, one in zip(carried, changes, strict=True) if one]
+        entries = tuple(zip(variables, befores, afters, strict=True))
+        self.statements.append(Loop(most, entries, tuple(statements), improves))
         return inside
 
     @contextmanager
-    def _block(self) -> Generator[list[Statement]]:
+    def block(self) -> Generator[list[Statement]]:
         """A block of its own: what is computed in it is not known after it."""
         outer, known = self.statements, dict(self._known)
         self.statements = []
         yield self.statements
         self.statements, self._known = outer, known
 
-    def _new_variable(self) -> int:
+    def new_variable(self) -> int:
         self._num_variables += 1
         return self._num_variables - 1
 
@@ -111,6 +137,9 @@ class Symbol:
     program: Program
     number: int
     negative: bool = False
+
+    def __bool__(self) -> bool:
+        raise TypeError("A symbol is neither true nor false while the program is written.")
 
     def __neg__(self) -> "Symbol":
         return Symbol(self.program, self.number, not self.negative)
@@ -161,6 +190,12 @@ class Symbol:
             return 0.0
         return Symbol(self.program, self.program.variable(other)) / self
 
+    def __pow__(self, power: int) -> "Symbol | float":
+        value: Symbol | float = 1.0
+        for _ in range(power):
+            value = self * value
+        return value
+
     def __lt__(self, other: "Symbol | float") -> "Symbol":
         return self.program.write("less", self.program.variable(self), self.program.variable(other))
 
@@ -174,7 +209,15 @@ class Symbol:
         return self.program.write("not", self.number)
 
 
-def call(operation: Operation, *arguments: "Symbol | float") -> Symbol:
+def call(operation: Operation, *arguments: "Symbol | float") -> "Symbol | float":
     """A function of numbers of which at least one is a symbol."""
+    if operation == "select" and _are_same(*arguments[1:]):
+        return arguments[1]
     program = next(argument.program for argument in arguments if isinstance(argument, Symbol))
     return program.write(operation, *(program.variable(argument) for argument in arguments))
+
+
+def _are_same(one: "Symbol | float", other: "Symbol | float") -> bool:
+    if isinstance(one, Symbol) and isinstance(other, Symbol):
+        return (one.number, one.negative) == (other.number, other.negative)
+    return not isinstance(one, Symbol) and not isinstance(other, Symbol) and one == other

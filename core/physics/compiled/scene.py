@@ -36,14 +36,13 @@ class Frame:
 
 
 class Scene:
-    """qpos: [nq]. qvel: [nv]. time: in s."""
+    """qpos: [nq]. qvel: [nv]. time: in s. tree: the fields', if it was read before."""
 
-    def __init__(self, fields: Fields, qpos: Vector, qvel: Vector, time: Number = 0.0) -> None:
+    def __init__(
+        self, fields: Fields, qpos: Vector, qvel: Vector, time: Number = 0.0, tree: Tree | None = None
+    ) -> None:
         self.fields, self.qpos, self.qvel, self.time = fields, qpos, qvel, time
-
-    @cached_property
-    def tree(self) -> Tree:
-        return read_tree(self.fields.model, self.fields.own)
+        self.tree = tree or read_tree(fields.model, fields.own)
 
     @cached_property
     def tendons(self) -> tuple[Tendon, ...]:

@@ -1,20 +1,27 @@
 """The programs of an engine: a control step, and the derived fields of a state."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from math import nan
 
 import mujoco
 
 from core.physics.compiled.arithmetic import Vector, absolute, select
 from core.physics.compiled.derived import derived
 from core.physics.compiled.fields import Fields
+from core.physics.compiled.fold import folded
+from core.physics.compiled.lane_constants import NotAlike, alike_inputs, with_lane_constants
+from core.physics.compiled.limbs import Limbs, find_limbs, numbers_of_lanes
 from core.physics.compiled.program import Program, Symbol
 from core.physics.compiled.scene import Scene
 from core.physics.compiled.substep import Model, State, actuator_forces, control_step, read_model
+from core.physics.compiled.tree import Tree
 
 # In float32 no solver gets below this part of its cost.
 _LEAST_TOLERANCE = 1e-6
+_LOG = logging.getLogger(__name__)
 _OF_FORCES = "qfrc_actuator"
 
 
@@ -29,24 +36,38 @@ class Plan:
     derived: tuple[str, ...]
 
 
-def control_step_program(plan: Plan, num_substeps: int) -> Program:
+def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
+    """The same for as many lanes as the body has limbs that are alike; for one if it has none."""
+    for num_lanes in numbers_of_lanes():
+        limbs = find_limbs(plan.model, num_lanes)
+        if limbs is None:
+            continue
+        try:
+            alike = alike_inputs(read_model(plan.model), limbs, plan.own)
+            return folded(control_step_program(plan, num_substeps, limbs), alike, num_lanes)
+        except NotAlike as error:
+            _LOG.info("The body is not shared out to %d lanes: %s.", num_lanes, error)
+    return control_step_program(plan, num_substeps)
+
+
+def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = None) -> Program:
     """From an environment's state and control to qpos, qvel, act, qacc_warmstart and the derived fields.
 
     An environment in which a number is past the bound beyond which MuJoCo calls a state unstable, before or
-    after, becomes NaN.
+    after, becomes NaN. limbs: those in whose numbers the program is to be the same.
     """
-    program, given, model = _begun(plan)
+    program, given, model = _begun(plan, limbs)
     ctrl, state = given["ctrl"], _state(given)
     moved = control_step(model, num_substeps, state, ctrl, reads_forces=_OF_FORCES in plan.derived)
     after = {"qpos": moved.qpos, "qvel": moved.qvel, "act": moved.act, "qacc_warmstart": moved.qacc}
     time = [one + num_substeps * model.timestep for one in given["time"]]
     ended = State(moved.qpos, moved.qvel, moved.act, moved.qacc)
-    seen = _derived(plan, given, ended, time, moved.qfrc_actuator)
+    seen = _derived(plan, model.tree, given, ended, time, moved.qfrc_actuator)
     checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *ctrl]
     is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
     for name, values in (after | seen).items():
         if values:
-            program.output(name, [select(is_sound, x, float("nan")) for x in values])
+            program.output(name, [select(is_sound, x, nan) for x in values])
     return program
 
 
@@ -56,20 +77,21 @@ def derived_program(plan: Plan) -> Program:
     blank: Vector = [0.0] * plan.model.na
     state = State(given["qpos"], given["qvel"], blank, [0.0] * plan.model.nv)
     forces = actuator_forces(model, state, [0.0] * plan.model.nu) if _OF_FORCES in plan.derived else []
-    for name, values in _derived(plan, given, state, [0.0], forces).items():
+    for name, values in _derived(plan, model.tree, given, state, [0.0], forces).items():
         if values:
             program.output(name, values)
     return program
 
 
-def _begun(plan: Plan) -> tuple[Program, dict[str, Vector], Model]:
+def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, Vector], Model]:
     """A program with its inputs, empty where the plan has none, and the model with the inputs' fields."""
     program = Program()
     given = {name: list[Symbol]() for name in ("qpos", "qvel", "act", "qacc_warmstart", "time", "ctrl")}
     given |= {name: program.inputs(name, size) for name, size in plan.inputs.items()}
     read = read_model(plan.model, {name: given[name] for name in plan.own})
     tolerance = max(_LEAST_TOLERANCE, read.solver.tolerance)
-    return program, given, replace(read, solver=replace(read.solver, tolerance=tolerance))
+    read = replace(read, solver=replace(read.solver, tolerance=tolerance))
+    return program, given, with_lane_constants(program, read, limbs) if limbs else read
 
 
 def _state(given: Mapping[str, Vector]) -> State:
@@ -77,10 +99,10 @@ def _state(given: Mapping[str, Vector]) -> State:
 
 
 def _derived(
-    plan: Plan, given: Mapping[str, Vector], state: State, time: Vector, forces: Vector
+    plan: Plan, tree: Tree, given: Mapping[str, Vector], state: State, time: Vector, forces: Vector
 ) -> dict[str, Vector]:
     own = {name: given[name] for name in plan.own}
-    scene = Scene(Fields(plan.model, own), state.qpos, state.qvel, time[0] if time else 0.0)
+    scene = Scene(Fields(plan.model, own), state.qpos, state.qvel, time[0] if time else 0.0, tree)
     found = derived(scene, tuple(name for name in plan.derived if name != _OF_FORCES))
     return {name: forces if name == _OF_FORCES else found[name] for name in plan.derived}
 

@@ -10,7 +10,8 @@ def array_sizes(program: Program) -> dict[str, int]:
     """
     sizes = dict[str, int]()
     for one in program.statements:
-        if isinstance(one, Assign) and one.operation == "input":
-            name, place = str(one.arguments[0]), int(one.arguments[1])
-            sizes[name] = max(sizes.get(name, 0), place + 1)
-    return sizes | {f"to_{name}": len(variables) for name, variables in program.outputs.items()}
+        if isinstance(one, Assign) and one.operation in ("input", "lane_input"):
+            name, *places = one.arguments
+            sizes[str(name)] = max(sizes.get(str(name), 0), *(int(place) + 1 for place in places))
+    outputs = program.outputs.items()
+    return sizes | {f"to_{name}": sum(len(one.places) for one in several) for name, several in outputs}

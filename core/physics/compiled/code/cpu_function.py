@@ -1,11 +1,13 @@
 """A program as a function for a CPU, with an environment in each lane of a vector."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from core.physics.compiled.code.arrays import array_sizes
 from core.physics.compiled.code.writer import Target, Writer
 from core.physics.compiled.program import Program
+
+_WHOLE = "A vector's lanes are environments: the program must be a whole body's."
 
 
 @dataclass(frozen=True)
@@ -14,21 +16,27 @@ class _Rows:
 
     sizes: Mapping[str, int]
 
-    def load(self, writer: Writer, target: str, name: str, place: int) -> None:
+    def load(self, writer: Writer, target: str, name: str, places: Sequence[int]) -> None:
         width, number, truth = writer.target.width, writer.target.number, writer.target.truth
-        pointers = self._pointers(writer, name, place)
+        pointers = self._pointers(writer, name, places[0])
         writer.line(
             f"{target} = call {number} @llvm.masked.gather.v{width}f32.v{width}p0("
             f"<{width} x ptr> {pointers}, i32 4, {truth} %exists, {number} zeroinitializer)"
         )
 
-    def store(self, writer: Writer, name: str, place: int, value: str) -> None:
+    def store(self, writer: Writer, name: str, places: Sequence[int], value: str) -> None:
         width, number, truth = writer.target.width, writer.target.number, writer.target.truth
-        pointers = self._pointers(writer, name, place)
+        pointers = self._pointers(writer, name, places[0])
         writer.line(
             f"call void @llvm.masked.scatter.v{width}f32.v{width}p0("
             f"{number} {value}, <{width} x ptr> {pointers}, i32 4, {truth} %exists)"
         )
+
+    def lane_constant(self, writer: Writer, target: str, values: Sequence[float]) -> None:
+        raise NotImplementedError(_WHOLE)
+
+    def lane_sum(self, writer: Writer, target: str, value: str) -> None:
+        raise NotImplementedError(_WHOLE)
 
     def _pointers(self, writer: Writer, name: str, place: int) -> str:
         """Where each lane's environment has this number."""
@@ -47,9 +55,9 @@ def cpu_function(program: Program, name: str, width: int) -> str:
     target = Target(width, allowed="")
     writer = Writer(target, _Rows(sizes), block="group")
     writer.write(program.statements)
-    for output, variables in program.outputs.items():
-        for place, variable in enumerate(variables):
-            writer.memory.store(writer, f"to_{output}", place, f"%v{variable}")
+    for name_of_array, outputs in program.outputs.items():
+        for output in outputs:
+            writer.memory.store(writer, f"to_{name_of_array}", output.places, f"%v{output.variable}")
     lanes, pointers = target.of("i64"), target.of("ptr")
     order = ", ".join(f"i64 {lane}" for lane in range(width))
     arrays = ", ".join(f"ptr noalias %{one}" for one in sizes)

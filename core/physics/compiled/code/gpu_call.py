@@ -12,11 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from core.physics.compiled.code.gpu_kernel import NUM_THREADS
 from core.physics.compiled.code.piece import FUNCTION, Piece
 
 _TARGET = "__gpu$xla.gpu.ptx"
-# A warp: the fewest that a card runs, so that few environments still spread over all of it.
-_NUM_THREADS = 32
 
 
 class GpuCall:
@@ -24,7 +23,7 @@ class GpuCall:
 
     def __init__(self, piece: Piece) -> None:
         self._piece = piece
-        self._code = piece.gpu_code(jax.devices("gpu")[0].compute_capability, _NUM_THREADS)
+        self._kernel = piece.kernel(jax.devices("gpu")[0].compute_capability)
         self._many: Any = jax.custom_batching.custom_vmap(self._launch)
         self._many.def_vmap(self._on_another_axis)
 
@@ -45,8 +44,8 @@ class GpuCall:
             *arrays,
             name=FUNCTION,
             kernel_type="ptx",
-            kernel_data=self._code,
-            **_grid(math.ceil(num_envs / _NUM_THREADS)),
+            kernel_data=self._kernel.ptx,
+            **_grid(math.ceil(num_envs * self._kernel.num_lanes / NUM_THREADS)),
             shared_mem_bytes=np.int32(0),
             output_indices=np.arange(num_given, num_given + len(shapes), dtype=np.int32),
         )
@@ -64,6 +63,6 @@ class GpuCall:
 
 
 def _grid(num_blocks: int) -> dict[str, np.int32]:
-    first = {"grid_x": num_blocks, "block_x": _NUM_THREADS}
+    first = {"grid_x": num_blocks, "block_x": NUM_THREADS}
     others = dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
     return {name: np.int32(size) for name, size in (first | others).items()}

@@ -1,71 +1,140 @@
-"""A program as a kernel for NVIDIA's GPUs, with an environment in each thread."""
+"""A program as a kernel for NVIDIA's GPUs, with an environment in a thread, or in one for each limb."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from core.physics.compiled.code.arrays import array_sizes
 from core.physics.compiled.code.writer import Target, Writer
 from core.physics.compiled.program import Program
 
 TRIPLE = "nvptx64-nvidia-cuda"
+# A block is a warp: the fewest threads that a card runs, so that few environments spread over all of it.
+NUM_THREADS = 32
 _TARGET = Target(1, allowed="afn arcp")
+_GLOBAL = "ptr addrspace(1)"
+_SHUFFLE = "llvm.nvvm.shfl.sync.bfly.f32"
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Arrays [environments, size] in the card's memory."""
+    """Arrays [environments, size] in the card's memory.
+
+    places, constants: tables of what differs between lanes, a row for each use.
+    """
 
     sizes: Mapping[str, int]
+    num_lanes: int
+    places: list[Sequence[int]] = field(default_factory=list[Sequence[int]])
+    constants: list[Sequence[float]] = field(default_factory=list[Sequence[float]])
 
-    def load(self, writer: Writer, target: str, name: str, place: int) -> None:
-        pointer = self._pointer(writer, name, place)
-        writer.line(f"{target} = load float, ptr addrspace(1) {pointer}, !invariant.load !0")
+    def load(self, writer: Writer, target: str, name: str, places: Sequence[int]) -> None:
+        pointer = self._pointer(writer, name, places)
+        writer.line(f"{target} = load float, {_GLOBAL} {pointer}, !invariant.load !0")
 
-    def store(self, writer: Writer, name: str, place: int, value: str) -> None:
-        writer.line(f"store float {value}, ptr addrspace(1) {self._pointer(writer, name, place)}")
+    def store(self, writer: Writer, name: str, places: Sequence[int], value: str) -> None:
+        """What all lanes have is written by the first."""
+        pointer = self._pointer(writer, name, places)
+        writes = "%exists" if len(places) == self.num_lanes else "%leads"
+        done, written = writer.name()[1:], writer.name()[1:]
+        writer.line(f"br i1 {writes}, label %{written}, label %{done}")
+        writer.lines.append(f"{written}:")
+        writer.line(f"store float {value}, {_GLOBAL} {pointer}")
+        writer.line(f"br label %{done}")
+        writer.lines.append(f"{done}:")
 
-    def _pointer(self, writer: Writer, name: str, place: int) -> str:
+    def lane_constant(self, writer: Writer, target: str, values: Sequence[float]) -> None:
+        self.constants.append(values)
+        pointer = self._entry(writer, "constants", "float", len(self.constants) - 1)
+        writer.line(f"{target} = load float, {_GLOBAL} {pointer}, !invariant.load !0")
+
+    def lane_sum(self, writer: Writer, target: str, value: str) -> None:
+        """In pairs, and pairs of pairs: every lane adds the same numbers in the same order."""
+        distance = 1
+        while distance < self.num_lanes:
+            other = writer.value(f"call float @{_SHUFFLE}(i32 %mask, float {value}, i32 {distance}, i32 31)")
+            distance *= 2
+            if distance < self.num_lanes:
+                value = writer.value(f"fadd float {value}, {other}")
+            else:
+                writer.line(f"{target} = fadd float {value}, {other}")
+
+    def _pointer(self, writer: Writer, name: str, places: Sequence[int]) -> str:
+        place = str(places[0])
+        if len(places) > 1:
+            self.places.append(places)
+            entry = self._entry(writer, "places", "i64", len(self.places) - 1)
+            place = writer.value(f"load i64, {_GLOBAL} {entry}, !invariant.load !0")
         row = f"[{self.sizes[name]} x float]"
-        return writer.value(f"getelementptr {row}, ptr addrspace(1) %{name}, i64 %environment, i64 {place}")
+        return writer.value(f"getelementptr {row}, {_GLOBAL} %{name}, i64 %environment, i64 {place}")
+
+    def _entry(self, writer: Writer, table: str, element: str, row: int) -> str:
+        kind = f"[{self.num_lanes} x {element}]"
+        return writer.value(f"getelementptr {kind}, {_GLOBAL} @{table}, i64 {row}, i64 %lane")
+
+    def tables(self) -> list[str]:
+        values = [[_TARGET.constant(value) for value in row] for row in self.constants]
+        return [
+            _table("places", "i64", [[str(place) for place in row] for row in self.places], self.num_lanes),
+            _table("constants", "float", values, self.num_lanes),
+        ]
 
 
-def gpu_kernel(program: Program, name: str, threads: int) -> str:
+def gpu_kernel(program: Program, name: str) -> str:
     """A module with the kernel `name(count, inputs..., outputs...)`, in the program's order.
 
     count: a pointer to the number of environments, int32. An input or output is a pointer to float32
-    [environments, size]. threads: of a block.
+    [environments, size]. Blocks have NUM_THREADS threads, of which each environment takes as many as the
+    program has lanes.
     """
-    sizes = array_sizes(program)
-    writer = Writer(_TARGET, _Rows(sizes), block="body")
+    sizes, lanes = array_sizes(program), program.num_lanes
+    rows = _Rows(sizes, lanes)
+    writer = Writer(_TARGET, rows, block="body")
     writer.write(program.statements)
-    for output, variables in program.outputs.items():
-        for place, variable in enumerate(variables):
-            writer.memory.store(writer, f"to_{output}", place, f"%v{variable}")
-    arrays = ", ".join(f"ptr addrspace(1) noalias %{one}" for one in sizes)
-    read = "declare i32 @llvm.nvvm.read.ptx.sreg"
+    for array, outputs in program.outputs.items():
+        for output in outputs:
+            rows.store(writer, f"to_{array}", output.places, f"%v{output.variable}")
+    arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in sizes)
+    read = "i32 @llvm.nvvm.read.ptx.sreg"
     return "\n".join(
         [
             f'target triple = "{TRIPLE}"',
+            *rows.tables(),
             *_TARGET.declarations(),
-            *(f"{read}.{register}()" for register in ("tid.x", "ctaid.x")),
-            f"define ptx_kernel void @{name}(ptr addrspace(1) %count, {arrays}) "
-            f'"nvvm.maxntid"="{threads}" {{',
-            "entry:",
-            "  %thread = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()",
-            "  %block = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()",
-            f"  %before = mul i32 %block, {threads}",
-            "  %number = add i32 %before, %thread",
-            "  %environment = zext i32 %number to i64",
-            "  %environments = load i32, ptr addrspace(1) %count",
-            "  %exists = icmp slt i32 %number, %environments",
-            "  br i1 %exists, label %body, label %done",
+            *(f"declare {read}.{register}()" for register in ("tid.x", "ctaid.x")),
+            f"declare float @{_SHUFFLE}(i32, float, i32, i32)",
+            f'define ptx_kernel void @{name}({_GLOBAL} %count, {arrays}) "nvvm.maxntid"="{NUM_THREADS}" {{',
             "body:",
+            f"  %thread = call {read}.tid.x()",
+            f"  %block = call {read}.ctaid.x()",
+            f"  %before = mul i32 %block, {NUM_THREADS // lanes}",
+            f"  %inside = udiv i32 %thread, {lanes}",
+            "  %number = add i32 %before, %inside",
+            f"  %lane_number = urem i32 %thread, {lanes}",
+            "  %lane = zext i32 %lane_number to i64",
+            # Lanes of an environment take the same way, and other environments another.
+            f"  %first = mul i32 %inside, {lanes}",
+            f"  %mask = shl i32 {np.uint32(2**lanes - 1).astype(np.int32)}, %first",
+            f"  %environments = load i32, {_GLOBAL} %count",
+            "  %exists = icmp slt i32 %number, %environments",
+            "  %is_first = icmp eq i32 %lane_number, 0",
+            "  %leads = and i1 %exists, %is_first",
+            # Threads without an environment compute the last one's, and write nothing.
+            "  %last = sub i32 %environments, 1",
+            "  %known = select i1 %exists, i32 %number, i32 %last",
+            "  %environment = zext i32 %known to i64",
             *writer.lines,
-            "  br label %done",
-            "done:",
             "  ret void",
             "}",
             "!0 = !{}",
             "",
         ]
     )
+
+
+def _table(name: str, element: str, rows: Sequence[Sequence[str]], width: int) -> str:
+    kind = f"[{width} x {element}]"
+    values = ", ".join(f"{kind} [{', '.join(f'{element} {one}' for one in row)}]" for row in rows)
+    content = f"[{values}]" if rows else "zeroinitializer"
+    return f"@{name} = internal addrspace(1) constant [{len(rows)} x {kind}] {content}"

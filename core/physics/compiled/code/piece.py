@@ -11,12 +11,22 @@ FUNCTION = "move"
 
 
 @dataclass(frozen=True)
+class Kernel:
+    """num_lanes: threads of an environment."""
+
+    num_lanes: int
+    ptx: str
+
+
+@dataclass(frozen=True)
 class Piece:
-    """described: what tells it from other programs. write: writes the program. inputs, outputs: by name, how
-    many numbers of an environment an array holds, in the program's order."""
+    """described: what tells it from other programs. write: writes the program; write_lanes: the same for
+    several lanes, if the body has limbs that are alike. inputs, outputs: by name, how many numbers of an
+    environment an array holds, in the program's order."""
 
     described: str
     write: Callable[[], Program]
+    write_lanes: Callable[[], Program]
     inputs: Mapping[str, int]
     outputs: Mapping[str, int]
 
@@ -26,23 +36,25 @@ class Piece:
         from core.physics.compiled.code.machine_code import machine_code, processor, vector_width
 
         def make() -> bytes:
-            return machine_code(cpu_function(self._written(), FUNCTION, vector_width()))
+            return machine_code(cpu_function(self._checked(self.write()), FUNCTION, vector_width()))
 
         return kept(f"{self.described} for {processor()}", make)
 
-    def gpu_code(self, compute_capability: str, num_threads: int) -> str:
-        """PTX for cards of this compute capability, with blocks of this many threads."""
+    def kernel(self, compute_capability: str) -> Kernel:
+        """For cards of this compute capability."""
         from core.physics.compiled.code.gpu_kernel import gpu_kernel
         from core.physics.compiled.code.ptx import ptx
 
         def make() -> bytes:
-            return ptx(gpu_kernel(self._written(), FUNCTION, num_threads), compute_capability).encode()
+            program = self._checked(self.write_lanes())
+            code = ptx(gpu_kernel(program, FUNCTION), compute_capability)
+            return f"{program.num_lanes} {code}".encode()
 
-        return kept(f"{self.described} for {compute_capability} in {num_threads}", make).decode()
+        num_lanes, code = kept(f"{self.described} for {compute_capability}", make).decode().split(" ", 1)
+        return Kernel(int(num_lanes), code)
 
-    def _written(self) -> Program:
-        """The program. Raises ValueError if its arrays are others, which would write into foreign memory."""
-        program = self.write()
+    def _checked(self, program: Program) -> Program:
+        """Raises ValueError if the program's arrays are others, which would write into foreign memory."""
         expected = {**self.inputs, **{f"to_{name}": size for name, size in self.outputs.items()}}
         found = array_sizes(program)
         if list(found.items()) != list(expected.items()):

@@ -70,11 +70,15 @@ class Target:
 
 
 class Memory(Protocol):
-    """Where inputs and outputs are."""
+    """Where inputs and outputs are, and how lanes meet. places, values: by lane, or one for all lanes."""
 
-    def load(self, writer: "Writer", target: str, name: str, place: int) -> None: ...
+    def load(self, writer: "Writer", target: str, name: str, places: Sequence[int]) -> None: ...
 
-    def store(self, writer: "Writer", name: str, place: int, value: str) -> None: ...
+    def store(self, writer: "Writer", name: str, places: Sequence[int], value: str) -> None: ...
+
+    def lane_constant(self, writer: "Writer", target: str, values: Sequence[float]) -> None: ...
+
+    def lane_sum(self, writer: "Writer", target: str, value: str) -> None: ...
 
 
 @dataclass
@@ -112,8 +116,13 @@ class Writer:
     def _assign(self, statement: Assign) -> None:
         target, operation, arguments = f"%v{statement.target}", statement.operation, statement.arguments
         match operation:
-            case "input":
-                self.memory.load(self, target, str(arguments[0]), int(arguments[1]))
+            case "input" | "lane_input":
+                name, *places = arguments
+                self.memory.load(self, target, str(name), [int(place) for place in places])
+            case "lane_constant":
+                self.memory.lane_constant(self, target, [float(value) for value in arguments])
+            case "lane_sum":
+                self.memory.lane_sum(self, target, f"%v{arguments[0]}")
             case "constant":
                 # `bitcast` gives a constant a name.
                 number = self.target.number
@@ -230,7 +239,8 @@ class Writer:
         kept = dict[int, str]()
         for variable, _, value in loop.carried:
             kept[variable] = f"%v{value}"
-            if loop.improves is not None:
+            # A single environment is in the loop only while it runs.
+            if loop.improves is not None and self.target.width > 1:
                 kept[variable] = self.name()
                 self._select(kept[variable], running, f"%v{value}", f"%v{variable}")
         true = self.target.splat("i1", "true")
