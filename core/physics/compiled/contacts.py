@@ -28,9 +28,10 @@ from core.physics.compiled.collisions.shapes import Geom, Touch, placed, read_ge
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.cone import Cone
 from core.physics.compiled.dynamics import Motion
+from core.physics.compiled.fields import Fields
 from core.physics.compiled.kinematics import Poses
 from core.physics.compiled.laws import Law, OneSided, Pyramid
-from core.physics.compiled.pairs import Parameters, read_pairs
+from core.physics.compiled.pairs import Pair, Parameters, read_pairs
 from core.physics.compiled.rows import Direction, Group
 from core.physics.compiled.softness import impedance_at, reference_at, stiffness_at
 from core.physics.compiled.tree import Tree
@@ -47,7 +48,7 @@ class Contact:
     one: Geom
     other: Shape
     parameters: Parameters
-    inverse_weight: float
+    inverse_weight: Number
     is_elliptic: bool
     impratio: float
 
@@ -64,21 +65,27 @@ class Contact:
         return COLLIDERS[self.kinds][1] * at_a_point
 
 
-def read_contacts(model: mujoco.MjModel) -> tuple[Contact, ...]:
+def read_contacts(fields: Fields) -> tuple[Contact, ...]:
     """All that can touch and move."""
+    model = fields.model
     geoms = read_geoms(model)
-    pairs = [pair for pair in read_pairs(model) if geoms[pair.one].body or geoms[pair.other].body]
+    pairs = [pair for pair in read_pairs(model, fields.own) if geoms[pair.one].body or geoms[pair.other].body]
     return tuple(
         Contact(
             one=geoms[pair.one],
             other=other,
             parameters=pair.parameters,
-            inverse_weight=float(model.body_invweight0[model.geom_bodyid[[pair.one, pair.other]], 0].sum()),
+            inverse_weight=_inverse_weight(fields, pair),
             is_elliptic=model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC,
             impratio=float(model.opt.impratio),
         )
         for pair, other in merged(pairs, geoms)
     )
+
+
+def _inverse_weight(fields: Fields, pair: Pair) -> Number:
+    bodies = fields.model.geom_bodyid[[pair.one, pair.other]]
+    return total(fields.number("body_invweight0", int(body)) for body in bodies)
 
 
 def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:

@@ -62,8 +62,6 @@ def uncovered_own(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
 
 
 def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
-    if name in _OF_CONSTRAINTS:
-        yield f"{name} is the same in all environments"
     if name == "actuator_dynprm":
         exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
         yield from (f"{name}: {reason}" for reason in _where(model, "actuator", exact, "is an exact filter"))
@@ -248,8 +246,6 @@ _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
     _options, _combinations, _parts, _joints, _tendons, _actuators, _contacts, _rows,
 )  # fmt: skip
 _CURVE = "has a `solimp` whose power is not a multiple of a half"
-# Fields of `engine.MODEL_FIELDS` that only constraints read.
-_OF_CONSTRAINTS = ("body_invweight0", "dof_frictionloss", "dof_invweight0", "geom_friction", "geom_solref")
 
 
 def _uncomputable(solimp: np.ndarray) -> np.ndarray:

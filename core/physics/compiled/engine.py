@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from core.physics.compiled.code.piece import Piece
-from core.physics.compiled.refusal import check_covered
+from core.physics.compiled.refusal import check_covered, check_own
 from core.physics.compiled.write import Plan, control_step_in_lanes, control_step_program, derived_program
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
 from core.physics.model import model_field
@@ -77,6 +77,7 @@ class CompiledEngine:
     def _call(self, move: _Move, own: tuple[str, ...]) -> tuple[Piece, _Call]:
         """The move, for environments that differ in these fields of the model."""
         if (move, own) not in self._calls:
+            check_own(self._model, own)
             piece = self._piece(move, own)
             self._calls[move, own] = piece, _on_this_device(piece)
         return self._calls[move, own]

@@ -5,10 +5,13 @@ Source: MuJoCo's documentation, Computation, "Collision detection", "Selection",
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 
 import mujoco
 import numpy as np
 
+from core.physics.compiled.arithmetic import Number, maximum, minimum
+from core.physics.compiled.fields import NOMINAL, Fields, Own
 from core.physics.compiled.softness import Softness, read_softness
 
 
@@ -21,11 +24,11 @@ class Parameters:
     looked at. friction_damping: of an elliptic cone's directions but the normal.
     """
 
-    friction: tuple[float, ...]
+    friction: tuple[Number, ...]
     softness: Softness
     margin: float
     reach: float
-    friction_damping: float
+    friction_damping: Number
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,15 @@ class Pair:
     parameters: Parameters
 
 
-def read_pairs(model: mujoco.MjModel) -> list[Pair]:
-    """The geoms that can touch: pairs that the model lists, and those that its filter lets pass."""
-    listed = listed_geoms(model)
+def read_pairs(model: mujoco.MjModel, own: Own = NOMINAL) -> list[Pair]:
+    """The geoms that can touch: pairs that the model lists, and those that its filter lets pass.
+
+    own: see `Fields`.
+    """
+    fields, listed = Fields(model, own), listed_geoms(model)
     found = [_pair(model, one, other, _of_pair(model, place)) for place, (one, other) in enumerate(listed)]
     return found + [
-        _pair(model, one, other, _of_geoms(model, one, other)) for one, other in touching_geoms(model)
+        _pair(model, one, other, _of_geoms(fields, one, other)) for one, other in touching_geoms(model)
     ]
 
 
@@ -66,18 +72,24 @@ def touching_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
                 yield one, int(other)
 
 
-def softness_of(model: mujoco.MjModel, one: int, other: int) -> tuple[np.ndarray, np.ndarray]:
-    """solref [2] and solimp [5] of two geoms: those of the one with the higher priority, or between both."""
+def _softness_of(fields: Fields, one: int, other: int) -> Softness:
+    """Of two geoms: that of the one with the higher priority, or between both."""
+    model, both = fields.model, (one, other)
+    solref, solimp, timestep = model.geom_solref, model.geom_solimp, model.opt.timestep
     priorities = model.geom_priority[[one, other]]
     if priorities[0] != priorities[1]:
-        first = (one, other)[int(priorities.argmax())]
-        return model.geom_solref[first], model.geom_solimp[first]
+        first = both[int(priorities.argmax())]
+        return read_softness(fields.row("geom_solref", first), solimp[first], timestep, solref[first])
     share = _share(float(model.geom_solmix[one]), float(model.geom_solmix[other]))
-    solref, solimp = model.geom_solref, model.geom_solimp
-    mixed = share * solref[one] + (1.0 - share) * solref[other]
-    are_times = bool((solref[[one, other], 0] > 0.0).all())
-    reference = mixed if are_times else np.minimum(solref[one], solref[other])
-    return reference, share * solimp[one] + (1.0 - share) * solimp[other]
+    rows = zip(*(fields.row("geom_solref", geom) for geom in both), strict=True)
+    if (solref[[one, other], 0] > 0.0).all():
+        reference = [share * x + (1.0 - share) * y for x, y in rows]
+        kind = share * solref[one] + (1.0 - share) * solref[other]
+    else:
+        reference = [minimum(x, y) for x, y in rows]
+        kind = np.minimum(solref[one], solref[other])
+    between = share * solimp[one] + (1.0 - share) * solimp[other]
+    return read_softness(reference, between, timestep, kind)
 
 
 def _bodies_may(model: mujoco.MjModel, one: int, other: int) -> bool:
@@ -98,13 +110,14 @@ def _pair(model: mujoco.MjModel, one: int, other: int, parameters: Parameters) -
     return Pair(first, second, parameters)
 
 
-def _of_geoms(model: mujoco.MjModel, one: int, other: int) -> Parameters:
-    both = [one, other]
+def _of_geoms(fields: Fields, one: int, other: int) -> Parameters:
+    model, both = fields.model, [one, other]
     priorities = model.geom_priority[both]
     chosen = [both[int(priorities.argmax())]] if priorities[0] != priorities[1] else both
-    sliding, turning, rolling = (float(x) for x in model.geom_friction[chosen].max(axis=0))
+    rows = [fields.row("geom_friction", geom) for geom in chosen]
+    sliding, turning, rolling = (reduce(maximum, several) for several in zip(*rows, strict=True))
     friction = (sliding, sliding, turning, rolling, rolling)
-    softness = read_softness(*softness_of(model, one, other), model.opt.timestep)
+    softness = _softness_of(fields, one, other)
     margin, gap = float(model.geom_margin[both].sum()), float(model.geom_gap[both].sum())
     dimensions = int(model.geom_condim[chosen].max())
     return Parameters(_bounded(friction, dimensions), softness, margin, margin + gap, softness.damping)
@@ -121,8 +134,8 @@ def _of_pair(model: mujoco.MjModel, place: int) -> Parameters:
     return Parameters(_bounded(friction, int(model.pair_dim[place])), softness, margin, margin + gap, damping)
 
 
-def _bounded(friction: tuple[float, ...], dimensions: int) -> tuple[float, ...]:
-    return tuple(max(float(mujoco.mjMINMU), x) for x in friction[: dimensions - 1])
+def _bounded(friction: tuple[Number, ...], dimensions: int) -> tuple[Number, ...]:
+    return tuple(maximum(x, float(mujoco.mjMINMU)) for x in friction[: dimensions - 1])
 
 
 def _share(one: float, other: float) -> float:

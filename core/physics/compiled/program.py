@@ -138,6 +138,12 @@ class Symbol:
     number: int
     negative: bool = False
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Symbol) and (self.number, self.negative) == (other.number, other.negative)
+
+    def __hash__(self) -> int:
+        return hash((self.number, self.negative))
+
     def __bool__(self) -> bool:
         raise TypeError("A symbol is neither true nor false while the program is written.")
 
@@ -218,6 +224,4 @@ def call(operation: Operation, *arguments: "Symbol | float") -> "Symbol | float"
 
 
 def _are_same(one: "Symbol | float", other: "Symbol | float") -> bool:
-    if isinstance(one, Symbol) and isinstance(other, Symbol):
-        return (one.number, one.negative) == (other.number, other.negative)
-    return not isinstance(one, Symbol) and not isinstance(other, Symbol) and one == other
+    return isinstance(one, Symbol) == isinstance(other, Symbol) and one == other

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from core.physics.compiled.arithmetic import Number, absolute, minimum, select, sqrt
+from core.physics.compiled.arithmetic import Number, absolute, maximum, minimum, select, sqrt
 
 _SMALLEST = float(mujoco.mjMINVAL)
 _DEFAULT = (0.02, 1.0)
@@ -30,16 +30,25 @@ class Impedance:
 class Softness:
     """A row at distance r < 0 with speed v wants the acceleration -damping · v - stiffness · d(r) · r."""
 
-    stiffness: float
-    damping: float
+    stiffness: Number
+    damping: Number
     impedance: Impedance
 
 
-def read_softness(solref: np.ndarray, solimp: np.ndarray, timestep: float) -> Softness:
-    """solref: [2], a time constant and a damping ratio, or a stiffness and a damping below 0. solimp: [5]."""
-    first, second = (float(x) for x in solref)
-    if (first > 0.0) != (second > 0.0):
-        first, second = _DEFAULT
+def read_softness(
+    solref: Sequence[Number] | np.ndarray,
+    solimp: np.ndarray,
+    timestep: float,
+    kind: Sequence[float] | np.ndarray | None = None,
+) -> Softness:
+    """solref: [2], a time constant and a damping ratio, or a stiffness and a damping below 0. solimp: [5].
+
+    kind: numbers with the signs of solref, where those of solref itself are not known yet.
+    """
+    first, second = solref
+    signs = [x > 0.0 for x in (solref if kind is None else kind)]
+    if signs[0] != signs[1]:
+        (first, second), signs = _DEFAULT, [True, True]
     lowest, highest = (_between_bounds(x) for x in solimp[:2])
     width, midpoint, power = (
         max(0.0, float(solimp[2])),
@@ -47,10 +56,10 @@ def read_softness(solref: np.ndarray, solimp: np.ndarray, timestep: float) -> So
         max(1.0, float(solimp[4])),
     )
     impedance = Impedance(lowest, highest, width, midpoint, power)
-    if first > 0.0:
-        time_constant = max(first, 2.0 * timestep)
-        stiffness = 1.0 / max(_SMALLEST, highest**2 * time_constant**2 * second**2)
-        return Softness(stiffness, 2.0 / max(_SMALLEST, highest * time_constant), impedance)
+    if signs[0]:
+        time_constant = maximum(first, 2.0 * timestep)
+        stiffness = 1.0 / maximum(highest**2 * time_constant**2 * second**2, _SMALLEST)
+        return Softness(stiffness, 2.0 / maximum(highest * time_constant, _SMALLEST), impedance)
     return Softness(-first / max(_SMALLEST, highest**2), -second / max(_SMALLEST, highest), impedance)
 
 
@@ -67,7 +76,7 @@ def impedance_at(impedance: Impedance, distance: Number) -> Number:
     return impedance.lowest + _curve(impedance, x) * (impedance.highest - impedance.lowest)
 
 
-def stiffness_at(impedance: Number, inverse_weight: float, distance: Number) -> Number:
+def stiffness_at(impedance: Number, inverse_weight: Number, distance: Number) -> Number:
     """1 / R, with R = (1 - d) / d · A; 0 where the constraint is not active."""
     return select(distance < 0.0, impedance / ((1.0 - impedance) * inverse_weight), 0.0)
 

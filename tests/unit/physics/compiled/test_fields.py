@@ -82,7 +82,6 @@ def test_environments_with_fields_of_their_own_move_as_in_mujoco() -> None:
     [
         ("actuator_dynprm", "exact filter"),
         ("actuator_biasprm", "turns several axes"),
-        ("geom_friction", "the same in all environments"),
     ],
 )
 def test_fields_that_must_be_the_same_are_named(name: str, reason: str) -> None:
