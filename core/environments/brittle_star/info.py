@@ -15,6 +15,8 @@ from core.environments.brittle_star.options import (
 from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
 from core.physics.availability import EngineName, Rule, beyond_compiled
 
+# `core.physics.compiled.coverage.MOST_ROWS`, which cannot be imported without MuJoCo.
+_MOST_ROWS = 400
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
 _MAX_SEGMENTS_ON_MJX = 50
 _ON_A_GPU = (
@@ -33,7 +35,7 @@ def _under(options: Options) -> Mapping[str, Any]:
         "finite": _finite(options),
         "dt": options.dt,
         "episode_length": options.episode_length,
-        "cannot_run": _cannot_run(total),
+        "cannot_run": _cannot_run(options),
     }
 
 
@@ -53,16 +55,31 @@ def _finite(options: Options) -> FiniteViews:
     return FiniteViews(states, cannot_offer={**why, "arm_actions": "its arms differ in their joints"})
 
 
-def _cannot_run(num_segments: int) -> Mapping[EngineName, str]:
-    cannot: dict[EngineName, str] = {
-        "compiled": beyond_compiled("it moves in a fluid (`density`, `viscosity`)")
-    }
+def _cannot_run(options: Options) -> Mapping[EngineName, str]:
+    cannot: dict[EngineName, str] = {}
+    if reason := _beyond_compiled(options):
+        cannot["compiled"] = beyond_compiled(reason)
+    num_segments = sum(options.segments)
     if num_segments > _MAX_SEGMENTS_ON_MJX:
         cannot["mjx"] = (
             f"The star has {num_segments} segments, and MJX does not compile in time with more than "
             f"{_MAX_SEGMENTS_ON_MJX}. Choose native or warp, or fewer segments."
         )
     return cannot
+
+
+def _beyond_compiled(options: Options) -> str | None:
+    """What the engine `compiled` lacks."""
+    num_segments = sum(options.segments)
+    # Of the disk, and of each segment's limits and points; and the same with the walls.
+    rows = 26 + 14 * num_segments + (94 + 48 * num_segments if options.walls == "contacts" else 0)
+    if rows > _MOST_ROWS:
+        return f"it can have more than {_MOST_ROWS} constraint rows at once"
+    if "segment_contact" not in observed(options):
+        return None
+    arm = next(arm for arm, number in enumerate(options.segments) if number)
+    sensor = f"BrittleStarMorphology/arm_{arm}_segment_0_contact_site_contact_sensor"
+    return f"sensordata: its sensor '{sensor}' is of the kind touch"
 
 
 def _row(id: str, task: str, description: str, options: type[Options]) -> EnvironmentInfo:

@@ -160,21 +160,21 @@ def _cannot_run(options: CorridorOptions) -> Mapping[EngineName, str]:
             f"MJX has no contacts between ellipsoids and boxes: the {options.walker} has ellipsoids, and "
             f"the arena {options.arena!r} has boxes. Choose native or warp, or the arena 'empty'."
         )
-    if reason := _BEYOND_COMPILED[options.walker] or _BOXES[options.arena]:
+    if reason := _BEYOND_COMPILED.get((options.walker, options.arena)):
         cannot["compiled"] = beyond_compiled(reason)
     return cannot
 
 
-# What `compiled` lacks for a walker in any arena, and for every walker in an arena.
-_BEYOND_COMPILED: Mapping[Walker, str] = {
-    "ant": "",
-    "rodent": "it has a tendon, 'walker/lumbar_extend'",
-    "humanoid": "an actuator of it has an activation",
-}
-_BOXES: Mapping[Arena, str] = {
-    "empty": "",
-    "gaps": "its geoms 'start_floor' and 'walker/torso_geom' can touch, and neither is a plane",
-    "walls": "its geoms 'wall_0' and 'walker/torso_geom' can touch, and neither is a plane",
+_MANY_ROWS = "it can have more than 400 constraint rows at once"
+_TORSO, _HAND = "its geoms 'walker/collision_torso' and", "its geoms 'walker/lhand' and"
+_OVAL = "can touch: an ellipsoid and a box"
+_BEYOND_COMPILED: Mapping[tuple[Walker, Arena], str] = {
+    ("rodent", "empty"): _MANY_ROWS,
+    ("rodent", "gaps"): f"{_TORSO} 'start_floor' {_OVAL}",
+    ("rodent", "walls"): f"{_TORSO} 'wall_0' {_OVAL}",
+    ("humanoid", "empty"): _MANY_ROWS,
+    ("humanoid", "gaps"): f"{_HAND} 'start_floor' {_OVAL}",
+    ("humanoid", "walls"): f"{_HAND} 'wall_0' {_OVAL}",
 }
 
 
