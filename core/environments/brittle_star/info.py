@@ -10,6 +10,7 @@ from core.environments.brittle_star.options import (
     LightEscapeOptions,
     Options,
     UndirectedOptions,
+    Walls,
     observed,
 )
 from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
@@ -17,6 +18,9 @@ from core.physics.availability import EngineName, Rule, beyond_compiled
 
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
 _MAX_SEGMENTS_ON_MJX = 50
+# MuJoCo's constraint rows by `walls`: of each segment and of the disk. `compiled` has code for every row.
+_ROWS: Mapping[Walls, tuple[int, int]] = {"bound": (14, 26), "contacts": (62, 120)}
+_MOST_ROWS_ON_COMPILED = 1000
 _ON_A_GPU = (
     Rule("warp", 1, "Measured on an H200: 243 k actions/s in training, 21 k by native on 16 cores."),
     Rule("native", 1, "MJX takes 7.7 k steps/s on an H200, C MuJoCo 20 k on one core."),
@@ -33,7 +37,7 @@ def _under(options: Options) -> Mapping[str, Any]:
         "finite": _finite(options),
         "dt": options.dt,
         "episode_length": options.episode_length,
-        "cannot_run": _cannot_run(total),
+        "cannot_run": _cannot_run(options),
     }
 
 
@@ -53,10 +57,19 @@ def _finite(options: Options) -> FiniteViews:
     return FiniteViews(states, cannot_offer={**why, "arm_actions": "its arms differ in their joints"})
 
 
-def _cannot_run(num_segments: int) -> Mapping[EngineName, str]:
-    cannot: dict[EngineName, str] = {
-        "compiled": beyond_compiled("it moves in a fluid (`density`, `viscosity`)")
-    }
+def _cannot_run(options: Options) -> Mapping[EngineName, str]:
+    cannot: dict[EngineName, str] = {}
+    num_segments = sum(options.segments)
+    of_a_segment, of_the_disk = _ROWS[options.walls]
+    num_rows = num_segments * of_a_segment + of_the_disk
+    if num_rows > _MOST_ROWS_ON_COMPILED:
+        cannot["compiled"] = beyond_compiled(
+            f"it can have {num_rows} constraint rows at once, more than {_MOST_ROWS_ON_COMPILED}"
+        )
+    elif "segment_contact" in observed(options):
+        arm = next(arm for arm, number in enumerate(options.segments) if number)
+        sensor = f"BrittleStarMorphology/arm_{arm}_segment_0_contact_site_contact_sensor"
+        cannot["compiled"] = beyond_compiled(f"sensordata: its sensor '{sensor}' is of the kind touch")
     if num_segments > _MAX_SEGMENTS_ON_MJX:
         cannot["mjx"] = (
             f"The star has {num_segments} segments, and MJX does not compile in time with more than "

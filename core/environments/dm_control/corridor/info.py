@@ -160,22 +160,16 @@ def _cannot_run(options: CorridorOptions) -> Mapping[EngineName, str]:
             f"MJX has no contacts between ellipsoids and boxes: the {options.walker} has ellipsoids, and "
             f"the arena {options.arena!r} has boxes. Choose native or warp, or the arena 'empty'."
         )
-    if reason := _BEYOND_COMPILED[options.walker] or _BOXES[options.arena]:
-        cannot["compiled"] = beyond_compiled(reason)
+        ellipsoid, box = _FIRST_ELLIPSOID[options.walker], _FIRST_BOX[options.arena]
+        cannot["compiled"] = beyond_compiled(
+            f"its geoms '{ellipsoid}' and '{box}' can touch: a ellipsoid and a box"
+        )
     return cannot
 
 
-# What `compiled` lacks for a walker in any arena, and for every walker in an arena.
-_BEYOND_COMPILED: Mapping[Walker, str] = {
-    "ant": "",
-    "rodent": "it has a tendon, 'walker/lumbar_extend'",
-    "humanoid": "an actuator of it has an activation",
-}
-_BOXES: Mapping[Arena, str] = {
-    "empty": "",
-    "gaps": "its geoms 'start_floor' and 'walker/torso_geom' can touch, and neither is a plane",
-    "walls": "its geoms 'wall_0' and 'walker/torso_geom' can touch, and neither is a plane",
-}
+# The geoms that `compiled` names where it has to refuse.
+_FIRST_ELLIPSOID: Mapping[Walker, str] = {"rodent": "walker/collision_torso", "humanoid": "walker/lhand"}
+_FIRST_BOX: Mapping[Arena, str] = {"gaps": "start_floor", "walls": "wall_0"}
 
 
 _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."
