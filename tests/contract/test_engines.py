@@ -294,18 +294,16 @@ def ant() -> mujoco.MjModel:
 
 
 BODIES = [name for name, info in catalog.BUILT_IN.items() if not info.takes_model]
-COVERED = [body for body in BODIES if "compiled" not in catalog.BUILT_IN[body].cannot_run]
-# Warp compiles kernels for some seconds, MJX its program for up to a minute, the rodent's for many. Code of
-# the rodent for `compiled` took LLVM more than three minutes of a CPU, of all other bodies up to 15 s.
+# Warp compiles kernels for some seconds, MJX its program for up to a minute, the rodent's for many.
 FAST = [
     ("mjx", "ant"),
     *(("warp", body) for body in ("ant", "humanoid", "rodent")),
-    *(("compiled", body) for body in COVERED if body != "rodent"),
+    *(("compiled", body) for body in BODIES if "compiled" not in catalog.BUILT_IN[body].cannot_run),
 ]
 SLOW = [
-    pytest.param(engine, body, marks=[pytest.mark.slow, pytest.mark.timeout(600)])
-    for engine, bodies in (("mjx", BODIES), ("warp", BODIES), ("compiled", COVERED))
-    for body in bodies
+    pytest.param(engine, body, marks=[pytest.mark.slow, pytest.mark.timeout(300)])
+    for engine in ("mjx", "warp")
+    for body in BODIES
     if (engine, body) not in [*FAST, ("mjx", "rodent")]
 ]
 

@@ -10,17 +10,15 @@ from core.environments.brittle_star.options import (
     LightEscapeOptions,
     Options,
     UndirectedOptions,
-    Walls,
     observed,
 )
 from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
 from core.physics.availability import EngineName, Rule, beyond_compiled
 
+# `core.physics.compiled.coverage.MOST_ROWS`, which cannot be imported without MuJoCo.
+_MOST_ROWS = 400
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
 _MAX_SEGMENTS_ON_MJX = 50
-# MuJoCo's constraint rows by `walls`: of each segment and of the disk. `compiled` has code for every row.
-_ROWS: Mapping[Walls, tuple[int, int]] = {"bound": (14, 26), "contacts": (62, 120)}
-_MOST_ROWS_ON_COMPILED = 1000
 _ON_A_GPU = (
     Rule("warp", 1, "Measured on an H200: 243 k actions/s in training, 21 k by native on 16 cores."),
     Rule("native", 1, "MJX takes 7.7 k steps/s on an H200, C MuJoCo 20 k on one core."),
@@ -59,23 +57,29 @@ def _finite(options: Options) -> FiniteViews:
 
 def _cannot_run(options: Options) -> Mapping[EngineName, str]:
     cannot: dict[EngineName, str] = {}
+    if reason := _beyond_compiled(options):
+        cannot["compiled"] = beyond_compiled(reason)
     num_segments = sum(options.segments)
-    of_a_segment, of_the_disk = _ROWS[options.walls]
-    num_rows = num_segments * of_a_segment + of_the_disk
-    if num_rows > _MOST_ROWS_ON_COMPILED:
-        cannot["compiled"] = beyond_compiled(
-            f"it can have {num_rows} constraint rows at once, more than {_MOST_ROWS_ON_COMPILED}"
-        )
-    elif "segment_contact" in observed(options):
-        arm = next(arm for arm, number in enumerate(options.segments) if number)
-        sensor = f"BrittleStarMorphology/arm_{arm}_segment_0_contact_site_contact_sensor"
-        cannot["compiled"] = beyond_compiled(f"sensordata: its sensor '{sensor}' is of the kind touch")
     if num_segments > _MAX_SEGMENTS_ON_MJX:
         cannot["mjx"] = (
             f"The star has {num_segments} segments, and MJX does not compile in time with more than "
             f"{_MAX_SEGMENTS_ON_MJX}. Choose native or warp, or fewer segments."
         )
     return cannot
+
+
+def _beyond_compiled(options: Options) -> str | None:
+    """What the engine `compiled` lacks."""
+    num_segments = sum(options.segments)
+    # Of the disk, and of each segment's limits and points; and the same with the walls.
+    rows = 26 + 14 * num_segments + (94 + 48 * num_segments if options.walls == "contacts" else 0)
+    if rows > _MOST_ROWS:
+        return f"it can have more than {_MOST_ROWS} constraint rows at once"
+    if "segment_contact" not in observed(options):
+        return None
+    arm = next(arm for arm, number in enumerate(options.segments) if number)
+    sensor = f"BrittleStarMorphology/arm_{arm}_segment_0_contact_site_contact_sensor"
+    return f"sensordata: its sensor '{sensor}' is of the kind touch"
 
 
 def _row(id: str, task: str, description: str, options: type[Options]) -> EnvironmentInfo:

@@ -30,7 +30,6 @@ _TIMESTEP_S = 0.002
 _FIRST_SEGMENT_M, _TAPER_M = 0.125, 0.075
 _MAX_STEPS = 100_000
 _MAX_SEGMENTS = 96
-Walls = Literal["bound", "contacts"]
 _Metres = Annotated[int, Field(ge=1, le=50)]
 _Point = Annotated[tuple[float, float], Field(strict=False)]
 _OBSERVED = "Observables to include. null: all; with `cpg`, all but the costly forces and contacts."
@@ -57,7 +56,7 @@ class BrittleStarOptions(Strict):
     arena_size: Annotated[tuple[_Metres, _Metres], Field(strict=False)] = Field(
         (10, 5), description="Half lengths in x and y, in metres."
     )
-    walls: Walls = Field(
+    walls: Literal["bound", "contacts"] = Field(
         "bound",
         description="`contacts`: every segment collides with the walls, as in biorobot. `bound`: only the "
         "disk stops at them, at almost no cost; arms reach through.",

@@ -40,7 +40,7 @@ _ENABLED_WITHOUT_EFFECT = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV
 
 
 # Every row is code of its own, which is compiled, and run for all environments, whether it is active or not.
-MOST_ROWS = 1000
+MOST_ROWS = 400
 
 
 def uncovered(model: mujoco.MjModel) -> str | None:
@@ -226,7 +226,7 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
         kinds = [int(kind) for kind in model.geom_type[both]]
         if (kinds[0], kinds[1]) not in COLLIDERS:
             first, second = (_word(mujoco.mjtGeom(kind).name) for kind in kinds)
-            yield f"{names}: a {first} and a {second}"
+            yield f"{names}: {_with_article(first)} and {_with_article(second)}"
         elif not is_computable(pair.parameters.softness.impedance.power):
             yield f"{names}: its contact {_CURVE}"
         elif model.geom_adhesion[both].any() or model.geom_surfacevel[both].any():
@@ -235,11 +235,15 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
         yield f"its pair {_named(model, 'pair', int(place))} has adhesion"
 
 
+def _with_article(word: str) -> str:
+    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
+
+
 def _rows(model: mujoco.MjModel) -> Iterator[str]:
     """Last, as it reads the constraints, which other checks must have let pass."""
     num_rows = read_constraints(model).num_rows
     if num_rows > MOST_ROWS:
-        yield f"it can have {num_rows} constraint rows at once, more than {MOST_ROWS}"
+        yield f"it can have more than {MOST_ROWS} constraint rows at once"
 
 
 _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (

@@ -160,16 +160,22 @@ def _cannot_run(options: CorridorOptions) -> Mapping[EngineName, str]:
             f"MJX has no contacts between ellipsoids and boxes: the {options.walker} has ellipsoids, and "
             f"the arena {options.arena!r} has boxes. Choose native or warp, or the arena 'empty'."
         )
-        ellipsoid, box = _FIRST_ELLIPSOID[options.walker], _FIRST_BOX[options.arena]
-        cannot["compiled"] = beyond_compiled(
-            f"its geoms '{ellipsoid}' and '{box}' can touch: a ellipsoid and a box"
-        )
+    if reason := _BEYOND_COMPILED.get((options.walker, options.arena)):
+        cannot["compiled"] = beyond_compiled(reason)
     return cannot
 
 
-# The geoms that `compiled` names where it has to refuse.
-_FIRST_ELLIPSOID: Mapping[Walker, str] = {"rodent": "walker/collision_torso", "humanoid": "walker/lhand"}
-_FIRST_BOX: Mapping[Arena, str] = {"gaps": "start_floor", "walls": "wall_0"}
+_MANY_ROWS = "it can have more than 400 constraint rows at once"
+_TORSO, _HAND = "its geoms 'walker/collision_torso' and", "its geoms 'walker/lhand' and"
+_OVAL = "can touch: an ellipsoid and a box"
+_BEYOND_COMPILED: Mapping[tuple[Walker, Arena], str] = {
+    ("rodent", "empty"): _MANY_ROWS,
+    ("rodent", "gaps"): f"{_TORSO} 'start_floor' {_OVAL}",
+    ("rodent", "walls"): f"{_TORSO} 'wall_0' {_OVAL}",
+    ("humanoid", "empty"): _MANY_ROWS,
+    ("humanoid", "gaps"): f"{_HAND} 'start_floor' {_OVAL}",
+    ("humanoid", "walls"): f"{_HAND} 'wall_0' {_OVAL}",
+}
 
 
 _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."

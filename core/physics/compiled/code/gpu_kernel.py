@@ -94,7 +94,7 @@ def gpu_kernel(program: Program, name: str) -> str:
     writer.write(program.statements)
     for array, outputs in program.outputs.items():
         for output in outputs:
-            rows.store(writer, f"to_{array}", output.places, f"%v{output.variable}")
+            rows.store(writer, f"to_{array}", output.places, writer.operand(output.variable))
     arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in sizes)
     read = "i32 @llvm.nvvm.read.ptx.sreg"
     return "\n".join(

@@ -90,6 +90,7 @@ class Writer:
     block: str
     lines: list[str] = field(default_factory=list[str])
     _num_names: int = 0
+    _constants: dict[int, str] = field(default_factory=dict[int, str])
     # By the name of an angle: sine and cosine of what is left of it, and its quadrant.
     _angles: dict[str, tuple[str, str, str]] = field(default_factory=dict[str, tuple[str, str, str]])
 
@@ -113,6 +114,10 @@ class Writer:
             else:
                 self._assign(statement)
 
+    def operand(self, variable: int | float | str) -> str:
+        """The variable's name, or its value if it is a constant."""
+        return self._constants.get(int(variable)) or f"%v{variable}"
+
     def _assign(self, statement: Assign) -> None:
         target, operation, arguments = f"%v{statement.target}", statement.operation, statement.arguments
         match operation:
@@ -122,16 +127,13 @@ class Writer:
             case "lane_constant":
                 self.memory.lane_constant(self, target, [float(value) for value in arguments])
             case "lane_sum":
-                self.memory.lane_sum(self, target, f"%v{arguments[0]}")
+                self.memory.lane_sum(self, target, self.operand(arguments[0]))
             case "constant":
-                # `bitcast` gives a constant a name.
-                number = self.target.number
-                constant = self.target.constant(float(arguments[0]))
-                self.line(f"{target} = bitcast {number} {constant} to {number}")
+                self._constants[statement.target] = self.target.constant(float(arguments[0]))
             case "minimum" | "maximum" | "less" | "and" | "not" | "select":
-                self._choose(target, operation, [f"%v{argument}" for argument in arguments])
+                self._choose(target, operation, [self.operand(one) for one in arguments])
             case _:
-                self._compute(target, operation, [f"%v{argument}" for argument in arguments])
+                self._compute(target, operation, [self.operand(one) for one in arguments])
 
     def _compute(self, target: str, operation: Operation, names: list[str]) -> None:
         number, suffix, allowed = self.target.number, self.target.suffix, self.target.allowed
@@ -238,11 +240,11 @@ class Writer:
         self.write(loop.body)
         kept = dict[int, str]()
         for variable, _, value in loop.carried:
-            kept[variable] = f"%v{value}"
+            kept[variable] = self.operand(value)
             # A single environment is in the loop only while it runs.
             if loop.improves is not None and self.target.width > 1:
                 kept[variable] = self.name()
-                self._select(kept[variable], running, f"%v{value}", f"%v{variable}")
+                self._select(kept[variable], running, self.operand(value), f"%v{variable}")
         true = self.target.splat("i1", "true")
         improves = true if loop.improves is None else f"%v{loop.improves}"
         self.line(f"{next_running} = and {truth} {running}, {improves}")
@@ -254,7 +256,7 @@ class Writer:
             f"  {running} = phi {truth} [ {true}, %{begun} ], [ {next_running}, %{last} ]",
             *(
                 f"  %v{variable} = phi {self.target.number} "
-                f"[ %v{before}, %{begun} ], [ {kept[variable]}, %{last} ]"
+                f"[ {self.operand(before)}, %{begun} ], [ {kept[variable]}, %{last} ]"
                 for variable, before, _ in loop.carried
             ),
         ]
