@@ -60,13 +60,14 @@ RUN --mount=type=cache,target=/var/cache/uv \
 FROM dependencies AS dependencies-worker
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
-    --extra worker --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
+    --extra worker --extra compiled \
+    --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
     && /usr/local/bin/slim
 
 FROM dependencies AS dependencies-worker-cuda
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
-    --extra worker --extra cuda --extra warp \
+    --extra worker --extra compiled --extra cuda --extra warp \
     --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
     && /usr/local/bin/slim
 

@@ -28,8 +28,9 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
     info = catalog.find(request["environment"])
     options = catalog.parse_options(info, request.get("options", {}))
     info = info.under(options)
-    settings = resolve(PPOSpec(**request.get("settings", {})), info, request["device"])
-    choice = choose("auto", request["device"], settings.num_envs, info.on_a_gpu, info.cannot_run)
+    device = request["device"]
+    settings = resolve(PPOSpec(**request.get("settings", {})), info, device)
+    choice = choose("auto", device, settings.num_envs, info.rules_on(device), info.cannot_run)
     environment = catalog.make(info, options, engine_builder(choice.name))
     run = make_run(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
     curve: list[dict[str, float]] = []

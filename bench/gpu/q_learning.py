@@ -17,7 +17,7 @@ _FASTEST, _NATIVE = f"rate-{_NUM_ENVS}", f"rate-{_NUM_ENVS}-native"
 def measure(options: Options) -> Result:
     """As on the CPU, on the engine that `auto` picks; and the rate of many environments, also on `native`."""
     device = requests.gpu("gpu_q_learning", options)
-    engine = choose("auto", device, 100, catalog.find("brittle_star").on_a_gpu).name
+    engine = choose("auto", device, 100, catalog.find("brittle_star").rules_on(device)).name
     # Two decisions are enough: a round of any length has the same rate of steps.
     num_envs = 4 if options.quick else _NUM_ENVS
     many = {

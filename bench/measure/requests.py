@@ -69,7 +69,7 @@ def equal_budget(device: Device, environment: str, given: Settings, *, epochs: i
 def engine(device: Device, environment: str, given: Settings) -> EngineName:
     """The engine that `auto` picks."""
     num_envs = resolved(device, environment, given).num_envs
-    return choose("auto", device, num_envs, catalog.find(environment).on_a_gpu).name
+    return choose("auto", device, num_envs, catalog.find(environment).rules_on(device)).name
 
 
 def ours(device: Device, environment: str, engine: str, given: Settings, *, seed: int = 0) -> dict[str, Any]:

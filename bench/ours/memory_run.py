@@ -35,7 +35,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     settings = resolve(TypeAdapter(AlgorithmSpec).validate_python(request["algorithm"]), row, device)
     engine = request["engine"]
     if engine == "auto":
-        engine = choose("auto", device, settings.num_parallel_envs, row.on_a_gpu).name
+        engine = choose("auto", device, settings.num_parallel_envs, row.rules_on(device)).name
     began = time.perf_counter()
     environment = catalog.make(row, options, engine_builder(engine))
     run = make_run(environment, settings, seed=0, checkpoint_every_steps=None)

@@ -49,8 +49,9 @@ class EnvironmentInfo:
     cameras: the model's cameras, in their order; `track` is always available, too.
     info: the entries of `State.info` besides the observation, for code that reads states from it.
     finite: the finite views that it offers.
-    arguments: further arguments of the factory. on_a_gpu: the engine that `auto` takes on a GPU, by the first
-    rule that fits; `mjx` if none fits. cannot_run: engines that cannot run it, and why.
+    arguments: further arguments of the factory. on_a_cpu, on_a_gpu: the engine that `auto` takes there, by
+    the first rule that fits; `native` on a CPU and `mjx` on a GPU if none fits. cannot_run: engines that
+    cannot run it, and why.
     package: what it imports that a worker may lack, by its import name.
     own_physics: what steps it if no engine does; its model cannot be randomized.
     vary: the fields above that some options change, by name; the row itself has their values under the
@@ -71,6 +72,7 @@ class EnvironmentInfo:
     takes_model: bool = False
     info: tuple[str, ...] = ()
     finite: FiniteViews = FiniteViews()
+    on_a_cpu: tuple[Rule, ...] = ()
     on_a_gpu: tuple[Rule, ...] = ()
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
     package: str | None = None
@@ -82,6 +84,10 @@ class EnvironmentInfo:
     def family(self) -> str:
         """The package that the id begins with, or `gaitway`."""
         return self.id.split("/")[0] if "/" in self.id else OUR_FAMILY
+
+    def rules_on(self, device: Device) -> tuple[Rule, ...]:
+        """How `auto` chooses the engine on this kind of device."""
+        return self.on_a_cpu if device == "cpu" else self.on_a_gpu
 
     def under(self, options: Strict) -> "EnvironmentInfo":
         """The row under these options, which must be its own."""

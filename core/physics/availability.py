@@ -18,10 +18,10 @@ PACKAGES: Mapping[EngineName, str] = {"compiled": "llvmlite", "warp": "warp"}
 
 @dataclass(frozen=True)
 class Rule:
-    """What `auto` takes on a GPU: an engine, for at least `least_num_envs` environments. reason: a sentence.
+    """What `auto` takes: an engine, for at least `least_num_envs` environments. reason: a sentence.
 
-    An environment's row lists its rules (`EnvironmentInfo.on_a_gpu`); the figures in their reasons are
-    training steps per second on one H200 under the tuned settings (docs/performance.md).
+    An environment's row lists its rules for each kind of device (`EnvironmentInfo.rules_on`); the figures in
+    their reasons are training steps per second under the tuned settings (docs/performance.md).
     """
 
     engine: EngineName
@@ -71,27 +71,27 @@ def choose(
     choice: PhysicsChoice,
     device: Literal["cpu", "gpu"],
     num_envs: int = 1,
-    on_a_gpu: Sequence[Rule] = (),
+    rules: Sequence[Rule] = (),
     cannot_run: Mapping[EngineName, str] = NO_REFUSALS,
 ) -> EngineChoice:
     """The engine for a job's `physics` on this device. Raises Rejected if it cannot run the environment.
 
-    on_a_gpu: the environment's rules; the first that fits decides, and MJX is taken if none does. cannot_run:
-    as for `check_physics`.
+    rules: the environment's on this device; the first that fits decides. If none does, `native` is taken on
+    a CPU and MJX on a GPU. cannot_run: as for `check_physics`.
     """
     check_physics(choice, cannot_run)
     if choice != "auto":
         return EngineChoice(choice, f"The job asks for {choice}.")
+    for rule in rules:
+        fits = num_envs >= rule.least_num_envs and rule.engine not in cannot_run
+        if fits and is_installed(rule.engine):
+            return EngineChoice(rule.engine, rule.reason)
     if device == "cpu" and "native" in cannot_run and "mjx" not in cannot_run:
         return EngineChoice("mjx", f"Native physics cannot run it: {cannot_run['native']}")
     if device == "cpu":
         return EngineChoice(
             "native", "On a CPU, C MuJoCo is many times faster than MJX at the same solver accuracy."
         )
-    for rule in on_a_gpu:
-        fits = num_envs >= rule.least_num_envs and rule.engine not in cannot_run
-        if fits and is_installed(rule.engine):
-            return EngineChoice(rule.engine, rule.reason)
     if "mjx" in cannot_run:
         return EngineChoice("native", f"MJX cannot run the model: {cannot_run['mjx']}")
     return EngineChoice("mjx", "On a GPU, MJX steps thousands of environments without leaving the device.")

@@ -25,6 +25,10 @@ def corridor(**options: Any) -> dict[str, Any]:
     return {"kind": "train", "environment": {"id": "corridor", "options": options}}
 
 
+def star(**options: Any) -> dict[str, Any]:
+    return {"kind": "train", "environment": {"id": "brittle_star", "options": options}}
+
+
 @pytest.fixture(autouse=True)
 def nothing_is_kept(stack: Stack) -> Iterator[None]:
     yield
@@ -145,7 +149,7 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/physics",
             "no contacts between ellipsoids and boxes",
         ),
-        (MINIMAL | {"environment": "rodent", "physics": "compiled"}, "/physics", "a tendon, 'lumbar_extend'"),
+        (star(walls="contacts") | {"physics": "compiled"}, "/physics", "400 constraint rows"),
         (corridor(gap_length=[2, 1]), "/environment/options/gap_length", "low ≤ high"),
         (corridor(gap_length=[1, 50]), "/environment/options", "gap_length goes up to 50 m"),
         (

@@ -74,7 +74,7 @@ def build_environment(task: Task) -> BuiltEnvironment:
     if task.model:
         info = replace(info, cannot_run=task.engines_that_cannot)
     num_envs = _num_envs(task.spec, info, device) // num_devices
-    choice = choose(task.spec.physics, device, num_envs, info.on_a_gpu, info.cannot_run)
+    choice = choose(task.spec.physics, device, num_envs, info.rules_on(device), info.cannot_run)
     if task.spec.physics == "auto" and task.begun_on is not None:
         choice = EngineChoice(task.begun_on, "The job's checkpoint was made on it.")
     if choice.name == "warp":

@@ -21,6 +21,12 @@ CHANGED: list[tuple[str, dict[str, Any]]] = [
     ("corridor", {"walker": "rodent", "solver": "cg"}),
     ("rodent", {"solver": "cg"}),
     ("brittle_star", {"walls": "contacts"}),
+    # 430 constraint rows, 368, 404 and 390.
+    ("brittle_star", {"walls": "contacts", "num_segments_per_arm": 1}),
+    ("brittle_star", {"walls": "contacts", "num_segments_per_arm": 1, "num_arms": 4}),
+    ("brittle_star", {"num_segments_per_arm": 9, "num_arms": 3}),
+    ("brittle_star", {"num_segments_per_arm": [13, 0, 13], "num_arms": 3}),
+    ("brittle_star", {"observables": ["joint_position", "actuator_force"]}),
     ("brittle_star", {"actuation": "torque_control", "target_position": [1, 1]}),
     ("brittle_star", {"num_segments_per_arm": [0, 0, 1], "num_arms": 3}),
     ("brittle_star_undirected", {"control": "cpg"}),

@@ -4,7 +4,7 @@ import pytest
 
 from core.errors import Rejected
 from core.physics import availability
-from core.physics.availability import EngineName, PhysicsChoice, Rule, check_physics, choose
+from core.physics.availability import EngineChoice, EngineName, PhysicsChoice, Rule, check_physics, choose
 
 RULES = (
     Rule("native", 8192, "Many ants."),
@@ -43,7 +43,7 @@ def test_auto_takes_the_first_rule_that_fits_and_that_the_worker_can_follow(
     for is_there, engine in ((True, with_warp), (False, without)):
         monkeypatch.setattr(availability, "find_spec", lambda name, found=is_there: found or None)
         assert choose("auto", "gpu", num_envs, RULES).name == engine
-        assert choose("auto", "cpu", num_envs, RULES).name == "native"
+        assert choose("auto", "cpu", num_envs).name == "native"
         assert choose("mjx", "gpu", num_envs, RULES).name == "mjx"
 
 
@@ -64,6 +64,21 @@ def test_a_rule_for_compiled_is_followed_where_its_compiler_is_and_it_can_run_th
     assert choose("auto", "gpu", 64, rules, {"compiled": "It cannot."}).name == "warp"
     monkeypatch.setattr(availability, "find_spec", lambda name: None if name == "llvmlite" else True)
     assert choose("auto", "gpu", 64, rules).name == "warp"
+
+
+def test_a_cpu_has_rules_of_its_own_and_native_where_none_can_be_followed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rules = (Rule("compiled", 16, "Small bodies."),)
+    monkeypatch.setattr(availability, "find_spec", lambda name: True)
+    assert choose("auto", "cpu", 16, rules) == EngineChoice("compiled", "Small bodies.")
+    assert choose("auto", "cpu", 15, rules).name == "native"
+    assert choose("native", "cpu", 16, rules).name == "native"
+    assert choose("auto", "cpu", 16, rules, {"compiled": "It cannot."}).name == "native"
+    # Where native cannot run it either, what can is taken.
+    assert choose("auto", "cpu", 16, rules, {"native": "It cannot."}).name == "compiled"
+    monkeypatch.setattr(availability, "find_spec", lambda name: None)
+    assert choose("auto", "cpu", 16, rules).name == "native"
 
 
 def test_a_rules_reason_is_the_choices() -> None:

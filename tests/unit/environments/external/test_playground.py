@@ -95,7 +95,7 @@ def test_the_table_is_what_the_installed_package_says() -> None:
 
 def test_they_run_on_mjx_wherever_c_mujoco_would_be_taken() -> None:
     info = catalog.find("playground/CheetahRun")
-    assert choose("auto", "cpu", 256, info.on_a_gpu, info.cannot_run).name == "mjx"
+    assert choose("auto", "cpu", 256, info.on_a_cpu, info.cannot_run).name == "mjx"
     assert choose("auto", "gpu", 2048, info.on_a_gpu, info.cannot_run).name == "mjx"
     for engine in ("native", "compiled"):
         with pytest.raises(Rejected, match="step MJX themselves"):
