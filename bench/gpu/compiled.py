@@ -72,6 +72,7 @@ def measure(options: Options) -> Result:
 def _request(body: str, engines: list[str], num_envs: list[int], options: Options) -> dict[str, Any]:
     return {
         "environment": body,
+        "device": "gpu",
         "engines": engines,
         "num_envs": num_envs,
         "rounds": 2 if options.quick else 5,
