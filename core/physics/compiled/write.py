@@ -1,7 +1,7 @@
 """The programs of an engine: a control step, and the derived fields of a state."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from math import nan
@@ -62,10 +62,10 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
     after = {"qpos": moved.qpos, "qvel": moved.qvel, "act": moved.act, "qacc_warmstart": moved.qacc}
     time = [one + num_substeps * model.timestep for one in given["time"]]
     ended = State(moved.qpos, moved.qvel, moved.act, moved.qacc)
-    seen = _derived(plan, model.tree, given, ended, time, moved.qfrc_actuator)
     checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *ctrl]
     is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
-    for name, values in (after | seen).items():
+    seen = _derived(plan, model.tree, given, ended, time, moved.qfrc_actuator)
+    for name, values in (*after.items(), *seen):
         if values:
             program.output(name, [select(is_sound, x, nan) for x in values])
     return program
@@ -77,7 +77,7 @@ def derived_program(plan: Plan) -> Program:
     blank: Vector = [0.0] * plan.model.na
     state = State(given["qpos"], given["qvel"], blank, [0.0] * plan.model.nv)
     forces = actuator_forces(model, state, [0.0] * plan.model.nu) if _OF_FORCES in plan.derived else []
-    for name, values in _derived(plan, model.tree, given, state, [0.0], forces).items():
+    for name, values in _derived(plan, model.tree, given, state, [0.0], forces):
         if values:
             program.output(name, values)
     return program
@@ -100,11 +100,12 @@ def _state(given: Mapping[str, Vector]) -> State:
 
 def _derived(
     plan: Plan, tree: Tree, given: Mapping[str, Vector], state: State, time: Vector, forces: Vector
-) -> dict[str, Vector]:
+) -> Iterator[tuple[str, Vector]]:
+    """One after the other: so each is written out before the next is computed."""
     own = {name: given[name] for name in plan.own}
     scene = Scene(Fields(plan.model, own), state.qpos, state.qvel, time[0] if time else 0.0, tree)
-    found = derived(scene, tuple(name for name in plan.derived if name != _OF_FORCES))
-    return {name: forces if name == _OF_FORCES else found[name] for name in plan.derived}
+    for name in plan.derived:
+        yield name, forces if name == _OF_FORCES else derived(scene, (name,))[name]
 
 
 def _is_sound(values: Sequence[Symbol | float]) -> Symbol:

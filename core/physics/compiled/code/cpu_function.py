@@ -54,10 +54,7 @@ def cpu_function(program: Program, name: str, width: int) -> str:
     sizes = array_sizes(program)
     target = Target(width, allowed="")
     writer = Writer(target, _Rows(sizes), block="group")
-    writer.write(program.statements)
-    for name_of_array, outputs in program.outputs.items():
-        for output in outputs:
-            writer.memory.store(writer, f"to_{name_of_array}", output.places, writer.operand(output.variable))
+    writer.write_program(program)
     lanes, pointers = target.of("i64"), target.of("ptr")
     order = ", ".join(f"i64 {lane}" for lane in range(width))
     arrays = ", ".join(f"ptr noalias %{one}" for one in sizes)

@@ -43,6 +43,7 @@ class _Rows:
         writer.line(f"store float {value}, {_GLOBAL} {pointer}")
         writer.line(f"br label %{done}")
         writer.lines.append(f"{done}:")
+        writer.block = done
 
     def lane_constant(self, writer: Writer, target: str, values: Sequence[float]) -> None:
         self.constants.append(values)
@@ -91,10 +92,7 @@ def gpu_kernel(program: Program, name: str) -> str:
     sizes, lanes = array_sizes(program), program.num_lanes
     rows = _Rows(sizes, lanes)
     writer = Writer(_TARGET, rows, block="body")
-    writer.write(program.statements)
-    for array, outputs in program.outputs.items():
-        for output in outputs:
-            rows.store(writer, f"to_{array}", output.places, writer.operand(output.variable))
+    writer.write_program(program)
     arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in sizes)
     read = "i32 @llvm.nvvm.read.ptx.sreg"
     return "\n".join(

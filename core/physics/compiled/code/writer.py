@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from core.physics.compiled.program import Assign, Loop, Operation, Statement
+from core.physics.compiled.program import Assign, Loop, Operation, Program, Statement
 
 _INSTRUCTIONS: Mapping[Operation, str] = {
     "add": "fadd contract",
@@ -113,6 +113,18 @@ class Writer:
                 self._loop(statement)
             else:
                 self._assign(statement)
+
+    def write_program(self, program: Program) -> None:
+        """Its operations, and its outputs as soon as they are known: numbers that wait need registers."""
+        waiting: dict[int, list[tuple[str, Sequence[int]]]] = {}
+        for name, outputs in program.outputs.items():
+            for output in outputs:
+                waiting.setdefault(output.variable, []).append((f"to_{name}", output.places))
+        for statement in program.statements:
+            self.write([statement])
+            for variable in _results(statement):
+                for name, places in waiting.get(variable, ()):
+                    self.memory.store(self, name, places, self.operand(variable))
 
     def operand(self, variable: int | float | str) -> str:
         """The variable's name, or its value if it is a constant."""
@@ -269,3 +281,10 @@ class Writer:
             return running
         reduce = f"@llvm.vector.reduce.or.v{self.target.width}i1"
         return self.value(f"call i1 {reduce}({self.target.truth} {running})")
+
+
+def _results(statement: Statement) -> list[int]:
+    """The variables that are known after it."""
+    if isinstance(statement, Assign):
+        return [statement.target]
+    return [variable for variable, _, _ in statement.carried]
