@@ -13,6 +13,7 @@ from core.physics.compiled.arithmetic import Vector
 from core.physics.compiled.body_rows import BodyGroup
 from core.physics.compiled.contacts import Contact, contact_rows, is_better_by_body, read_contacts
 from core.physics.compiled.dynamics import Motion
+from core.physics.compiled.fields import NOMINAL, Fields, Own
 from core.physics.compiled.joint_friction import JointFriction, friction_row, read_joint_frictions
 from core.physics.compiled.kinematics import Poses
 from core.physics.compiled.limits import (
@@ -51,18 +52,18 @@ class State:
     qvel: Vector
 
 
-def read_constraints(model: mujoco.MjModel) -> Constraints:
-    """The model's, without the kinds that it disables."""
-    bit = mujoco.mjtDisableBit
+def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
+    """The model's, without the kinds that it disables. own: see `Fields`."""
+    fields, bit = Fields(model, own), mujoco.mjtDisableBit
 
     def keeps(kind: mujoco.mjtDisableBit) -> bool:
-        return not model.opt.disableflags & (kind | bit.mjDSBL_CONSTRAINT)
+        return not fields.disables(kind, bit.mjDSBL_CONSTRAINT)
 
     return Constraints(
-        frictions=read_joint_frictions(model) if keeps(bit.mjDSBL_FRICTIONLOSS) else (),
-        limits=read_limits(model) if keeps(bit.mjDSBL_LIMIT) else (),
-        ball_limits=read_ball_limits(model) if keeps(bit.mjDSBL_LIMIT) else (),
-        contacts=read_contacts(model) if keeps(bit.mjDSBL_CONTACT) else (),
+        frictions=read_joint_frictions(fields) if keeps(bit.mjDSBL_FRICTIONLOSS) else (),
+        limits=read_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
+        ball_limits=read_ball_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
+        contacts=read_contacts(fields) if keeps(bit.mjDSBL_CONTACT) else (),
     )
 
 

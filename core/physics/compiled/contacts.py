@@ -4,7 +4,8 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Contacts".
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 
 import mujoco
 
@@ -19,18 +20,27 @@ from core.physics.compiled.arithmetic import (
     scale,
     select,
     sqrt,
+    squared,
     subtract,
     total,
 )
 from core.physics.compiled.body_rows import BodyGroup
-from core.physics.compiled.collisions.fixed_boxes import Choice, Shape, chosen, merged
+from core.physics.compiled.collisions.fixed_boxes import (
+    Choice,
+    Shape,
+    chosen_box,
+    chosen_parameters,
+    merged,
+    near,
+)
 from core.physics.compiled.collisions.shapes import Geom, Touch, placed, read_geoms
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.cone import Cone
 from core.physics.compiled.dynamics import Motion
+from core.physics.compiled.fields import Fields
 from core.physics.compiled.kinematics import Poses
 from core.physics.compiled.laws import Law, OneSided, Pyramid
-from core.physics.compiled.pairs import Parameters, read_pairs
+from core.physics.compiled.pairs import Pair, Parameters, read_pairs
 from core.physics.compiled.rows import Direction, Group
 from core.physics.compiled.softness import impedance_at, reference_at, stiffness_at
 from core.physics.compiled.tree import Tree
@@ -47,7 +57,7 @@ class Contact:
     one: Geom
     other: Shape
     parameters: Parameters
-    inverse_weight: float
+    inverse_weight: Number
     is_elliptic: bool
     impratio: float
 
@@ -64,20 +74,23 @@ class Contact:
         return COLLIDERS[self.kinds][1] * at_a_point
 
 
-def read_contacts(model: mujoco.MjModel) -> tuple[Contact, ...]:
+def read_contacts(fields: Fields) -> tuple[Contact, ...]:
     """All that can touch and move."""
+    model = fields.model
     geoms = read_geoms(model)
-    pairs = [pair for pair in read_pairs(model) if geoms[pair.one].body or geoms[pair.other].body]
+    pairs, nominal = read_pairs(fields), [pair.parameters for pair in read_pairs(Fields(model))]
+    moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
+    pairs, nominal = list(compress(pairs, moves)), list(compress(nominal, moves))
     return tuple(
         Contact(
             one=geoms[pair.one],
             other=other,
             parameters=pair.parameters,
-            inverse_weight=float(model.body_invweight0[model.geom_bodyid[[pair.one, pair.other]], 0].sum()),
+            inverse_weight=_inverse_weight(fields, pair),
             is_elliptic=model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC,
             impratio=float(model.opt.impratio),
         )
-        for pair, other in merged(pairs, geoms)
+        for pair, other in merged(pairs, nominal, geoms)
     )
 
 
@@ -100,11 +113,12 @@ def contact_rows(
 ) -> list[Group | BodyGroup]:
     """A group for each point of the contact."""
     one = placed(contact.one, at)
-    other = (
-        chosen(contact.other, one.position)
-        if isinstance(contact.other, Choice)
-        else placed(contact.other, at)
-    )
+    if isinstance(contact.other, Choice):
+        is_near = near(contact.other, one.position)
+        other = chosen_box(contact.other, is_near)
+        contact = replace(contact, parameters=chosen_parameters(contact.other, is_near))
+    else:
+        other = placed(contact.other, at)
     collide, _ = COLLIDERS[contact.kinds]
     is_single = not (contact.one.body and contact.other.body)
     return [
@@ -138,8 +152,13 @@ def _law(contact: Contact, impedance: Number, distance: Number) -> Law:
     slope = friction[0] / contact.impratio**0.5
     if contact.is_elliptic:
         return Cone(stiffness_at(impedance, weight, distance), slope, friction)
-    edge = weight * (1.0 + friction[0] ** 2) * 2.0 * slope**2
+    edge = weight * (1.0 + squared(friction[0])) * 2.0 * squared(slope)
     return Pyramid(stiffness_at(impedance, edge, distance), friction)
+
+
+def _inverse_weight(fields: Fields, pair: Pair) -> Number:
+    bodies = fields.model.geom_bodyid[[pair.one, pair.other]]
+    return total(fields.number("body_invweight0", int(body)) for body in bodies)
 
 
 @dataclass(frozen=True)

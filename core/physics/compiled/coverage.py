@@ -9,6 +9,7 @@ import numpy as np
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.constraints import read_constraints
 from core.physics.compiled.derived import DERIVED_FIELDS
+from core.physics.compiled.fields import Fields
 from core.physics.compiled.pairs import read_pairs
 from core.physics.compiled.sensors import is_known
 from core.physics.compiled.softness import is_computable
@@ -62,8 +63,11 @@ def uncovered_own(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
 
 
 def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
-    if name in _OF_CONSTRAINTS:
-        yield f"{name} is the same in all environments"
+    if name == "dof_frictionloss":
+        rough = _uncomputable(model.dof_solimp)
+        yield from (f"{name}: {reason}" for reason in _where(model, "joint", rough, _CURVE, model.dof_jntid))
+    if name in ("body_pos", "body_quat"):
+        yield from (f"{name}: {reason}" for reason in _touched_where_they_are(model))
     if name == "actuator_dynprm":
         exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
         yield from (f"{name}: {reason}" for reason in _where(model, "actuator", exact, "is an exact filter"))
@@ -76,6 +80,14 @@ def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
         yield from (
             f"{name}: {reason}" for reason in _where(model, "actuator", turning, "turns several axes")
         )
+
+
+def _touched_where_they_are(model: mujoco.MjModel) -> Iterator[str]:
+    """The first body, but the world, that never moves but can be touched: its place is a constant."""
+    for pair in read_pairs(Fields(model)):
+        for body in (int(body) for body in model.geom_bodyid[[pair.one, pair.other]]):
+            if body and not model.body_weldid[body]:
+                yield f"its body {_named(model, 'body', body)} stands still and can be touched"
 
 
 def _sensors(model: mujoco.MjModel) -> Iterator[str]:
@@ -221,7 +233,7 @@ def _flies_alone(model: mujoco.MjModel, body: int) -> bool:
 def _contacts(model: mujoco.MjModel) -> Iterator[str]:
     if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
         return
-    for pair in read_pairs(model):
+    for pair in read_pairs(Fields(model)):
         both = [pair.one, pair.other]
         one, other = (_named(model, "geom", number) for number in both)
         names = f"its geoms {one} and {other} can touch"
@@ -248,8 +260,6 @@ _CHECKS: Sequence[Callable[[mujoco.MjModel], Iterator[str]]] = (
     _options, _combinations, _parts, _joints, _tendons, _actuators, _contacts, _rows,
 )  # fmt: skip
 _CURVE = "has a `solimp` whose power is not a multiple of a half"
-# Fields of `engine.MODEL_FIELDS` that only constraints read.
-_OF_CONSTRAINTS = ("body_invweight0", "dof_frictionloss", "dof_invweight0", "geom_friction", "geom_solref")
 
 
 def _uncomputable(solimp: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from core.physics.compiled.code.piece import Piece
-from core.physics.compiled.refusal import check_covered
+from core.physics.compiled.refusal import check_covered, check_own
 from core.physics.compiled.write import Plan, control_step_program, derived_program
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
 from core.physics.model import model_field
@@ -43,6 +43,7 @@ class CompiledEngine:
 
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
         check_model_fields(model)
+        check_own(self._model, tuple(model))
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,

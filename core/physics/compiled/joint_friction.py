@@ -5,10 +5,8 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Friction loss"
 
 from dataclasses import dataclass
 
-import mujoco
-import numpy as np
-
 from core.physics.compiled.arithmetic import Matrix, Number, Vector, absolute, clip, select
+from core.physics.compiled.fields import Fields, is_zero
 from core.physics.compiled.laws import Slope
 from core.physics.compiled.rows import Group
 from core.physics.compiled.softness import impedance_at, read_softness
@@ -21,8 +19,8 @@ class Friction:
     The cost is quadratic up to there, and beyond goes on as straight lines.
     """
 
-    stiffness: float
-    most: float
+    stiffness: Number
+    most: Number
 
     def forces(self, residual: Vector) -> Vector:
         return [-self.stiffness * self._kept(residual[0])]
@@ -52,7 +50,7 @@ class Friction:
         return (0.5 * self.stiffness) * ((kept + then) * (x - y) + (kept - then) * beyond)
 
     @property
-    def _bound(self) -> float:
+    def _bound(self) -> Number:
         return self.most / self.stiffness
 
     def _kept(self, x: Number) -> Number:
@@ -64,19 +62,21 @@ class JointFriction:
     """Of a degree of freedom. damping: of the reference acceleration."""
 
     dof: int
-    damping: float
+    damping: Number
     law: Friction
 
 
-def read_joint_frictions(model: mujoco.MjModel) -> tuple[JointFriction, ...]:
-    """The degrees of freedom with a frictionloss."""
-    found = list[JointFriction]()
-    for dof in np.flatnonzero(model.dof_frictionloss):
-        softness = read_softness(model.dof_solref[dof], model.dof_solimp[dof], model.opt.timestep)
-        impedance = float(impedance_at(softness.impedance, 0.0))
-        stiffness = impedance / ((1.0 - impedance) * float(model.dof_invweight0[dof]))
-        law = Friction(stiffness, float(model.dof_frictionloss[dof]))
-        found.append(JointFriction(int(dof), softness.damping, law))
+def read_joint_frictions(fields: Fields) -> tuple[JointFriction, ...]:
+    """The degrees of freedom with a frictionloss; all of them, where it is an environment's own."""
+    model, found = fields.model, list[JointFriction]()
+    for dof in range(model.nv):
+        most = fields.number("dof_frictionloss", dof)
+        if is_zero(most):
+            continue
+        softness = read_softness(fields.row("dof_solref", dof), model.dof_solimp[dof], model.opt.timestep)
+        impedance = impedance_at(softness.impedance, 0.0)
+        stiffness = impedance / ((1.0 - impedance) * fields.number("dof_invweight0", dof))
+        found.append(JointFriction(dof, softness.damping, Friction(stiffness, most)))
     return tuple(found)
 
 

@@ -21,6 +21,7 @@ from core.physics.compiled.arithmetic import (
     sine,
     sqrt,
 )
+from core.physics.compiled.fields import Fields
 from core.physics.compiled.laws import OneSided
 from core.physics.compiled.rows import Group
 from core.physics.compiled.softness import (
@@ -44,7 +45,7 @@ class Limit:
     high: float
     margin: float
     softness: Softness
-    inverse_weight: float
+    inverse_weight: Number
 
 
 @dataclass(frozen=True)
@@ -56,17 +57,19 @@ class BallLimit:
     most: float
     margin: float
     softness: Softness
-    inverse_weight: float
+    inverse_weight: Number
 
 
-def read_limits(model: mujoco.MjModel) -> tuple[Limit, ...]:
+def read_limits(fields: Fields) -> tuple[Limit, ...]:
     """The limited hinges and slides."""
-    return tuple(_limit(model, joint) for joint in _limited(model) if not _is_ball(model, joint))
+    model = fields.model
+    return tuple(_limit(fields, joint) for joint in _limited(model) if not _is_ball(model, joint))
 
 
-def read_ball_limits(model: mujoco.MjModel) -> tuple[BallLimit, ...]:
+def read_ball_limits(fields: Fields) -> tuple[BallLimit, ...]:
     """The limited ball joints."""
-    return tuple(_ball_limit(model, joint) for joint in _limited(model) if _is_ball(model, joint))
+    model = fields.model
+    return tuple(_ball_limit(fields, joint) for joint in _limited(model) if _is_ball(model, joint))
 
 
 def limit_row(limit: Limit, qpos: Vector, qvel: Vector) -> Group:
@@ -112,7 +115,8 @@ def _is_ball(model: mujoco.MjModel, joint: int) -> bool:
     return int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_BALL)
 
 
-def _limit(model: mujoco.MjModel, joint: int) -> Limit:
+def _limit(fields: Fields, joint: int) -> Limit:
+    model = fields.model
     dof = int(model.jnt_dofadr[joint])
     return Limit(
         qpos=int(model.jnt_qposadr[joint]),
@@ -120,18 +124,19 @@ def _limit(model: mujoco.MjModel, joint: int) -> Limit:
         low=float(model.jnt_range[joint, 0]),
         high=float(model.jnt_range[joint, 1]),
         margin=float(model.jnt_margin[joint]),
-        softness=read_softness(model.jnt_solref[joint], model.jnt_solimp[joint], model.opt.timestep),
-        inverse_weight=float(model.dof_invweight0[dof]),
+        softness=read_softness(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
+        inverse_weight=fields.number("dof_invweight0", dof),
     )
 
 
-def _ball_limit(model: mujoco.MjModel, joint: int) -> BallLimit:
+def _ball_limit(fields: Fields, joint: int) -> BallLimit:
+    model = fields.model
     dof = int(model.jnt_dofadr[joint])
     return BallLimit(
         qpos=int(model.jnt_qposadr[joint]),
         dof=dof,
         most=float(model.jnt_range[joint].max()),
         margin=float(model.jnt_margin[joint]),
-        softness=read_softness(model.jnt_solref[joint], model.jnt_solimp[joint], model.opt.timestep),
-        inverse_weight=float(model.dof_invweight0[dof]),
+        softness=read_softness(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
+        inverse_weight=fields.number("dof_invweight0", dof),
     )

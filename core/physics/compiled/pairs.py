@@ -5,10 +5,13 @@ Source: MuJoCo's documentation, Computation, "Collision detection", "Selection",
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 
 import mujoco
 import numpy as np
 
+from core.physics.compiled.arithmetic import Number, Vector, maximum, minimum, select
+from core.physics.compiled.fields import Fields
 from core.physics.compiled.softness import Softness, read_softness
 
 
@@ -21,11 +24,11 @@ class Parameters:
     looked at. friction_damping: of an elliptic cone's directions but the normal.
     """
 
-    friction: tuple[float, ...]
+    friction: tuple[Number, ...]
     softness: Softness
     margin: float
     reach: float
-    friction_damping: float
+    friction_damping: Number
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,13 @@ class Pair:
     parameters: Parameters
 
 
-def read_pairs(model: mujoco.MjModel) -> list[Pair]:
+def read_pairs(fields: Fields) -> list[Pair]:
     """The geoms that can touch: pairs that the model lists, and those that its filter lets pass."""
+    model = fields.model
     listed = listed_geoms(model)
-    found = [_pair(model, one, other, _of_pair(model, place)) for place, (one, other) in enumerate(listed)]
+    found = [_pair(model, one, other, _of_pair(fields, place)) for place, (one, other) in enumerate(listed)]
     return found + [
-        _pair(model, one, other, _of_geoms(model, one, other)) for one, other in touching_geoms(model)
+        _pair(model, one, other, _of_geoms(fields, one, other)) for one, other in touching_geoms(model)
     ]
 
 
@@ -66,18 +70,25 @@ def touching_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
                 yield one, int(other)
 
 
-def softness_of(model: mujoco.MjModel, one: int, other: int) -> tuple[np.ndarray, np.ndarray]:
+def softness_of(fields: Fields, one: int, other: int) -> tuple[Vector, np.ndarray]:
     """solref [2] and solimp [5] of two geoms: those of the one with the higher priority, or between both."""
+    model = fields.model
     priorities = model.geom_priority[[one, other]]
     if priorities[0] != priorities[1]:
         first = (one, other)[int(priorities.argmax())]
-        return model.geom_solref[first], model.geom_solimp[first]
+        return fields.row("geom_solref", first), model.geom_solimp[first]
     share = _share(float(model.geom_solmix[one]), float(model.geom_solmix[other]))
-    solref, solimp = model.geom_solref, model.geom_solimp
-    mixed = share * solref[one] + (1.0 - share) * solref[other]
-    are_times = bool((solref[[one, other], 0] > 0.0).all())
-    reference = mixed if are_times else np.minimum(solref[one], solref[other])
-    return reference, share * solimp[one] + (1.0 - share) * solimp[other]
+    solimp = share * model.geom_solimp[one] + (1.0 - share) * model.geom_solimp[other]
+    return _mixed(share, fields.row("geom_solref", one), fields.row("geom_solref", other)), solimp
+
+
+def _mixed(share: float, one: Vector, other: Vector) -> Vector:
+    """Between two `solref`, if both are time constants; otherwise the lesser numbers."""
+    return [
+        select(one[0] > 0.0, select(other[0] > 0.0, share * x + (1.0 - share) * y, least), least)
+        for x, y in zip(one, other, strict=True)
+        for least in [minimum(x, y)]
+    ]
 
 
 def _bodies_may(model: mujoco.MjModel, one: int, other: int) -> bool:
@@ -98,31 +109,33 @@ def _pair(model: mujoco.MjModel, one: int, other: int, parameters: Parameters) -
     return Pair(first, second, parameters)
 
 
-def _of_geoms(model: mujoco.MjModel, one: int, other: int) -> Parameters:
-    both = [one, other]
+def _of_geoms(fields: Fields, one: int, other: int) -> Parameters:
+    model, both = fields.model, [one, other]
     priorities = model.geom_priority[both]
     chosen = [both[int(priorities.argmax())]] if priorities[0] != priorities[1] else both
-    sliding, turning, rolling = (float(x) for x in model.geom_friction[chosen].max(axis=0))
+    frictions = [fields.row("geom_friction", geom) for geom in chosen]
+    sliding, turning, rolling = (reduce(maximum, several) for several in zip(*frictions, strict=True))
     friction = (sliding, sliding, turning, rolling, rolling)
-    softness = read_softness(*softness_of(model, one, other), model.opt.timestep)
+    softness = read_softness(*softness_of(fields, one, other), model.opt.timestep)
     margin, gap = float(model.geom_margin[both].sum()), float(model.geom_gap[both].sum())
     dimensions = int(model.geom_condim[chosen].max())
     return Parameters(_bounded(friction, dimensions), softness, margin, margin + gap, softness.damping)
 
 
-def _of_pair(model: mujoco.MjModel, place: int) -> Parameters:
-    solimp, own = model.pair_solimp[place], model.pair_solreffriction[place]
-    softness = read_softness(model.pair_solref[place], solimp, model.opt.timestep)
+def _of_pair(fields: Fields, place: int) -> Parameters:
+    model = fields.model
+    solimp, own = model.pair_solimp[place], fields.row("pair_solreffriction", place)
+    softness = read_softness(fields.row("pair_solref", place), solimp, model.opt.timestep)
     damping = softness.damping
-    if own.all() and (own[0] > 0.0) == (own[1] > 0.0):
+    if all(own) and (own[0] > 0.0) == (own[1] > 0.0):
         damping = read_softness(own, solimp, model.opt.timestep).damping
     margin, gap = float(model.pair_margin[place]), float(model.pair_gap[place])
-    friction = tuple(float(x) for x in model.pair_friction[place])
+    friction = tuple(fields.row("pair_friction", place))
     return Parameters(_bounded(friction, int(model.pair_dim[place])), softness, margin, margin + gap, damping)
 
 
-def _bounded(friction: tuple[float, ...], dimensions: int) -> tuple[float, ...]:
-    return tuple(max(float(mujoco.mjMINMU), x) for x in friction[: dimensions - 1])
+def _bounded(friction: tuple[Number, ...], dimensions: int) -> tuple[Number, ...]:
+    return tuple(maximum(x, mujoco.mjMINMU) for x in friction[: dimensions - 1])
 
 
 def _share(one: float, other: float) -> float:
