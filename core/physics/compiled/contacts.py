@@ -67,11 +67,16 @@ class Contact:
         return self.one.kind, self.other.kind
 
     @property
+    def num_points(self) -> int:
+        """Where it may push at once."""
+        return COLLIDERS[self.kinds][1]
+
+    @property
     def num_rows(self) -> int:
         """Edges of pyramids, or directions of cones."""
         num_friction = len(self.parameters.friction)
         at_a_point = 2 * num_friction if num_friction and not self.is_elliptic else 1 + num_friction
-        return COLLIDERS[self.kinds][1] * at_a_point
+        return self.num_points * at_a_point
 
 
 def read_contacts(fields: Fields) -> tuple[Contact, ...]:
@@ -101,17 +106,16 @@ def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:
         if contact.one.body and contact.other.body:
             continue
         size = len(_moved_by(tree, contact.one.body or contact.other.body))
-        _, num_points = COLLIDERS[contact.kinds]
         # Of the curvature, the residual and the forces, with three directions.
-        one_by_one += num_points * (size * (size + 1) // 2 * 5 + size * 23)
-        by_body += num_points * 240
+        one_by_one += contact.num_points * (size * (size + 1) // 2 * 5 + size * 23)
+        by_body += contact.num_points * 240
     return by_body < one_by_one
 
 
 def contact_rows(
     tree: Tree, contact: Contact, at: Poses, moving: Motion, *, by_body: bool
-) -> list[Group | BodyGroup]:
-    """A group for each point of the contact."""
+) -> list[tuple[Number, Group | BodyGroup]]:
+    """For each point of the contact: how far apart the geoms are there, in m, and a group."""
     one = placed(contact.one, at)
     if isinstance(contact.other, Choice):
         is_near = near(contact.other, one.position)
@@ -121,8 +125,10 @@ def contact_rows(
         other = placed(contact.other, at)
     collide, _ = COLLIDERS[contact.kinds]
     is_single = not (contact.one.body and contact.other.body)
+    by_body = by_body and is_single
     return [
-        _group(tree, contact, touch, moving, by_body=by_body and is_single) for touch in collide(one, other)
+        (touch.distance, _group(tree, contact, touch, moving, by_body=by_body))
+        for touch in collide(one, other)
     ]
 
 

@@ -1,5 +1,6 @@
 """A state of a model, and what follows from its positions and velocities, computed when first asked for."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,6 +26,8 @@ from core.physics.compiled.kinematics import Poses, poses
 from core.physics.compiled.tendons import Tendon, read_tendons
 from core.physics.compiled.tree import Tree, read_tree
 
+NO_READINGS: Mapping[int, Number] = {}
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -36,10 +39,18 @@ class Frame:
 
 
 class Scene:
-    """qpos: [nq]. qvel: [nv]. time: in s."""
+    """qpos: [nq]. qvel: [nv]. time: in s. readings: of sensors of contacts, by their numbers."""
 
-    def __init__(self, fields: Fields, qpos: Vector, qvel: Vector, time: Number = 0.0) -> None:
-        self.fields, self.qpos, self.qvel, self.time = fields, qpos, qvel, time
+    def __init__(
+        self,
+        fields: Fields,
+        qpos: Vector,
+        qvel: Vector,
+        time: Number = 0.0,
+        readings: Mapping[int, Number] = NO_READINGS,
+    ) -> None:
+        self.fields, self.qpos, self.qvel = fields, qpos, qvel
+        self.time, self.readings = time, readings
 
     @cached_property
     def tree(self) -> Tree:

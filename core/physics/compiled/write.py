@@ -7,11 +7,12 @@ from functools import reduce
 import mujoco
 
 from core.physics.compiled.arithmetic import Vector, absolute, select
+from core.physics.compiled.contact_sensors import by_number, read_contact_sensors
 from core.physics.compiled.derived import derived
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.program import Program, Symbol
 from core.physics.compiled.scene import Scene
-from core.physics.compiled.substep import Model, State, actuator_forces, control_step, read_model
+from core.physics.compiled.substep import Model, Moved, State, control_step, read_model, unmoved
 
 # In float32 no solver gets below this part of its cost.
 _LEAST_TOLERANCE = 1e-6
@@ -40,8 +41,7 @@ def control_step_program(plan: Plan, num_substeps: int) -> Program:
     moved = control_step(model, num_substeps, state, ctrl, reads_forces=_OF_FORCES in plan.derived)
     after = {"qpos": moved.qpos, "qvel": moved.qvel, "act": moved.act, "qacc_warmstart": moved.qacc}
     time = [one + num_substeps * model.timestep for one in given["time"]]
-    ended = State(moved.qpos, moved.qvel, moved.act, moved.qacc)
-    seen = _derived(plan, given, ended, time, moved.qfrc_actuator)
+    seen = _derived(plan, given, model, moved, time)
     checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *ctrl]
     is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
     for name, values in (after | seen).items():
@@ -55,8 +55,10 @@ def derived_program(plan: Plan) -> Program:
     program, given, model = _begun(plan)
     blank: Vector = [0.0] * plan.model.na
     state = State(given["qpos"], given["qvel"], blank, [0.0] * plan.model.nv)
-    forces = actuator_forces(model, state, [0.0] * plan.model.nu) if _OF_FORCES in plan.derived else []
-    for name, values in _derived(plan, given, state, [0.0], forces).items():
+    standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
+    if _OF_FORCES in plan.derived or model.contact_sensors:
+        standing = unmoved(model, state, [0.0] * plan.model.nu)
+    for name, values in _derived(plan, given, model, standing, [0.0]).items():
         if values:
             program.output(name, values)
     return program
@@ -69,7 +71,18 @@ def _begun(plan: Plan) -> tuple[Program, dict[str, Vector], Model]:
     given |= {name: program.inputs(name, size) for name, size in plan.inputs.items()}
     read = read_model(plan.model, {name: given[name] for name in plan.own})
     tolerance = max(_LEAST_TOLERANCE, read.solver.tolerance)
-    return program, given, replace(read, solver=replace(read.solver, tolerance=tolerance))
+    reads_contacts = "sensordata" in plan.derived
+    return (
+        program,
+        given,
+        replace(
+            read,
+            solver=replace(read.solver, tolerance=tolerance),
+            contact_sensors=read_contact_sensors(plan.model, read.constraints.contacts)
+            if reads_contacts
+            else (),
+        ),
+    )
 
 
 def _state(given: Mapping[str, Vector]) -> State:
@@ -77,12 +90,13 @@ def _state(given: Mapping[str, Vector]) -> State:
 
 
 def _derived(
-    plan: Plan, given: Mapping[str, Vector], state: State, time: Vector, forces: Vector
+    plan: Plan, given: Mapping[str, Vector], model: Model, moved: Moved, time: Vector
 ) -> dict[str, Vector]:
     own = {name: given[name] for name in plan.own}
-    scene = Scene(Fields(plan.model, own), state.qpos, state.qvel, time[0] if time else 0.0)
+    readings = by_number(model.contact_sensors, moved.readings)
+    scene = Scene(Fields(plan.model, own), moved.qpos, moved.qvel, time[0] if time else 0.0, readings)
     found = derived(scene, tuple(name for name in plan.derived if name != _OF_FORCES))
-    return {name: forces if name == _OF_FORCES else found[name] for name in plan.derived}
+    return {name: moved.qfrc_actuator if name == _OF_FORCES else found[name] for name in plan.derived}
 
 
 def _is_sound(values: Sequence[Symbol | float]) -> Symbol:

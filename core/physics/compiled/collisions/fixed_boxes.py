@@ -30,13 +30,13 @@ _TURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 @dataclass(frozen=True)
 class Choice:
-    """Boxes with the same axes. geoms: their numbers. centres: in those axes, [3] in m. reach: from a geom's
+    """Boxes with the same axes. numbers: of the geoms. centres: in those axes, [3] in m. reach: from a geom's
     centre to what it can touch, in m; no two boxes are within reach at once.
 
     parameters: of the contact with each, which differ only where environments have their own.
     """
 
-    geoms: tuple[int, ...]
+    numbers: tuple[int, ...]
     parameters: tuple[Parameters, ...]
     rotation: Matrix
     centres: tuple[Vector, ...]
@@ -121,7 +121,7 @@ def _choice(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> Choice:
     rotation = boxes[0].rotation
     centres = tuple(rotate(transpose(rotation), box.position) for box in boxes)
     return Choice(
-        geoms=tuple(pair.other for pair in pairs),
+        numbers=tuple(pair.other for pair in pairs),
         parameters=tuple(pair.parameters for pair in pairs),
         rotation=rotation,
         centres=centres,
