@@ -22,8 +22,10 @@ def _function(operation: Operation, computed: Callable[..., Number]) -> Callable
     """Writes the operation down where an argument is a symbol, and otherwise computes it."""
 
     def function(*arguments: Number) -> Number:
-        is_symbolic = any(isinstance(argument, Symbol) for argument in arguments)
-        return call(operation, *arguments) if is_symbolic else computed(*arguments)
+        if any(isinstance(argument, Symbol) for argument in arguments):
+            return call(operation, *arguments)
+        result = computed(*arguments)
+        return float(result) if isinstance(result, np.floating) else result
 
     return function
 
@@ -34,8 +36,18 @@ cosine = _function("cos", np.cos)
 absolute = _function("absolute", np.abs)
 minimum = _function("minimum", np.minimum)
 maximum = _function("maximum", np.maximum)
-# (condition, chosen, otherwise)
-select = _function("select", np.where)
+_select = _function("select", np.where)
+
+
+def select(condition: Number, chosen: Number, otherwise: Number) -> Number:
+    """A condition on constants is known, and chooses at once."""
+    if isinstance(condition, bool | np.bool_):
+        return chosen if condition else otherwise
+    return _select(condition, chosen, otherwise)
+
+
+def squared(x: Number) -> Number:
+    return x * x
 
 
 def clip(x: Number, low: Number, high: Number) -> Number:

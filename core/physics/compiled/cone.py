@@ -6,7 +6,17 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Friction cones
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from core.physics.compiled.arithmetic import Matrix, Number, Vector, dot, maximum, select, sqrt, total
+from core.physics.compiled.arithmetic import (
+    Matrix,
+    Number,
+    Vector,
+    dot,
+    maximum,
+    select,
+    sqrt,
+    squared,
+    total,
+)
 from core.physics.compiled.laws import Slope
 
 # Of a squared length: its inverse to the third power is still a number in single precision.
@@ -22,8 +32,8 @@ class Cone:
     """
 
     stiffness: Number
-    slope_of_cone: float
-    friction: Sequence[float]
+    slope_of_cone: Number
+    friction: Sequence[Number]
 
     def forces(self, residual: Vector) -> Vector:
         pressed = self._place(residual).pressed
@@ -68,13 +78,13 @@ class Cone:
         return 0.5 * self._unit_stiffness * total((x - y) * (x + y) for x, y in pairs)
 
     @property
-    def _scales(self) -> list[float]:
+    def _scales(self) -> Vector:
         """By direction: what makes the cone one of all directions alike."""
         return [self.slope_of_cone, *self.friction]
 
     @property
     def _unit_stiffness(self) -> Number:
-        return self.stiffness * (1.0 / self.slope_of_cone**2)
+        return self.stiffness * (1.0 / squared(self.slope_of_cone))
 
     def _place(self, residual: Vector) -> "_Place":
         normal, *across = [scale * x for scale, x in zip(self._scales, residual, strict=True)]
@@ -98,10 +108,10 @@ class _Place:
     bend_around: Number
 
 
-def _place(slope: float, normal: Number, across: Vector) -> _Place:
+def _place(slope: Number, normal: Number, across: Vector) -> _Place:
     """Above the cone nothing presses, below its polar all does, and between what is outside the cone."""
     length = sqrt(maximum(dot(across, across), _SMALLEST))
-    inverse, width = 1.0 / length, 1.0 / (1.0 + slope**2)
+    inverse, width = 1.0 / length, 1.0 / (1.0 + squared(slope))
     is_above, is_below = ~(normal < slope * length), ~(-length < slope * normal)
 
     def chosen(below: Number, between: Number) -> Number:

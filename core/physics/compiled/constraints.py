@@ -70,14 +70,15 @@ def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
 def constraint_rows(tree: Tree, constraints: Constraints, at: Poses, moving: Motion, state: State) -> Rows:
     """All rows in this state, contacts last."""
     by_body = is_better_by_body(tree, constraints.contacts)
+    touching = [
+        point
+        for contact in constraints.contacts
+        for point in contact_rows(tree, contact, at, moving, by_body=by_body)
+    ]
     groups: list[Group | BodyGroup] = [
         *(friction_row(friction, state.qvel) for friction in constraints.frictions),
         *(limit_row(limit, state.qpos, state.qvel) for limit in constraints.limits),
         *(ball_limit_row(limit, state.qpos, state.qvel) for limit in constraints.ball_limits),
-        *(
-            group
-            for contact in constraints.contacts
-            for group in contact_rows(tree, contact, at, moving, by_body=by_body)
-        ),
+        *(group for _, group in touching),
     ]
-    return Rows(groups, tree, moving.axes)
+    return Rows(groups, tree, moving.axes, [distance for distance, _ in touching])

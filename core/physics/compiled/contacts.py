@@ -4,7 +4,8 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Contacts".
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 
 import mujoco
 
@@ -19,11 +20,19 @@ from core.physics.compiled.arithmetic import (
     scale,
     select,
     sqrt,
+    squared,
     subtract,
     total,
 )
 from core.physics.compiled.body_rows import BodyGroup
-from core.physics.compiled.collisions.fixed_boxes import Choice, Shape, chosen, merged
+from core.physics.compiled.collisions.fixed_boxes import (
+    Choice,
+    Shape,
+    chosen_box,
+    chosen_parameters,
+    merged,
+    near,
+)
 from core.physics.compiled.collisions.shapes import Geom, Touch, placed, read_geoms
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.cone import Cone
@@ -58,11 +67,16 @@ class Contact:
         return self.one.kind, self.other.kind
 
     @property
+    def num_points(self) -> int:
+        """Where it may push at once."""
+        return COLLIDERS[self.kinds][1]
+
+    @property
     def num_rows(self) -> int:
         """Edges of pyramids, or directions of cones."""
         num_friction = len(self.parameters.friction)
         at_a_point = 2 * num_friction if num_friction and not self.is_elliptic else 1 + num_friction
-        return COLLIDERS[self.kinds][1] * at_a_point
+        return self.num_points * at_a_point
 
 
 def read_contacts(fields: Fields) -> tuple[Contact, ...]:
@@ -79,7 +93,7 @@ def read_contacts(fields: Fields) -> tuple[Contact, ...]:
             is_elliptic=model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC,
             impratio=float(model.opt.impratio),
         )
-        for pair, other in merged(pairs, geoms)
+        for pair, other in merged(pairs, nominal, geoms)
     )
 
 
@@ -95,27 +109,29 @@ def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:
         if contact.one.body and contact.other.body:
             continue
         size = len(_moved_by(tree, contact.one.body or contact.other.body))
-        _, num_points = COLLIDERS[contact.kinds]
         # Of the curvature, the residual and the forces, with three directions.
-        one_by_one += num_points * (size * (size + 1) // 2 * 5 + size * 23)
-        by_body += num_points * 240
+        one_by_one += contact.num_points * (size * (size + 1) // 2 * 5 + size * 23)
+        by_body += contact.num_points * 240
     return by_body < one_by_one
 
 
 def contact_rows(
     tree: Tree, contact: Contact, at: Poses, moving: Motion, *, by_body: bool
-) -> list[Group | BodyGroup]:
-    """A group for each point of the contact."""
+) -> list[tuple[Number, Group | BodyGroup]]:
+    """For each point of the contact: how far apart the geoms are there, in m, and a group."""
     one = placed(contact.one, at)
-    other = (
-        chosen(contact.other, one.position)
-        if isinstance(contact.other, Choice)
-        else placed(contact.other, at)
-    )
+    if isinstance(contact.other, Choice):
+        is_near = near(contact.other, one.position)
+        other = chosen_box(contact.other, is_near)
+        contact = replace(contact, parameters=chosen_parameters(contact.other, is_near))
+    else:
+        other = placed(contact.other, at)
     collide, _ = COLLIDERS[contact.kinds]
     is_single = not (contact.one.body and contact.other.body)
+    by_body = by_body and is_single
     return [
-        _group(tree, contact, touch, moving, by_body=by_body and is_single) for touch in collide(one, other)
+        (touch.distance, _group(tree, contact, touch, moving, by_body=by_body))
+        for touch in collide(one, other)
     ]
 
 
@@ -145,8 +161,13 @@ def _law(contact: Contact, impedance: Number, distance: Number) -> Law:
     slope = friction[0] / contact.impratio**0.5
     if contact.is_elliptic:
         return Cone(stiffness_at(impedance, weight, distance), slope, friction)
-    edge = weight * (1.0 + friction[0] ** 2) * 2.0 * slope**2
+    edge = weight * (1.0 + squared(friction[0])) * 2.0 * squared(slope)
     return Pyramid(stiffness_at(impedance, edge, distance), friction)
+
+
+def _inverse_weight(fields: Fields, pair: Pair) -> Number:
+    bodies = fields.model.geom_bodyid[[pair.one, pair.other]]
+    return total(fields.number("body_invweight0", int(body)) for body in bodies)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """What a model has that the stages do not compute, found before any code is made."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -9,8 +8,10 @@ import numpy as np
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.constraints import read_constraints
 from core.physics.compiled.derived import DERIVED_FIELDS
+from core.physics.compiled.fields import Fields
+from core.physics.compiled.named import named, where, word
 from core.physics.compiled.pairs import read_pairs
-from core.physics.compiled.sensors import is_known
+from core.physics.compiled.sensor_coverage import turn_several_axes, unread
 from core.physics.compiled.softness import is_computable
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
@@ -53,7 +54,7 @@ def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
     """The first reason why these derived fields cannot be computed for a model that the stages can move."""
     if unknown := sorted(set(names) - set(DERIVED_FIELDS)):
         return f"{unknown[0]} is not a derived field"
-    return next(_sensors(model), None) if "sensordata" in names else None
+    return next(unread(model), None) if "sensordata" in names else None
 
 
 def uncovered_own(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
@@ -64,62 +65,39 @@ def uncovered_own(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
 def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
     if name == "actuator_dynprm":
         exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
-        yield from (f"{name}: {reason}" for reason in _where(model, "actuator", exact, "is an exact filter"))
+        yield from (f"{name}: {reason}" for reason in where(model, "actuator", exact, "is an exact filter"))
     affine = {
         "actuator_gainprm": model.actuator_gaintype == mujoco.mjtGain.mjGAIN_AFFINE,
         "actuator_biasprm": model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE,
     }
     if name in affine:
-        turning = affine[name] & _turn_several_axes(model)
-        yield from (
-            f"{name}: {reason}" for reason in _where(model, "actuator", turning, "turns several axes")
-        )
+        turning = affine[name] & turn_several_axes(model)
+        yield from (f"{name}: {reason}" for reason in where(model, "actuator", turning, "turns several axes"))
 
 
-def _sensors(model: mujoco.MjModel) -> Iterator[str]:
-    kinds, camera = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_CAMERA
-    if model.nsensor and model.opt.disableflags & (_DISABLE.mjDSBL_SENSOR | _DISABLE.mjDSBL_ACTUATION):
-        yield "sensordata: it disables sensors or actuators"
-    for number, kind in enumerate(model.sensor_type):
-        name = f"sensordata: its sensor {_named(model, 'sensor', number)}"
-        if not is_known(int(kind)):
-            yield f"{name} is of the kind {_word(kinds(int(kind)).name)}"
-        elif (model.sensor_objtype[number] == camera) or (model.sensor_reftype[number] == camera):
-            yield f"{name} is about a camera"
-        elif model.sensor_delay[number] or model.sensor_interval[number].any():
-            yield f"{name} is read late or at intervals"
-        elif kind == kinds.mjSENS_ACTUATORPOS and not _is_on_scalar(model, int(model.sensor_objid[number])):
-            yield f"{name} is the length of an actuator on a joint with several axes"
-
-
-def _turn_several_axes(model: mujoco.MjModel) -> np.ndarray:
-    """[nactuator]: whether an actuator acts on a ball joint or a free one."""
-    return np.array([not _is_on_scalar(model, number) for number in range(model.nactuator)], bool)
-
-
-def _is_on_scalar(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator acts on a hinge, a slide or a tendon."""
-    joints = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
-    if not np.isin(model.actuator_trntype[actuator], joints):
-        return True
-    return np.count_nonzero(model.dof_jntid == model.actuator_trnid[actuator, 0]) == 1
+def _touched_where_they_are(model: mujoco.MjModel) -> Iterator[str]:
+    """The first body, but the world, that never moves but can be touched: its place is a constant."""
+    for pair in read_pairs(Fields(model)):
+        for body in (int(body) for body in model.geom_bodyid[[pair.one, pair.other]]):
+            if body and not model.body_weldid[body]:
+                yield f"its body {named(model, 'body', body)} stands still and can be touched"
 
 
 def _options(model: mujoco.MjModel) -> Iterator[str]:
     option = model.opt
     integrators = mujoco.mjtIntegrator
     if option.integrator not in (integrators.mjINT_EULER, integrators.mjINT_IMPLICITFAST):
-        yield f"its integrator is {_word(mujoco.mjtIntegrator(option.integrator).name)}"
+        yield f"its integrator is {word(mujoco.mjtIntegrator(option.integrator).name)}"
     if option.solver == mujoco.mjtSolver.mjSOL_PGS:
         yield "its solver is PGS"
     if option.noslip_iterations:
         yield "it asks for the noslip solver"
     for bit in _DISABLE.__members__.values():
         if option.disableflags & bit & ~(_FOLLOWED | _WITHOUT_EFFECT):
-            yield f"it disables a part of MuJoCo ({_word(bit.name)})"
+            yield f"it disables a part of MuJoCo ({word(bit.name)})"
     for bit in _ENABLE.__members__.values():
         if option.enableflags & bit & ~_ENABLED_WITHOUT_EFFECT:
-            yield f"it enables a part of MuJoCo ({_word(bit.name)})"
+            yield f"it enables a part of MuJoCo ({word(bit.name)})"
 
 
 def _combinations(model: mujoco.MjModel) -> Iterator[str]:
@@ -140,9 +118,9 @@ def _combinations(model: mujoco.MjModel) -> Iterator[str]:
 def _parts(model: mujoco.MjModel) -> Iterator[str]:
     """Kinds of parts of which the stages know none."""
     if model.neq:
-        yield f"its equality {_named(model, 'equality', 0)} ties bodies or joints together"
+        yield f"its equality {named(model, 'equality', 0)} ties bodies or joints together"
     if model.nflex:
-        yield f"it has a flexible body, {_named(model, 'flex', 0)}"
+        yield f"it has a flexible body, {named(model, 'flex', 0)}"
     if model.nmocap:
         yield "it has a mocap body"
     if model.nplugin:
@@ -152,27 +130,27 @@ def _parts(model: mujoco.MjModel) -> Iterator[str]:
 def _joints(model: mujoco.MjModel) -> Iterator[str]:
     rotates = np.isin(model.jnt_type, (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL))
     ranged = rotates & (model.jnt_actfrclimited != 0)
-    yield from _where(model, "joint", ranged, "has several axes and limits its actuators' forces")
-    yield from _where(model, "joint", model.jnt_stiffnesspoly.any(axis=-1), "is not a linear spring")
+    yield from where(model, "joint", ranged, "has several axes and limits its actuators' forces")
+    yield from where(model, "joint", model.jnt_stiffnesspoly.any(axis=-1), "is not a linear spring")
     joint_of = model.dof_jntid
-    yield from _where(model, "joint", model.dof_dampingpoly.any(axis=-1), "is not a linear damper", joint_of)
+    yield from where(model, "joint", model.dof_dampingpoly.any(axis=-1), "is not a linear damper", joint_of)
     rough = (model.dof_frictionloss != 0) & _uncomputable(model.dof_solimp)
-    yield from _where(model, "joint", rough, _CURVE, joint_of)
+    yield from where(model, "joint", rough, _CURVE, joint_of)
     limited = (model.jnt_limited != 0) & _keeps_limits(model)
-    yield from _where(model, "joint", limited & _uncomputable(model.jnt_solimp), _CURVE)
+    yield from where(model, "joint", limited & _uncomputable(model.jnt_solimp), _CURVE)
     both_ends = limited & ~rotates & (np.ptp(model.jnt_range, axis=1) < 2.0 * model.jnt_margin)
-    yield from _where(model, "joint", both_ends, "can be at both ends of its range at once")
+    yield from where(model, "joint", both_ends, "can be at both ends of its range at once")
 
 
 def _tendons(model: mujoco.MjModel) -> Iterator[str]:
     is_fixed = model.wrap_type[model.tendon_adr] == mujoco.mjtWrap.mjWRAP_JOINT
-    yield from _where(model, "tendon", ~is_fixed, "is a spatial one")
+    yield from where(model, "tendon", ~is_fixed, "is a spatial one")
     limited = (model.tendon_limited != 0) & _keeps_limits(model)
-    yield from _where(model, "tendon", limited, "has a limit")
-    yield from _where(model, "tendon", model.tendon_frictionloss, "has friction loss")
-    yield from _where(model, "tendon", model.tendon_actfrclimited, "limits its actuators' forces")
-    yield from _where(model, "tendon", model.tendon_stiffnesspoly.any(axis=-1), "is not a linear spring")
-    yield from _where(model, "tendon", model.tendon_dampingpoly.any(axis=-1), "is not a linear damper")
+    yield from where(model, "tendon", limited, "has a limit")
+    yield from where(model, "tendon", model.tendon_frictionloss, "has friction loss")
+    yield from where(model, "tendon", model.tendon_actfrclimited, "limits its actuators' forces")
+    yield from where(model, "tendon", model.tendon_stiffnesspoly.any(axis=-1), "is not a linear spring")
+    yield from where(model, "tendon", model.tendon_dampingpoly.any(axis=-1), "is not a linear damper")
 
 
 def _actuators(model: mujoco.MjModel) -> Iterator[str]:
@@ -180,27 +158,25 @@ def _actuators(model: mujoco.MjModel) -> Iterator[str]:
         return
     kinds, targets = mujoco.mjtTrn, model.actuator_trntype
     covered = (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT, kinds.mjTRN_TENDON)
-    yield from _where(model, "actuator", ~np.isin(targets, covered), "acts on neither a joint nor a tendon")
+    yield from where(model, "actuator", ~np.isin(targets, covered), "acts on neither a joint nor a tendon")
     gain, bias, dynamics = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
     simple = np.isin(model.actuator_gaintype, (gain.mjGAIN_FIXED, gain.mjGAIN_AFFINE)) & np.isin(
         model.actuator_biastype, (bias.mjBIAS_NONE, bias.mjBIAS_AFFINE)
     )
-    yield from _where(model, "actuator", ~simple, "is a muscle, a motor with dynamics or a user's own kind")
+    yield from where(model, "actuator", ~simple, "is a muscle, a motor with dynamics or a user's own kind")
     filters = dynamics.mjDYN_INTEGRATOR, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT
     known = np.isin(model.actuator_dyntype, (dynamics.mjDYN_NONE, *filters))
     several = (model.actuator_actnum > 1) | (model.actuator_ctrlnum != 1) | (model.actuator_outnum != 1)
-    yield from _where(model, "actuator", ~known | several, "has dynamics, inputs or outputs of its own kind")
-    turns = _turn_several_axes(model)
+    yield from where(model, "actuator", ~known | several, "has dynamics, inputs or outputs of its own kind")
+    turns = turn_several_axes(model)
     in_parent = turns & (targets == kinds.mjTRN_JOINTINPARENT)
-    yield from _where(
-        model, "actuator", in_parent, "acts on a joint with several axes, in its parent's frame"
-    )
+    yield from where(model, "actuator", in_parent, "acts on a joint with several axes, in its parent's frame")
     by_length = (model.actuator_gainprm[:, 1] != 0) | (model.actuator_biasprm[:, 1] != 0)
-    yield from _where(model, "actuator", turns & by_length, "holds a joint with several axes in a position")
-    yield from _where(model, "actuator", model.actuator_delay > 0, "acts with a delay")
+    yield from where(model, "actuator", turns & by_length, "holds a joint with several axes in a position")
+    yield from where(model, "actuator", model.actuator_delay > 0, "acts with a delay")
     for field in ("armature", "damping", "dampingpoly"):
         values = np.reshape(getattr(model, f"actuator_{field}"), (model.nactuator, -1))
-        yield from _where(model, "actuator", values.any(axis=1), f"has `{field}` of its own")
+        yield from where(model, "actuator", values.any(axis=1), f"has `{field}` of its own")
 
 
 def _keeps_limits(model: mujoco.MjModel) -> bool:
@@ -219,9 +195,9 @@ def _flies_alone(model: mujoco.MjModel, body: int) -> bool:
 def _contacts(model: mujoco.MjModel) -> Iterator[str]:
     if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
         return
-    for pair in read_pairs(model):
+    for pair in read_pairs(Fields(model)):
         both = [pair.one, pair.other]
-        one, other = (_named(model, "geom", number) for number in both)
+        one, other = (named(model, "geom", number) for number in both)
         names = f"its geoms {one} and {other} can touch"
         kinds = [int(kind) for kind in model.geom_type[both]]
         if (kinds[0], kinds[1]) not in COLLIDERS:
@@ -232,7 +208,7 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
         elif model.geom_adhesion[both].any() or model.geom_surfacevel[both].any():
             yield f"{names} with adhesion or a moving surface"
     for place in np.flatnonzero(model.pair_adhesion)[:1]:
-        yield f"its pair {_named(model, 'pair', int(place))} has adhesion"
+        yield f"its pair {named(model, 'pair', int(place))} has adhesion"
 
 
 def _with_article(word: str) -> str:
@@ -255,21 +231,3 @@ _CURVE = "has a `solimp` whose power is not a multiple of a half"
 def _uncomputable(solimp: np.ndarray) -> np.ndarray:
     """[n]: where the stages have no operation for the curve of a `solimp` [n, 5]."""
     return np.array([not is_computable(power) for power in solimp[:, 4]], bool)
-
-
-def _where(
-    model: mujoco.MjModel, kind: str, found: Any, words: str, numbers: np.ndarray | None = None
-) -> Iterator[str]:
-    """The first element for which `found` is true. numbers: the elements' own, if not their places."""
-    for place in np.flatnonzero(found)[:1]:
-        yield f"its {kind} {_named(model, kind, int(place if numbers is None else numbers[place]))} {words}"
-
-
-def _named(model: mujoco.MjModel, kind: str, number: int) -> str:
-    name = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number)
-    return f"'{name}'" if name else f"number {number}"
-
-
-def _word(member: str) -> str:
-    """The last part of an enumeration's name, as a model's XML has it."""
-    return member.rsplit("_", 1)[-1].lower()

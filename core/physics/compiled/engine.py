@@ -44,6 +44,7 @@ class CompiledEngine:
 
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
         check_model_fields(model)
+        check_own(self._model, tuple(model))
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,

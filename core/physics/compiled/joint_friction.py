@@ -62,7 +62,7 @@ class JointFriction:
     """Of a degree of freedom. damping: of the reference acceleration."""
 
     dof: int
-    damping: float
+    damping: Number
     law: Friction
 
 

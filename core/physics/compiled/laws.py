@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from core.physics.compiled.arithmetic import Matrix, Number, Vector, dot, minimum, select, total
+from core.physics.compiled.arithmetic import Matrix, Number, Vector, dot, minimum, select, squared, total
 
 # The cost's first and second derivative at a step along a line.
 Slope = Callable[[Number], tuple[Number, Number]]
@@ -55,7 +55,7 @@ class OneSided:
         return _slope(self.stiffness, residual, rates)
 
     def cost(self, residual: Vector) -> Number:
-        return 0.5 * self.stiffness * _square(minimum(residual[0], 0.0))
+        return 0.5 * self.stiffness * squared(minimum(residual[0], 0.0))
 
     def fall(self, before: Vector, after: Vector) -> Number:
         return 0.5 * self.stiffness * _fall(before[0], after[0])
@@ -70,7 +70,7 @@ class Pyramid:
     """
 
     stiffness: Number
-    friction: Sequence[float]
+    friction: Sequence[Number]
 
     def forces(self, residual: Vector) -> Vector:
         pressed = [minimum(edge, 0.0) for edge in self._edges(residual)]
@@ -88,14 +88,14 @@ class Pyramid:
         for k, friction in enumerate(self.friction):
             plus, minus = active[2 * k], active[2 * k + 1]
             found[0][k + 1] = found[k + 1][0] = friction * (plus - minus)
-            found[k + 1][k + 1] = friction**2 * (plus + minus)
+            found[k + 1][k + 1] = squared(friction) * (plus + minus)
         return found
 
     def slope(self, residual: Vector, rates: Vector) -> Slope:
         return _slope(self.stiffness, self._edges(residual), self._edges(rates))
 
     def cost(self, residual: Vector) -> Number:
-        squares = total(_square(minimum(edge, 0.0)) for edge in self._edges(residual))
+        squares = total(squared(minimum(edge, 0.0)) for edge in self._edges(residual))
         return 0.5 * self.stiffness * squares
 
     def fall(self, before: Vector, after: Vector) -> Number:
@@ -123,10 +123,6 @@ def _slope(stiffness: Number, residual: Vector, rates: Vector) -> Slope:
         return first, second
 
     return slope
-
-
-def _square(x: Number) -> Number:
-    return x * x
 
 
 def _fall(before: Number, after: Number) -> Number:

@@ -123,14 +123,15 @@ def _of_geoms(fields: Fields, one: int, other: int) -> Parameters:
     return Parameters(_bounded(friction, dimensions), softness, margin, margin + gap, softness.damping)
 
 
-def _of_pair(model: mujoco.MjModel, place: int) -> Parameters:
-    solimp, own = model.pair_solimp[place], model.pair_solreffriction[place]
-    softness = read_softness(model.pair_solref[place], solimp, model.opt.timestep)
+def _of_pair(fields: Fields, place: int) -> Parameters:
+    model = fields.model
+    solimp, own = model.pair_solimp[place], fields.row("pair_solreffriction", place)
+    softness = read_softness(fields.row("pair_solref", place), solimp, model.opt.timestep)
     damping = softness.damping
-    if own.all() and (own[0] > 0.0) == (own[1] > 0.0):
+    if all(own) and (own[0] > 0.0) == (own[1] > 0.0):
         damping = read_softness(own, solimp, model.opt.timestep).damping
     margin, gap = float(model.pair_margin[place]), float(model.pair_gap[place])
-    friction = tuple(float(x) for x in model.pair_friction[place])
+    friction = tuple(fields.row("pair_friction", place))
     return Parameters(_bounded(friction, int(model.pair_dim[place])), softness, margin, margin + gap, damping)
 
 

@@ -12,7 +12,15 @@ from core.reasons import Reason
 
 def check_covered(model: mujoco.MjModel, derived: Sequence[str] = ()) -> None:
     """Raises JobFailed("bad_model") if the stages cannot move the model, or compute these fields of it."""
-    reason = uncovered(model) or uncovered_fields(model, derived)
+    _refuse(uncovered(model) or uncovered_fields(model, derived))
+
+
+def check_own(model: mujoco.MjModel, names: Sequence[str]) -> None:
+    """Raises JobFailed("bad_model") if environments cannot have these fields of the model for themselves."""
+    _refuse(uncovered_own(model, names))
+
+
+def _refuse(reason: str | None) -> None:
     if reason is not None:
         raise JobFailed(Reason.BAD_MODEL, beyond_compiled(reason))
 

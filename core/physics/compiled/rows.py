@@ -34,11 +34,13 @@ class Group:
 
 @dataclass(frozen=True)
 class Rows:
-    """axes: by degree of freedom, [6], in this state; see `Motion`."""
+    """axes: by degree of freedom, [6], in this state; see `Motion`. distances: in m, between geoms at each of
+    the points where they can touch, of which the last groups are."""
 
     groups: Sequence[Group | BodyGroup]
     tree: Tree
     axes: Sequence[Vector]
+    distances: Sequence[Number]
 
 
 def times(rows: Rows, vector: Vector) -> Vector:

@@ -1,5 +1,6 @@
 """A state of a model, and what follows from its positions and velocities, computed when first asked for."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,6 +25,8 @@ from core.physics.compiled.fields import Fields, divided
 from core.physics.compiled.kinematics import Poses, poses
 from core.physics.compiled.tendons import Tendon, read_tendons
 from core.physics.compiled.tree import Tree, read_tree
+
+NO_READINGS: Mapping[int, Number] = {}
 
 
 @dataclass(frozen=True)

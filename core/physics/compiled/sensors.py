@@ -1,4 +1,4 @@
-"""Sensors that follow from positions and velocities.
+"""Sensors that follow from positions and velocities, and those of the last substep's contacts.
 
 Source: MuJoCo's documentation, XML reference, "sensor".
 """
@@ -21,6 +21,7 @@ from core.physics.compiled.arithmetic import (
     subtract,
     transpose,
 )
+from core.physics.compiled.contact_sensors import KINDS
 from core.physics.compiled.rotations import conjugate
 from core.physics.compiled.scene import Frame, Scene
 from core.physics.compiled.tendons import weighted
@@ -30,9 +31,10 @@ _Kind = mujoco.mjtSensor
 
 @dataclass(frozen=True)
 class Sensor:
-    """kind: of MuJoCo's `mjtSensor`. object: what it reads, of the kind `object_kind`. reference: the frame
-    in which it reads; None: the world's."""
+    """number: its own. kind: of MuJoCo's `mjtSensor`. object: what it reads, of the kind `object_kind`.
+    reference: the frame in which it reads; None: the world's."""
 
+    number: int
     kind: int
     object: int
     object_kind: int
@@ -45,18 +47,25 @@ def sensor_values(scene: Scene) -> Vector:
     for number in range(model.nsensor):
         reference = int(model.sensor_refid[number])
         sensor = Sensor(
+            number=number,
             kind=int(model.sensor_type[number]),
             object=int(model.sensor_objid[number]),
             object_kind=int(model.sensor_objtype[number]),
             reference=scene.frame(model.sensor_reftype[number], reference) if reference >= 0 else None,
         )
-        values, cutoff = _READ[sensor.kind](scene, sensor), float(model.sensor_cutoff[number])
+        values, cutoff = _READ[sensor.kind](scene, sensor), _cutoff(model, number)
         if cutoff > 0.0 and model.sensor_datatype[number] == mujoco.mjtDataType.mjDATATYPE_REAL:
             values = [clip(value, -cutoff, cutoff) for value in values]
         if cutoff > 0.0 and model.sensor_datatype[number] == mujoco.mjtDataType.mjDATATYPE_POSITIVE:
             values = [minimum(value, cutoff) for value in values]
         found.append(values)
     return [value for values in found for value in values]
+
+
+def _cutoff(model: mujoco.MjModel, sensor: int) -> float:
+    """The most that it reads; 0 without."""
+    counts = model.sensor_type[sensor] == _Kind.mjSENS_CONTACT
+    return 0.0 if counts else float(model.sensor_cutoff[sensor])
 
 
 def is_known(kind: int) -> bool:
@@ -140,6 +149,10 @@ def _subtree(scene: Scene, sensor: Sensor) -> Vector:
     return scene.means([scene.velocity(frame)[1] for frame in frames])[sensor.object]
 
 
+def _of_contacts(scene: Scene, sensor: Sensor) -> Vector:
+    return [scene.readings[sensor.number]]
+
+
 _READ: Mapping[int, Callable[[Scene, Sensor], Vector]] = {
     **dict.fromkeys((_Kind.mjSENS_JOINTPOS, _Kind.mjSENS_JOINTVEL), _joint),
     **dict.fromkeys((_Kind.mjSENS_BALLQUAT, _Kind.mjSENS_BALLANGVEL), _joint),
@@ -154,5 +167,6 @@ _READ: Mapping[int, Callable[[Scene, Sensor], Vector]] = {
     **dict.fromkeys((_Kind.mjSENS_FRAMELINVEL, _Kind.mjSENS_FRAMEANGVEL), _velocity),
     **dict.fromkeys((_Kind.mjSENS_GYRO, _Kind.mjSENS_VELOCIMETER, _Kind.mjSENS_MAGNETOMETER), _at_site),
     **dict.fromkeys((_Kind.mjSENS_SUBTREECOM, _Kind.mjSENS_SUBTREELINVEL), _subtree),
+    **dict.fromkeys(KINDS, _of_contacts),
     _Kind.mjSENS_CLOCK: lambda scene, _: [scene.time],
 }

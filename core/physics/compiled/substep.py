@@ -11,6 +11,7 @@ from core.physics.compiled.actuation import Actuator, ActuatorState, Driven, dri
 from core.physics.compiled.arithmetic import Number, Vector, add, scale
 from core.physics.compiled.constraints import Constraints, constraint_rows, read_constraints
 from core.physics.compiled.constraints import State as Placed
+from core.physics.compiled.contact_sensors import ContactSensor, contact_readings
 from core.physics.compiled.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
 from core.physics.compiled.factor import factorize, solve
 from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
@@ -26,7 +27,10 @@ from core.physics.compiled.tree import Tree, read_tree
 
 @dataclass(frozen=True)
 class Model:
-    """timestep: in s. warm_start: whether the solver may begin at the last substep's acceleration."""
+    """timestep: in s. warm_start: whether the solver may begin at the last substep's acceleration.
+
+    contact_sensors: those to read at each substep.
+    """
 
     tree: Tree
     tendons: tuple[Tendon, ...]
@@ -37,6 +41,7 @@ class Model:
     implicit: Implicit
     warm_start: bool
     solver: Settings
+    contact_sensors: tuple[ContactSensor, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -51,9 +56,10 @@ class State:
 
 @dataclass(frozen=True)
 class Moved(State):
-    """qfrc_actuator: [nv], of the last substep."""
+    """qfrc_actuator: [nv], and the readings of the contacts' sensors: of the last substep."""
 
     qfrc_actuator: Vector
+    readings: Vector
 
 
 def read_model(model: mujoco.MjModel, own: Own = NOMINAL) -> Model:
@@ -86,20 +92,40 @@ def control_step(
 
     reads_forces: whether `qfrc_actuator` is wanted; it is empty otherwise.
     """
-    sizes = [len(part) for part in (state.qpos, state.qvel, state.act, state.qacc)]
     blank: Vector = [0.0] * len(state.qvel) if reads_forces else []
+    sizes = [len(part) for part in (state.qpos, state.qvel, state.act, state.qacc, blank)]
 
     def body(carried: list[Number]) -> tuple[list[Number], Number]:
         moved = substep(model, State(*_parted(carried, sizes)[:4]), ctrl)
         kept = moved if reads_forces else replace(moved, qfrc_actuator=[])
         return _joined(kept), True
 
-    begun = Moved(state.qpos, state.qvel, state.act, state.qacc, blank)
+    unread: Vector = [0.0] * len(model.contact_sensors)
+    begun = Moved(state.qpos, state.qvel, state.act, state.qacc, blank, unread)
     return Moved(*_parted(repeat(num_substeps, body, _joined(begun)), sizes))
 
 
 def substep(model: Model, state: State, ctrl: Vector) -> Moved:
     """The state one timestep later under a control [nu]."""
+    problem, done = _problem(model, state, ctrl)
+    found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
+    qvel = add(state.qvel, scale(_integrated(model, problem, found, done), model.timestep))
+    qpos = integrated(model.tree, state.qpos, qvel, model.timestep)
+    return Moved(qpos, qvel, done.act, found, done.on_dofs, _readings(model, problem, found))
+
+
+def unmoved(model: Model, state: State, ctrl: Vector) -> Moved:
+    """The state itself, with the forces in it under a control [nu]."""
+    problem, done = _problem(model, state, ctrl)
+    readings: Vector = []
+    if model.contact_sensors:
+        found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
+        readings = _readings(model, problem, found)
+    return Moved(state.qpos, state.qvel, state.act, state.qacc, done.on_dofs, readings)
+
+
+def _problem(model: Model, state: State, ctrl: Vector) -> tuple[Problem, Driven]:
+    """What the solver solves in this state, and what the actuators do."""
     tree = model.tree
     at = poses(tree, state.qpos)
     moving = motion(tree, at, state.qvel)
@@ -108,17 +134,14 @@ def substep(model: Model, state: State, ctrl: Vector) -> Moved:
     free = solve(tree, factorize(tree, mass), force)
     placed = Placed(state.qpos, state.qvel)
     rows = constraint_rows(tree, model.constraints, at, moving, placed)
-    problem = Problem(tree, mass, force, free, rows)
-    found = acceleration(problem, state.qacc if model.warm_start else free, model.solver)
-    qvel = add(state.qvel, scale(_integrated(model, problem, found, done), model.timestep))
-    qpos = integrated(tree, state.qpos, qvel, model.timestep)
-    return Moved(qpos, qvel, done.act, found, done.on_dofs)
+    return Problem(tree, mass, force, free, rows), done
 
 
-def actuator_forces(model: Model, state: State, ctrl: Vector) -> Vector:
-    """[nv]: MuJoCo's `qfrc_actuator` in this state."""
-    at = poses(model.tree, state.qpos)
-    return _smooth_forces(model, state, ctrl, at, motion(model.tree, at, state.qvel))[1].on_dofs
+def _readings(model: Model, problem: Problem, found: Vector) -> Vector:
+    """Of the contacts' sensors, under the acceleration [nv] that was found."""
+    if not model.contact_sensors:
+        return []
+    return contact_readings(model.contact_sensors, model.constraints.contacts, problem.rows, found)
 
 
 def _implicit(fields: Fields, tree: Tree) -> Implicit:
@@ -156,7 +179,7 @@ def _integrated(model: Model, problem: Problem, found: Vector, done: Driven) -> 
 
 
 def _joined(moved: Moved) -> list[Number]:
-    return [*moved.qpos, *moved.qvel, *moved.act, *moved.qacc, *moved.qfrc_actuator]
+    return [*moved.qpos, *moved.qvel, *moved.act, *moved.qacc, *moved.qfrc_actuator, *moved.readings]
 
 
 def _parted(values: list[Number], sizes: list[int]) -> list[Vector]:

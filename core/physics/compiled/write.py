@@ -9,6 +9,7 @@ from math import nan
 import mujoco
 
 from core.physics.compiled.arithmetic import Vector, absolute, select
+from core.physics.compiled.contact_sensors import by_number, read_contact_sensors
 from core.physics.compiled.derived import derived
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.fold import folded

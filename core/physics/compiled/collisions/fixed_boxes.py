@@ -5,13 +5,24 @@ costs as much as the few boxes that a geom can touch at once, and not as much as
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import and_
 
 import mujoco
 
-from core.physics.compiled.arithmetic import Matrix, Vector, absolute, rotate, select, subtract, transpose
+from core.physics.compiled.arithmetic import (
+    Matrix,
+    Number,
+    Vector,
+    absolute,
+    rotate,
+    select,
+    subtract,
+    transpose,
+)
 from core.physics.compiled.collisions.shapes import Geom, Placed
-from core.physics.compiled.pairs import Pair
+from core.physics.compiled.pairs import Pair, Parameters
 
 _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 _TURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -19,9 +30,14 @@ _TURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 @dataclass(frozen=True)
 class Choice:
-    """Boxes with the same axes. centres: in those axes, [3] in m. reach: from a geom's centre to what it can
-    touch, in m; no two boxes are within reach at once."""
+    """Boxes with the same axes. numbers: of the geoms. centres: in those axes, [3] in m. reach: from a geom's
+    centre to what it can touch, in m; no two boxes are within reach at once.
 
+    parameters: of the contact with each, which differ only where environments have their own.
+    """
+
+    numbers: tuple[int, ...]
+    parameters: tuple[Parameters, ...]
     rotation: Matrix
     centres: tuple[Vector, ...]
     sizes: tuple[Vector, ...]
@@ -33,13 +49,18 @@ class Choice:
 Shape = Geom | Choice
 
 
-def merged(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> list[tuple[Pair, Shape]]:
-    """The pairs, each with its second geom; pairs of one geom with fixed boxes as few choices."""
+def merged(
+    pairs: Sequence[Pair], nominal: Sequence[Parameters], geoms: Sequence[Geom]
+) -> list[tuple[Pair, Shape]]:
+    """The pairs, each with its second geom; pairs of one geom with fixed boxes as few choices.
+
+    nominal: the pairs' parameters by the model's own numbers; those of a choice are the same.
+    """
     groups: dict[object, list[Pair]] = {}
-    for pair in pairs:
+    for place, (pair, parameters) in enumerate(zip(pairs, nominal, strict=True)):
         other = geoms[pair.other]
         is_fixed_box = other.kind == _BOX and not other.body
-        alike = (pair.one, pair.parameters, str(other.rotation)) if is_fixed_box else pair
+        alike = (pair.one, parameters, str(other.rotation)) if is_fixed_box else place
         groups.setdefault(alike, []).append(pair)
     found = list[tuple[Pair, Shape]]()
     for group in groups.values():
@@ -48,28 +69,65 @@ def merged(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> list[tuple[Pair, Sha
     return found
 
 
-def chosen(choice: Choice, centre: Vector) -> Placed:
-    """The box that a geom with this centre [3] is near; any of them, where it is near none."""
+def near(choice: Choice, centre: Vector) -> Vector:
+    """For each box but the first: whether a geom with this centre [3] is near it, and so near no other."""
     here = rotate(transpose(choice.rotation), centre)
     boxes = list(zip(choice.centres, choice.sizes, strict=True))
+    # Boxes that are apart differ in one direction at least.
     varying = [k for k in range(3) if len({(middle[k], size[k]) for middle, size in boxes}) > 1]
-    position, size = list(choice.centres[0]), list(choice.sizes[0])
-    for middle, its_size in boxes[1:]:
-        # Boxes that are apart differ in one direction at least.
-        is_near = absolute(here[varying[0]] - middle[varying[0]]) < its_size[varying[0]] + choice.reach
-        for k in varying[1:]:
-            is_near = is_near & (absolute(here[k] - middle[k]) < its_size[k] + choice.reach)
-        for k in varying:
-            position[k] = select(is_near, middle[k], position[k])
-            size[k] = select(is_near, its_size[k], size[k])
+    return [
+        reduce(and_, (absolute(here[k] - middle[k]) < size[k] + choice.reach for k in varying))
+        for middle, size in boxes[1:]
+    ]
+
+
+def chosen_box(choice: Choice, is_near: Vector) -> Placed:
+    """The box that a geom is near; any of them, where it is near none."""
+    position, size = (
+        [_chosen(is_near, numbers) for numbers in zip(*vectors, strict=True)]
+        for vectors in (choice.centres, choice.sizes)
+    )
     return Placed(rotate(choice.rotation, position), _TURNED, choice.rotation, size)
+
+
+def chosen_parameters(choice: Choice, is_near: Vector) -> Parameters:
+    """Of the contact with the box that a geom is near."""
+    softnesses = [one.softness for one in choice.parameters]
+    softness = replace(
+        softnesses[0],
+        stiffness=_chosen(is_near, [one.stiffness for one in softnesses]),
+        damping=_chosen(is_near, [one.damping for one in softnesses]),
+    )
+    frictions = zip(*(one.friction for one in choice.parameters), strict=True)
+    return replace(
+        choice.parameters[0],
+        friction=tuple(_chosen(is_near, numbers) for numbers in frictions),
+        softness=softness,
+        friction_damping=_chosen(is_near, [one.friction_damping for one in choice.parameters]),
+    )
+
+
+def _chosen(is_near: Vector, numbers: Sequence[Number]) -> Number:
+    """Of a number of each box, that of the box that is near."""
+    found = numbers[0]
+    if not all(isinstance(number, float) and number == found for number in numbers):
+        for condition, number in zip(is_near, numbers[1:], strict=True):
+            found = select(condition, number, found)
+    return found
 
 
 def _choice(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> Choice:
     boxes = [geoms[pair.other] for pair in pairs]
     rotation = boxes[0].rotation
     centres = tuple(rotate(transpose(rotation), box.position) for box in boxes)
-    return Choice(rotation, centres, tuple(box.size for box in boxes), _reach(pairs[0], geoms))
+    return Choice(
+        numbers=tuple(pair.other for pair in pairs),
+        parameters=tuple(pair.parameters for pair in pairs),
+        rotation=rotation,
+        centres=centres,
+        sizes=tuple(box.size for box in boxes),
+        reach=_reach(pairs[0], geoms),
+    )
 
 
 def _apart(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> list[list[Pair]]:

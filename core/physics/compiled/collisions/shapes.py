@@ -11,17 +11,23 @@ from core.physics.compiled.kinematics import Poses
 
 @dataclass(frozen=True)
 class Geom:
-    """body: 0 if it never moves. position [3] in m and rotation [3][3]: in the body's frame.
+    """number: MuJoCo's. body: 0 if it never moves. position [3] in m, rotation [3][3]: in the body's frame.
 
     size: MuJoCo's `geom_size` in m. bound: the radius of a sphere about it, 0 for a plane.
     """
 
+    number: int
     kind: int
     body: int
     position: Vector
     rotation: Matrix
     size: Vector
     bound: float
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Its own: a contact's second shape may be several geoms."""
+        return (self.number,)
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,7 @@ def _geom(model: mujoco.MjModel, number: int, at_rest: mujoco.MjData) -> Geom:
     if model.body_weldid[body] == 0:
         body, position, rotation = 0, at_rest.geom_xpos[number], at_rest.geom_xmat[number]
     return Geom(
+        number=number,
         kind=int(model.geom_type[number]),
         body=body,
         position=_rounded(position),

@@ -8,6 +8,7 @@ from core.physics.compiled.arithmetic import Vector
 from core.physics.compiled.cone import Cone
 from core.physics.compiled.constraints import State, constraint_rows, read_constraints
 from core.physics.compiled.dynamics import motion
+from core.physics.compiled.fields import NOMINAL, Own
 from core.physics.compiled.kinematics import poses
 from core.physics.compiled.laws import Pyramid
 from core.physics.compiled.rows import Rows, by_group, times
@@ -16,14 +17,14 @@ from core.physics.compiled.tree import read_tree
 Array = NDArray[np.float64]
 
 
-def rows_of(model: mujoco.MjModel, datas: list[mujoco.MjData]) -> Rows:
+def rows_of(model: mujoco.MjModel, datas: list[mujoco.MjData], own: Own = NOMINAL) -> Rows:
     """Our rows, for all states at once."""
     qpos: Vector = list(np.stack([data.qpos for data in datas], axis=1))
     qvel: Vector = list(np.stack([data.qvel for data in datas], axis=1))
-    tree = read_tree(model)
+    tree = read_tree(model, own)
     at = poses(tree, qpos)
     moving = motion(tree, at, qvel)
-    return constraint_rows(tree, read_constraints(model), at, moving, State(qpos, qvel))
+    return constraint_rows(tree, read_constraints(model, own), at, moving, State(qpos, qvel))
 
 
 def ours(rows: Rows, num_states: int, num_dofs: int) -> tuple[Array, Array]:
@@ -37,8 +38,8 @@ def ours(rows: Rows, num_states: int, num_dofs: int) -> tuple[Array, Array]:
                 direction[:, dof] = entries[dof][place]
         reference = np.stack([np.broadcast_to(x, num_states) for x in group.reference])
         stiffness = _stiffness(group.law, len(directions))
-        for mixture, own in zip(_mixtures(group.law, len(directions)), stiffness, strict=True):
-            row, wanted = np.tensordot(mixture, directions, 1), mixture @ reference
+        for mixture, own in zip(_mixtures(group.law, len(directions), num_states), stiffness, strict=True):
+            row, wanted = np.einsum("ks,ksi->si", mixture, directions), (mixture * reference).sum(axis=0)
             scaled = np.broadcast_to(own, num_states)[:, None] * row
             pressed += scaled[:, :, None] * row[:, None, :]
             pulled += scaled * wanted[:, None]
@@ -56,8 +57,8 @@ def theirs(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
     return jacobian.T @ np.diag(data.efc_D) @ jacobian, jacobian.T @ (data.efc_D * data.efc_aref)
 
 
-def assert_same_rows(model: mujoco.MjModel, datas: list[mujoco.MjData]) -> None:
-    found = ours(rows_of(model, datas), len(datas), model.nv)
+def assert_same_rows(model: mujoco.MjModel, datas: list[mujoco.MjData], own: Own = NOMINAL) -> None:
+    found = ours(rows_of(model, datas, own), len(datas), model.nv)
     for place, mine in enumerate(found):
         expected = np.stack([theirs(model, data)[place] for data in datas])
         axes = tuple(range(1, expected.ndim))
@@ -65,14 +66,13 @@ def assert_same_rows(model: mujoco.MjModel, datas: list[mujoco.MjData]) -> None:
         np.testing.assert_array_less(apart, 1e-9 * largest + 1e-11)
 
 
-def _mixtures(law: object, num_directions: int) -> Array:
-    """By row, a coefficient for each direction."""
+def _mixtures(law: object, num_directions: int, num_states: int) -> Array:
+    """By row, a coefficient for each direction and state."""
+    units = np.repeat(np.eye(num_directions)[:, :, None], num_states, axis=2)
     if not isinstance(law, Pyramid):
-        return np.eye(num_directions)
-    edges = [
-        sign * mu * np.eye(num_directions)[k + 1] for k, mu in enumerate(law.friction) for sign in (1, -1)
-    ]
-    return np.eye(num_directions)[0] + np.stack(edges)
+        return units
+    edges = [sign * mu * units[k + 1] for k, mu in enumerate(law.friction) for sign in (1, -1)]
+    return units[0] + np.stack(edges)
 
 
 def _stiffness(law: object, num_directions: int) -> list[Array]:

@@ -71,3 +71,11 @@ def test_a_model_that_is_not_covered_is_refused_by_its_element() -> None:
     xml = f"<mujoco><option integrator='RK4'/>{body}</mujoco>"
     with pytest.raises(JobFailed, match="its integrator is rk4"):
         CompiledEngine(mujoco.MjModel.from_xml_string(xml), 1, ())
+
+
+def test_a_field_that_environments_must_share_is_refused_by_name() -> None:
+    shelf = "<body name='shelf'><geom size='1'/></body>"
+    body = f"<worldbody>{shelf}<body><freejoint/><geom size='1'/></body></worldbody>"
+    engine = CompiledEngine(mujoco.MjModel.from_xml_string(f"<mujoco>{body}</mujoco>"), 1, ())
+    with pytest.raises(JobFailed, match="body_pos: its body 'shelf' stands still"):
+        engine.reset(jnp.zeros(7), jnp.zeros(6), {"body_pos": jnp.zeros((3, 3))})

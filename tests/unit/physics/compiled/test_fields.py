@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.compiled.coverage import uncovered_own
+from core.physics.compiled.coverage import uncovered, uncovered_own
 from core.physics.compiled.derived import derived
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.interpret import interpret
@@ -16,11 +16,12 @@ from core.physics.compiled.scene import Scene
 from core.physics.compiled.substep import State, read_model, substep
 from core.physics.engine import MODEL_FIELDS
 from core.physics.model import model_field
+from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
+from tests.unit.physics.compiled.test_contacts import BALL, ROD, at_random, meeting
 from tests.unit.physics.compiled.test_forces import (
     PULLED,
     assert_close,
     of_all,
-    pulled,
     random_states,
     state_of,
 )
@@ -77,6 +78,29 @@ def test_environments_with_fields_of_their_own_move_as_in_mujoco() -> None:
     assert_close(interpret(program, given)["qvel"], expected.qvel)
 
 
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_environments_with_constraints_of_their_own_have_mujoco_s_rows(cone: str) -> None:
+    stairs = "".join(f'<geom type="box" size="0.5 0.5 0.2" pos="{k - 2} 0 {0.05 * k}"/>' for k in range(4))
+    model = meeting(stairs, BALL, ROD, f'cone="{cone}" impratio="3"', 'condim="4" friction="0.8 0.2 0.1"')
+    model.jnt_limited[[1, 2]], model.jnt_range[[1, 2]] = True, [[0.0, 0.3], [-0.1, 0.1]]
+    model.dof_frictionloss[:] = 0.5
+    datas, generator = at_random(model), np.random.default_rng(0)
+    models = [copy.copy(model) for _ in datas]
+    for one, data in zip(models, datas, strict=True):
+        for name in OF_CONSTRAINTS:
+            values = getattr(one, name)
+            values *= generator.uniform(0.3, 3.0, size=values.shape)
+        # Of two geoms that disagree on what it means, and one whose numbers disagree.
+        one.geom_solref[generator.integers(6)] *= generator.choice([[-5e4, -50.0], [1.0, 1.0], [1.0, -1.0]])
+        mujoco.mj_forward(one, data)
+    own = {
+        name: list(np.stack([np.ravel(getattr(one, name)) for one in models], 1)) for name in OF_CONSTRAINTS
+    }
+    for name in OF_CONSTRAINTS:
+        assert uncovered_own(model, (name,)) is None
+    assert_same_rows(model, datas, own)
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
@@ -85,4 +109,11 @@ def test_environments_with_fields_of_their_own_move_as_in_mujoco() -> None:
     ],
 )
 def test_fields_that_must_be_the_same_are_named(name: str, reason: str) -> None:
-    assert reason in (uncovered_own(pulled(), (name,)) or "")
+    shelf = '<worldbody><body name="shelf"><geom size="1" contype="2" conaffinity="3"/></body>'
+    xml = PULLED.format(option="", flag="").replace("<worldbody>", shelf)
+    model = mujoco.MjModel.from_xml_string(
+        xml.replace("<geom contype", '<joint solimpfriction="0.8 0.9 0.1 0.5 2.2"/><geom contype')
+    )
+    model.geom_contype[-1] = 1
+    assert uncovered(model) is None
+    assert reason in (uncovered_own(model, (name,)) or "")
