@@ -83,7 +83,9 @@ def read_contacts(fields: Fields) -> tuple[Contact, ...]:
     """All that can touch and move."""
     model = fields.model
     geoms = read_geoms(model)
-    pairs = [pair for pair in read_pairs(model, fields.own) if geoms[pair.one].body or geoms[pair.other].body]
+    pairs, nominal = read_pairs(fields), [pair.parameters for pair in read_pairs(Fields(model))]
+    moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
+    pairs, nominal = list(compress(pairs, moves)), list(compress(nominal, moves))
     return tuple(
         Contact(
             one=geoms[pair.one],
@@ -95,11 +97,6 @@ def read_contacts(fields: Fields) -> tuple[Contact, ...]:
         )
         for pair, other in merged(pairs, nominal, geoms)
     )
-
-
-def _inverse_weight(fields: Fields, pair: Pair) -> Number:
-    bodies = fields.model.geom_bodyid[[pair.one, pair.other]]
-    return total(fields.number("body_invweight0", int(body)) for body in bodies)
 
 
 def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:

@@ -63,6 +63,11 @@ def uncovered_own(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
 
 
 def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
+    if name == "dof_frictionloss":
+        rough = _uncomputable(model.dof_solimp)
+        yield from (f"{name}: {reason}" for reason in where(model, "joint", rough, _CURVE, model.dof_jntid))
+    if name in ("body_pos", "body_quat"):
+        yield from (f"{name}: {reason}" for reason in _touched_where_they_are(model))
     if name == "actuator_dynprm":
         exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
         yield from (f"{name}: {reason}" for reason in where(model, "actuator", exact, "is an exact filter"))
@@ -201,7 +206,7 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
         names = f"its geoms {one} and {other} can touch"
         kinds = [int(kind) for kind in model.geom_type[both]]
         if (kinds[0], kinds[1]) not in COLLIDERS:
-            first, second = (_word(mujoco.mjtGeom(kind).name) for kind in kinds)
+            first, second = (word(mujoco.mjtGeom(kind).name) for kind in kinds)
             yield f"{names}: {_with_article(first)} and {_with_article(second)}"
         elif not is_computable(pair.parameters.softness.impedance.power):
             yield f"{names}: its contact {_CURVE}"

@@ -67,14 +67,14 @@ class JointFriction:
 
 
 def read_joint_frictions(fields: Fields) -> tuple[JointFriction, ...]:
-    """The degrees of freedom with a frictionloss; all where an environment has its own."""
-    found, model = list[JointFriction](), fields.model
+    """The degrees of freedom with a frictionloss; all of them, where it is an environment's own."""
+    model, found = fields.model, list[JointFriction]()
     for dof in range(model.nv):
         most = fields.number("dof_frictionloss", dof)
         if is_zero(most):
             continue
-        softness = read_softness(model.dof_solref[dof], model.dof_solimp[dof], model.opt.timestep)
-        impedance = float(impedance_at(softness.impedance, 0.0))
+        softness = read_softness(fields.row("dof_solref", dof), model.dof_solimp[dof], model.opt.timestep)
+        impedance = impedance_at(softness.impedance, 0.0)
         stiffness = impedance / ((1.0 - impedance) * fields.number("dof_invweight0", dof))
         found.append(JointFriction(dof, softness.damping, Friction(stiffness, most)))
     return tuple(found)

@@ -62,14 +62,14 @@ class BallLimit:
 
 def read_limits(fields: Fields) -> tuple[Limit, ...]:
     """The limited hinges and slides."""
-    joints = _limited(fields.model)
-    return tuple(_limit(fields, joint) for joint in joints if not _is_ball(fields.model, joint))
+    model = fields.model
+    return tuple(_limit(fields, joint) for joint in _limited(model) if not _is_ball(model, joint))
 
 
 def read_ball_limits(fields: Fields) -> tuple[BallLimit, ...]:
     """The limited ball joints."""
-    joints = _limited(fields.model)
-    return tuple(_ball_limit(fields, joint) for joint in joints if _is_ball(fields.model, joint))
+    model = fields.model
+    return tuple(_ball_limit(fields, joint) for joint in _limited(model) if _is_ball(model, joint))
 
 
 def limit_row(limit: Limit, qpos: Vector, qvel: Vector) -> Group:
@@ -124,7 +124,7 @@ def _limit(fields: Fields, joint: int) -> Limit:
         low=float(model.jnt_range[joint, 0]),
         high=float(model.jnt_range[joint, 1]),
         margin=float(model.jnt_margin[joint]),
-        softness=read_softness(model.jnt_solref[joint], model.jnt_solimp[joint], model.opt.timestep),
+        softness=read_softness(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
         inverse_weight=fields.number("dof_invweight0", dof),
     )
 
@@ -137,6 +137,6 @@ def _ball_limit(fields: Fields, joint: int) -> BallLimit:
         dof=dof,
         most=float(model.jnt_range[joint].max()),
         margin=float(model.jnt_margin[joint]),
-        softness=read_softness(model.jnt_solref[joint], model.jnt_solimp[joint], model.opt.timestep),
+        softness=read_softness(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
         inverse_weight=fields.number("dof_invweight0", dof),
     )

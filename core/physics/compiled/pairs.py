@@ -10,8 +10,8 @@ from functools import reduce
 import mujoco
 import numpy as np
 
-from core.physics.compiled.arithmetic import Number, maximum, minimum
-from core.physics.compiled.fields import NOMINAL, Fields, Own
+from core.physics.compiled.arithmetic import Number, Vector, maximum, minimum, select
+from core.physics.compiled.fields import Fields
 from core.physics.compiled.softness import Softness, read_softness
 
 
@@ -40,13 +40,11 @@ class Pair:
     parameters: Parameters
 
 
-def read_pairs(model: mujoco.MjModel, own: Own = NOMINAL) -> list[Pair]:
-    """The geoms that can touch: pairs that the model lists, and those that its filter lets pass.
-
-    own: see `Fields`.
-    """
-    fields, listed = Fields(model, own), listed_geoms(model)
-    found = [_pair(model, one, other, _of_pair(model, place)) for place, (one, other) in enumerate(listed)]
+def read_pairs(fields: Fields) -> list[Pair]:
+    """The geoms that can touch: pairs that the model lists, and those that its filter lets pass."""
+    model = fields.model
+    listed = listed_geoms(model)
+    found = [_pair(model, one, other, _of_pair(fields, place)) for place, (one, other) in enumerate(listed)]
     return found + [
         _pair(model, one, other, _of_geoms(fields, one, other)) for one, other in touching_geoms(model)
     ]
@@ -72,24 +70,25 @@ def touching_geoms(model: mujoco.MjModel) -> Iterator[tuple[int, int]]:
                 yield one, int(other)
 
 
-def _softness_of(fields: Fields, one: int, other: int) -> Softness:
-    """Of two geoms: that of the one with the higher priority, or between both."""
-    model, both = fields.model, (one, other)
-    solref, solimp, timestep = model.geom_solref, model.geom_solimp, model.opt.timestep
+def softness_of(fields: Fields, one: int, other: int) -> tuple[Vector, np.ndarray]:
+    """solref [2] and solimp [5] of two geoms: those of the one with the higher priority, or between both."""
+    model = fields.model
     priorities = model.geom_priority[[one, other]]
     if priorities[0] != priorities[1]:
-        first = both[int(priorities.argmax())]
-        return read_softness(fields.row("geom_solref", first), solimp[first], timestep, solref[first])
+        first = (one, other)[int(priorities.argmax())]
+        return fields.row("geom_solref", first), model.geom_solimp[first]
     share = _share(float(model.geom_solmix[one]), float(model.geom_solmix[other]))
-    rows = zip(*(fields.row("geom_solref", geom) for geom in both), strict=True)
-    if (solref[[one, other], 0] > 0.0).all():
-        reference = [share * x + (1.0 - share) * y for x, y in rows]
-        kind = share * solref[one] + (1.0 - share) * solref[other]
-    else:
-        reference = [minimum(x, y) for x, y in rows]
-        kind = np.minimum(solref[one], solref[other])
-    between = share * solimp[one] + (1.0 - share) * solimp[other]
-    return read_softness(reference, between, timestep, kind)
+    solimp = share * model.geom_solimp[one] + (1.0 - share) * model.geom_solimp[other]
+    return _mixed(share, fields.row("geom_solref", one), fields.row("geom_solref", other)), solimp
+
+
+def _mixed(share: float, one: Vector, other: Vector) -> Vector:
+    """Between two `solref`, if both are time constants; otherwise the lesser numbers."""
+    return [
+        select(one[0] > 0.0, select(other[0] > 0.0, share * x + (1.0 - share) * y, least), least)
+        for x, y in zip(one, other, strict=True)
+        for least in [minimum(x, y)]
+    ]
 
 
 def _bodies_may(model: mujoco.MjModel, one: int, other: int) -> bool:
@@ -114,10 +113,10 @@ def _of_geoms(fields: Fields, one: int, other: int) -> Parameters:
     model, both = fields.model, [one, other]
     priorities = model.geom_priority[both]
     chosen = [both[int(priorities.argmax())]] if priorities[0] != priorities[1] else both
-    rows = [fields.row("geom_friction", geom) for geom in chosen]
-    sliding, turning, rolling = (reduce(maximum, several) for several in zip(*rows, strict=True))
+    frictions = [fields.row("geom_friction", geom) for geom in chosen]
+    sliding, turning, rolling = (reduce(maximum, several) for several in zip(*frictions, strict=True))
     friction = (sliding, sliding, turning, rolling, rolling)
-    softness = _softness_of(fields, one, other)
+    softness = read_softness(*softness_of(fields, one, other), model.opt.timestep)
     margin, gap = float(model.geom_margin[both].sum()), float(model.geom_gap[both].sum())
     dimensions = int(model.geom_condim[chosen].max())
     return Parameters(_bounded(friction, dimensions), softness, margin, margin + gap, softness.damping)
@@ -136,7 +135,7 @@ def _of_pair(fields: Fields, place: int) -> Parameters:
 
 
 def _bounded(friction: tuple[Number, ...], dimensions: int) -> tuple[Number, ...]:
-    return tuple(maximum(x, float(mujoco.mjMINMU)) for x in friction[: dimensions - 1])
+    return tuple(maximum(x, mujoco.mjMINMU) for x in friction[: dimensions - 1])
 
 
 def _share(one: float, other: float) -> float:

@@ -23,10 +23,3 @@ def check_own(model: mujoco.MjModel, names: Sequence[str]) -> None:
 def _refuse(reason: str | None) -> None:
     if reason is not None:
         raise JobFailed(Reason.BAD_MODEL, beyond_compiled(reason))
-
-
-def check_own(model: mujoco.MjModel, names: Sequence[str]) -> None:
-    """Raises JobFailed("bad_model") if environments cannot differ in these fields of the model."""
-    reason = uncovered_own(model, names)
-    if reason is not None:
-        raise JobFailed(Reason.BAD_MODEL, beyond_compiled(reason))

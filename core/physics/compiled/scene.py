@@ -39,13 +39,22 @@ class Frame:
 
 
 class Scene:
-    """qpos: [nq]. qvel: [nv]. time: in s. tree: the fields', if it was read before."""
+    """qpos: [nq]. qvel: [nv]. time: in s. readings: of sensors of contacts, by their numbers."""
 
     def __init__(
-        self, fields: Fields, qpos: Vector, qvel: Vector, time: Number = 0.0, tree: Tree | None = None
+        self,
+        fields: Fields,
+        qpos: Vector,
+        qvel: Vector,
+        time: Number = 0.0,
+        readings: Mapping[int, Number] = NO_READINGS,
     ) -> None:
-        self.fields, self.qpos, self.qvel, self.time = fields, qpos, qvel, time
-        self.tree = tree or read_tree(fields.model, fields.own)
+        self.fields, self.qpos, self.qvel = fields, qpos, qvel
+        self.time, self.readings = time, readings
+
+    @cached_property
+    def tree(self) -> Tree:
+        return read_tree(self.fields.model, self.fields.own)
 
     @cached_property
     def tendons(self) -> tuple[Tendon, ...]:

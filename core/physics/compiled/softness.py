@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from core.physics.compiled.arithmetic import Number, absolute, maximum, minimum, select, sqrt
+from core.physics.compiled.arithmetic import Number, absolute, maximum, minimum, select, sqrt, squared
 
 _SMALLEST = float(mujoco.mjMINVAL)
 _DEFAULT = (0.02, 1.0)
@@ -35,32 +35,32 @@ class Softness:
     impedance: Impedance
 
 
-def read_softness(
-    solref: Sequence[Number] | np.ndarray,
-    solimp: np.ndarray,
-    timestep: float,
-    kind: Sequence[float] | np.ndarray | None = None,
-) -> Softness:
-    """solref: [2], a time constant and a damping ratio, or a stiffness and a damping below 0. solimp: [5].
-
-    kind: numbers with the signs of solref, where those of solref itself are not known yet.
-    """
-    first, second = solref
-    signs = [x > 0.0 for x in (solref if kind is None else kind)]
-    if signs[0] != signs[1]:
-        (first, second), signs = _DEFAULT, [True, True]
+def read_softness(solref: Sequence[Number], solimp: np.ndarray, timestep: float) -> Softness:
+    """solref: [2], a time constant and a damping ratio, or a stiffness and a damping below 0. solimp: [5]."""
     lowest, highest = (_between_bounds(x) for x in solimp[:2])
     width, midpoint, power = (
         max(0.0, float(solimp[2])),
         _between_bounds(solimp[3]),
         max(1.0, float(solimp[4])),
     )
-    impedance = Impedance(lowest, highest, width, midpoint, power)
-    if signs[0]:
-        time_constant = maximum(first, 2.0 * timestep)
-        stiffness = 1.0 / maximum(highest**2 * time_constant**2 * second**2, _SMALLEST)
-        return Softness(stiffness, 2.0 / maximum(highest * time_constant, _SMALLEST), impedance)
-    return Softness(-first / max(_SMALLEST, highest**2), -second / max(_SMALLEST, highest), impedance)
+    first, second = solref
+    are_times, is_damped = first > 0.0, second > 0.0
+    # Of a time constant and a stiffness below 0, or the other way round, MuJoCo takes neither.
+    default = _of_times(*_DEFAULT, highest, timestep)
+    of_times = _of_times(first, second, highest, timestep)
+    direct = -first * (1.0 / max(_SMALLEST, highest**2)), -second * (1.0 / max(_SMALLEST, highest))
+    stiffness, damping = (
+        select(are_times, select(is_damped, x, y), select(is_damped, y, z))
+        for x, y, z in zip(of_times, default, direct, strict=True)
+    )
+    return Softness(stiffness, damping, Impedance(lowest, highest, width, midpoint, power))
+
+
+def _of_times(time: Number, ratio: Number, highest: float, timestep: float) -> tuple[Number, Number]:
+    """The stiffness and damping of a time constant in s and a damping ratio."""
+    time_constant = maximum(time, 2.0 * timestep)
+    lowest = maximum(highest**2 * (squared(time_constant) * squared(ratio)), _SMALLEST)
+    return 1.0 / lowest, 2.0 / maximum(highest * time_constant, _SMALLEST)
 
 
 def is_computable(power: float) -> bool:

@@ -17,8 +17,7 @@ from core.physics.compiled.lane_constants import NotAlike, alike_inputs, with_la
 from core.physics.compiled.limbs import Limbs, find_limbs, numbers_of_lanes
 from core.physics.compiled.program import Program, Symbol
 from core.physics.compiled.scene import Scene
-from core.physics.compiled.substep import Model, State, actuator_forces, control_step, read_model
-from core.physics.compiled.tree import Tree
+from core.physics.compiled.substep import Model, Moved, State, control_step, read_model, unmoved
 
 # In float32 no solver gets below this part of its cost.
 _LEAST_TOLERANCE = 1e-6
@@ -62,10 +61,9 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
     moved = control_step(model, num_substeps, state, ctrl, reads_forces=_OF_FORCES in plan.derived)
     after = {"qpos": moved.qpos, "qvel": moved.qvel, "act": moved.act, "qacc_warmstart": moved.qacc}
     time = [one + num_substeps * model.timestep for one in given["time"]]
-    ended = State(moved.qpos, moved.qvel, moved.act, moved.qacc)
     checked = [*state.qpos, *state.qvel, *state.act, *state.qacc, *ctrl]
     is_sound = _is_sound([*checked, *(x for values in after.values() for x in values)])
-    seen = _derived(plan, model.tree, given, ended, time, moved.qfrc_actuator)
+    seen = _derived(plan, given, model, moved, time)
     for name, values in (*after.items(), *seen):
         if values:
             program.output(name, [select(is_sound, x, nan) for x in values])
@@ -77,8 +75,10 @@ def derived_program(plan: Plan) -> Program:
     program, given, model = _begun(plan)
     blank: Vector = [0.0] * plan.model.na
     state = State(given["qpos"], given["qvel"], blank, [0.0] * plan.model.nv)
-    forces = actuator_forces(model, state, [0.0] * plan.model.nu) if _OF_FORCES in plan.derived else []
-    for name, values in _derived(plan, model.tree, given, state, [0.0], forces):
+    standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
+    if _OF_FORCES in plan.derived or model.contact_sensors:
+        standing = unmoved(model, state, [0.0] * plan.model.nu)
+    for name, values in _derived(plan, given, model, standing, [0.0]):
         if values:
             program.output(name, values)
     return program
@@ -92,6 +92,9 @@ def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, V
     read = read_model(plan.model, {name: given[name] for name in plan.own})
     tolerance = max(_LEAST_TOLERANCE, read.solver.tolerance)
     read = replace(read, solver=replace(read.solver, tolerance=tolerance))
+    if "sensordata" in plan.derived:
+        sensors = read_contact_sensors(plan.model, read.constraints.contacts)
+        read = replace(read, contact_sensors=sensors)
     return program, given, with_lane_constants(program, read, limbs) if limbs else read
 
 
@@ -100,13 +103,15 @@ def _state(given: Mapping[str, Vector]) -> State:
 
 
 def _derived(
-    plan: Plan, tree: Tree, given: Mapping[str, Vector], state: State, time: Vector, forces: Vector
+    plan: Plan, given: Mapping[str, Vector], model: Model, moved: Moved, time: Vector
 ) -> Iterator[tuple[str, Vector]]:
     """One after the other: so each is written out before the next is computed."""
     own = {name: given[name] for name in plan.own}
-    scene = Scene(Fields(plan.model, own), state.qpos, state.qvel, time[0] if time else 0.0, tree)
+    readings = by_number(model.contact_sensors, moved.readings)
+    scene = Scene(Fields(plan.model, own), moved.qpos, moved.qvel, time[0] if time else 0.0, readings)
+    scene.tree = model.tree  # It has the lanes' constants.
     for name in plan.derived:
-        yield name, forces if name == _OF_FORCES else derived(scene, (name,))[name]
+        yield name, moved.qfrc_actuator if name == _OF_FORCES else derived(scene, (name,))[name]
 
 
 def _is_sound(values: Sequence[Symbol | float]) -> Symbol:
