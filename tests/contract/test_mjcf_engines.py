@@ -45,8 +45,9 @@ def after_a_step(engine: EngineName, folder: Path, heights: tuple[float, ...]) -
 SLOW = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
-# `compiled` has no sensors of contacts, and is refused here.
-@pytest.mark.parametrize("engine", [pytest.param("mjx", marks=SLOW), pytest.param("warp", marks=SLOW)])
+@pytest.mark.parametrize(
+    "engine", [pytest.param("mjx", marks=SLOW), pytest.param("warp", marks=SLOW), "compiled"]
+)
 def test_every_engine_earns_sees_and_ends_alike(
     engine: EngineName, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
