@@ -294,8 +294,8 @@ def ant() -> mujoco.MjModel:
 
 
 BODIES = [name for name, info in catalog.BUILT_IN.items() if not info.takes_model]
-# Warp compiles kernels for some seconds, MJX its program for up to a minute, the rodent's for many; LLVM takes
-# a minute for a star's two programs.
+# Warp compiles kernels for some seconds, MJX its program for up to a minute, the rodent's for many; LLVM
+# takes a minute for a star's two programs.
 COVERED = [body for body in BODIES if "compiled" not in catalog.BUILT_IN[body].cannot_run]
 STARS = [body for body in COVERED if body.startswith("brittle_star")]
 FAST = [
