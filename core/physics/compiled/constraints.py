@@ -1,4 +1,4 @@
-"""The rows of the constraint problem: joints at their limits, with friction of their own, and contacts.
+"""The rows of the constraint problem: joints and tendons at limits, friction of their own, and contacts.
 
 Every row that the model can ever have is there at all times; where it is not active, its stiffness D is 0.
 So the program's shape does not depend on the state.
@@ -14,7 +14,7 @@ from core.physics.compiled.body_rows import BodyGroup
 from core.physics.compiled.contacts import Contact, contact_rows, is_better_by_body, read_contacts
 from core.physics.compiled.dynamics import Motion
 from core.physics.compiled.fields import NOMINAL, Fields, Own
-from core.physics.compiled.joint_friction import JointFriction, friction_row, read_joint_frictions
+from core.physics.compiled.friction_loss import FrictionLoss, friction_row, read_friction_losses
 from core.physics.compiled.kinematics import Poses
 from core.physics.compiled.limits import (
     BallLimit,
@@ -32,7 +32,7 @@ from core.physics.compiled.tree import Tree
 class Constraints:
     """All that a model can ever have."""
 
-    frictions: tuple[JointFriction, ...]
+    frictions: tuple[FrictionLoss, ...]
     limits: tuple[Limit, ...]
     ball_limits: tuple[BallLimit, ...]
     contacts: tuple[Contact, ...]
@@ -40,8 +40,8 @@ class Constraints:
     @property
     def num_rows(self) -> int:
         """MuJoCo's rows, all of them active."""
-        of_joints = len(self.frictions) + len(self.limits) + len(self.ball_limits)
-        return of_joints + sum(contact.num_rows for contact in self.contacts)
+        of_others = len(self.frictions) + len(self.limits) + len(self.ball_limits)
+        return of_others + sum(contact.num_rows for contact in self.contacts)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
         return not fields.disables(kind, bit.mjDSBL_CONSTRAINT)
 
     return Constraints(
-        frictions=read_joint_frictions(fields) if keeps(bit.mjDSBL_FRICTIONLOSS) else (),
+        frictions=read_friction_losses(fields) if keeps(bit.mjDSBL_FRICTIONLOSS) else (),
         limits=read_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
         ball_limits=read_ball_limits(fields) if keeps(bit.mjDSBL_LIMIT) else (),
         contacts=read_contacts(fields) if keeps(bit.mjDSBL_CONTACT) else (),

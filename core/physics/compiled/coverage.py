@@ -150,9 +150,12 @@ def _joints(model: mujoco.MjModel) -> Iterator[str]:
 def _tendons(model: mujoco.MjModel) -> Iterator[str]:
     is_fixed = model.wrap_type[model.tendon_adr] == mujoco.mjtWrap.mjWRAP_JOINT
     yield from where(model, "tendon", ~is_fixed, "is a spatial one")
+    rough = (model.tendon_frictionloss != 0) & _uncomputable(model.tendon_solimp_fri)
+    yield from where(model, "tendon", rough, _CURVE)
     limited = (model.tendon_limited != 0) & _keeps_limits(model)
-    yield from where(model, "tendon", limited, "has a limit")
-    yield from where(model, "tendon", model.tendon_frictionloss, "has friction loss")
+    yield from where(model, "tendon", limited & _uncomputable(model.tendon_solimp_lim), _CURVE)
+    both_ends = limited & (np.ptp(model.tendon_range, axis=1) < 2.0 * model.tendon_margin)
+    yield from where(model, "tendon", both_ends, "can be at both ends of its range at once")
     yield from where(model, "tendon", model.tendon_actfrclimited, "limits its actuators' forces")
     yield from where(model, "tendon", model.tendon_stiffnesspoly.any(axis=-1), "is not a linear spring")
     yield from where(model, "tendon", model.tendon_dampingpoly.any(axis=-1), "is not a linear damper")

@@ -1,8 +1,9 @@
-"""Joints at their limits.
+"""Joints and tendons at their limits.
 
 Source: MuJoCo's documentation, Computation, "Constraint model".
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -31,16 +32,20 @@ from core.physics.compiled.softness import (
     reference_at,
     stiffness_at,
 )
+from core.physics.compiled.tendons import Coefficients, read_tendons, weighted
 
 _SMALLEST = 1e-30
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A hinge's or slide's range in rad or m. inverse_weight: MuJoCo's `dof_invweight0`."""
+    """The range of a hinge, a slide or a tendon, in rad or m.
 
-    qpos: int
-    dof: int
+    of_positions, moment: see `Tendon`. inverse_weight: MuJoCo's `dof_invweight0` or `tendon_invweight0`.
+    """
+
+    of_positions: Coefficients
+    moment: Coefficients
     low: float
     high: float
     margin: float
@@ -61,9 +66,10 @@ class BallLimit:
 
 
 def read_limits(fields: Fields) -> tuple[Limit, ...]:
-    """The limited hinges and slides."""
+    """The limited hinges, slides and tendons."""
     model = fields.model
-    return tuple(_limit(fields, joint) for joint in _limited(model) if not _is_ball(model, joint))
+    joints = [_limit(fields, joint) for joint in _limited(model) if not _is_ball(model, joint)]
+    return (*joints, *_tendon_limits(fields))
 
 
 def read_ball_limits(fields: Fields) -> tuple[BallLimit, ...]:
@@ -74,13 +80,15 @@ def read_ball_limits(fields: Fields) -> tuple[BallLimit, ...]:
 
 def limit_row(limit: Limit, qpos: Vector, qvel: Vector) -> Group:
     """The nearer end of the range: both are never active at once."""
-    above, below = qpos[limit.qpos] - limit.low, limit.high - qpos[limit.qpos]
+    length = weighted(limit.of_positions, qpos)
+    above, below = length - limit.low, limit.high - length
     sign = select(above < below, 1.0, -1.0)
     distance = minimum(above, below) - limit.margin
     impedance = impedance_at(limit.softness.impedance, distance)
     stiffness = stiffness_at(impedance, limit.inverse_weight, distance)
-    reference = reference_at(limit.softness, impedance, distance, sign * qvel[limit.dof])
-    return Group([{limit.dof: sign}], [reference], OneSided(stiffness))
+    reference = reference_at(limit.softness, impedance, distance, sign * weighted(limit.moment, qvel))
+    direction = {dof: sign * coefficient for dof, coefficient in limit.moment.items()}
+    return Group([direction], [reference], OneSided(stiffness))
 
 
 def ball_limit_row(limit: BallLimit, qpos: Vector, qvel: Vector) -> Group:
@@ -119,14 +127,30 @@ def _limit(fields: Fields, joint: int) -> Limit:
     model = fields.model
     dof = int(model.jnt_dofadr[joint])
     return Limit(
-        qpos=int(model.jnt_qposadr[joint]),
-        dof=dof,
+        of_positions={int(model.jnt_qposadr[joint]): 1.0},
+        moment={dof: 1.0},
         low=float(model.jnt_range[joint, 0]),
         high=float(model.jnt_range[joint, 1]),
         margin=float(model.jnt_margin[joint]),
         softness=read_softness(fields.row("jnt_solref", joint), model.jnt_solimp[joint], model.opt.timestep),
         inverse_weight=fields.number("dof_invweight0", dof),
     )
+
+
+def _tendon_limits(fields: Fields) -> Iterator[Limit]:
+    model = fields.model
+    for number, tendon in enumerate(read_tendons(model, fields.own)):
+        if model.tendon_limited[number]:
+            solimp = model.tendon_solimp_lim[number]
+            yield Limit(
+                of_positions=tendon.of_positions,
+                moment=tendon.moment,
+                low=float(model.tendon_range[number, 0]),
+                high=float(model.tendon_range[number, 1]),
+                margin=float(model.tendon_margin[number]),
+                softness=read_softness(fields.row("tendon_solref_lim", number), solimp, model.opt.timestep),
+                inverse_weight=fields.number("tendon_invweight0", number),
+            )
 
 
 def _ball_limit(fields: Fields, joint: int) -> BallLimit:

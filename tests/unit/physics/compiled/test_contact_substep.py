@@ -44,14 +44,27 @@ LIMBS = """
 """
 
 
+# They tie limbs of different branches together.
+TENDONS = """<tendon>
+  <fixed range="-0.3 0.4"><joint joint="a" coef="1"/><joint joint="c" coef="-1"/></fixed>
+  <fixed frictionloss="0.4"><joint joint="b" coef="1"/><joint joint="d" coef="0.5"/></fixed>
+</tendon>"""
+
+
 def limbs(
-    cone: str = "pyramidal", impratio: str = "1", joint: str = "", geom: str = "", trunk: str = "box"
+    cone: str = "pyramidal",
+    impratio: str = "1",
+    joint: str = "",
+    geom: str = "",
+    trunk: str = "box",
+    tendons: str = "",
 ) -> mujoco.MjModel:
     # The trunk touches the floor alone: boxes and the like have no contact with the step's box.
     parts = {"cone": cone, "impratio": impratio, "joint": joint, "geom": geom, "trunk": trunk}
     contact = '<exclude body1="world" body2="trunk"/><pair geom1="floor" geom2="trunk" condim="3"/>'
     xml = LIMBS.replace('type="{trunk}"', 'name="trunk" type="{trunk}"')
-    return mujoco.MjModel.from_xml_string(xml.format(contact=contact, **parts))
+    xml = xml.format(contact=contact, **parts)
+    return mujoco.MjModel.from_xml_string(xml.replace("</contact>", f"</contact>{tendons}"))
 
 
 def falling(model: mujoco.MjModel) -> list[mujoco.MjData]:
@@ -75,11 +88,11 @@ def falling(model: mujoco.MjModel) -> list[mujoco.MjData]:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: limbs(joint='frictionloss="0.5"'),
+        lambda: limbs(joint='frictionloss="0.5"', tendons=TENDONS),
         lambda: limbs(trunk="ellipsoid", geom='condim="4"'),
         lambda: limbs(cone="elliptic", impratio="3", geom='condim="6"', trunk="cylinder"),
     ],
-    ids=["box, friction loss", "ellipsoid, turning", "cylinder, elliptic"],
+    ids=["box, friction loss, tendons", "ellipsoid, turning", "cylinder, elliptic"],
 )
 def test_a_body_with_all_kinds_of_contacts_moves_as_in_mujoco(make: Callable[[], mujoco.MjModel]) -> None:
     model = converge(make(), implicit_damping=True)

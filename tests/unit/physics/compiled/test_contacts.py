@@ -7,8 +7,9 @@ import pytest
 from core.physics.compiled.arithmetic import Vector
 from core.physics.compiled.body_rows import BodyGroup
 from core.physics.compiled.coverage import uncovered
+from core.physics.compiled.fields import NOMINAL
 from core.physics.compiled.rows import Group, by_group, curvature, pulled_back, times
-from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows, rows_of
+from tests.unit.physics.compiled.rows_of_mujoco import Array, assert_same_rows, rows_of
 
 NUM_STATES = 100
 # Two arms of a tree whose ends meet, and what stands still.
@@ -175,6 +176,35 @@ def test_joints_rows_are_mujoco_s(tag: str, attributes: str) -> None:
         data.qvel[:] = generator.normal(size=model.nv)
         mujoco.mj_forward(model, data)
     assert_same_rows(model, datas)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_tendons_rows_are_mujoco_s(own: bool) -> None:
+    model = mujoco.MjModel.from_xml_string("""
+      <mujoco><default><geom contype="0" size="0.1"/></default>
+      <worldbody><body><freejoint/><geom/>
+        <body><joint name="a"/><geom pos="0 0 0.3"/></body>
+        <body><joint name="b" axis="1 0 0"/><joint name="c" type="slide"/><geom pos="0 0.3 0"/></body>
+      </body></worldbody>
+      <tendon>
+        <fixed limited="true" range="-0.2 0.3" margin="0.05" solreflimit="0.03 0.8" solimplimit="0.5 0.9 0.1">
+          <joint joint="a" coef="-2"/><joint joint="b" coef="0.5"/></fixed>
+        <fixed frictionloss="0.3" solreffriction="0.05 1" solimpfriction="0.6 0.9 0.1">
+          <joint joint="c" coef="1.5"/><joint joint="a" coef="1"/></fixed>
+      </tendon></mujoco>
+    """)
+    assert uncovered(model) is None
+    datas, weights = [mujoco.MjData(model) for _ in range(NUM_STATES)], list[Array]()
+    generator = np.random.default_rng(0)
+    for data in datas:
+        data.qpos[:] += generator.normal(size=model.nq, scale=0.3)
+        data.qvel[:] = generator.normal(size=model.nv)
+        if own:
+            model.tendon_invweight0[:] = generator.uniform(0.5, 2.0, size=2)
+        weights.append(model.tendon_invweight0.copy())
+        mujoco.mj_forward(model, data)
+    assert {data.nefc for data in datas} == {1, 2}
+    assert_same_rows(model, datas, {"tendon_invweight0": list(np.stack(weights, 1))} if own else NOMINAL)
 
 
 @pytest.mark.parametrize(

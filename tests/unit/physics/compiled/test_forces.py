@@ -163,7 +163,11 @@ def test_forces_are_mujoco_s(option: str, flag: str) -> None:
 @pytest.mark.parametrize(
     ("mine", "other", "reason"),
     [
-        ('<fixed name="across" ', '<fixed name="across" range="0 1" limited="true" ', "'across' has a limit"),
+        (
+            '<fixed name="across" ',
+            '<fixed name="across" range="0 1" margin="1" ',
+            "at both ends",
+        ),
         ("<tendon>", f"<tendon>{ROPE}", "'rope' is a spatial one"),
         ('<velocity joint="shoulder"', '<position joint="shoulder"', "holds a joint with several axes"),
         ("<velocity joint", "<velocity jointinparent", "in its parent's frame"),

@@ -1,4 +1,4 @@
-"""Joints with friction of their own.
+"""Joints and tendons with friction of their own.
 
 Source: MuJoCo's documentation, Computation, "Constraint model", "Friction loss".
 """
@@ -9,7 +9,8 @@ from core.physics.compiled.arithmetic import Matrix, Number, Vector, absolute, c
 from core.physics.compiled.fields import Fields, is_zero
 from core.physics.compiled.laws import Slope
 from core.physics.compiled.rows import Group
-from core.physics.compiled.softness import impedance_at, read_softness
+from core.physics.compiled.softness import Softness, impedance_at, read_softness
+from core.physics.compiled.tendons import Coefficients, read_tendons, weighted
 
 
 @dataclass(frozen=True)
@@ -58,28 +59,40 @@ class Friction:
 
 
 @dataclass(frozen=True)
-class JointFriction:
-    """Of a degree of freedom. damping: of the reference acceleration."""
+class FrictionLoss:
+    """Of a degree of freedom, or a tendon. moment: see `Tendon`. damping: of the reference acceleration."""
 
-    dof: int
+    moment: Coefficients
     damping: Number
     law: Friction
 
 
-def read_joint_frictions(fields: Fields) -> tuple[JointFriction, ...]:
-    """The degrees of freedom with a frictionloss; all of them, where it is an environment's own."""
-    model, found = fields.model, list[JointFriction]()
+def read_friction_losses(fields: Fields) -> tuple[FrictionLoss, ...]:
+    """Of degrees of freedom, all of them where environments have their own, and of tendons."""
+    model, found = fields.model, list[FrictionLoss]()
     for dof in range(model.nv):
         most = fields.number("dof_frictionloss", dof)
-        if is_zero(most):
-            continue
-        softness = read_softness(fields.row("dof_solref", dof), model.dof_solimp[dof], model.opt.timestep)
-        impedance = impedance_at(softness.impedance, 0.0)
-        stiffness = impedance / ((1.0 - impedance) * fields.number("dof_invweight0", dof))
-        found.append(JointFriction(dof, softness.damping, Friction(stiffness, most)))
+        if not is_zero(most):
+            weight = fields.number("dof_invweight0", dof)
+            softness = read_softness(fields.row("dof_solref", dof), model.dof_solimp[dof], model.opt.timestep)
+            found.append(_friction_loss({dof: 1.0}, most, weight, softness))
+    for number, tendon in enumerate(read_tendons(model, fields.own)):
+        most = fields.number("tendon_frictionloss", number)
+        if not is_zero(most):
+            weight, solimp = fields.number("tendon_invweight0", number), model.tendon_solimp_fri[number]
+            softness = read_softness(fields.row("tendon_solref_fri", number), solimp, model.opt.timestep)
+            found.append(_friction_loss(tendon.moment, most, weight, softness))
     return tuple(found)
 
 
-def friction_row(friction: JointFriction, qvel: Vector) -> Group:
-    """Against the joint's speed."""
-    return Group([{friction.dof: 1.0}], [-friction.damping * qvel[friction.dof]], friction.law)
+def friction_row(friction: FrictionLoss, qvel: Vector) -> Group:
+    """Against the speed."""
+    return Group([friction.moment], [-friction.damping * weighted(friction.moment, qvel)], friction.law)
+
+
+def _friction_loss(
+    moment: Coefficients, most: Number, inverse_weight: Number, softness: Softness
+) -> FrictionLoss:
+    impedance = impedance_at(softness.impedance, 0.0)
+    stiffness = impedance / ((1.0 - impedance) * inverse_weight)
+    return FrictionLoss(moment, softness.damping, Friction(stiffness, most))
