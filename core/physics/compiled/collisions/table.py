@@ -6,6 +6,7 @@ import mujoco
 
 from core.physics.compiled.collisions.boxes import sphere_box
 from core.physics.compiled.collisions.capsule_box import capsule_box
+from core.physics.compiled.collisions.ellipsoid_box import ellipsoid_box
 from core.physics.compiled.collisions.planes import (
     plane_box,
     plane_capsule,
@@ -34,4 +35,5 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
     (_SPHERE, _BOX): (sphere_box, 1),
     (_CAPSULE, _CAPSULE): (capsule_capsule, 1),
     (_CAPSULE, _BOX): (capsule_box, 2),
+    (_ELLIPSOID, _BOX): (ellipsoid_box, 1),
 }

@@ -57,13 +57,15 @@ def theirs(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
     return jacobian.T @ np.diag(data.efc_D) @ jacobian, jacobian.T @ (data.efc_D * data.efc_aref)
 
 
-def assert_same_rows(model: mujoco.MjModel, datas: list[mujoco.MjData], own: Own = NOMINAL) -> None:
+def assert_same_rows(
+    model: mujoco.MjModel, datas: list[mujoco.MjData], own: Own = NOMINAL, accuracy: float = 1e-9
+) -> None:
     found = ours(rows_of(model, datas, own), len(datas), model.nv)
     for place, mine in enumerate(found):
         expected = np.stack([theirs(model, data)[place] for data in datas])
         axes = tuple(range(1, expected.ndim))
         apart, largest = np.abs(mine - expected).max(axis=axes), np.abs(expected).max(axis=axes)
-        np.testing.assert_array_less(apart, 1e-9 * largest + 1e-11)
+        np.testing.assert_array_less(apart, accuracy * largest + 1e-11)
 
 
 def _mixtures(law: object, num_directions: int, num_states: int) -> Array:
