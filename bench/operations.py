@@ -22,7 +22,7 @@ from core.physics.compiled.code.cpu_function import cpu_function
 from core.physics.compiled.code.gpu_kernel import gpu_kernel
 from core.physics.compiled.code.machine_code import vector_width
 from core.physics.compiled.code.ptx import ptx
-from core.physics.compiled.program import Assign, Loop, Output, Program, Statement
+from core.physics.compiled.program.program import Assign, Loop, Output, Program, Statement
 from core.physics.compiled.refusal import check_covered
 from core.physics.engine import Engine, SolverSettings
 from core.physics.model import enough_iterations, with_solver

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 
 from core.physics.compiled.collisions.table import COLLIDERS
-from core.physics.compiled.constraints import read_constraints
-from core.physics.compiled.derived import DERIVED_FIELDS
+from core.physics.compiled.constraints.constraints import read_constraints
+from core.physics.compiled.constraints.pairs import read_pairs
+from core.physics.compiled.constraints.softness import is_computable
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.named import named, where, word
-from core.physics.compiled.pairs import read_pairs
-from core.physics.compiled.sensor_coverage import turn_several_axes, unread
-from core.physics.compiled.softness import is_computable
+from core.physics.compiled.readings.derived import DERIVED_FIELDS
+from core.physics.compiled.readings.sensor_coverage import turn_several_axes, unread
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 # Switches that the stages follow, and those that change nothing that they compute.

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from core.physics.compiled.arithmetic import Number, Vector, maximum, select
-from core.physics.compiled.program import Symbol
+from core.physics.compiled.program.arithmetic import Number, Vector, maximum, select
+from core.physics.compiled.program.program import Symbol
 from core.physics.model import model_field
 
 # Numbers of some of `engine.MODEL_FIELDS`, flattened, in place of the model's own.

@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 
 import mujoco
 
-from core.physics.compiled.actuation import Actuator, ActuatorState, Driven, driven, read_actuators
-from core.physics.compiled.arithmetic import Number, Vector, add, scale
-from core.physics.compiled.constraints import Constraints, constraint_rows, read_constraints
-from core.physics.compiled.constraints import State as Placed
-from core.physics.compiled.contact_sensors import ContactSensor, contact_readings
-from core.physics.compiled.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
-from core.physics.compiled.factor import factorize, solve
+from core.physics.compiled.constraints.constraints import Constraints, constraint_rows, read_constraints
+from core.physics.compiled.constraints.constraints import State as Placed
+from core.physics.compiled.constraints.solver import Problem, Settings, acceleration, constraint_force
 from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
-from core.physics.compiled.fluid import Fluid, drag_forces, read_fluid
-from core.physics.compiled.forces import passive_forces, weight_held
-from core.physics.compiled.integration import Implicit, add_slopes, implicit_inertia, integrated
-from core.physics.compiled.kinematics import Poses, poses
-from core.physics.compiled.loop import repeat
-from core.physics.compiled.solver import Problem, Settings, acceleration, constraint_force
-from core.physics.compiled.tendons import Tendon, read_tendons, tendon_forces, with_armature
-from core.physics.compiled.tree import Tree, read_tree
+from core.physics.compiled.program.arithmetic import Number, Vector, add, scale
+from core.physics.compiled.program.loop import repeat
+from core.physics.compiled.readings.contact_sensors import ContactSensor, contact_readings
+from core.physics.compiled.smooth.actuation import Actuator, ActuatorState, Driven, driven, read_actuators
+from core.physics.compiled.smooth.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
+from core.physics.compiled.smooth.factor import factorize, solve
+from core.physics.compiled.smooth.fluid import Fluid, drag_forces, read_fluid
+from core.physics.compiled.smooth.forces import passive_forces, weight_held
+from core.physics.compiled.smooth.integration import Implicit, add_slopes, implicit_inertia, integrated
+from core.physics.compiled.smooth.kinematics import Poses, poses
+from core.physics.compiled.smooth.tendons import Tendon, read_tendons, tendon_forces, with_armature
+from core.physics.compiled.smooth.tree import Tree, read_tree
 
 
 @dataclass(frozen=True)

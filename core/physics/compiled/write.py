@@ -8,15 +8,15 @@ from math import nan
 
 import mujoco
 
-from core.physics.compiled.arithmetic import Vector, absolute, select
-from core.physics.compiled.contact_sensors import by_number, read_contact_sensors
-from core.physics.compiled.derived import derived
 from core.physics.compiled.fields import Fields
-from core.physics.compiled.fold import folded
-from core.physics.compiled.lane_constants import NotAlike, alike_inputs, with_lane_constants
-from core.physics.compiled.limbs import Limbs, find_limbs, numbers_of_lanes
-from core.physics.compiled.program import Program, Symbol
-from core.physics.compiled.scene import Scene
+from core.physics.compiled.lanes.fold import folded
+from core.physics.compiled.lanes.lane_constants import NotAlike, alike_inputs, with_lane_constants
+from core.physics.compiled.lanes.limbs import Limbs, find_limbs, numbers_of_lanes
+from core.physics.compiled.program.arithmetic import Vector, absolute, select
+from core.physics.compiled.program.program import Program, Symbol
+from core.physics.compiled.readings.contact_sensors import by_number, read_contact_sensors
+from core.physics.compiled.readings.derived import derived
+from core.physics.compiled.readings.scene import Scene
 from core.physics.compiled.substep import Model, Moved, State, control_step, read_model, unmoved
 
 # In float32 no solver gets below this part of its cost.

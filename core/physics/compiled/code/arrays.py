@@ -1,6 +1,6 @@
 """The arrays that a program's code reads and writes."""
 
-from core.physics.compiled.program import Assign, Program
+from core.physics.compiled.program.program import Assign, Program
 
 
 def array_sizes(program: Program) -> dict[str, int]:

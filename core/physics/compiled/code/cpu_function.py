@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from core.physics.compiled.code.arrays import array_sizes
 from core.physics.compiled.code.writer import Target, Writer
-from core.physics.compiled.program import Program
+from core.physics.compiled.program.program import Program
 
 _WHOLE = "A vector's lanes are environments: the program must be a whole body's."
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from core.physics.compiled.code.arrays import array_sizes
 from core.physics.compiled.code.writer import Target, Writer
-from core.physics.compiled.program import Program
+from core.physics.compiled.program.program import Program
 
 TRIPLE = "nvptx64-nvidia-cuda"
 # A block is a warp: the fewest threads that a card runs, so that few environments spread over all of it.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from core.physics.compiled.code.arrays import array_sizes
 from core.physics.compiled.code.kept_code import kept
-from core.physics.compiled.program import Program
+from core.physics.compiled.program.program import Program
 
 FUNCTION = "move"
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from core.physics.compiled.program import Assign, Loop, Operation, Program, Statement
+from core.physics.compiled.program.program import Assign, Loop, Operation, Program, Statement
 
 _INSTRUCTIONS: Mapping[Operation, str] = {
     "add": "fadd contract",

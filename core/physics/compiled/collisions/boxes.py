@@ -3,7 +3,8 @@
 Source: MuJoCo's documentation, Computation, "Collision detection"; `mjraw_SphereBox`.
 """
 
-from core.physics.compiled.arithmetic import (
+from core.physics.compiled.collisions.shapes import Placed, Touch
+from core.physics.compiled.program.arithmetic import (
     Number,
     Vector,
     absolute,
@@ -17,7 +18,6 @@ from core.physics.compiled.arithmetic import (
     sqrt,
     subtract,
 )
-from core.physics.compiled.collisions.shapes import Placed, Touch
 
 _SMALLEST = 1e-15
 

@@ -9,7 +9,9 @@ Source: MuJoCo's `mjraw_CapsuleBox`.
 from dataclasses import dataclass
 from itertools import product
 
-from core.physics.compiled.arithmetic import (
+from core.physics.compiled.collisions.boxes import ball_in_box
+from core.physics.compiled.collisions.shapes import Placed, Touch
+from core.physics.compiled.program.arithmetic import (
     Number,
     Vector,
     absolute,
@@ -23,8 +25,6 @@ from core.physics.compiled.arithmetic import (
     subtract,
     total,
 )
-from core.physics.compiled.collisions.boxes import ball_in_box
-from core.physics.compiled.collisions.shapes import Placed, Touch
 
 _SMALLEST, _FAR = 1e-15, 1e15
 # In m, of a point that is not there.

@@ -8,7 +8,8 @@ may be better. MuJoCo finds the same by expanding polytopes, by default to 1e-6 
 normal at edges.
 """
 
-from core.physics.compiled.arithmetic import (
+from core.physics.compiled.collisions.shapes import Placed, Touch
+from core.physics.compiled.program.arithmetic import (
     Matrix,
     Number,
     Vector,
@@ -25,8 +26,7 @@ from core.physics.compiled.arithmetic import (
     subtract,
     total,
 )
-from core.physics.compiled.collisions.shapes import Placed, Touch
-from core.physics.compiled.loop import repeat
+from core.physics.compiled.program.loop import repeat
 
 # On a face one is enough; at edges and corners each leaves a part of the error.
 _MOST_ITERATIONS = 60

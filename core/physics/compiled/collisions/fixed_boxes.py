@@ -11,7 +11,9 @@ from operator import and_
 
 import mujoco
 
-from core.physics.compiled.arithmetic import (
+from core.physics.compiled.collisions.shapes import Geom, Placed
+from core.physics.compiled.constraints.pairs import Pair, Parameters
+from core.physics.compiled.program.arithmetic import (
     Matrix,
     Number,
     Vector,
@@ -21,8 +23,6 @@ from core.physics.compiled.arithmetic import (
     subtract,
     transpose,
 )
-from core.physics.compiled.collisions.shapes import Geom, Placed
-from core.physics.compiled.pairs import Pair, Parameters
 
 _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 _TURNED = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]

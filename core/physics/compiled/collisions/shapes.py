@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from core.physics.compiled.arithmetic import Matrix, Number, Vector, add, rotate, transpose
-from core.physics.compiled.kinematics import Poses
+from core.physics.compiled.program.arithmetic import Matrix, Number, Vector, add, rotate, transpose
+from core.physics.compiled.smooth.kinematics import Poses
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.physics.compiled.arithmetic import Vector
-from core.physics.compiled.cone import Cone
-from core.physics.compiled.constraints import State, constraint_rows, read_constraints
-from core.physics.compiled.dynamics import motion
+from core.physics.compiled.constraints.cone import Cone
+from core.physics.compiled.constraints.constraints import State, constraint_rows, read_constraints
+from core.physics.compiled.constraints.laws import Pyramid
+from core.physics.compiled.constraints.rows import Rows, by_group, times
 from core.physics.compiled.fields import NOMINAL, Own
-from core.physics.compiled.kinematics import poses
-from core.physics.compiled.laws import Pyramid
-from core.physics.compiled.rows import Rows, by_group, times
-from core.physics.compiled.tree import read_tree
+from core.physics.compiled.program.arithmetic import Vector
+from core.physics.compiled.smooth.dynamics import motion
+from core.physics.compiled.smooth.kinematics import poses
+from core.physics.compiled.smooth.tree import read_tree
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from core.physics.compiled.interpret import interpret
-from core.physics.compiled.program import Program
+from core.physics.compiled.program.interpret import interpret
+from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, read_model, substep
 from core.physics.model import enough_iterations, with_solver
 from tests.unit.physics.compiled.test_machine_code import run

@@ -8,11 +8,11 @@ import pytest
 
 from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import DirectedOptions
-from core.physics.compiled.contact_sensors import by_number, read_contact_sensors
 from core.physics.compiled.coverage import uncovered, uncovered_fields
 from core.physics.compiled.fields import Fields
-from core.physics.compiled.scene import Scene
-from core.physics.compiled.sensors import sensor_values
+from core.physics.compiled.readings.contact_sensors import by_number, read_contact_sensors
+from core.physics.compiled.readings.scene import Scene
+from core.physics.compiled.readings.sensors import sensor_values
 from core.physics.compiled.substep import Model, Moved, State, control_step, read_model, unmoved
 from core.physics.model import initial_qpos
 from tests.unit.physics.compiled.test_contacts import PLANE, at_random, meeting

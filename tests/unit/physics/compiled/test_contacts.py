@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from core.physics.compiled.arithmetic import Vector
-from core.physics.compiled.body_rows import BodyGroup
+from core.physics.compiled.constraints.body_rows import BodyGroup
+from core.physics.compiled.constraints.rows import Group, by_group, curvature, pulled_back, times
 from core.physics.compiled.coverage import uncovered
 from core.physics.compiled.fields import NOMINAL
-from core.physics.compiled.rows import Group, by_group, curvature, pulled_back, times
+from core.physics.compiled.program.arithmetic import Vector
 from tests.unit.physics.compiled.rows_of_mujoco import Array, assert_same_rows, rows_of
 
 NUM_STATES = 100

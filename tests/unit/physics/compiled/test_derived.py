@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from core.physics.compiled.coverage import uncovered_fields
-from core.physics.compiled.derived import DERIVED_FIELDS as OURS
-from core.physics.compiled.derived import derived
 from core.physics.compiled.fields import Fields
-from core.physics.compiled.scene import Scene
+from core.physics.compiled.readings.derived import DERIVED_FIELDS as OURS
+from core.physics.compiled.readings.derived import derived
+from core.physics.compiled.readings.scene import Scene
 from core.physics.engine import DERIVED_FIELDS
 from core.physics.model import brax_model
 

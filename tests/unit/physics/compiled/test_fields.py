@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from core.physics.compiled.coverage import uncovered, uncovered_own
-from core.physics.compiled.derived import derived
 from core.physics.compiled.fields import Fields
-from core.physics.compiled.interpret import interpret
-from core.physics.compiled.program import Program
-from core.physics.compiled.scene import Scene
+from core.physics.compiled.program.interpret import interpret
+from core.physics.compiled.program.program import Program
+from core.physics.compiled.readings.derived import derived
+from core.physics.compiled.readings.scene import Scene
 from core.physics.compiled.substep import State, read_model, substep
 from core.physics.engine import MODEL_FIELDS
 from core.physics.model import model_field

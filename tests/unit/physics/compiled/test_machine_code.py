@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from core.physics.compiled.arithmetic import Number
 from core.physics.compiled.code.cpu_function import cpu_function
 from core.physics.compiled.code.machine_code import loaded, machine_code
-from core.physics.compiled.interpret import interpret
-from core.physics.compiled.loop import repeat
-from core.physics.compiled.program import Program
+from core.physics.compiled.program.arithmetic import Number
+from core.physics.compiled.program.interpret import interpret
+from core.physics.compiled.program.loop import repeat
+from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, control_step, read_model
 from tests.unit.physics.compiled.test_substep import NUM_STATES, converged, of_all, states
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from core.physics.compiled.arithmetic import Number, select, sqrt
-from core.physics.compiled.interpret import interpret
-from core.physics.compiled.loop import repeat
-from core.physics.compiled.program import Assign, Program
+from core.physics.compiled.program.arithmetic import Number, select, sqrt
+from core.physics.compiled.program.interpret import interpret
+from core.physics.compiled.program.loop import repeat
+from core.physics.compiled.program.program import Assign, Program
 from core.physics.compiled.substep import State, read_model, substep
 from tests.unit.physics.compiled.test_substep import converged, of_all, states
 

@@ -1,0 +1,235 @@
+"""The rows of geoms that touch.
+
+Source: MuJoCo's documentation, Computation, "Constraint model", "Contacts".
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import mujoco
+
+from core.physics.compiled.collisions.fixed_boxes import (
+    Choice,
+    Shape,
+    chosen_box,
+    chosen_parameters,
+    merged,
+    near,
+)
+from core.physics.compiled.collisions.shapes import Geom, Touch, placed, read_geoms
+from core.physics.compiled.collisions.table import COLLIDERS
+from core.physics.compiled.constraints.body_rows import BodyGroup
+from core.physics.compiled.constraints.cone import Cone
+from core.physics.compiled.constraints.laws import Law, OneSided, Pyramid
+from core.physics.compiled.constraints.pairs import Pair, Parameters, read_pairs
+from core.physics.compiled.constraints.rows import Direction, Group
+from core.physics.compiled.constraints.softness import impedance_at, reference_at, stiffness_at
+from core.physics.compiled.fields import Fields
+from core.physics.compiled.program.arithmetic import (
+    Number,
+    Vector,
+    absolute,
+    add,
+    cross,
+    dot,
+    maximum,
+    scale,
+    select,
+    sqrt,
+    squared,
+    subtract,
+    total,
+)
+from core.physics.compiled.smooth.dynamics import Motion
+from core.physics.compiled.smooth.kinematics import Poses
+from core.physics.compiled.smooth.tree import Tree
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Two geoms that can touch, the second maybe chosen of several that are fixed.
+
+    inverse_weight: MuJoCo's `body_invweight0` of both bodies, of translations. is_elliptic: the friction
+    cone is a cone, not a pyramid. impratio: MuJoCo's.
+    """
+
+    one: Geom
+    other: Shape
+    parameters: Parameters
+    inverse_weight: Number
+    is_elliptic: bool
+    impratio: float
+
+    @property
+    def kinds(self) -> tuple[int, int]:
+        """Both geoms', of `mjtGeom`."""
+        return self.one.kind, self.other.kind
+
+    @property
+    def num_points(self) -> int:
+        """Where it may push at once."""
+        return COLLIDERS[self.kinds][1]
+
+    @property
+    def num_rows(self) -> int:
+        """Edges of pyramids, or directions of cones."""
+        num_friction = len(self.parameters.friction)
+        at_a_point = 2 * num_friction if num_friction and not self.is_elliptic else 1 + num_friction
+        return self.num_points * at_a_point
+
+
+def read_contacts(fields: Fields) -> tuple[Contact, ...]:
+    """All that can touch and move."""
+    model = fields.model
+    geoms = read_geoms(model)
+    pairs, nominal = read_pairs(fields), [pair.parameters for pair in read_pairs(Fields(model))]
+    moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
+    pairs, nominal = list(compress(pairs, moves)), list(compress(nominal, moves))
+    return tuple(
+        Contact(
+            one=geoms[pair.one],
+            other=other,
+            parameters=pair.parameters,
+            inverse_weight=_inverse_weight(fields, pair),
+            is_elliptic=model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC,
+            impratio=float(model.opt.impratio),
+        )
+        for pair, other in merged(pairs, nominal, geoms)
+    )
+
+
+def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:
+    """Whether contacts take fewer operations at each of the solver's iterations as `body_rows` has them."""
+    one_by_one, by_body = 0, 11 * len(tree.entries) + 66 * len(tree.dofs)
+    for contact in contacts:
+        if contact.one.body and contact.other.body:
+            continue
+        size = len(_moved_by(tree, contact.one.body or contact.other.body))
+        # Of the curvature, the residual and the forces, with three directions.
+        one_by_one += contact.num_points * (size * (size + 1) // 2 * 5 + size * 23)
+        by_body += contact.num_points * 240
+    return by_body < one_by_one
+
+
+def contact_rows(
+    tree: Tree, contact: Contact, at: Poses, moving: Motion, *, by_body: bool
+) -> list[tuple[Number, Group | BodyGroup]]:
+    """For each point of the contact: how far apart the geoms are there, in m, and a group."""
+    one = placed(contact.one, at)
+    if isinstance(contact.other, Choice):
+        is_near = near(contact.other, one.position)
+        other = chosen_box(contact.other, is_near)
+        contact = replace(contact, parameters=chosen_parameters(contact.other, is_near))
+    else:
+        other = placed(contact.other, at)
+    collide, _ = COLLIDERS[contact.kinds]
+    is_single = not (contact.one.body and contact.other.body)
+    by_body = by_body and is_single
+    return [
+        (touch.distance, _group(tree, contact, touch, moving, by_body=by_body))
+        for touch in collide(one, other)
+    ]
+
+
+def _group(tree: Tree, contact: Contact, touch: Touch, moving: Motion, *, by_body: bool) -> Group | BodyGroup:
+    parameters, distance = contact.parameters, touch.distance - contact.parameters.margin
+    axes = _axes(contact, touch)
+    sides = _sides(tree, contact, touch, moving)
+    speeds = [
+        total(dot(axis, side.at_point(moving.velocities[side.body], turns)) for side in sides)
+        for axis, turns in axes
+    ]
+    impedance = impedance_at(parameters.softness.impedance, distance)
+    damping = parameters.friction_damping if contact.is_elliptic else parameters.softness.damping
+    normal = reference_at(parameters.softness, impedance, distance, speeds[0])
+    reference = [normal, *(-damping * speed for speed in speeds[1:])]
+    law = _law(contact, impedance, distance)
+    if by_body:
+        return BodyGroup(sides[0].body, [sides[0].wrench(*axis) for axis in axes], reference, law)
+    return Group([_direction(sides, moving, *axis) for axis in axes], reference, law)
+
+
+def _law(contact: Contact, impedance: Number, distance: Number) -> Law:
+    friction, weight = contact.parameters.friction, contact.inverse_weight
+    if not friction:
+        return OneSided(stiffness_at(impedance, weight, distance))
+    # Of the cone that is regularised by `impratio`.
+    slope = friction[0] / contact.impratio**0.5
+    if contact.is_elliptic:
+        return Cone(stiffness_at(impedance, weight, distance), slope, friction)
+    edge = weight * (1.0 + squared(friction[0])) * 2.0 * squared(slope)
+    return Pyramid(stiffness_at(impedance, edge, distance), friction)
+
+
+def _inverse_weight(fields: Fields, pair: Pair) -> Number:
+    bodies = fields.model.geom_bodyid[[pair.one, pair.other]]
+    return total(fields.number("body_invweight0", int(body)) for body in bodies)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """A body that moves. sign: 1 for the second, -1 for the first. arm: [3], from its tree's centre to the
+    point. dofs: those that move this body alone."""
+
+    body: int
+    sign: float
+    arm: Vector
+    dofs: list[int]
+
+    def at_point(self, motion: Vector, turns: bool) -> Vector:
+        """How a motion [6] of the body turns it or moves the point, [3]."""
+        turn, way = motion[:3], motion[3:]
+        return scale(turn if turns else add(way, cross(turn, self.arm)), self.sign)
+
+    def wrench(self, axis: Vector, turns: bool) -> Vector:
+        """The spatial force [6] that does the same work as one along an axis at the point, or about it."""
+        force = scale(axis, self.sign)
+        return [*force, 0.0, 0.0, 0.0] if turns else [*cross(self.arm, force), *force]
+
+
+def _axes(contact: Contact, touch: Touch) -> list[tuple[Vector, bool]]:
+    """The normal, and as many of both tangents, turning about the normal and rolling as there is friction:
+    each with whether it turns."""
+    num = 1 + len(contact.parameters.friction)
+    frame = [touch.normal, *(_tangents(touch.normal, touch.along) if num > 1 else ())]
+    return [(axis, turns) for turns in (False, True) for axis in frame][:num]
+
+
+def _sides(tree: Tree, contact: Contact, touch: Touch, moving: Motion) -> list[_Side]:
+    bodies = contact.one.body, contact.other.body
+    moves = [_moved_by(tree, body) for body in bodies]
+    found = list[_Side]()
+    for body, own, others, sign in zip(bodies, moves, reversed(moves), (-1.0, 1.0), strict=True):
+        if body:
+            arm = subtract(touch.position, moving.centres[tree.bodies[body].root])
+            found.append(_Side(body, sign, arm, [i for i in own if i not in others]))
+    return found
+
+
+def _direction(sides: Sequence[_Side], moving: Motion, axis: Vector, turns: bool) -> Direction:
+    return {i: dot(axis, side.at_point(moving.axes[i], turns)) for side in sides for i in side.dofs}
+
+
+def _moved_by(tree: Tree, body: int) -> list[int]:
+    """The degrees of freedom that move the body."""
+    while body:
+        own = [i for i, dof in enumerate(tree.dofs) if dof.body == body]
+        if own:
+            return [*tree.dofs[own[-1]].ancestors, own[-1]]
+        body = tree.bodies[body].parent
+    return []
+
+
+def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
+    """Two directions at right angles to the normal and to each other, those of `mju_makeFrame`."""
+    if along is None:
+        if all(isinstance(x, float) for x in normal):
+            along = [0.0, 1.0, 0.0] if abs(normal[1]) < 0.5 else [0.0, 0.0, 1.0]
+        else:
+            is_across = absolute(normal[1]) < 0.5
+            along = [0.0, select(is_across, 1.0, 0.0), select(is_across, 0.0, 1.0)]
+    across = subtract(along, scale(normal, dot(normal, along)))
+    length = sqrt(dot(across, across))
+    first = scale(across, 1.0 / maximum(length, 1e-15))
+    return first, cross(normal, first)

@@ -1,0 +1,29 @@
+"""Repetition until nothing improves, for all environments side by side."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from core.physics.compiled.program.arithmetic import Number, select
+from core.physics.compiled.program.program import Symbol
+
+
+def repeat(
+    most: int, body: Callable[[list[Number]], tuple[list[Number], Number]], carried: list[Number]
+) -> list[Number]:
+    """The numbers after at most `most` repetitions of `body`.
+
+    `body` also returns whether to repeat it, by environment; True: in any case. An environment that stops
+    keeps the numbers that it has.
+    """
+    symbol = next((number for number in carried if isinstance(number, Symbol)), None)
+    if symbol is not None:
+        return symbol.program.loop(most, body, carried)
+    running = np.True_
+    for _ in range(most):
+        if not np.any(running):
+            break
+        after, improves = body(carried)
+        carried = [select(running, new, old) for new, old in zip(after, carried, strict=True)]
+        running = running & improves
+    return carried

@@ -1,0 +1,47 @@
+"""A program without operations that nothing needs."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from core.physics.compiled.program.program import Assign, Loop, Program, Statement
+
+_WITHOUT_VARIABLES = ("constant", "input", "lane_input", "lane_constant", "limb_constant")
+
+
+def needed(program: Program) -> Program:
+    """The program (changed): what its outputs need."""
+    wanted = {output.variable for outputs in program.outputs.values() for output in outputs}
+    program.statements = _kept(program.statements, wanted)
+    return program
+
+
+def _kept(statements: Sequence[Statement], wanted: set[int]) -> list[Statement]:
+    """The statements that compute what is wanted. wanted: grows by what they need themselves."""
+    found = list[Statement]()
+    for one in reversed(statements):
+        if isinstance(one, Assign):
+            # Inputs stay, for the order of the code's arrays.
+            if one.target in wanted or one.operation in ("input", "lane_input"):
+                found.append(one)
+                if one.operation not in _WITHOUT_VARIABLES:
+                    wanted.update(int(argument) for argument in one.arguments)
+        elif any(variable in wanted for variable, _, _ in one.carried):
+            found.append(_kept_loop(one, wanted))
+    return found[::-1]
+
+
+def _kept_loop(loop: Loop, wanted: set[int]) -> Loop:
+    carried, inside, body = (), set[int](), list[Statement]()
+    while True:
+        # A variable that is needed inside is carried, too.
+        now = tuple(entry for entry in loop.carried if entry[0] in wanted or entry[0] in inside)
+        if now == carried:
+            break
+        carried = now
+        inside = {after for _, _, after in carried}
+        if loop.improves is not None:
+            inside.add(loop.improves)
+        body = _kept(loop.body, inside)
+    wanted.update(inside)
+    wanted.update(before for _, before, _ in carried)
+    return replace(loop, carried=carried, body=tuple(body))
