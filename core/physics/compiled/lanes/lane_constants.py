@@ -35,13 +35,12 @@ def with_lane_constants(program: Program, model: Model, limbs: Limbs) -> Model:
         constraints=replace(
             constraints,
             **{
-                name: place.merged(values, place.grouped(values, lambda one: [one.dof]))
-                for name, values in (
-                    ("frictions", constraints.frictions),
-                    ("limits", constraints.limits),
-                    ("ball_limits", constraints.ball_limits),
-                )
+                name: place.merged(values, place.grouped(values, lambda one: one.moment))
+                for name, values in (("frictions", constraints.frictions), ("limits", constraints.limits))
             },
+            ball_limits=place.merged(
+                constraints.ball_limits, place.grouped(constraints.ball_limits, lambda one: [one.dof])
+            ),
             contacts=place.merged(
                 constraints.contacts,
                 place.grouped(
