@@ -22,7 +22,7 @@ from core.physics.compiled.code.cpu_function import cpu_function
 from core.physics.compiled.code.gpu_kernel import gpu_kernel
 from core.physics.compiled.code.machine_code import vector_width
 from core.physics.compiled.code.ptx import ptx
-from core.physics.compiled.program.program import Assign, Loop, Output, Program, Statement
+from core.physics.compiled.program.program import Assign, Branch, Loop, Output, Program, Statement
 from core.physics.compiled.refusal import check_covered
 from core.physics.engine import Engine, SolverSettings
 from core.physics.model import enough_iterations, with_solver
@@ -136,6 +136,8 @@ def _operations(statements: Sequence[Statement], depth: int) -> Iterator[tuple[A
     for one in statements:
         if isinstance(one, Loop):
             yield from _operations(one.body, depth + 1)
+        elif isinstance(one, Branch):
+            yield from _operations(one.body, depth)
         elif one.operation not in _GIVEN:
             # What is outside of the loop over substeps belongs to none.
             yield one, max(depth, 0)

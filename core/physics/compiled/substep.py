@@ -12,7 +12,7 @@ from core.physics.compiled.constraints.constraints import State as Placed
 from core.physics.compiled.constraints.solver import Problem, Settings, acceleration, constraint_force
 from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
 from core.physics.compiled.program.arithmetic import Number, Vector, add, scale
-from core.physics.compiled.program.loop import repeat
+from core.physics.compiled.program.flow import repeat
 from core.physics.compiled.readings.contact_sensors import ContactSensor, contact_readings
 from core.physics.compiled.smooth.actuation import Actuator, ActuatorState, Driven, driven, read_actuators
 from core.physics.compiled.smooth.dynamics import Entries, Motion, bias_forces, mass_matrix, motion

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from core.physics.compiled.program.program import Assign, Loop, Operation, Program, Statement
+from core.physics.compiled.program.program import Assign, Branch, Loop, Operation, Program, Statement
 
 _INSTRUCTIONS: Mapping[Operation, str] = {
     "add": "fadd contract",
@@ -111,6 +111,8 @@ class Writer:
         for statement in statements:
             if isinstance(statement, Loop):
                 self._loop(statement)
+            elif isinstance(statement, Branch):
+                self._branch(statement)
             else:
                 self._assign(statement)
 
@@ -275,16 +277,40 @@ class Writer:
         self.lines.append(f"{after}:")
         self.block, self._angles = after, known
 
-    def _any(self, running: str) -> str:
-        """Whether an environment is left that runs."""
+    def _branch(self, branch: Branch) -> None:
+        inside, after = self.name()[1:], self.name()[1:]
+        condition, begun = self.operand(branch.condition), self.block
+        known = dict(self._angles)
+        self.line(f"br i1 {self._any(condition)}, label %{inside}, label %{after}")
+        self.lines.append(f"{inside}:")
+        self.block = inside
+        self.write(branch.body)
+        found = dict[int, str]()
+        for variable, value, otherwise in branch.results:
+            found[variable] = self.operand(value)
+            if self.target.width > 1:
+                found[variable] = self.name()
+                self._select(found[variable], condition, self.operand(value), self.operand(otherwise))
+        self.line(f"br label %{after}")
+        self.lines.append(f"{after}:")
+        for variable, _, otherwise in branch.results:
+            self.line(
+                f"%v{variable} = phi {self.target.number} "
+                f"[ {found[variable]}, %{self.block} ], [ {self.operand(otherwise)}, %{begun} ]"
+            )
+        self.block, self._angles = after, known
+
+    def _any(self, truth: str) -> str:
+        """Whether it is true for an environment of the vector."""
         if self.target.width == 1:
-            return running
+            return truth
         reduce = f"@llvm.vector.reduce.or.v{self.target.width}i1"
-        return self.value(f"call i1 {reduce}({self.target.truth} {running})")
+        return self.value(f"call i1 {reduce}({self.target.truth} {truth})")
 
 
 def _results(statement: Statement) -> list[int]:
     """The variables that are known after it."""
     if isinstance(statement, Assign):
         return [statement.target]
-    return [variable for variable, _, _ in statement.carried]
+    entries = statement.carried if isinstance(statement, Loop) else statement.results
+    return [variable for variable, _, _ in entries]

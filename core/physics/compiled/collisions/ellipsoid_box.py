@@ -26,7 +26,7 @@ from core.physics.compiled.program.arithmetic import (
     subtract,
     total,
 )
-from core.physics.compiled.program.loop import repeat
+from core.physics.compiled.program.flow import repeat
 
 # On a face one is enough; at edges and corners each leaves a part of the error.
 _MOST_ITERATIONS = 60

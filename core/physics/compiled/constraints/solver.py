@@ -27,7 +27,7 @@ from core.physics.compiled.program.arithmetic import (
     sqrt,
     total,
 )
-from core.physics.compiled.program.loop import repeat
+from core.physics.compiled.program.flow import repeat
 from core.physics.compiled.smooth.dynamics import Entries
 from core.physics.compiled.smooth.factor import factorize, multiply, solve
 from core.physics.compiled.smooth.tree import Tree

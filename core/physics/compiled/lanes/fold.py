@@ -13,7 +13,16 @@ from core.physics.compiled.lanes.forms import TRUNK, Forms, Kind
 from core.physics.compiled.lanes.lane_constants import NotAlike
 from core.physics.compiled.program.arithmetic import select, total
 from core.physics.compiled.program.needed import needed
-from core.physics.compiled.program.program import Assign, Loop, Output, Program, Statement, Symbol
+from core.physics.compiled.program.program import (
+    Assign,
+    Branch,
+    Loop,
+    Operation,
+    Output,
+    Program,
+    Statement,
+    Symbol,
+)
 
 # Numbers of inputs that are alike, by input: their places by lane.
 Alike = Mapping[str, Sequence[tuple[int, ...]]]
@@ -62,6 +71,10 @@ class _Fold:
                 for variable in [*used, *([] if one.improves is None else [one.improves])]:
                     self.uses.setdefault(variable, []).append(None)
                 self._note_uses(one.body)
+            elif isinstance(one, Branch):
+                for variable in (one.condition, *(x for _, *both in one.results for x in both)):
+                    self.uses.setdefault(variable, []).append(None)
+                self._note_uses(one.body)
             elif one.operation not in _GIVEN:
                 for argument in one.arguments:
                     self.uses.setdefault(int(argument), []).append(one)
@@ -71,6 +84,8 @@ class _Fold:
         for one in statements:
             if isinstance(one, Loop):
                 self._take_loop(one)
+            elif isinstance(one, Branch):
+                self._take_branch(one)
             elif one.operation in _GIVEN:
                 self._take_given(one)
             else:
@@ -227,6 +242,38 @@ class _Fold:
         carried = tuple((self.symbols[one].number, before[one], after[one]) for one, _, _ in written)
         self.program.statements.append(Loop(loop.most, carried, tuple(statements), improves))
 
+    def _take_branch(self, branch: Branch) -> None:
+        """Results are alike where a choice among the same numbers would be."""
+        condition = self._kind_of(branch.condition)
+        with self.program.block() as statements:
+            self._take(branch.body)
+            if condition.lane != TRUNK and any(_operates(one, "lane_sum") for one in statements):
+                raise NotAlike("limbs meet where only some of them compute")
+            insides = {
+                one: self.program.variable(self.symbols[one])
+                for _, one, _ in branch.results
+                if self._kind_of(one).lane in (TRUNK, 0)
+            }
+        results = list[tuple[int, int, int]]()
+        for variable, inside, otherwise in branch.results:
+            kinds = [condition, self._kind_of(inside), self._kind_of(otherwise)]
+            lanes = {kind.lane for kind in kinds} - {TRUNK}
+            if len(lanes) > 1:
+                raise NotAlike("limbs meet in a choice")
+            lane = lanes.pop() if lanes else TRUNK
+            symbol = Symbol(self.program, self.program.new_variable())
+            if lane == TRUNK:
+                self._trunk(variable, symbol)
+            else:
+                self.kinds[variable] = self.forms.kind(lane, "select", kinds)
+            if lane in (TRUNK, 0):
+                self.symbols[variable] = symbol
+                outside = self.program.variable(self.symbols[otherwise])
+                results.append((symbol.number, insides[inside], outside))
+        if results:
+            number = self.program.variable(self.symbols[branch.condition])
+            self.program.statements.append(Branch(number, tuple(statements), tuple(results)))
+
     def _begin(self, loop: Loop) -> None:
         """The loop's variables are alike where what they begin with is."""
         counts = Counter[tuple[int, ...]]()
@@ -289,7 +336,14 @@ class _Fold:
 
 def _targets(statements: Sequence[Statement]) -> Iterator[int]:
     for one in statements:
-        if isinstance(one, Loop):
+        if isinstance(one, Loop | Branch):
             yield from _targets(one.body)
         else:
             yield one.target
+
+
+def _operates(statement: Statement, operation: Operation) -> bool:
+    """Whether the statement is such an operation, or has one in its body."""
+    if isinstance(statement, Assign):
+        return statement.operation == operation
+    return any(_operates(one, operation) for one in statement.body)

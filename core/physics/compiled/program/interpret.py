@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.physics.compiled.program.program import Assign, Loop, Operation, Program, Statement
+from core.physics.compiled.program.program import Assign, Branch, Loop, Operation, Program, Statement
 
 Values = dict[int, NDArray[Any]]
 
@@ -58,22 +58,35 @@ def _run(
 ) -> None:
     for statement in statements:
         match statement:
-            case Assign(target=target, operation="input", arguments=(str(name), int(place))):
-                values[target] = given[name][place]
-            case Assign(target=target, operation="constant", arguments=(value,)):
-                values[target] = np.asarray(value, dtype)
-            case Assign(target=target, operation="limb_constant", arguments=(int(lane), *of_lanes)):
-                values[target] = np.asarray(of_lanes[lane], dtype)
-            case Assign(target=target, operation="lane_constant", arguments=of_lanes):
-                values[target] = np.asarray(of_lanes, dtype)[:, None]
-            case Assign(target=target, operation="lane_input", arguments=(str(name), *places)):
-                values[target] = np.stack([given[name][int(place)] for place in places])
-            case Assign(target=target, operation="lane_sum", arguments=(number,)):
-                values[target] = np.sum(values[int(number)], axis=0)
-            case Assign(target=target, operation=operation, arguments=arguments):
-                values[target] = _FUNCTIONS[operation](*(values[int(number)] for number in arguments))
             case Loop():
                 _repeat(statement, values, given, dtype)
+            case Branch():
+                _choose(statement, values, given, dtype)
+            case _:
+                values[statement.target] = _result(statement, values, given, dtype)
+
+
+def _result(
+    one: Assign,
+    values: Values,
+    given: Mapping[str, Sequence[NDArray[np.floating]]],
+    dtype: np.dtype[np.floating],
+) -> NDArray[Any]:
+    match one:
+        case Assign(operation="input", arguments=(str(name), int(place))):
+            return given[name][place]
+        case Assign(operation="constant", arguments=(value,)):
+            return np.asarray(value, dtype)
+        case Assign(operation="limb_constant", arguments=(int(lane), *of_lanes)):
+            return np.asarray(of_lanes[lane], dtype)
+        case Assign(operation="lane_constant", arguments=of_lanes):
+            return np.asarray(of_lanes, dtype)[:, None]
+        case Assign(operation="lane_input", arguments=(str(name), *places)):
+            return np.stack([given[name][int(place)] for place in places])
+        case Assign(operation="lane_sum", arguments=(number,)):
+            return np.sum(values[int(number)], axis=0)
+        case _:
+            return _FUNCTIONS[one.operation](*(values[int(number)] for number in one.arguments))
 
 
 def _repeat(
@@ -95,3 +108,17 @@ def _repeat(
             running = running & values[loop.improves]
         for (variable, _, _), value in zip(loop.carried, after, strict=True):
             values[variable] = value
+
+
+def _choose(
+    branch: Branch,
+    values: Values,
+    given: Mapping[str, Sequence[NDArray[np.floating]]],
+    dtype: np.dtype[np.floating],
+) -> None:
+    condition = values[branch.condition]
+    if condition.any():
+        _run(branch.body, values, given, dtype)
+    for variable, inside, otherwise in branch.results:
+        chosen = values[inside] if condition.any() else values[otherwise]
+        values[variable] = np.where(condition, chosen, values[otherwise])

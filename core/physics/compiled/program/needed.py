@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from core.physics.compiled.program.program import Assign, Loop, Program, Statement
+from core.physics.compiled.program.program import Assign, Branch, Loop, Program, Statement
 
 _WITHOUT_VARIABLES = ("constant", "input", "lane_input", "lane_constant", "limb_constant")
 
@@ -25,9 +25,20 @@ def _kept(statements: Sequence[Statement], wanted: set[int]) -> list[Statement]:
                 found.append(one)
                 if one.operation not in _WITHOUT_VARIABLES:
                     wanted.update(int(argument) for argument in one.arguments)
+        elif isinstance(one, Branch):
+            if any(variable in wanted for variable, _, _ in one.results):
+                found.append(_kept_branch(one, wanted))
         elif any(variable in wanted for variable, _, _ in one.carried):
             found.append(_kept_loop(one, wanted))
     return found[::-1]
+
+
+def _kept_branch(branch: Branch, wanted: set[int]) -> Branch:
+    results = tuple(entry for entry in branch.results if entry[0] in wanted)
+    inside = {one for _, one, _ in results}
+    body = _kept(branch.body, inside)
+    wanted.update(inside, (otherwise for _, _, otherwise in results), (branch.condition,))
+    return replace(branch, results=results, body=tuple(body))
 
 
 def _kept_loop(loop: Loop, wanted: set[int]) -> Loop:

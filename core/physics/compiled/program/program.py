@@ -45,7 +45,19 @@ class Loop:
     improves: int | None
 
 
-Statement = Assign | Loop
+@dataclass(frozen=True)
+class Branch:
+    """Computes `body` for environments in which the variable `condition` is true.
+
+    results: (variable, its value from the body, its value otherwise).
+    """
+
+    condition: int
+    body: tuple["Statement", ...]
+    results: tuple[tuple[int, int, int], ...]
+
+
+Statement = Assign | Loop | Branch
 
 
 @dataclass(frozen=True)
@@ -116,6 +128,25 @@ class Program:
         entries = tuple(zip(variables, befores, afters, strict=True))
         self.statements.append(Loop(most, entries, tuple(statements), improves))
         return inside
+
+    def branch(
+        self,
+        condition: "Symbol",
+        body: Callable[[], Sequence["Symbol | float"]],
+        otherwise: Sequence["Symbol | float"],
+    ) -> list["Symbol | float"]:
+        """The body's numbers where the condition is true; see Branch. Those that do not differ stay."""
+        with self.block() as statements:
+            values = body()
+            differ = [not _are_same(*both) for both in zip(values, otherwise, strict=True)]
+            insides = [self.variable(value) for value, one in zip(values, differ, strict=True) if one]
+        outsides = [self.variable(value) for value, one in zip(otherwise, differ, strict=True) if one]
+        chosen = [Symbol(self, self.new_variable()) for _ in insides]
+        results = zip((one.number for one in chosen), insides, outsides, strict=True)
+        if chosen:
+            self.statements.append(Branch(condition.number, tuple(statements), tuple(results)))
+        following = iter(chosen)
+        return [next(following) if one else value for value, one in zip(otherwise, differ, strict=True)]
 
     @contextmanager
     def block(self) -> Generator[list[Statement]]:

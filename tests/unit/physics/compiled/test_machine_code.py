@@ -5,9 +5,9 @@ import pytest
 
 from core.physics.compiled.code.cpu_function import cpu_function
 from core.physics.compiled.code.machine_code import loaded, machine_code
-from core.physics.compiled.program.arithmetic import Number
+from core.physics.compiled.program.arithmetic import Number, sine, sqrt
+from core.physics.compiled.program.flow import repeat, where_needed
 from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.loop import repeat
 from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, control_step, read_model
 from tests.unit.physics.compiled.test_substep import NUM_STATES, converged, of_all, states
@@ -38,6 +38,20 @@ def test_each_lane_leaves_a_loop_for_itself() -> None:
     begun = [np.array([1, 2, 4, 5, 8, 9, 64, 1e6], np.float32)]
     # Halved once too often, as the loop looks after the work is done, and at most ten times.
     expected = [0.5, 1.0, 2.0, 1.25, 2.0, 1.125, 2.0, 1e6 / 1024]
+    np.testing.assert_array_equal(run(program, {"x": begun})["x"][0], np.array(expected, np.float32))
+
+
+def test_a_branch_changes_only_lanes_that_need_it() -> None:
+    def once(carried: list[Number]) -> tuple[list[Number], Number]:
+        (x,) = carried
+        (y,) = where_needed(x > 4.0, lambda: [sqrt(x) + 0.0 * sine(x)], [x])
+        return [y], True
+
+    program = Program()
+    (x,) = repeat(2, once, program.inputs("x", 1))
+    program.output("x", where_needed(x < 0.0, lambda: [-x], [x]))
+    begun = [np.array([1.0, -2.0, 16.0, 625.0, 81.0, 4.0, 0.0, -1e6, 25.0], np.float32)]
+    expected = [1.0, 2.0, 4.0, 5.0, 3.0, 4.0, 0.0, 1e6, 5.0**0.5]
     np.testing.assert_array_equal(run(program, {"x": begun})["x"][0], np.array(expected, np.float32))
 
 

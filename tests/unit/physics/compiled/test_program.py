@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from core.physics.compiled.program.arithmetic import Number, select, sqrt
+from core.physics.compiled.program.flow import repeat, where_needed
 from core.physics.compiled.program.interpret import interpret
-from core.physics.compiled.program.loop import repeat
-from core.physics.compiled.program.program import Assign, Program
+from core.physics.compiled.program.needed import needed
+from core.physics.compiled.program.program import Assign, Branch, Program
 from core.physics.compiled.substep import State, read_model, substep
 from tests.unit.physics.compiled.test_substep import converged, of_all, states
 
@@ -44,6 +45,34 @@ def test_both_sides_of_a_choice_are_written() -> None:
     (x,) = program.inputs("x", 1)
     program.output("chosen", [select(x < 0.0, -x, 2.0)])
     assert interpret(program, {"x": [np.array([-3.0, 3.0])]})["chosen"][0].tolist() == [3.0, 2.0]
+
+
+def test_a_branch_leaves_environments_as_they_are_where_it_is_not_needed() -> None:
+    program = Program()
+    x, y = program.inputs("x", 2)
+
+    def chosen(x: Number, y: Number) -> list[Number]:
+        return where_needed(x > 0.0, lambda: [sqrt(x), x * y, 7.0], [-1.0, y, 7.0])
+
+    found = chosen(x, y)
+    assert found[2] == 7.0
+    program.output("chosen", found)
+    begun = [np.array([4.0, -4.0, 9.0]), np.array([2.0, 3.0, 5.0])]
+    with np.errstate(invalid="ignore"):
+        (root, scaled, _), expected = interpret(program, {"x": begun})["chosen"], chosen(*begun)
+    np.testing.assert_array_equal(root, [2.0, -1.0, 3.0])
+    np.testing.assert_array_equal(scaled, [8.0, 3.0, 45.0])
+    np.testing.assert_array_equal([root, scaled], expected[:2])
+
+
+def test_what_a_branch_needs_for_nothing_goes() -> None:
+    program = Program()
+    x, y = program.inputs("x", 2)
+    first, _ = where_needed(x > y, lambda: [x * y, sqrt(x)], [x, y])
+    program.output("first", [first])
+    (branch,) = (one for one in needed(program).statements if isinstance(one, Branch))
+    assert len(branch.results) == 1
+    assert [one.operation for one in branch.body if isinstance(one, Assign)] == ["multiply"]
 
 
 @pytest.mark.parametrize("name", ["ant", "walker2d"])

@@ -1,6 +1,6 @@
-"""Repetition until nothing improves, for all environments side by side."""
+"""Loops and branches that environments take side by side, each for itself."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -27,3 +27,12 @@ def repeat(
         carried = [select(running, new, old) for new, old in zip(after, carried, strict=True)]
         running = running & improves
     return carried
+
+
+def where_needed(
+    condition: Number, body: Callable[[], Sequence[Number]], otherwise: Sequence[Number]
+) -> list[Number]:
+    """The body's numbers where the condition is true. It costs nothing while it is true nowhere."""
+    if isinstance(condition, Symbol):
+        return condition.program.branch(condition, body, otherwise)
+    return [select(condition, one, other) for one, other in zip(body(), otherwise, strict=True)]
