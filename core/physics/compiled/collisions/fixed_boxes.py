@@ -33,7 +33,8 @@ class Choice:
     """Boxes with the same axes. numbers: of the geoms. centres: in those axes, [3] in m. reach: from a geom's
     centre to what it can touch, in m; no two boxes are within reach at once.
 
-    parameters: of the contact with each, which differ only where environments have their own.
+    bound: the largest one's, see `Geom`. parameters: of the contact with each; they differ where environments
+    have their own.
     """
 
     numbers: tuple[int, ...]
@@ -42,6 +43,7 @@ class Choice:
     centres: tuple[Vector, ...]
     sizes: tuple[Vector, ...]
     reach: float
+    bound: float
     kind: int = _BOX
     body: int = 0
 
@@ -127,6 +129,7 @@ def _choice(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> Choice:
         centres=centres,
         sizes=tuple(box.size for box in boxes),
         reach=_reach(pairs[0], geoms),
+        bound=max(box.bound for box in boxes),
     )
 
 

@@ -37,3 +37,5 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
     (_CAPSULE, _BOX): (capsule_box, 2),
     (_ELLIPSOID, _BOX): (ellipsoid_box, 1),
 }
+# Where a look at whether geoms are near takes as long as to compute the points.
+CHEAP = frozenset({(_PLANE, _SPHERE), (_PLANE, _CAPSULE), (_SPHERE, _SPHERE)})

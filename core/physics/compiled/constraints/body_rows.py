@@ -20,13 +20,14 @@ Terms = dict[tuple[int, int], list[Number]]
 class BodyGroup:
     """wrenches: by direction, a spatial force [6] on the body about its tree's centre of mass.
 
-    reference: by direction, the wanted acceleration.
+    reference: by direction, the wanted acceleration. may_push: see `Group`.
     """
 
     body: int
     wrenches: Sequence[Vector]
     reference: Vector
     law: Law
+    may_push: Number = True
 
     @property
     def size(self) -> int:
@@ -52,14 +53,11 @@ def on_dofs(tree: Tree, axes: Sequence[Vector], wrenches: Mapping[int, list[Vect
     return {i: dot(axes[i], wrench) for body, wrench in carried.items() for i in _own_dofs(tree, body)}
 
 
-def curvature(tree: Tree, axes: Sequence[Vector], weighted: Sequence[tuple[BodyGroup, Matrix]]) -> Terms:
-    """Terms of a matrix's lower triangle, of groups with the weights between their directions."""
-    own: dict[int, list[Vector]] = {}
-    for group, weights in weighted:
-        own.setdefault(group.body, []).append(_bend(group, weights))
+def curvature(tree: Tree, axes: Sequence[Vector], bends: Mapping[int, list[Vector]]) -> Terms:
+    """Terms of a matrix's lower triangle. bends: by body, what `bend` found."""
     found = Terms()
-    for body, bend in _carried(tree, {body: _sum(several) for body, several in own.items()}).items():
-        rows = [[bend[_place(k, m)] for m in range(6)] for k in range(6)]
+    for body, whole in _carried(tree, {body: _sum(several) for body, several in bends.items()}).items():
+        rows = [[whole[_place(k, m)] for m in range(6)] for k in range(6)]
         for i in _own_dofs(tree, body):
             force = [dot(row, axes[i]) for row in rows]
             for j in (*tree.dofs[i].ancestors, i):
@@ -67,7 +65,7 @@ def curvature(tree: Tree, axes: Sequence[Vector], weighted: Sequence[tuple[BodyG
     return found
 
 
-def _bend(group: BodyGroup, weights: Matrix) -> Vector:
+def bend(group: BodyGroup, weights: Matrix) -> Vector:
     """Wᵀ H W of the group's wrenches W: the 21 entries of its lower triangle, row by row."""
     components = list(zip(*group.wrenches, strict=True))
     products = [[dot(row, component) for row in weights] for component in components]

@@ -27,6 +27,9 @@ from core.physics.compiled.smooth.dynamics import Motion
 from core.physics.compiled.smooth.kinematics import Poses
 from core.physics.compiled.smooth.tree import Tree
 
+# Of so few contacts, some push nearly always in one of a vector's environments.
+_FEW_CONTACTS = 8
+
 
 @dataclass(frozen=True)
 class Constraints:
@@ -70,10 +73,11 @@ def read_constraints(model: mujoco.MjModel, own: Own = NOMINAL) -> Constraints:
 def constraint_rows(tree: Tree, constraints: Constraints, at: Poses, moving: Motion, state: State) -> Rows:
     """All rows in this state, contacts last."""
     by_body = is_better_by_body(tree, constraints.contacts)
+    skips = len(constraints.contacts) > _FEW_CONTACTS
     touching = [
         point
         for contact in constraints.contacts
-        for point in contact_rows(tree, contact, at, moving, by_body=by_body)
+        for point in contact_rows(tree, contact, at, moving, by_body=by_body, skips=skips)
     ]
     groups: list[Group | BodyGroup] = [
         *(friction_row(friction, state.qvel) for friction in constraints.frictions),

@@ -5,7 +5,9 @@ Source: MuJoCo's documentation, Computation, "Constraint model", "Contacts".
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import compress
+from operator import and_
 
 import mujoco
 
@@ -17,13 +19,14 @@ from core.physics.compiled.collisions.fixed_boxes import (
     merged,
     near,
 )
-from core.physics.compiled.collisions.shapes import Geom, Touch, placed, read_geoms
-from core.physics.compiled.collisions.table import COLLIDERS
+from core.physics.compiled.collisions.shapes import Geom, Placed, Touch, placed, read_geoms
+from core.physics.compiled.collisions.table import CHEAP, COLLIDERS
 from core.physics.compiled.constraints.body_rows import BodyGroup
 from core.physics.compiled.constraints.cone import Cone
 from core.physics.compiled.constraints.laws import Law, OneSided, Pyramid
 from core.physics.compiled.constraints.pairs import Pair, Parameters, read_pairs
 from core.physics.compiled.constraints.rows import Direction, Group
+from core.physics.compiled.constraints.skipping import groups_where, touches_where
 from core.physics.compiled.constraints.softness import impedance_at, reference_at, stiffness_at
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.program.arithmetic import (
@@ -34,6 +37,7 @@ from core.physics.compiled.program.arithmetic import (
     cross,
     dot,
     maximum,
+    minimum,
     scale,
     select,
     sqrt,
@@ -113,9 +117,13 @@ def is_better_by_body(tree: Tree, contacts: Sequence[Contact]) -> bool:
 
 
 def contact_rows(
-    tree: Tree, contact: Contact, at: Poses, moving: Motion, *, by_body: bool
+    tree: Tree, contact: Contact, at: Poses, moving: Motion, *, by_body: bool, skips: bool
 ) -> list[tuple[Number, Group | BodyGroup]]:
-    """For each point of the contact: how far apart the geoms are there, in m, and a group."""
+    """For each point of the contact: how far apart the geoms are there, in m, and a group.
+
+    skips: whether to compute nothing that geoms which do not touch have no need of. Their distance then is
+    more than it can be where they touch.
+    """
     one = placed(contact.one, at)
     if isinstance(contact.other, Choice):
         is_near = near(contact.other, one.position)
@@ -123,13 +131,35 @@ def contact_rows(
         contact = replace(contact, parameters=chosen_parameters(contact.other, is_near))
     else:
         other = placed(contact.other, at)
-    collide, _ = COLLIDERS[contact.kinds]
+    touches = _touches(contact, one, other, skips=skips)
     is_single = not (contact.one.body and contact.other.body)
-    by_body = by_body and is_single
-    return [
-        (touch.distance, _group(tree, contact, touch, moving, by_body=by_body))
-        for touch in collide(one, other)
-    ]
+
+    def groups() -> list[Group | BodyGroup]:
+        return [_group(tree, contact, touch, moving, by_body=by_body and is_single) for touch in touches]
+
+    distances = [touch.distance for touch in touches]
+    if skips:
+        may_push = reduce(minimum, distances) < contact.parameters.margin
+        return list(zip(distances, groups_where(may_push, groups), strict=True))
+    return list(zip(distances, groups(), strict=True))
+
+
+def _touches(contact: Contact, one: Placed, other: Placed, *, skips: bool) -> list[Touch]:
+    collide, _ = COLLIDERS[contact.kinds]
+    if not skips or contact.kinds in CHEAP:
+        return collide(one, other)
+    return touches_where(_are_close(contact, one, other), lambda: collide(one, other))
+
+
+def _are_close(contact: Contact, one: Placed, other: Placed) -> Number:
+    """Whether the spheres about the geoms are near enough for them to touch."""
+    reach, way = contact.parameters.reach, subtract(one.position, other.position)
+    if contact.other.kind == mujoco.mjtGeom.mjGEOM_BOX and contact.one.kind != mujoco.mjtGeom.mjGEOM_PLANE:
+        sides = zip(other.inward(way), other.size, strict=True)
+        return reduce(and_, (absolute(x) < size + contact.one.bound + reach for x, size in sides))
+    if contact.one.kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        return -dot(one.axis, way) < contact.other.bound + reach
+    return dot(way, way) < squared(contact.one.bound + contact.other.bound + reach)
 
 
 def _group(tree: Tree, contact: Contact, touch: Touch, moving: Motion, *, by_body: bool) -> Group | BodyGroup:

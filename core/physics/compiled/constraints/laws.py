@@ -6,8 +6,8 @@ Source: MuJoCo's documentation, Computation, "Constraint model".
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 from core.physics.compiled.program.arithmetic import (
     Matrix,
@@ -26,6 +26,11 @@ Slope = Callable[[Number], tuple[Number, Number]]
 
 class Law(Protocol):
     """Residuals and forces: a number for each direction."""
+
+    @property
+    def stiffness(self) -> Number:
+        """All that the law computes is 0 where it is."""
+        ...
 
     def forces(self, residual: Vector) -> Vector:
         """The cost's negative gradient."""
@@ -46,6 +51,12 @@ class Law(Protocol):
     def fall(self, before: Vector, after: Vector) -> Number:
         """By how much less the cost is after; exact for near residuals, too."""
         ...
+
+
+def with_stiffness(law: Law, stiffness: Number) -> Law:
+    """The same law with another stiffness. Laws are dataclasses."""
+    changed: Any = law
+    return replace(changed, stiffness=stiffness)
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,18 @@
 
 Rows come in groups that push along a few directions by a law of their own: the four edges of a friction
 pyramid mix its normal and two tangents. Products go through the directions, which takes fewer operations.
+A group that pushes in no environment of a vector costs nothing: its numbers are 0.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 from core.physics.compiled.constraints import body_rows
 from core.physics.compiled.constraints.body_rows import BodyGroup
 from core.physics.compiled.constraints.laws import Law, Slope
 from core.physics.compiled.program.arithmetic import Number, Vector, dot, scale, total
+from core.physics.compiled.program.flow import nothing, where_needed
 from core.physics.compiled.smooth.dynamics import Entries
 from core.physics.compiled.smooth.tree import Tree
 
@@ -20,11 +23,15 @@ Direction = dict[int, Number]
 
 @dataclass(frozen=True)
 class Group:
-    """The directions have the same degrees of freedom. reference: by direction, the wanted acceleration."""
+    """The directions have the same degrees of freedom. reference: by direction, the wanted acceleration.
+
+    may_push: in which environments the law is not 0 everywhere; True: perhaps in all.
+    """
 
     directions: Sequence[Direction]
     reference: Vector
     law: Law
+    may_push: Number = True
 
     @property
     def size(self) -> int:
@@ -45,35 +52,29 @@ class Rows:
 
 def times(rows: Rows, vector: Vector) -> Vector:
     """A vector [nv] along all directions."""
-    bodies = [group.body for group in rows.groups if isinstance(group, BodyGroup)]
-    motions = body_rows.motions(rows.tree, rows.axes, vector, bodies)
-    found: Vector = []
-    for group in rows.groups:
-        if isinstance(group, BodyGroup):
-            found += [dot(wrench, motions[group.body]) for wrench in group.wrenches]
-        else:
-            found += [total(x * vector[i] for i, x in one.items()) for one in group.directions]
-    return found
+    return _joined(_along(rows, vector, lambda group, moved: moved))
 
 
 def residual(rows: Rows, acceleration: Vector) -> Vector:
     """An acceleration [nv] along all directions, less the reference."""
-    wanted = (value for group in rows.groups for value in group.reference)
-    return [x - a for x, a in zip(times(rows, acceleration), wanted, strict=True)]
+
+    def less(group: Group | BodyGroup, moved: Vector) -> Vector:
+        return [x - wanted for x, wanted in zip(moved, group.reference, strict=True)]
+
+    return _joined(_along(rows, acceleration, less))
 
 
 def pulled_back(rows: Rows, forces: Vector, num_dofs: int) -> Vector:
     """Forces along all directions, as forces on the degrees of freedom [nv]."""
     terms: list[list[Number]] = [[] for _ in range(num_dofs)]
     wrenches: dict[int, list[Vector]] = {}
-    for group, own in by_group(rows, forces):
+    for bundle in _bundles(rows):
+        group = bundle.groups[0]
         if isinstance(group, BodyGroup):
-            pushes = [scale(one, force) for one, force in zip(group.wrenches, own, strict=True)]
-            wrenches.setdefault(group.body, []).extend(pushes)
+            wrenches.setdefault(group.body, []).append(_computed(bundle, _wrench, forces))
             continue
-        for direction, force in zip(group.directions, own, strict=True):
-            for i, entry in direction.items():
-                terms[i].append(entry * force)
+        for i, force in zip(group.directions[0], _computed(bundle, _on_dofs, forces), strict=True):
+            terms[i].append(force)
     for i, force in body_rows.on_dofs(rows.tree, rows.axes, wrenches).items():
         terms[i].append(force)
     return [total(own) for own in terms]
@@ -81,46 +82,63 @@ def pulled_back(rows: Rows, forces: Vector, num_dofs: int) -> Vector:
 
 def forces(rows: Rows, residual: Vector) -> Vector:
     """How hard the rows push along all directions."""
-    return [force for group, own in by_group(rows, residual) for force in group.law.forces(own)]
+    return _joined(
+        _computed(bundle, lambda group, own: group.law.forces(own), residual, summed=False)
+        for bundle in _bundles(rows)
+    )
 
 
 def curvature(rows: Rows, residual: Vector) -> body_rows.Terms:
     """Jᵀ H J, with the second derivatives H of the rows' cost: terms of its lower triangle's entries."""
-    weighted = [(group, group.law.weights(own)) for group, own in by_group(rows, residual)]
-    of_bodies = [(group, weights) for group, weights in weighted if isinstance(group, BodyGroup)]
-    found = body_rows.curvature(rows.tree, rows.axes, of_bodies)
-    for group, weights in weighted:
+    bends: dict[int, list[Vector]] = {}
+    found = body_rows.Terms()
+    for bundle in _bundles(rows):
+        group = bundle.groups[0]
         if isinstance(group, BodyGroup):
+            bends.setdefault(group.body, []).append(_computed(bundle, _bend, residual))
             continue
-        dofs = list(group.directions[0])
-        columns = {i: [direction[i] for direction in group.directions] for i in dofs}
-        for i in dofs:
-            along = [dot(row, columns[i]) for row in weights]
-            for j in dofs:
-                if j <= i:
-                    found.setdefault((i, j), []).append(dot(columns[j], along))
+        entries = _computed(bundle, _entries, residual)
+        for place, entry in zip(_lower_triangle(group), entries, strict=True):
+            found.setdefault(place, []).append(entry)
+    for place, terms in body_rows.curvature(rows.tree, rows.axes, bends).items():
+        found.setdefault(place, []).extend(terms)
     return found
 
 
 def cost(rows: Rows, residual: Vector) -> Number:
     """Of all rows."""
-    return total(group.law.cost(own) for group, own in by_group(rows, residual))
+    return total(
+        _computed(bundle, lambda group, own: [group.law.cost(own)], residual)[0] for bundle in _bundles(rows)
+    )
 
 
 def fall(rows: Rows, before: Vector, after: Vector) -> Number:
     """By how much less the cost is after."""
-    pairs = zip(by_group(rows, before), by_group(rows, after), strict=True)
-    return total(group.law.fall(own, then) for (group, own), (_, then) in pairs)
+    return total(
+        _computed(bundle, lambda group, own, then: [group.law.fall(own, then)], before, after)[0]
+        for bundle in _bundles(rows)
+    )
 
 
 def slope(rows: Rows, residual: Vector, rates: Vector) -> Slope:
     """Of the cost where the residual moves on at these rates."""
-    pairs = zip(by_group(rows, residual), by_group(rows, rates), strict=True)
-    slopes = [group.law.slope(own, rate) for (group, own), (_, rate) in pairs]
+    always, at_times = list[Slope](), list[_Bundle]()
+    for bundle in _bundles(rows):
+        if bundle.may_push is not True:
+            at_times.append(bundle)
+            continue
+        for group, own, rate in bundle.parts(residual, rates):
+            always.append(group.law.slope(own, rate))
 
     def summed(step: Number) -> tuple[Number, Number]:
-        at_step = [one(step) for one in slopes]
-        return total(first for first, _ in at_step), total(second for _, second in at_step)
+        found = [
+            *(one(step) for one in always),
+            *(
+                _computed(bundle, lambda group, own, rate: group.law.slope(own, rate)(step), residual, rates)
+                for bundle in at_times
+            ),
+        ]
+        return total(first for first, _ in found), total(second for _, second in found)
 
     return summed
 
@@ -134,7 +152,100 @@ def by_group(rows: Rows, values: Sequence[Number]) -> Iterator[tuple[Group | Bod
         place = end
 
 
-def added(mass: Entries, terms: dict[tuple[int, int], list[Number]]) -> Entries:
+def added(mass: Entries, terms: body_rows.Terms) -> Entries:
     """M plus terms of its own entries, and of others where rows bind branches of the tree together."""
     places: Iterable[tuple[int, int]] = dict.fromkeys([*mass, *terms])
     return {place: total([mass.get(place, 0.0), *terms.get(place, [])]) for place in places}
+
+
+@dataclass(frozen=True)
+class _Bundle:
+    """Groups that push together, such as a contact's points. first: the place of their first direction."""
+
+    groups: Sequence[Group | BodyGroup]
+    first: int
+
+    @property
+    def may_push(self) -> Number:
+        return self.groups[0].may_push
+
+    def parts(self, *vectors: Vector) -> Iterator[tuple[Group | BodyGroup, *tuple[Vector, ...]]]:
+        """Each group with its own parts of numbers for each direction."""
+        place = self.first
+        for group in self.groups:
+            end = place + group.size
+            yield group, *(vector[place:end] for vector in vectors)
+            place = end
+
+
+def _bundles(rows: Rows) -> Iterator[_Bundle]:
+    place = 0
+    for _, several in groupby(rows.groups, _what_decides):
+        groups = list(several)
+        yield _Bundle(groups, place)
+        place += sum(group.size for group in groups)
+
+
+def _what_decides(group: Group | BodyGroup) -> int:
+    """The same for groups that push together."""
+    return id(group if group.may_push is True else group.may_push)
+
+
+def _computed(
+    bundle: _Bundle, compute: Callable[..., Sequence[Number]], *vectors: Vector, summed: bool = True
+) -> Vector:
+    """The numbers of the bundle's groups: each one's sum over the groups, or one group's after the other."""
+
+    def compute_all() -> Vector:
+        found = [compute(*part) for part in bundle.parts(*vectors)]
+        return [total(own) for own in zip(*found, strict=True)] if summed else _joined(found)
+
+    return where_needed(bundle.may_push, compute_all, nothing)
+
+
+def _along(
+    rows: Rows, vector: Vector, compute: Callable[[Group | BodyGroup, Vector], Vector]
+) -> Iterator[Vector]:
+    """By bundle: numbers of a vector [nv] along each direction."""
+    bodies = [group.body for group in rows.groups if isinstance(group, BodyGroup)]
+    motions = body_rows.motions(rows.tree, rows.axes, vector, bodies)
+
+    def moved(group: Group | BodyGroup) -> Vector:
+        if isinstance(group, BodyGroup):
+            return compute(group, [dot(wrench, motions[group.body]) for wrench in group.wrenches])
+        return compute(group, [total(x * vector[i] for i, x in one.items()) for one in group.directions])
+
+    for bundle in _bundles(rows):
+        yield _computed(bundle, moved, summed=False)
+
+
+def _wrench(group: BodyGroup, forces: Vector) -> Vector:
+    pushes = [scale(one, force) for one, force in zip(group.wrenches, forces, strict=True)]
+    return [total(entries) for entries in zip(*pushes, strict=True)]
+
+
+def _on_dofs(group: Group, forces: Vector) -> Vector:
+    """By degree of freedom, in the directions' order."""
+    pairs = list(zip(group.directions, forces, strict=True))
+    return [total(direction[i] * force for direction, force in pairs) for i in group.directions[0]]
+
+
+def _bend(group: BodyGroup, residual: Vector) -> Vector:
+    return body_rows.bend(group, group.law.weights(residual))
+
+
+def _entries(group: Group, residual: Vector) -> Vector:
+    """Of the lower triangle."""
+    weights = group.law.weights(residual)
+    columns = {i: [direction[i] for direction in group.directions] for i in group.directions[0]}
+    along = {i: [dot(row, column) for row in weights] for i, column in columns.items()}
+    return [dot(columns[j], along[i]) for i, j in _lower_triangle(group)]
+
+
+def _lower_triangle(group: Group) -> list[tuple[int, int]]:
+    dofs = list(group.directions[0])
+    return [(i, j) for i in dofs for j in dofs if j <= i]
+
+
+def _joined(parts: Iterable[Sequence[Number]]) -> Vector:
+    return [number for part in parts for number in part]

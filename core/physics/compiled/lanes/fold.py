@@ -101,7 +101,8 @@ class _Fold:
             case "input":
                 self._take_input(one.target, str(one.arguments[0]), int(one.arguments[1]))
             case _:
-                self._trunk(one.target, self.program.write(one.operation, *one.arguments))
+                kind = Kind(TRUNK, self.forms.number("constant", *one.arguments))
+                self._trunk(one.target, self.program.write(one.operation, *one.arguments), kind)
 
     def _take_input(self, target: int, name: str, place: int) -> None:
         places = next((places for places in self.alike.get(name, ()) if place in places), None)
@@ -120,11 +121,12 @@ class _Fold:
             return
         if one.operation in _MEETING:
             self.sums[one.target] = one
-        if not lanes:
-            self._trunk(one.target, self._symbol(one))
+        lane = lanes.pop() if lanes else TRUNK
+        kind = self.forms.kind(lane, one.operation, [self.kinds[x] for x in numbers])
+        if lane == TRUNK:
+            self._trunk(one.target, self._symbol(one), kind)
             return
-        (lane,) = lanes
-        self.kinds[one.target] = self.forms.kind(lane, one.operation, [self.kinds[x] for x in numbers])
+        self.kinds[one.target] = kind
         if lane == 0:
             self.symbols[one.target] = self._symbol(one)
 
@@ -261,15 +263,11 @@ class _Fold:
             if len(lanes) > 1:
                 raise NotAlike("limbs meet in a choice")
             lane = lanes.pop() if lanes else TRUNK
-            symbol = Symbol(self.program, self.program.new_variable())
-            if lane == TRUNK:
-                self._trunk(variable, symbol)
-            else:
-                self.kinds[variable] = self.forms.kind(lane, "select", kinds)
+            self.kinds[variable] = self.forms.kind(lane, "select", kinds)
             if lane in (TRUNK, 0):
-                self.symbols[variable] = symbol
+                self.symbols[variable] = Symbol(self.program, self.program.new_variable())
                 outside = self.program.variable(self.symbols[otherwise])
-                results.append((symbol.number, insides[inside], outside))
+                results.append((self.symbols[variable].number, insides[inside], outside))
         if results:
             number = self.program.variable(self.symbols[branch.condition])
             self.program.statements.append(Branch(number, tuple(statements), tuple(results)))
@@ -326,8 +324,8 @@ class _Fold:
             raise NotAlike("a sum over some of the limbs is needed")
         return self.kinds[variable]
 
-    def _trunk(self, variable: int, symbol: Symbol) -> None:
-        self.kinds[variable] = Kind(TRUNK, self.forms.number("trunk", variable))
+    def _trunk(self, variable: int, symbol: Symbol, kind: Kind | None = None) -> None:
+        self.kinds[variable] = kind or Kind(TRUNK, self.forms.number("trunk", variable))
         self.symbols[variable] = symbol
 
     def _limb(self, variable: int, lane: int, form: int) -> None:

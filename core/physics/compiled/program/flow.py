@@ -1,10 +1,10 @@
 """Loops and branches that environments take side by side, each for itself."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
-from core.physics.compiled.program.arithmetic import Number, select
+from core.physics.compiled.program.arithmetic import Number, Vector, select
 from core.physics.compiled.program.program import Symbol
 
 
@@ -30,9 +30,20 @@ def repeat(
 
 
 def where_needed(
-    condition: Number, body: Callable[[], Sequence[Number]], otherwise: Sequence[Number]
-) -> list[Number]:
-    """The body's numbers where the condition is true. It costs nothing while it is true nowhere."""
+    condition: Number, body: Callable[[], Vector], otherwise: Callable[[Vector], Vector]
+) -> Vector:
+    """The body's numbers where the condition is true. It costs nothing while it is true nowhere.
+
+    otherwise: from the body's numbers, of which it may use constants alone, to those elsewhere.
+    """
     if isinstance(condition, Symbol):
         return condition.program.branch(condition, body, otherwise)
-    return [select(condition, one, other) for one, other in zip(body(), otherwise, strict=True)]
+    if isinstance(condition, bool | np.bool_):
+        return body() if condition else otherwise(body())
+    values = body()
+    return [select(condition, one, other) for one, other in zip(values, otherwise(values), strict=True)]
+
+
+def nothing(values: Vector) -> Vector:
+    """A 0 for each of them."""
+    return [0.0] * len(values)

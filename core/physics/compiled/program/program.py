@@ -133,20 +133,24 @@ class Program:
         self,
         condition: "Symbol",
         body: Callable[[], Sequence["Symbol | float"]],
-        otherwise: Sequence["Symbol | float"],
+        otherwise: Callable[[list["Symbol | float"]], Sequence["Symbol | float"]],
     ) -> list["Symbol | float"]:
-        """The body's numbers where the condition is true; see Branch. Those that do not differ stay."""
+        """The body's numbers where the condition is true; see Branch. Those that do not differ stay.
+
+        otherwise: from the body's numbers, of which it may use constants alone, to those elsewhere.
+        """
         with self.block() as statements:
-            values = body()
-            differ = [not _are_same(*both) for both in zip(values, otherwise, strict=True)]
+            values = list(body())
+            others = otherwise(values)
+            differ = [not _are_same(*both) for both in zip(values, others, strict=True)]
             insides = [self.variable(value) for value, one in zip(values, differ, strict=True) if one]
-        outsides = [self.variable(value) for value, one in zip(otherwise, differ, strict=True) if one]
+        outsides = [self.variable(value) for value, one in zip(others, differ, strict=True) if one]
         chosen = [Symbol(self, self.new_variable()) for _ in insides]
         results = zip((one.number for one in chosen), insides, outsides, strict=True)
         if chosen:
             self.statements.append(Branch(condition.number, tuple(statements), tuple(results)))
         following = iter(chosen)
-        return [next(following) if one else value for value, one in zip(otherwise, differ, strict=True)]
+        return [next(following) if one else value for value, one in zip(others, differ, strict=True)]
 
     @contextmanager
     def block(self) -> Generator[list[Statement]]:

@@ -44,12 +44,12 @@ def test_each_lane_leaves_a_loop_for_itself() -> None:
 def test_a_branch_changes_only_lanes_that_need_it() -> None:
     def once(carried: list[Number]) -> tuple[list[Number], Number]:
         (x,) = carried
-        (y,) = where_needed(x > 4.0, lambda: [sqrt(x) + 0.0 * sine(x)], [x])
+        (y,) = where_needed(x > 4.0, lambda: [sqrt(x) + 0.0 * sine(x)], lambda _: [x])
         return [y], True
 
     program = Program()
     (x,) = repeat(2, once, program.inputs("x", 1))
-    program.output("x", where_needed(x < 0.0, lambda: [-x], [x]))
+    program.output("x", where_needed(x < 0.0, lambda: [-x], lambda _: [x]))
     begun = [np.array([1.0, -2.0, 16.0, 625.0, 81.0, 4.0, 0.0, -1e6, 25.0], np.float32)]
     expected = [1.0, 2.0, 4.0, 5.0, 3.0, 4.0, 0.0, 1e6, 5.0**0.5]
     np.testing.assert_array_equal(run(program, {"x": begun})["x"][0], np.array(expected, np.float32))

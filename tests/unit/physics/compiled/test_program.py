@@ -52,7 +52,7 @@ def test_a_branch_leaves_environments_as_they_are_where_it_is_not_needed() -> No
     x, y = program.inputs("x", 2)
 
     def chosen(x: Number, y: Number) -> list[Number]:
-        return where_needed(x > 0.0, lambda: [sqrt(x), x * y, 7.0], [-1.0, y, 7.0])
+        return where_needed(x > 0.0, lambda: [sqrt(x), x * y, 7.0], lambda _: [-1.0, y, 7.0])
 
     found = chosen(x, y)
     assert found[2] == 7.0
@@ -68,7 +68,7 @@ def test_a_branch_leaves_environments_as_they_are_where_it_is_not_needed() -> No
 def test_what_a_branch_needs_for_nothing_goes() -> None:
     program = Program()
     x, y = program.inputs("x", 2)
-    first, _ = where_needed(x > y, lambda: [x * y, sqrt(x)], [x, y])
+    first, _ = where_needed(x > y, lambda: [x * y, sqrt(x)], lambda _: [x, y])
     program.output("first", [first])
     (branch,) = (one for one in needed(program).statements if isinstance(one, Branch))
     assert len(branch.results) == 1
