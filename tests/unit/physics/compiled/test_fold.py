@@ -10,7 +10,7 @@ from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Assign, Program, Statement
 from core.physics.compiled.write import Plan, control_step_in_lanes, control_step_program
 from core.physics.model import brax_model
-from tests.unit.physics.compiled.test_substep import of_all, states
+from tests.unit.physics.compiled.test_substep import of_all, of_environment, states
 
 _FIELDS = ("qpos", "qvel", "qacc_warmstart", "ctrl")
 
@@ -45,6 +45,16 @@ def test_a_body_moves_alike_with_a_limb_in_each_lane(name: str, num_lanes: int, 
     lanes, whole = control_step_in_lanes(plan, 2), control_step_program(plan, 2)
     assert lanes.num_lanes == num_lanes
     assert num_operations(whole.statements) > least_saving * num_operations(lanes.statements)
+    assert_moves_alike(plan, lanes)
+
+
+def test_limbs_touch_what_stands_still_each_for_itself() -> None:
+    """In a corridor, contacts are computed only where geoms touch: limbs of one body differ in that."""
+    model, _ = of_environment("corridor")
+    plan = plan_of(model)
+    lanes, whole = control_step_in_lanes(plan, 2), control_step_program(plan, 2)
+    assert lanes.num_lanes == 4
+    assert num_operations(whole.statements) > 2.5 * num_operations(lanes.statements)
     assert_moves_alike(plan, lanes)
 
 
