@@ -39,6 +39,7 @@ ON_A_GPU = {
     "gpu_engines": "bench.gpu.engines",
     "gpu_compiled": "bench.gpu.compiled",
     "gpu_returns": "bench.gpu.returns",
+    "gpu_resume": "bench.gpu.resume",
     "gpu_ant": "bench.gpu.ant",
     "gpu_humanoid": "bench.gpu.humanoid",
     "gpu_bodies": "bench.gpu.bodies",

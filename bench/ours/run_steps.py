@@ -9,30 +9,37 @@ of their time, when they touch what they fall on.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from bench.measure.child import answer
+from core.physics.availability import EngineName
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """rates: by engine and number of environments, control steps per second, round by round. ready_s: by
-    engine, from its building to the end of the first loop, compiling included. same: by engine, whether a
-    second loop from the same states ended in the same bits. finite: the share of environments that did not
-    break."""
+    engine, from its building to the end of its first control step, compiling included; ready_again_s: the
+    same with its code on disk. same: by engine, whether a second loop from the same states ended in the
+    same bits. finite: the share of environments that did not break."""
     import jax
 
     from core.physics.choose import engine_builder
+    from core.physics.compiled.code.kept_code import keep_code
 
     rates: dict[str, dict[str, list[float]]] = {}
-    told: dict[str, dict[str, Any]] = {"ready_s": {}, "same": {}, "finite": {}}
+    with TemporaryDirectory() as folder:
+        keep_code(Path(folder))
+        ready_s, ready_again_s = (
+            {engine: _ready_s(request, engine) for engine in request["engines"]} for _ in range(2)
+        )
+    told: dict[str, dict[str, Any]] = {"same": {}, "finite": {}}
     for num_envs in request["num_envs"]:
         loops = dict[str, Callable[[], Any]]()
         for engine in request["engines"]:
-            began = time.perf_counter()
             body = _body(request["environment"], engine_builder(engine), own_settings=request["own_settings"])
             loop = _loop(body, num_envs, request["steps_per_call"])
             first = jax.block_until_ready(loop())
-            told["ready_s"].setdefault(engine, time.perf_counter() - began)
             again = jax.block_until_ready(loop())
             told["same"].setdefault(engine, bool((first.qpos == again.qpos).all()))
             told["finite"].setdefault(engine, float(jax.numpy.isfinite(first.qpos).all(axis=1).mean()))
@@ -43,7 +50,27 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
                 jax.block_until_ready(loop())
                 rate = num_envs * request["steps_per_call"] / (time.perf_counter() - began)
                 rates.setdefault(engine, {}).setdefault(str(num_envs), []).append(rate)
-    return {"rates": rates, **told}
+    return {"rates": rates, "ready_s": ready_s, "ready_again_s": ready_again_s, **told}
+
+
+def _ready_s(request: dict[str, Any], engine: EngineName) -> float:
+    """Seconds from the building of the engine to the end of one control step."""
+    import jax
+    import jax.numpy as jnp
+
+    from core.physics.choose import engine_builder
+
+    num_envs = request["num_envs"][0]
+    jax.block_until_ready(jax.jit(jnp.sin)(jnp.ones(num_envs)))  # JAX itself is ready before.
+    jax.clear_caches()
+    began = time.perf_counter()
+    body = _body(request["environment"], engine_builder(engine), own_settings=request["own_settings"])
+    sizes = (body.model.nq, body.model.nv, body.model.nu)
+    qpos, qvel, ctrl = (jnp.zeros((num_envs, size)) for size in sizes)
+    shapes = jax.eval_shape(jax.vmap(body.engine.reset), qpos, qvel)
+    states = jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
+    jax.block_until_ready(jax.jit(jax.vmap(body.engine.step))(states, ctrl))
+    return time.perf_counter() - began
 
 
 @dataclass(frozen=True)
