@@ -12,6 +12,8 @@ from core.physics.compiled.program.program import Program
 TRIPLE = "nvptx64-nvidia-cuda"
 # A block is a warp: the fewest threads that a card runs, so that few environments spread over all of it.
 NUM_THREADS = 32
+# A thread gets all registers that there are: fewer would let more warps run at once, and spill.
+_ATTRIBUTES = f'"nvvm.maxntid"="{NUM_THREADS}" "nvvm.minctasm"="1"'
 _TARGET = Target(1, allowed="afn arcp")
 _GLOBAL = "ptr addrspace(1)"
 _SHUFFLE = "llvm.nvvm.shfl.sync.bfly.f32"
@@ -102,7 +104,7 @@ def gpu_kernel(program: Program, name: str) -> str:
             *_TARGET.declarations(),
             *(f"declare {read}.{register}()" for register in ("tid.x", "ctaid.x")),
             f"declare float @{_SHUFFLE}(i32, float, i32, i32)",
-            f'define ptx_kernel void @{name}({_GLOBAL} %count, {arrays}) "nvvm.maxntid"="{NUM_THREADS}" {{',
+            f"define ptx_kernel void @{name}({_GLOBAL} %count, {arrays}) {_ATTRIBUTES} {{",
             "body:",
             f"  %thread = call {read}.tid.x()",
             f"  %block = call {read}.ctaid.x()",
