@@ -11,7 +11,7 @@ import mujoco
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.lanes.fold import folded
 from core.physics.compiled.lanes.lane_constants import NotAlike, alike_inputs, with_lane_constants
-from core.physics.compiled.lanes.limbs import Limbs, find_limbs, numbers_of_lanes
+from core.physics.compiled.lanes.limbs import Limbs, ways_to_share
 from core.physics.compiled.program.arithmetic import Vector, absolute, select
 from core.physics.compiled.program.program import Program, Symbol
 from core.physics.compiled.readings.contact_sensors import by_number, read_contact_sensors
@@ -38,15 +38,12 @@ class Plan:
 
 def control_step_in_lanes(plan: Plan, num_substeps: int) -> Program:
     """The same for as many lanes as the body has limbs that are alike; for one if it has none."""
-    for num_lanes in numbers_of_lanes():
-        limbs = find_limbs(plan.model, num_lanes)
-        if limbs is None:
-            continue
+    for limbs in ways_to_share(plan.model):
         try:
             alike = alike_inputs(read_model(plan.model), limbs, plan.own)
-            return folded(control_step_program(plan, num_substeps, limbs), alike, num_lanes)
+            return folded(control_step_program(plan, num_substeps, limbs), alike, limbs.num_lanes)
         except NotAlike as error:
-            _LOG.info("The body is not shared out to %d lanes: %s.", num_lanes, error)
+            _LOG.info("The body is not shared out to %d lanes: %s.", limbs.num_lanes, error)
     return control_step_program(plan, num_substeps)
 
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from core.physics.compiled.code.gpu_kernel import NUM_THREADS
+from core.physics.compiled.code.gpu_kernel import NUM_THREADS, threads_of
 from core.physics.compiled.code.piece import FUNCTION, Piece
 
 _TARGET = "__gpu$xla.gpu.ptx"
@@ -45,7 +45,7 @@ class GpuCall:
             name=FUNCTION,
             kernel_type="ptx",
             kernel_data=self._kernel.ptx,
-            **_grid(math.ceil(num_envs * self._kernel.num_lanes / NUM_THREADS)),
+            **_grid(math.ceil(num_envs * threads_of(self._kernel.num_lanes) / NUM_THREADS)),
             shared_mem_bytes=np.int32(0),
             output_indices=np.arange(num_given, num_given + len(shapes), dtype=np.int32),
         )

@@ -23,11 +23,13 @@ _SHUFFLE = "llvm.nvvm.shfl.sync.bfly.f32"
 class _Rows:
     """Arrays [environments, size] in the card's memory.
 
-    places, constants: tables of what differs between lanes, a row for each use.
+    num_threads: of an environment, of which those after the last lane do what the first does. places,
+    constants: tables of what differs between lanes, a row for each use.
     """
 
     sizes: Mapping[str, int]
     num_lanes: int
+    num_threads: int
     places: list[Sequence[int]] = field(default_factory=list[Sequence[int]])
     constants: list[Sequence[float]] = field(default_factory=list[Sequence[float]])
 
@@ -38,7 +40,7 @@ class _Rows:
     def store(self, writer: Writer, name: str, places: Sequence[int], value: str) -> None:
         """What all lanes have is written by the first."""
         pointer = self._pointer(writer, name, places)
-        writes = "%exists" if len(places) == self.num_lanes else "%leads"
+        writes = "%writes" if len(places) == self.num_lanes else "%leads"
         done, written = writer.name()[1:], writer.name()[1:]
         writer.line(f"br i1 {writes}, label %{written}, label %{done}")
         writer.lines.append(f"{written}:")
@@ -55,10 +57,12 @@ class _Rows:
     def lane_sum(self, writer: Writer, target: str, value: str) -> None:
         """In pairs, and pairs of pairs: every lane adds the same numbers in the same order."""
         distance = 1
-        while distance < self.num_lanes:
+        if self.num_threads > self.num_lanes:
+            value = writer.value(f"select i1 %is_lane, float {value}, float 0.0")
+        while distance < self.num_threads:
             other = writer.value(f"call float @{_SHUFFLE}(i32 %mask, float {value}, i32 {distance}, i32 31)")
             distance *= 2
-            if distance < self.num_lanes:
+            if distance < self.num_threads:
                 value = writer.value(f"fadd float {value}, {other}")
             else:
                 writer.line(f"{target} = fadd float {value}, {other}")
@@ -73,26 +77,36 @@ class _Rows:
         return writer.value(f"getelementptr {row}, {_GLOBAL} %{name}, i64 %environment, i64 {place}")
 
     def _entry(self, writer: Writer, table: str, element: str, row: int) -> str:
-        kind = f"[{self.num_lanes} x {element}]"
+        kind = f"[{self.num_threads} x {element}]"
         return writer.value(f"getelementptr {kind}, {_GLOBAL} @{table}, i64 {row}, i64 %lane")
 
     def tables(self) -> list[str]:
         values = [[_TARGET.constant(value) for value in row] for row in self.constants]
+        places = [[str(place) for place in row] for row in self.places]
         return [
-            _table("places", "i64", [[str(place) for place in row] for row in self.places], self.num_lanes),
-            _table("constants", "float", values, self.num_lanes),
+            _table("places", "i64", [self._padded(row) for row in places], self.num_threads),
+            _table("constants", "float", [self._padded(row) for row in values], self.num_threads),
         ]
+
+    def _padded(self, row: list[str]) -> list[str]:
+        """By thread."""
+        return row + row[:1] * (self.num_threads - self.num_lanes)
+
+
+def threads_of(num_lanes: int) -> int:
+    """How many threads an environment takes: a power of 2, so that all exchange numbers in pairs."""
+    return 1 << (num_lanes - 1).bit_length()
 
 
 def gpu_kernel(program: Program, name: str) -> str:
     """A module with the kernel `name(count, inputs..., outputs...)`, in the program's order.
 
     count: a pointer to the number of environments, int32. An input or output is a pointer to float32
-    [environments, size]. Blocks have NUM_THREADS threads, of which each environment takes as many as the
-    program has lanes.
+    [environments, size]. Blocks have NUM_THREADS threads, of which each environment takes `threads_of` the
+    program's lanes.
     """
-    sizes, lanes = array_sizes(program), program.num_lanes
-    rows = _Rows(sizes, lanes)
+    sizes, lanes, threads = array_sizes(program), program.num_lanes, threads_of(program.num_lanes)
+    rows = _Rows(sizes, lanes, threads)
     writer = Writer(_TARGET, rows, block="body")
     writer.write_program(program)
     arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in sizes)
@@ -108,18 +122,20 @@ def gpu_kernel(program: Program, name: str) -> str:
             "body:",
             f"  %thread = call {read}.tid.x()",
             f"  %block = call {read}.ctaid.x()",
-            f"  %before = mul i32 %block, {NUM_THREADS // lanes}",
-            f"  %inside = udiv i32 %thread, {lanes}",
+            f"  %before = mul i32 %block, {NUM_THREADS // threads}",
+            f"  %inside = udiv i32 %thread, {threads}",
             "  %number = add i32 %before, %inside",
-            f"  %lane_number = urem i32 %thread, {lanes}",
+            f"  %lane_number = urem i32 %thread, {threads}",
             "  %lane = zext i32 %lane_number to i64",
             # Lanes of an environment take the same way, and other environments another.
-            f"  %first = mul i32 %inside, {lanes}",
-            f"  %mask = shl i32 {np.uint32(2**lanes - 1).astype(np.int32)}, %first",
+            f"  %first = mul i32 %inside, {threads}",
+            f"  %mask = shl i32 {np.uint32(2**threads - 1).astype(np.int32)}, %first",
             f"  %environments = load i32, {_GLOBAL} %count",
             "  %exists = icmp slt i32 %number, %environments",
             "  %is_first = icmp eq i32 %lane_number, 0",
             "  %leads = and i1 %exists, %is_first",
+            f"  %is_lane = icmp slt i32 %lane_number, {lanes}",
+            "  %writes = and i1 %exists, %is_lane",
             # Threads without an environment compute the last one's, and write nothing.
             "  %last = sub i32 %environments, 1",
             "  %known = select i1 %exists, i32 %number, i32 %last",

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import mujoco
 
-_MOST_LANES = 8
+MOST_LANES = 8
 _WIDTHS = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}  # positions and velocities of a joint, by its type
 
 
@@ -73,12 +73,15 @@ def find_limbs(model: mujoco.MjModel, num_lanes: int) -> Limbs | None:
     return Limbs(model, tuple(tuple(own) for own in lanes)) if lanes[0] else None
 
 
-def numbers_of_lanes() -> Iterable[int]:
-    """To be tried, the most promising first."""
-    lanes = _MOST_LANES
-    while lanes > 1:
-        yield lanes
-        lanes //= 2
+def ways_to_share(model: mujoco.MjModel) -> list[Limbs]:
+    """The limbs for each number of lanes for which there are any: first where lanes spare most bodies."""
+    found = [find_limbs(model, num_lanes) for num_lanes in range(2, MOST_LANES + 1)]
+    return sorted((limbs for limbs in found if limbs is not None), key=_num_spared, reverse=True)
+
+
+def _num_spared(limbs: Limbs) -> int:
+    """Bodies that a lane need not compute."""
+    return (limbs.num_lanes - 1) * len(limbs.bodies[0])
 
 
 def _share_out(model: mujoco.MjModel, body: int, lanes: list[list[int]]) -> None:
