@@ -1,4 +1,4 @@
-"""Whether a training on compiled physics gives the same bits again on a GPU, what that costs, and its rate."""
+"""Whether a training on compiled physics gives the same bits again on a GPU, its rate, and what that costs."""
 
 from typing import Any
 
@@ -80,5 +80,5 @@ def _table(done: dict[str, Run]) -> Table | None:
     return Table(headings=headings, rows=rows) if rows else None
 
 
-def _said(truth: bool) -> str:  # noqa: FBT001
+def _said(truth: bool) -> str:
     return "yes" if truth else "no"
