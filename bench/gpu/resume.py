@@ -1,4 +1,4 @@
-"""Whether a training on compiled physics gives the same bits again on a GPU, its rate, and what that costs."""
+"""Whether a training on compiled physics gives the same bits again on a GPU, its rate, and its cost."""
 
 from typing import Any
 
