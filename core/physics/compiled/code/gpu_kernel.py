@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from core.physics.compiled.code.arrays import array_sizes
+from core.physics.compiled.code.long_writer import Frame, write_code
 from core.physics.compiled.code.writer import Target, Writer
 from core.physics.compiled.program.program import Program
 
@@ -14,6 +15,8 @@ TRIPLE = "nvptx64-nvidia-cuda"
 NUM_THREADS = 32
 _TARGET = Target(1, allowed="afn arcp")
 _GLOBAL = "ptr addrspace(1)"
+_LOCAL = "ptr addrspace(5)"
+_READ = "i32 @llvm.nvvm.read.ptx.sreg"
 _SHUFFLE = "llvm.nvvm.shfl.sync.bfly.f32"
 
 
@@ -82,53 +85,63 @@ class _Rows:
         ]
 
 
-def gpu_kernel(program: Program, name: str) -> str:
+def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> str:
     """A module with the kernel `name(count, inputs..., outputs...)`, in the program's order.
 
     count: a pointer to the number of environments, int32. An input or output is a pointer to float32
     [environments, size]. Blocks have NUM_THREADS threads, of which each environment takes as many as the
-    program has lanes.
+    program has lanes. section_size: operations of a section; None: `sections` chooses.
     """
     sizes, lanes = array_sizes(program), program.num_lanes
     rows = _Rows(sizes, lanes)
-    writer = Writer(_TARGET, rows, block="body")
-    writer.write_program(program)
-    arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in sizes)
-    read = "i32 @llvm.nvvm.read.ptx.sreg"
+    arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in ("count", *sizes))
+    environment = _environment(lanes)
+    frame = Frame(f"{_LOCAL} %slots, {arrays}", environment, slots=_LOCAL)
+    code = write_code(program, Writer(_TARGET, rows, block="body"), frame, section_size)
     return "\n".join(
         [
             f'target triple = "{TRIPLE}"',
             *rows.tables(),
             *_TARGET.declarations(),
-            *(f"declare {read}.{register}()" for register in ("tid.x", "ctaid.x")),
+            *(f"declare {_READ}.{register}()" for register in ("tid.x", "ctaid.x")),
             f"declare float @{_SHUFFLE}(i32, float, i32, i32)",
-            f'define ptx_kernel void @{name}({_GLOBAL} %count, {arrays}) "nvvm.maxntid"="{NUM_THREADS}" {{',
+            *code.functions,
+            f'define ptx_kernel void @{name}({arrays}) "nvvm.maxntid"="{NUM_THREADS}" {{',
             "body:",
-            f"  %thread = call {read}.tid.x()",
-            f"  %block = call {read}.ctaid.x()",
-            f"  %before = mul i32 %block, {NUM_THREADS // lanes}",
-            f"  %inside = udiv i32 %thread, {lanes}",
-            "  %number = add i32 %before, %inside",
-            f"  %lane_number = urem i32 %thread, {lanes}",
-            "  %lane = zext i32 %lane_number to i64",
-            # Lanes of an environment take the same way, and other environments another.
-            f"  %first = mul i32 %inside, {lanes}",
-            f"  %mask = shl i32 {np.uint32(2**lanes - 1).astype(np.int32)}, %first",
-            f"  %environments = load i32, {_GLOBAL} %count",
-            "  %exists = icmp slt i32 %number, %environments",
-            "  %is_first = icmp eq i32 %lane_number, 0",
-            "  %leads = and i1 %exists, %is_first",
-            # Threads without an environment compute the last one's, and write nothing.
-            "  %last = sub i32 %environments, 1",
-            "  %known = select i1 %exists, i32 %number, i32 %last",
-            "  %environment = zext i32 %known to i64",
-            *writer.lines,
+            f"  %memory = alloca float, i32 {code.num_slots}",
+            f"  %slots = addrspacecast ptr %memory to {_LOCAL}",
+            *environment,
+            *code.lines,
             "  ret void",
             "}",
             "!0 = !{}",
             "",
         ]
     )
+
+
+def _environment(lanes: int) -> list[str]:
+    """Which environment the thread moves, and with which other threads."""
+    return [
+        f"  %thread = call {_READ}.tid.x()",
+        f"  %block = call {_READ}.ctaid.x()",
+        f"  %before = mul i32 %block, {NUM_THREADS // lanes}",
+        f"  %inside = udiv i32 %thread, {lanes}",
+        "  %number = add i32 %before, %inside",
+        f"  %lane_number = urem i32 %thread, {lanes}",
+        "  %lane = zext i32 %lane_number to i64",
+        # Lanes of an environment take the same way, and other environments another.
+        f"  %first = mul i32 %inside, {lanes}",
+        f"  %mask = shl i32 {np.uint32(2**lanes - 1).astype(np.int32)}, %first",
+        f"  %environments = load i32, {_GLOBAL} %count",
+        "  %exists = icmp slt i32 %number, %environments",
+        "  %is_first = icmp eq i32 %lane_number, 0",
+        "  %leads = and i1 %exists, %is_first",
+        # Threads without an environment compute the last one's, and write nothing.
+        "  %last = sub i32 %environments, 1",
+        "  %known = select i1 %exists, i32 %number, i32 %last",
+        "  %environment = zext i32 %known to i64",
+    ]
 
 
 def _table(name: str, element: str, rows: Sequence[Sequence[str]], width: int) -> str:
