@@ -165,7 +165,7 @@ def _cannot_run(options: CorridorOptions) -> Mapping[EngineName, str]:
     return cannot
 
 
-_MANY_ROWS = "it can have more than 400 constraint rows at once"
+_MANY_ROWS = "it can have more than 1000 constraint rows at once"
 _SKULL, _BOXES = "'walker/skull_P0_collision'", "can touch: a box and a box"
 _BEYOND_COMPILED: Mapping[tuple[Walker, Arena], str] = {
     ("rodent", "empty"): _MANY_ROWS,

@@ -50,7 +50,7 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
     """A module with `void name(i64 first, i64 end, inputs..., outputs...)`, in the program's order.
 
     It moves the environments from first to end - 1, `width` at a time. An input or output is a pointer to
-    float32 [environments, size]. section_size: operations of a section; None: `sections` chooses.
+    float32 [environments, size]. section_size: see `write_code`.
     """
     sizes = array_sizes(program)
     target = Target(width, allowed="")
@@ -74,7 +74,7 @@ def cpu_function(program: Program, name: str, width: int, section_size: int | No
             *code.functions,
             f"define void @{name}(i64 %first, i64 %end, {arrays}) {{",
             "entry:",
-            f"  %slots = alloca {target.number}, i32 {code.num_slots}, align {4 * width}",
+            *([f"  %slots = alloca {target.number}, i32 {code.num_slots}"] if code.functions else []),
             "  br label %next",
             "next:",
             f"  %begin = phi i64 [ %first, %entry ], [ %following, %{code.block} ]",

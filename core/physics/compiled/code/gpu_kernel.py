@@ -90,7 +90,7 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
 
     count: a pointer to the number of environments, int32. An input or output is a pointer to float32
     [environments, size]. Blocks have NUM_THREADS threads, of which each environment takes as many as the
-    program has lanes. section_size: operations of a section; None: `sections` chooses.
+    program has lanes. section_size: see `write_code`.
     """
     sizes, lanes = array_sizes(program), program.num_lanes
     rows = _Rows(sizes, lanes)
@@ -108,8 +108,7 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
             *code.functions,
             f'define ptx_kernel void @{name}({arrays}) "nvvm.maxntid"="{NUM_THREADS}" {{',
             "body:",
-            f"  %memory = alloca float, i32 {code.num_slots}",
-            f"  %slots = addrspacecast ptr %memory to {_LOCAL}",
+            *(_slots(code.num_slots) if code.functions else []),
             *environment,
             *code.lines,
             "  ret void",
@@ -118,6 +117,13 @@ def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> 
             "",
         ]
     )
+
+
+def _slots(number: int) -> list[str]:
+    return [
+        f"  %memory = alloca [{number} x float]",
+        f"  %slots = addrspacecast ptr %memory to {_LOCAL}",
+    ]
 
 
 def _environment(lanes: int) -> list[str]:

@@ -15,8 +15,9 @@ from core.physics.compiled.code.steps import num_operations, results, uses, with
 from core.physics.compiled.code.writer import Writer
 from core.physics.compiled.program.program import Program
 
-# Operations.
-LONG, SECTION_SIZE = 50_000, 1_000
+# Operations. A short program's code is a little faster without slots: on a CPU the ant's took 0.27 µs without
+# and 0.36 µs with them. From about this length on it is as fast with them, and compiled sooner.
+_LONG = 30_000
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,13 @@ class Code:
     block: str
 
 
+def is_long(program: Program) -> bool:
+    """Whether the program is written in sections."""
+    return num_operations(program.statements) > _LONG
+
+
 def write_code(program: Program, main: Writer, frame: Frame, section_size: int | None) -> Code:
-    """A short program as lines alone, a long one as sections. section_size: see `slotted`; None: the
-    program's length decides."""
-    if section_size is None:
-        is_long = num_operations(program.statements) > LONG
-        section_size = SECTION_SIZE if is_long else None
+    """The program in sections of this many operations; None: in one piece."""
     if section_size is None:
         main.write(with_outputs(program))
         return Code([], 0, main.lines, main.block)

@@ -17,7 +17,8 @@ from core.physics.compiled.program.program import Assign, Branch, Loop, Program,
 _CONSTANTS = ("constant", "lane_constant")
 _TRUTHS = ("less", "and", "not")
 # LLVM makes one instruction of a product and its sum.
-_FUSED, _FUSED_INTO = ("multiply", "negate"), ("add", "subtract", "negate")
+_FUSED = ("multiply", "negate", "select")
+_FUSED_INTO = ("add", "subtract", "negate", "select")
 
 
 @dataclass(frozen=True)
