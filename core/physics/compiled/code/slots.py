@@ -8,9 +8,10 @@ Source: Poletto and Sarkar (1999): linear scan.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from core.physics.compiled.code.steps import Step, num_operations, results, uses, with_outputs
+from core.physics.compiled.program.needed import needed
 from core.physics.compiled.program.program import Assign, Branch, Loop, Program, Statement
 
 # Written again in each section that uses them: loading them from slots would be no cheaper.
@@ -71,6 +72,8 @@ class SlottedProgram:
 
 def slotted(program: Program, section_size: int) -> SlottedProgram:
     """The program in sections of at most `section_size` operations."""
+    # An unused use would hide that a product has a single one; see `_grouped`.
+    program = needed(replace(program))
     every = list(_assigns(program.statements))
     constants = {one.target: one for one in every if one.operation in _CONSTANTS}
     highest = max((one for each in _all_results(program.statements) for one in each), default=0)

@@ -114,7 +114,8 @@ def test_slots_are_used_again() -> None:
     program.output("y", [x])
     found = slotted(program, section_size=10)
     # 102 operations. In each section one number comes from the section before, and one is for the next.
-    assert len(found.parts) == 11 and all(isinstance(one, Section) for one in found.parts)
+    assert len(found.parts) == 11
+    assert all(isinstance(one, Section) for one in found.parts)
     assert found.num_slots == 2
 
 
@@ -122,5 +123,5 @@ def test_a_kernel_keeps_its_slots_in_the_memory_of_the_thread() -> None:
     program = Program()
     program.output("y", nested(list(program.inputs("x", 3))))
     code = ptx(gpu_kernel(program, "run", section_size=5), "9.0")
-    assert "ld.local" in code and "st.local" in code and "call.uni" in code
+    assert all(word in code for word in ("ld.local", "st.local", "call.uni"))
     assert ".local" not in ptx(gpu_kernel(program, "run"), "9.0")
