@@ -16,7 +16,7 @@ from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
 from core.physics.availability import EngineName, Rule, beyond_compiled
 
 # `core.physics.compiled.coverage.MOST_ROWS`, which cannot be imported without MuJoCo.
-_MOST_ROWS = 400
+_MOST_ROWS = 1_000
 # MJX unrolls every joint into one program: compiling it for 50 segments took 84 s of CPU time.
 _MAX_SEGMENTS_ON_MJX = 50
 _ON_A_GPU = (

@@ -41,7 +41,7 @@ _ENABLED_WITHOUT_EFFECT = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV
 
 
 # Every row is code of its own, which is compiled, and run for all environments, whether it is active or not.
-MOST_ROWS = 400
+MOST_ROWS = 1_000
 
 
 def uncovered(model: mujoco.MjModel) -> str | None:

@@ -21,11 +21,11 @@ CHANGED: list[tuple[str, dict[str, Any]]] = [
     ("corridor", {"walker": "rodent", "solver": "cg"}),
     ("rodent", {"solver": "cg"}),
     ("brittle_star", {"walls": "contacts"}),
-    # 430 constraint rows, 368, 404 and 390.
-    ("brittle_star", {"walls": "contacts", "num_segments_per_arm": 1}),
-    ("brittle_star", {"walls": "contacts", "num_segments_per_arm": 1, "num_arms": 4}),
-    ("brittle_star", {"num_segments_per_arm": 9, "num_arms": 3}),
-    ("brittle_star", {"num_segments_per_arm": [13, 0, 13], "num_arms": 3}),
+    # 1,050 constraint rows, 988, 1,006 and 992.
+    ("brittle_star", {"walls": "contacts", "num_segments_per_arm": 3}),
+    ("brittle_star", {"walls": "contacts", "num_segments_per_arm": [7, 0, 7], "num_arms": 3}),
+    ("brittle_star", {"num_segments_per_arm": 14}),
+    ("brittle_star", {"num_segments_per_arm": 23, "num_arms": 3}),
     ("brittle_star", {"observables": ["joint_position", "actuator_force"]}),
     ("brittle_star", {"actuation": "torque_control", "target_position": [1, 1]}),
     ("brittle_star", {"num_segments_per_arm": [0, 0, 1], "num_arms": 3}),

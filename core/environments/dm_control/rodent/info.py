@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from core.environments.info import EnvironmentInfo
 from core.environments.options import Range, RunnerOptions, check_survives_its_start
-from core.physics.availability import Rule, beyond_compiled
+from core.physics.availability import Rule
 
 STANDING_HEIGHT_M = 0.047
 
@@ -57,5 +57,4 @@ INFO = EnvironmentInfo(
         Rule("warp", 1, "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),
         Rule("native", 1, "MJX takes many minutes to compile the training, for 21 k steps/s on an H200."),
     ),
-    cannot_run={"compiled": beyond_compiled("it can have more than 400 constraint rows at once")},
 )

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from core.physics.compiled.code.arrays import array_sizes
+from core.physics.compiled.code.long_writer import Frame, write_code
 from core.physics.compiled.code.writer import Target, Writer
 from core.physics.compiled.program.program import Program
 
@@ -45,41 +46,43 @@ class _Rows:
         return writer.value(f"getelementptr [{self.sizes[name]} x float], ptr {first}, {lanes}")
 
 
-def cpu_function(program: Program, name: str, width: int) -> str:
+def cpu_function(program: Program, name: str, width: int, section_size: int | None = None) -> str:
     """A module with `void name(i64 first, i64 end, inputs..., outputs...)`, in the program's order.
 
     It moves the environments from first to end - 1, `width` at a time. An input or output is a pointer to
-    float32 [environments, size].
+    float32 [environments, size]. section_size: see `write_code`.
     """
     sizes = array_sizes(program)
     target = Target(width, allowed="")
-    writer = Writer(target, _Rows(sizes), block="group")
-    writer.write_program(program)
-    lanes, pointers = target.of("i64"), target.of("ptr")
+    lanes = target.of("i64")
     order = ", ".join(f"i64 {lane}" for lane in range(width))
     arrays = ", ".join(f"ptr noalias %{one}" for one in sizes)
-    kind = f"v{width}f32.v{width}p0"
+    environments = [
+        f"  %ends = insertelement {lanes} poison, i64 %end, i64 0",
+        f"  %limit = shufflevector {lanes} %ends, {lanes} poison, <{width} x i32> zeroinitializer",
+        f"  %begins = insertelement {lanes} poison, i64 %begin, i64 0",
+        f"  %all = shufflevector {lanes} %begins, {lanes} poison, <{width} x i32> zeroinitializer",
+        f"  %environments = add {lanes} %all, <{order}>",
+        f"  %exists = icmp slt {lanes} %environments, %limit",
+    ]
+    frame = Frame(f"ptr %slots, i64 %begin, i64 %end, {arrays}", environments, slots="ptr")
+    code = write_code(program, Writer(target, _Rows(sizes), block="group"), frame, section_size)
     return "\n".join(
         [
             *target.declarations(),
-            f"declare {target.number} @llvm.masked.gather.{kind}"
-            f"({pointers}, i32, {target.truth}, {target.number})",
-            f"declare void @llvm.masked.scatter.{kind}({target.number}, {pointers}, i32, {target.truth})",
+            *_declarations(target),
+            *code.functions,
             f"define void @{name}(i64 %first, i64 %end, {arrays}) {{",
             "entry:",
-            f"  %ends = insertelement {lanes} poison, i64 %end, i64 0",
-            f"  %limit = shufflevector {lanes} %ends, {lanes} poison, <{width} x i32> zeroinitializer",
+            *([f"  %slots = alloca {target.number}, i32 {code.num_slots}"] if code.functions else []),
             "  br label %next",
             "next:",
-            f"  %begin = phi i64 [ %first, %entry ], [ %following, %{writer.block} ]",
+            f"  %begin = phi i64 [ %first, %entry ], [ %following, %{code.block} ]",
             "  %is_left = icmp slt i64 %begin, %end",
             "  br i1 %is_left, label %group, label %done",
             "group:",
-            f"  %begins = insertelement {lanes} poison, i64 %begin, i64 0",
-            f"  %all = shufflevector {lanes} %begins, {lanes} poison, <{width} x i32> zeroinitializer",
-            f"  %environments = add {lanes} %all, <{order}>",
-            f"  %exists = icmp slt {lanes} %environments, %limit",
-            *writer.lines,
+            *environments,
+            *code.lines,
             f"  %following = add i64 %begin, {width}",
             "  br label %next",
             "done:",
@@ -88,3 +91,13 @@ def cpu_function(program: Program, name: str, width: int) -> str:
             "",
         ]
     )
+
+
+def _declarations(target: Target) -> list[str]:
+    """Of the functions that `_Rows` calls."""
+    pointers, kind = target.of("ptr"), f"v{target.width}f32.v{target.width}p0"
+    return [
+        f"declare {target.number} @llvm.masked.gather.{kind}"
+        f"({pointers}, i32, {target.truth}, {target.number})",
+        f"declare void @llvm.masked.scatter.{kind}({target.number}, {pointers}, i32, {target.truth})",
+    ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from core.physics.compiled.code.arrays import array_sizes
+from core.physics.compiled.code.long_writer import Frame, write_code
 from core.physics.compiled.code.writer import Target, Writer
 from core.physics.compiled.program.program import Program
 
@@ -16,6 +17,8 @@ NUM_THREADS = 32
 _ATTRIBUTES = f'"nvvm.maxntid"="{NUM_THREADS}" "nvvm.minctasm"="1"'
 _TARGET = Target(1, allowed="afn arcp")
 _GLOBAL = "ptr addrspace(1)"
+_LOCAL = "ptr addrspace(5)"
+_READ = "i32 @llvm.nvvm.read.ptx.sreg"
 _SHUFFLE = "llvm.nvvm.shfl.sync.bfly.f32"
 
 
@@ -98,55 +101,71 @@ def threads_of(num_lanes: int) -> int:
     return 1 << (num_lanes - 1).bit_length()
 
 
-def gpu_kernel(program: Program, name: str) -> str:
+def gpu_kernel(program: Program, name: str, section_size: int | None = None) -> str:
     """A module with the kernel `name(count, inputs..., outputs...)`, in the program's order.
 
     count: a pointer to the number of environments, int32. An input or output is a pointer to float32
     [environments, size]. Blocks have NUM_THREADS threads, of which each environment takes `threads_of` the
-    program's lanes.
+    program's lanes. section_size: see `write_code`.
     """
     sizes, lanes, threads = array_sizes(program), program.num_lanes, threads_of(program.num_lanes)
     rows = _Rows(sizes, lanes, threads)
-    writer = Writer(_TARGET, rows, block="body")
-    writer.write_program(program)
-    arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in sizes)
-    read = "i32 @llvm.nvvm.read.ptx.sreg"
+    arrays = ", ".join(f"{_GLOBAL} noalias %{one}" for one in ("count", *sizes))
+    environment = _environment(lanes, threads)
+    frame = Frame(f"{_LOCAL} %slots, {arrays}", environment, slots=_LOCAL)
+    code = write_code(program, Writer(_TARGET, rows, block="body"), frame, section_size)
     return "\n".join(
         [
             f'target triple = "{TRIPLE}"',
             *rows.tables(),
             *_TARGET.declarations(),
-            *(f"declare {read}.{register}()" for register in ("tid.x", "ctaid.x")),
+            *(f"declare {_READ}.{register}()" for register in ("tid.x", "ctaid.x")),
             f"declare float @{_SHUFFLE}(i32, float, i32, i32)",
-            f"define ptx_kernel void @{name}({_GLOBAL} %count, {arrays}) {_ATTRIBUTES} {{",
+            *code.functions,
+            f"define ptx_kernel void @{name}({arrays}) {_ATTRIBUTES} {{",
             "body:",
-            f"  %thread = call {read}.tid.x()",
-            f"  %block = call {read}.ctaid.x()",
-            f"  %before = mul i32 %block, {NUM_THREADS // threads}",
-            f"  %inside = udiv i32 %thread, {threads}",
-            "  %number = add i32 %before, %inside",
-            f"  %lane_number = urem i32 %thread, {threads}",
-            "  %lane = zext i32 %lane_number to i64",
-            # Lanes of an environment take the same way, and other environments another.
-            f"  %first = mul i32 %inside, {threads}",
-            f"  %mask = shl i32 {np.uint32(2**threads - 1).astype(np.int32)}, %first",
-            f"  %environments = load i32, {_GLOBAL} %count",
-            "  %exists = icmp slt i32 %number, %environments",
-            "  %is_first = icmp eq i32 %lane_number, 0",
-            "  %leads = and i1 %exists, %is_first",
-            f"  %is_lane = icmp slt i32 %lane_number, {lanes}",
-            "  %writes = and i1 %exists, %is_lane",
-            # Threads without an environment compute the last one's, and write nothing.
-            "  %last = sub i32 %environments, 1",
-            "  %known = select i1 %exists, i32 %number, i32 %last",
-            "  %environment = zext i32 %known to i64",
-            *writer.lines,
+            *(_slots(code.num_slots) if code.functions else []),
+            *environment,
+            *code.lines,
             "  ret void",
             "}",
             "!0 = !{}",
             "",
         ]
     )
+
+
+def _slots(number: int) -> list[str]:
+    return [
+        f"  %memory = alloca [{number} x float]",
+        f"  %slots = addrspacecast ptr %memory to {_LOCAL}",
+    ]
+
+
+def _environment(lanes: int, threads: int) -> list[str]:
+    """Which environment the thread moves, and with which other threads."""
+    return [
+        f"  %thread = call {_READ}.tid.x()",
+        f"  %block = call {_READ}.ctaid.x()",
+        f"  %before = mul i32 %block, {NUM_THREADS // threads}",
+        f"  %inside = udiv i32 %thread, {threads}",
+        "  %number = add i32 %before, %inside",
+        f"  %lane_number = urem i32 %thread, {threads}",
+        "  %lane = zext i32 %lane_number to i64",
+        # Lanes of an environment take the same way, and other environments another.
+        f"  %first = mul i32 %inside, {threads}",
+        f"  %mask = shl i32 {np.uint32(2**threads - 1).astype(np.int32)}, %first",
+        f"  %environments = load i32, {_GLOBAL} %count",
+        "  %exists = icmp slt i32 %number, %environments",
+        "  %is_first = icmp eq i32 %lane_number, 0",
+        "  %leads = and i1 %exists, %is_first",
+        f"  %is_lane = icmp slt i32 %lane_number, {lanes}",
+        "  %writes = and i1 %exists, %is_lane",
+        # Threads without an environment compute the last one's, and write nothing.
+        "  %last = sub i32 %environments, 1",
+        "  %known = select i1 %exists, i32 %number, i32 %last",
+        "  %environment = zext i32 %known to i64",
+    ]
 
 
 def _table(name: str, element: str, rows: Sequence[Sequence[str]], width: int) -> str:

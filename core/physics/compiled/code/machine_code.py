@@ -3,11 +3,13 @@
 import ctypes
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import llvmlite.binding as llvm
 import numpy as np
 from numpy.typing import NDArray
+
+Level = Literal[1, 2]
 
 
 @dataclass(frozen=True)
@@ -36,15 +38,16 @@ def processor() -> str:
     return f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
 
 
-def machine_code(module: str) -> bytes:
-    """An object file for this processor. Raises RuntimeError for a wrong module.
+def machine_code(module: str, level: Level = 2) -> bytes:
+    """An object file for this processor. Raises RuntimeError for a wrong module. level: LLVM's, of its code
+    generator.
 
     LLVM's general passes are left out: they find nothing in a program that has no needless operation, and
     take as long as the rest.
     """
     parsed: Any = llvm.parse_assembly(module)
     parsed.verify()
-    return _machine().emit_object(parsed)
+    return _machine(level).emit_object(parsed)
 
 
 def loaded(code: bytes, name: str, num_arrays: int) -> Function:
@@ -56,14 +59,14 @@ def loaded(code: bytes, name: str, num_arrays: int) -> Function:
     return Function(engine, kind(engine.get_function_address(name)))
 
 
-def _machine() -> Any:
+def _machine(level: Level = 2) -> Any:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     # Code of several megabytes may lie farther from where it is called than a short jump reaches.
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
         features=llvm.get_host_cpu_features().flatten(),
-        opt=2,
+        opt=level,
         codemodel="jitdefault",
         jit=True,
     )

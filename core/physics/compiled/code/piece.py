@@ -8,6 +8,8 @@ from core.physics.compiled.code.kept_code import kept
 from core.physics.compiled.program.program import Program
 
 FUNCTION = "move"
+# Operations of a section of a long program. LLVM is quickest with short ones, NVIDIA's assembler with few.
+_CPU_SECTION, _GPU_SECTION = 250, 2_000
 
 
 @dataclass(frozen=True)
@@ -33,21 +35,28 @@ class Piece:
     def cpu_code(self) -> bytes:
         """An object file for this processor."""
         from core.physics.compiled.code.cpu_function import cpu_function
+        from core.physics.compiled.code.long_writer import is_long
         from core.physics.compiled.code.machine_code import machine_code, processor, vector_width
 
         def make() -> bytes:
-            return machine_code(cpu_function(self._checked(self.write()), FUNCTION, vector_width()))
+            program = self._checked(self.write())
+            if not is_long(program):
+                return machine_code(cpu_function(program, FUNCTION, vector_width()))
+            code = cpu_function(program, FUNCTION, vector_width(), _CPU_SECTION)
+            return machine_code(code, level=1)
 
         return kept(f"{self.described} for {processor()}", make)
 
     def kernel(self, compute_capability: str) -> Kernel:
         """For cards of this compute capability."""
         from core.physics.compiled.code.gpu_kernel import gpu_kernel
+        from core.physics.compiled.code.long_writer import is_long
         from core.physics.compiled.code.ptx import ptx
 
         def make() -> bytes:
             program = self._checked(self.write_lanes())
-            code = ptx(gpu_kernel(program, FUNCTION), compute_capability)
+            section_size = _GPU_SECTION if is_long(program) else None
+            code = ptx(gpu_kernel(program, FUNCTION, section_size), compute_capability)
             return f"{program.num_lanes} {code}".encode()
 
         num_lanes, code = kept(f"{self.described} for {compute_capability}", make).decode().split(" ", 1)

@@ -10,7 +10,8 @@ from typing import Protocol
 
 import numpy as np
 
-from core.physics.compiled.program.program import Assign, Branch, Loop, Operation, Program, Statement
+from core.physics.compiled.code.steps import Step, Write
+from core.physics.compiled.program.program import Assign, Branch, Loop, Operation
 
 _INSTRUCTIONS: Mapping[Operation, str] = {
     "add": "fadd contract",
@@ -107,26 +108,23 @@ class Writer:
         self.line(f"{name} = {text}")
         return name
 
-    def write(self, statements: Sequence[Statement]) -> None:
-        for statement in statements:
-            if isinstance(statement, Loop):
-                self._loop(statement)
-            elif isinstance(statement, Branch):
-                self._branch(statement)
-            else:
-                self._assign(statement)
+    def begin_block(self, label: str) -> None:
+        """The block that follows this one."""
+        self.line(f"br label %{label}")
+        self.lines.append(f"{label}:")
+        self.block = label
 
-    def write_program(self, program: Program) -> None:
-        """Its operations, and its outputs as soon as they are known: numbers that wait need registers."""
-        waiting: dict[int, list[tuple[str, Sequence[int]]]] = {}
-        for name, outputs in program.outputs.items():
-            for output in outputs:
-                waiting.setdefault(output.variable, []).append((f"to_{name}", output.places))
-        for statement in program.statements:
-            self.write([statement])
-            for variable in _results(statement):
-                for name, places in waiting.get(variable, ()):
-                    self.memory.store(self, name, places, self.operand(variable))
+    def write(self, steps: Sequence[Step]) -> None:
+        for step in steps:
+            match step:
+                case Loop():
+                    self._loop(step)
+                case Branch():
+                    self._branch(step)
+                case Write():
+                    self.memory.store(self, step.output, step.places, self.operand(step.variable))
+                case Assign():
+                    self._assign(step)
 
     def operand(self, variable: int | float | str) -> str:
         """The variable's name, or its value if it is a constant."""
@@ -173,13 +171,13 @@ class Writer:
             case "not":
                 self.line(f"{target} = xor {truth} {names[0]}, {self.target.splat('i1', 'true')}")
             case "select":
-                self._select(target, *names)
+                self.select(target, *names)
             case _:
                 order = "olt" if operation == "minimum" else "ogt"
                 is_first = self.value(f"fcmp {order} {number} {names[0]}, {names[1]}")
-                self._select(target, is_first, names[0], names[1])
+                self.select(target, is_first, names[0], names[1])
 
-    def _select(self, target: str, condition: str, chosen: str, otherwise: str) -> None:
+    def select(self, target: str, condition: str, chosen: str, otherwise: str) -> None:
         number, truth = self.target.number, self.target.truth
         self.line(f"{target} = select {truth} {condition}, {number} {chosen}, {number} {otherwise}")
 
@@ -199,7 +197,7 @@ class Writer:
             sine, cosine = cosine, sine
             quadrant = self.value(f"add {integer} {quadrant}, {one}")
         value = self.name()
-        self._select(value, odd, cosine, sine)
+        self.select(value, odd, cosine, sine)
         half = self.value(f"and {integer} {quadrant}, {two}")
         sign = self.value(f"shl {integer} {half}, {target_.splat('i32', '30')}")
         bits = self.value(f"bitcast {target_.number} {value} to {integer}")
@@ -245,7 +243,7 @@ class Writer:
         self.line(f"br label %{head}")
         self.lines.append(f"{head}:")
         place = len(self.lines)  # of the phis, which need the last block of the body
-        any_runs = self._any(running)
+        any_runs = self.any(running)
         is_left = self.value(f"icmp slt i32 {count}, {loop.most}")
         goes_on = self.value(f"and i1 {any_runs}, {is_left}")
         self.line(f"br i1 {goes_on}, label %{inside}, label %{after}")
@@ -258,7 +256,7 @@ class Writer:
             # A single environment is in the loop only while it runs.
             if loop.improves is not None and self.target.width > 1:
                 kept[variable] = self.name()
-                self._select(kept[variable], running, self.operand(value), f"%v{variable}")
+                self.select(kept[variable], running, self.operand(value), f"%v{variable}")
         true = self.target.splat("i1", "true")
         improves = true if loop.improves is None else f"%v{loop.improves}"
         self.line(f"{next_running} = and {truth} {running}, {improves}")
@@ -281,7 +279,7 @@ class Writer:
         inside, after = self.name()[1:], self.name()[1:]
         condition, begun = self.operand(branch.condition), self.block
         known = dict(self._angles)
-        self.line(f"br i1 {self._any(condition)}, label %{inside}, label %{after}")
+        self.line(f"br i1 {self.any(condition)}, label %{inside}, label %{after}")
         self.lines.append(f"{inside}:")
         self.block = inside
         self.write(branch.body)
@@ -290,7 +288,7 @@ class Writer:
             found[variable] = self.operand(value)
             if self.target.width > 1:
                 found[variable] = self.name()
-                self._select(found[variable], condition, self.operand(value), self.operand(otherwise))
+                self.select(found[variable], condition, self.operand(value), self.operand(otherwise))
         self.line(f"br label %{after}")
         self.lines.append(f"{after}:")
         for variable, _, otherwise in branch.results:
@@ -300,17 +298,9 @@ class Writer:
             )
         self.block, self._angles = after, known
 
-    def _any(self, truth: str) -> str:
+    def any(self, truth: str) -> str:
         """Whether it is true for an environment of the vector."""
         if self.target.width == 1:
             return truth
         reduce = f"@llvm.vector.reduce.or.v{self.target.width}i1"
         return self.value(f"call i1 {reduce}({self.target.truth} {truth})")
-
-
-def _results(statement: Statement) -> list[int]:
-    """The variables that are known after it."""
-    if isinstance(statement, Assign):
-        return [statement.target]
-    entries = statement.carried if isinstance(statement, Loop) else statement.results
-    return [variable for variable, _, _ in entries]
