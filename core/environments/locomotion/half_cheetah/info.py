@@ -29,7 +29,7 @@ INFO = EnvironmentInfo(
     cameras=("track",),
     options=HalfCheetahOptions,
     on_a_cpu=(
-        Rule("compiled", 1, "Measured on two cores: 11 × native's steps/s; 1.7 × with one environment."),
+        Rule("compiled", 1, "Measured on two cores: physics 11 × that of native; 1.7 × for one environment."),
     ),
     on_a_gpu=(
         Rule("compiled", 1, "Measured on an H200: 15.6 M control steps/s of physics, 1.12 M by warp."),

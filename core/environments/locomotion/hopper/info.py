@@ -36,7 +36,7 @@ INFO = EnvironmentInfo(
     cameras=("track",),
     options=HopperOptions,
     on_a_cpu=(
-        Rule("compiled", 1, "Measured on two cores: 12 × native's steps/s; 1.8 × with one environment."),
+        Rule("compiled", 1, "Measured on two cores: physics 12 × that of native; 1.8 × for one environment."),
     ),
     on_a_gpu=(
         Rule("compiled", 1, "Measured on an H200: 26.2 M control steps/s of physics, 1.37 M by warp."),

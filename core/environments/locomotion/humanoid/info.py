@@ -32,7 +32,7 @@ INFO = EnvironmentInfo(
     cameras=("track",),
     options=HumanoidOptions,
     on_a_cpu=(
-        Rule("compiled", 1, "Measured on two cores: 17 × native's steps/s; 2.1 × with one environment."),
+        Rule("compiled", 1, "Measured on two cores: physics 17 × that of native; 2.1 × for one environment."),
     ),
     on_a_gpu=(
         Rule("compiled", 1, "Measured on an H200: 9.8 M control steps/s of physics, 0.86 M by warp."),
