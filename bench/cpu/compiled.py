@@ -37,7 +37,7 @@ def measure(options: Options) -> Result:
         name = f"{bodies[0]}: both under the model's own solver settings"
         figures.append(Figure.of(name, spread(_quotients(run, str(_envs(options)))), "×"))
     trained = [pair for seed in seeds if (pair := _pair(runs.done, seed))]
-    steps = {body: run for body, run in runs.done.items() if "rates" in run}
+    steps = {body: run for body in bodies if (run := runs.done.get(body))}
     return Result(
         name="compiled",
         title="Physics compiled for one body, on the CPU",
@@ -54,7 +54,8 @@ def measure(options: Options) -> Result:
                     "num_envs": int(num),
                     "control_steps_per_second": median(each),
                 }
-                for body, run in steps.items()
+                for body, run in runs.done.items()
+                if "rates" in run
                 for engine, rates in run["rates"].items()
                 for num, each in rates.items()
             ),
@@ -137,8 +138,10 @@ def _training_figures(body: str, pairs: Sequence[tuple[Run, Run]]) -> list[Figur
         Figure.of(
             "wall of the whole run, `native` ÷ `compiled`", ratios(walls[1], walls[0]), "×", at_least(1)
         ),
-        Figure.of("first update on `compiled`, nothing compiled before", spread(starts[0]), "s"),
-        Figure.of("the same, `compiled` ÷ `native`", ratios(*starts), "×", at_most(1.1)),
+        Figure.of("first update on `compiled`", spread(starts[0]), "s"),
+        Figure.of(
+            "first update, nothing compiled before: `compiled` ÷ `native`", ratios(*starts), "×", at_most(1.1)
+        ),
         Figure.of_mean("return at the end on `compiled`", comparison.returns(ours), ""),
         Figure.of_mean("return at the end on `native`", comparison.returns(theirs), ""),
         *comparison.versus("return on `compiled` − that on `native`", ours, theirs),
