@@ -31,12 +31,15 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from core.algorithms.run import make_run
     from core.environments import catalog
     from core.physics.choose import engine_builder
+    from core.physics.compiled.code.kept_code import keep_code
     from core.physics.kernels import keep_kernels
 
     if request["cache"]:
         jax.config.update("jax_compilation_cache_dir", request["cache"])
         if request["engine"] == "warp":
             keep_kernels(Path(request["cache"], "warp"))
+        if request["engine"] == "compiled":
+            keep_code(Path(request["cache"], "compiled"))
     info = catalog.find(request["environment"])
     build = engine_builder(request["engine"])
     environment = catalog.make(info, catalog.parse_options(info, {}), build)

@@ -1,6 +1,7 @@
 """A run's result depends on its settings and its seed, not on how it was cut into pieces."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -12,7 +13,8 @@ from core.algorithms.run import Run
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.errors import JobFailed
-from core.physics.native import NativeEngine
+from core.physics.availability import EngineName
+from core.physics.choose import engine_builder
 from tests import probes
 from tests.learning.q_probes import q_run, q_settings, two_rooms
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
@@ -22,11 +24,9 @@ def probe() -> Environment:
     return probes.observed_action_reward()
 
 
-def ant() -> Environment:
+def ant(engine: EngineName) -> Environment:
     info = catalog.find("ant")
-    return catalog.make(
-        info, info.options(), lambda model, substeps, derived, **_: NativeEngine(model, substeps, derived)
-    )
+    return catalog.make(info, info.options(), engine_builder(engine))
 
 
 # Six updates of so many steps, with two evaluations, of each algorithm.
@@ -54,8 +54,8 @@ REPLAYED: dict[str, Any] = {
 
 @pytest.mark.parametrize(
     ("begin", "update"),
-    [ppo(probe), ppo(ant), q_learning(**REPLAYED)],
-    ids=["ppo-probe", "ppo-ant", "q_learning-replay-agents"],
+    [ppo(probe), ppo(partial(ant, "native")), ppo(partial(ant, "compiled")), q_learning(**REPLAYED)],
+    ids=["ppo-probe", "ppo-ant-native", "ppo-ant-compiled", "q_learning-replay-agents"],
 )
 def test_a_resumed_run_equals_an_uninterrupted_one(begin: Begin, update: int) -> None:
     # Kept after three updates and at the end. Short epochs first, one long one after the resumption.

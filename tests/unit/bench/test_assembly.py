@@ -16,7 +16,7 @@ from bench.measure.result import Options, Result
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
-    *("q_learning", "gpu_q_learning"),
+    *("q_learning", "gpu_q_learning", "compiled"),
 )
 SECONDS = {
     "epoch": [0.010],
@@ -34,6 +34,12 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
     ours = module != "bench.peers.train_brax"
     if module == "bench.peers.step_composed":
         return {"rates": [50.0, 40.0, 60.0], "contacts": 769, "rows": 2315, "began_at": 0.0, "process_s": 9.0}
+    if module == "bench.ours.run_steps":
+        rates = {
+            "compiled": {"16": [60.0, 80.0], "1": [3.0, 3.0]},
+            "native": {"16": [20.0, 20.0], "1": [1.0, 2.0]},
+        }
+        return {"rates": rates, "began_at": 0.0, "process_s": 9.0}
     if module == "bench.peers.notebook_star":
         return {"control_steps_per_second": 2.0, "compile_s": 90.0, "began_at": 0.0, "process_s": 9.0}
     reward = request["seed"] if ours else request["seed"] - 1
@@ -159,6 +165,19 @@ def test_a_table_is_compared_with_the_notebooks_loop_and_its_success_with_the_ta
     assert found["ours ÷ the notebook's loop"] == pytest.approx(250)
     assert found["100 episodes, the process's begin to the learnt table, warm"] == 7.0  # 1007 - 1000
     assert found["targets reached, decentralised"] == pytest.approx(90.0)
+
+
+def test_compiled_physics_is_held_against_native_in_each_round_and_pair_of_trainings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = measured("compiled", tmp_path, monkeypatch)
+    found = figures(result)
+    # 60 ÷ 20 and 80 ÷ 20; for one environment 3 ÷ 1 and 3 ÷ 2.
+    assert found["inverted_pendulum: `compiled` ÷ `native`"] == pytest.approx(3.5)
+    assert result.table is not None
+    assert result.table.rows[0] == ["inverted_pendulum", "1", "3", "2", "2.2"]
+    # Both trainings made their second half's 50 steps in 0.1 s.
+    assert found["inverted_pendulum, PPO: `compiled` ÷ `native`"] == pytest.approx(1)
 
 
 def test_training_is_held_against_a_slower_engine_s_physics_alone(

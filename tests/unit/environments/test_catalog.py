@@ -13,6 +13,8 @@ from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.locomotion.ant.info import AntOptions
 from core.errors import EnvironmentNotFound, Rejected
+from core.physics import availability
+from core.physics.availability import choose
 
 INFOS = list(catalog.ENVIRONMENTS.values())
 
@@ -145,3 +147,23 @@ def test_reading_the_catalog_loads_no_numerical_code() -> None:
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+COMPILED = {"ant", "half_cheetah", "hopper", "humanoid", "walker2d"}
+
+
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+@pytest.mark.parametrize("num_envs", [1, 4096])
+def test_auto_takes_compiled_for_the_bodies_it_was_measured_on_where_it_is_installed(
+    device: Device, num_envs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One environment is a rollout, which so has the engine of the training that it shows.
+    def chosen(environment: str) -> str:
+        info = catalog.find(environment)
+        return choose("auto", device, num_envs, info.rules_on(device), info.cannot_run).name
+
+    monkeypatch.setattr(availability, "find_spec", lambda name: True)
+    assert {name for name in catalog.BUILT_IN if chosen(name) == "compiled"} == COMPILED
+    monkeypatch.setattr(availability, "find_spec", lambda name: None)
+    without = {chosen(name) for name in COMPILED}
+    assert without == {"native" if device == "cpu" else "mjx"}

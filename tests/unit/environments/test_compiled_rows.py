@@ -6,9 +6,10 @@ import mujoco
 import pytest
 
 from core.environments import catalog
+from core.environments.randomization import FIELDS
 from core.errors import JobFailed
-from core.physics.compiled.refusal import check_covered
-from core.physics.engine import Engine, SolverSettings
+from core.physics.compiled.refusal import check_covered, check_own
+from core.physics.engine import CONSTANTS, Engine, SolverSettings
 from core.physics.model import with_solver
 
 # Options that change the model, and not only the reward.
@@ -56,6 +57,13 @@ class Asking:
         raise Asked(with_solver(model, accelerated), derived)
 
 
+def asked_for(environment: str, options: dict[str, Any]) -> Asked:
+    info, parsed = catalog.resolve(environment, options)
+    with pytest.raises(Asked) as asked:
+        catalog.make(info, parsed, Asking())
+    return asked.value
+
+
 def refusal(asked: Asked) -> str | None:
     try:
         check_covered(asked.model, asked.derived)
@@ -72,10 +80,21 @@ def test_a_row_refuses_what_its_model_has_and_the_engine_lacks_and_nothing_else(
     environment: str, options: dict[str, Any]
 ) -> None:
     # Where the engine has learned what it lacked: correct the row's `cannot_run`, or delete it there.
-    info, parsed = catalog.resolve(environment, options)
-    with pytest.raises(Asked) as asked:
-        catalog.make(info, parsed, Asking())
-    assert info.cannot_run.get("compiled") == refusal(asked.value)
+    info, _ = catalog.resolve(environment, options)
+    assert info.cannot_run.get("compiled") == refusal(asked_for(environment, options))
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        name
+        for name, info in catalog.BUILT_IN.items()
+        if any(rule.engine == "compiled" for rule in (*info.on_a_cpu, *info.on_a_gpu))
+    ],
+)
+def test_what_auto_moves_by_it_may_be_randomized_in_every_field(environment: str) -> None:
+    # `auto` does not look at a job's randomization: it must fail no job that `native` would run.
+    check_own(asked_for(environment, {}).model, (*FIELDS, *CONSTANTS))
 
 
 def test_environments_with_physics_of_their_own_refuse_it() -> None:

@@ -57,6 +57,17 @@ def test_a_job_that_goes_on_takes_the_engine_of_its_checkpoint_where_the_choice_
     assert build_environment(begun.model_copy(update={"spec": asked_for})).engine == "native"
 
 
+def test_training_and_rollout_share_the_engine_that_auto_takes_and_a_begun_training_keeps_its_own() -> None:
+    zero = {"kind": "rollout", "environment": "hopper", "policy": {"kind": "zero"}, "num_episodes": 1}
+    for fields in ({"kind": "train", "environment": "hopper"}, zero):
+        spec = JOB_SPEC.validate_python(fields)
+        assert build_environment(Task(job_id="j", attempt=1, spec=spec, device="cpu")).engine == "compiled"
+    # A job of before, when `auto` took `native` on a CPU, resumes to the same bits.
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "hopper"})
+    begun = Task(job_id="j", attempt=2, spec=spec, device="cpu", begun_on="native")
+    assert build_environment(begun).engine == "native"
+
+
 def test_the_record_has_the_versions_of_what_the_engine_needs() -> None:
     spec = JOB_SPEC.validate_python({"kind": "train", "environment": "inverted_pendulum"})
     native = build_environment(Task(job_id="j", attempt=1, spec=spec, device="cpu"))
