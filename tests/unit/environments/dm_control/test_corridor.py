@@ -349,12 +349,22 @@ def test_mjx_is_refused_where_ellipsoids_meet_boxes() -> None:
             assert choose("mjx", "gpu", 64, row.on_a_gpu, row.cannot_run).name == "mjx"
 
 
-def test_a_gpu_gets_warp_for_it_and_the_host_without_warp(monkeypatch: pytest.MonkeyPatch) -> None:
-    for is_there, engine in ((True, "warp"), (False, "native")):
-        monkeypatch.setattr(
-            availability, "is_installed", lambda name, found=is_there: name != "warp" or found
-        )
-        assert choose("auto", "gpu", 2048, catalog.find("corridor").on_a_gpu).name == engine
+@pytest.mark.parametrize(
+    ("walker", "lacking", "engine"),
+    [
+        ("ant", set[str](), "compiled"),
+        ("ant", {"compiled"}, "warp"),
+        ("ant", {"compiled", "warp"}, "native"),
+        ("humanoid", set[str](), "warp"),
+        ("humanoid", {"warp"}, "native"),
+    ],
+)
+def test_a_gpu_gets_what_was_measured_fastest_of_what_is_installed(
+    walker: Walker, lacking: set[str], engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(availability, "is_installed", lambda name: name not in lacking)
+    row = catalog.find("corridor").under(CorridorOptions(walker=walker))
+    assert choose("auto", "gpu", 2048, row.on_a_gpu, row.cannot_run).name == engine
 
 
 def test_a_worker_without_dm_control_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

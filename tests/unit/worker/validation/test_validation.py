@@ -55,9 +55,9 @@ def looked(body: bytes, folder: Path, limits: Limits | None = None) -> Answer:
 
 
 def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path: Path) -> None:
-    # MJX has no contacts of ellipsoids with boxes.
+    # MJX has no contacts of cylinders with boxes.
     body = XML.replace(b'<body name="ball"', b'<geom type="box" size="1 1 1" pos="0 0 -1"/><body name="ball"')
-    body = body.replace(b'name="sphere" size="0.1"', b'name="sphere" type="ellipsoid" size="0.1 0.1 0.2"')
+    body = body.replace(b'name="sphere" size="0.1"', b'name="sphere" type="cylinder" size="0.1 0.1"')
     first, last = look(body, tmp_path, tmp_path, Limits())
     assert first.description is not None
     assert (set(first.description.engines), first.description.complete) == ({"native", "compiled"}, False)
