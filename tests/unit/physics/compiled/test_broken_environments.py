@@ -48,8 +48,8 @@ def begun(num_envs: int) -> tuple[PhysicsState, jax.Array]:
     """The first environments of always the same ones, and their controls."""
     model, generator, most = mujoco.MjModel.from_xml_string(BODY), np.random.default_rng(0), max(NUM_ENVS)
     blank = mujoco.MjData(model)
-    sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na, "qacc_warmstart": model.nv, "ctrl": model.nu}
-    values = {name: 0.1 * generator.normal(size=(most, size)) for name, size in sizes.items()}
+    names = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl")
+    values = {name: 0.1 * generator.normal(size=(most, getattr(blank, name).size)) for name in names}
     values["qpos"] += model.qpos0
     # Numbers that a processor may take for 0, or not: each thread must do the same.
     values["qvel"][::2, 0] = 1e-39
