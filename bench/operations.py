@@ -45,8 +45,8 @@ _STAGES = {
     "solve": "solutions",
     "constraint_rows": "constraint rows",
     "acceleration": "solver",
-    "constraint_force": "implicit damping",
     "implicit_inertia": "implicit damping",
+    "multiply": "implicit damping",
     "add_slopes": "implicit damping",
     "integrated": "new positions",
 }

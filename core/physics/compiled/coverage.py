@@ -7,10 +7,11 @@ import numpy as np
 
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.constraints.constraints import read_constraints
-from core.physics.compiled.constraints.pairs import read_pairs
+from core.physics.compiled.constraints.pairs import Pair, read_pairs
 from core.physics.compiled.constraints.softness import is_computable
 from core.physics.compiled.fields import Fields
 from core.physics.compiled.named import named, where, word
+from core.physics.compiled.program.arithmetic import squared
 from core.physics.compiled.readings.derived import DERIVED_FIELDS
 from core.physics.compiled.readings.sensor_coverage import turn_several_axes, unread
 
@@ -42,6 +43,9 @@ _ENABLED_WITHOUT_EFFECT = _ENABLE.mjENBL_ENERGY | _ENABLE.mjENBL_FWDINV
 
 # Every row is code of its own, which is compiled, and run for all environments, whether it is active or not.
 MOST_ROWS = 1_000
+# By how much a contact may be stiffer than fits what it moves: rounding in single precision (6e-8) is 3e-4 of
+# its force then. A hundred times more, and numbers become NaN.
+_MOST_STIFFNESS = 5000.0
 
 
 def uncovered(model: mujoco.MjModel) -> str | None:
@@ -203,6 +207,7 @@ def _flies_alone(model: mujoco.MjModel, body: int) -> bool:
 def _contacts(model: mujoco.MjModel) -> Iterator[str]:
     if model.opt.disableflags & (_DISABLE.mjDSBL_CONTACT | _DISABLE.mjDSBL_CONSTRAINT):
         return
+    of_ends = _inverse_weights(model)
     for pair in read_pairs(Fields(model)):
         both = [pair.one, pair.other]
         one, other = (named(model, "geom", number) for number in both)
@@ -213,10 +218,46 @@ def _contacts(model: mujoco.MjModel) -> Iterator[str]:
             yield f"{names}: {_with_article(first)} and {_with_article(second)}"
         elif not is_computable(pair.parameters.softness.impedance.power):
             yield f"{names}: its contact {_CURVE}"
+        elif _is_thin_pyramid(model, pair):
+            yield f"{names} with hardly any friction in a pyramidal cone: single precision cannot compute it"
+        elif _is_rigid(model, pair, of_ends):
+            yield f"{names}, but turn about the centres of their bodies: such contacts are rigid in MuJoCo"
         elif model.geom_adhesion[both].any() or model.geom_surfacevel[both].any():
             yield f"{names} with adhesion or a moving surface"
     for place in np.flatnonzero(model.pair_adhesion)[:1]:
         yield f"its pair {named(model, 'pair', int(place))} has adhesion"
+
+
+def _is_thin_pyramid(model: mujoco.MjModel, pair: Pair) -> bool:
+    """Whether a pyramid's edges, stiffer than the contact by 1 / (2 · friction²), are too stiff."""
+    friction = pair.parameters.friction
+    is_pyramid = bool(friction) and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    return is_pyramid and bool(2.0 * _MOST_STIFFNESS * squared(friction[0]) < 1.0)
+
+
+def _is_rigid(model: mujoco.MjModel, pair: Pair, of_ends: np.ndarray) -> bool:
+    """Whether the geoms move by turning alone. MuJoCo makes contacts as stiff as the centres of mass are hard
+    to move: those of bodies that turn about their centres are rigid. of_ends: see `_inverse_weights`."""
+    both = [pair.one, pair.other]
+    of_centres = model.body_invweight0[model.geom_bodyid[both], 0]
+    return bool(_MOST_STIFFNESS * of_centres.sum() < of_ends[both].max())
+
+
+def _inverse_weights(model: mujoco.MjModel) -> np.ndarray:
+    """How easily each geom moves where it ends, [ngeom] in 1/kg: the mean of the three directions, as in
+    MuJoCo's `body_invweight0`. 0: it never moves."""
+    found, data = np.zeros(model.ngeom), mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid]):
+        axes = data.geom_xmat[geom].reshape(3, 3)
+        middle, half = model.geom_aabb[geom].reshape(2, 3)
+        for end in [*np.diag(half), *np.diag(-half)]:
+            rows = np.zeros((2, 3, model.nv))
+            point = data.geom_xpos[geom] + axes @ (middle + end)
+            mujoco.mj_jac(model, data, rows[0], None, point, int(model.geom_bodyid[geom]))
+            mujoco.mj_solveM(model, data, rows[1], rows[0])
+            found[geom] = max(found[geom], np.vdot(*rows) / 3.0)
+    return found
 
 
 def _with_article(word: str) -> str:

@@ -9,14 +9,14 @@ import mujoco
 
 from core.physics.compiled.constraints.constraints import Constraints, constraint_rows, read_constraints
 from core.physics.compiled.constraints.constraints import State as Placed
-from core.physics.compiled.constraints.solver import Problem, Settings, acceleration, constraint_force
+from core.physics.compiled.constraints.solver import Problem, Settings, acceleration
 from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
 from core.physics.compiled.program.arithmetic import Number, Vector, add, scale
 from core.physics.compiled.program.flow import repeat
 from core.physics.compiled.readings.contact_sensors import ContactSensor, contact_readings
 from core.physics.compiled.smooth.actuation import Actuator, ActuatorState, Driven, driven, read_actuators
 from core.physics.compiled.smooth.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
-from core.physics.compiled.smooth.factor import factorize, solve
+from core.physics.compiled.smooth.factor import factorize, multiply, solve
 from core.physics.compiled.smooth.fluid import Fluid, drag_forces, read_fluid
 from core.physics.compiled.smooth.forces import passive_forces, weight_held
 from core.physics.compiled.smooth.integration import Implicit, add_slopes, implicit_inertia, integrated
@@ -168,14 +168,18 @@ def _smooth_forces(
 
 
 def _integrated(model: Model, problem: Problem, found: Vector, done: Driven) -> Vector:
-    """The acceleration by which the velocity changes, [nv]."""
+    """The acceleration by which the velocity changes, [nv].
+
+    All forces, with those of constraints, are M times the acceleration that was found. Computed from the
+    constraints instead, they would have the solver's and rounding's errors times the stiffness of contacts.
+    """
     if model.implicit == "nothing":
         return found
     tree = model.tree
     inertia: Entries = implicit_inertia(tree, problem.mass, model.timestep)
     if model.implicit == "velocities":
         add_slopes(inertia, model.tendons, model.actuators, done.slopes, model.timestep)
-    return solve(tree, factorize(tree, inertia), add(problem.force, constraint_force(problem, found)))
+    return solve(tree, factorize(tree, inertia), multiply(tree, problem.mass, found))
 
 
 def _joined(moved: Moved) -> list[Number]:

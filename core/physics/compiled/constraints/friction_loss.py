@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from core.physics.compiled.constraints.laws import Slope
 from core.physics.compiled.constraints.rows import Group
-from core.physics.compiled.constraints.softness import Softness, impedance_at, read_softness
+from core.physics.compiled.constraints.softness import Softness, full_stiffness, impedance_at, read_softness
 from core.physics.compiled.fields import Fields, is_zero
 from core.physics.compiled.program.arithmetic import Matrix, Number, Vector, absolute, clip, select
 from core.physics.compiled.smooth.tendons import Coefficients, read_tendons, weighted
@@ -94,5 +94,5 @@ def _friction_loss(
     moment: Coefficients, most: Number, inverse_weight: Number, softness: Softness
 ) -> FrictionLoss:
     impedance = impedance_at(softness.impedance, 0.0)
-    stiffness = impedance / ((1.0 - impedance) * inverse_weight)
-    return FrictionLoss(moment, softness.damping, Friction(stiffness, most))
+    law = Friction(full_stiffness(impedance, inverse_weight), most)
+    return FrictionLoss(moment, softness.damping, law)

@@ -77,8 +77,14 @@ def impedance_at(impedance: Impedance, distance: Number) -> Number:
 
 
 def stiffness_at(impedance: Number, inverse_weight: Number, distance: Number) -> Number:
-    """1 / R, with R = (1 - d) / d · A; 0 where the constraint is not active."""
-    return select(distance < 0.0, impedance / ((1.0 - impedance) * inverse_weight), 0.0)
+    """The stiffness; 0 where the constraint is not active."""
+    return select(distance < 0.0, full_stiffness(impedance, inverse_weight), 0.0)
+
+
+def full_stiffness(impedance: Number, inverse_weight: Number) -> Number:
+    """1 / R, with R = (1 - d) / d · A. A is 0 where nothing moves, as along a tendon of coefficients 0."""
+    weight = max(inverse_weight, _SMALLEST) if isinstance(inverse_weight, float) else inverse_weight
+    return impedance / ((1.0 - impedance) * weight)
 
 
 def reference_at(softness: Softness, impedance: Number, distance: Number, speed: Number) -> Number:

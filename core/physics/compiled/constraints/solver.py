@@ -91,12 +91,6 @@ def acceleration(problem: Problem, warm: Vector, settings: Settings) -> Vector:
     return _unpacked(repeat(settings.iterations, iterate, _packed(start)), start).acceleration
 
 
-def constraint_force(problem: Problem, acceleration: Vector) -> Vector:
-    """[nv]: MuJoCo's `qfrc_constraint` under this acceleration."""
-    pushed = forces(problem.rows, residual(problem.rows, acceleration))
-    return pulled_back(problem.rows, pushed, len(acceleration))
-
-
 def _newton_direction(problem: Problem, guess: _Guess) -> tuple[Vector, Vector]:
     """-H⁻¹ g, and the gradient g: [nv] each."""
     pull = pulled_back(problem.rows, forces(problem.rows, guess.residual), len(problem.force))

@@ -121,11 +121,17 @@ def test_friction_has_mujoco_s_directions(cone: str, condim: int) -> None:
         'solimp="0.5 0.9 0.1 0.6 2.5"',
         'solimp="0.5 0.9 0 0.6 2"',
         'margin="0.1" gap="0.05"',
-        'friction="0 0 0"',
+        'friction="0.02 0 0"',
     ],
 )
 def test_contacts_are_as_soft_as_in_mujoco(default: str) -> None:
     assert_touches_as_mujoco(meeting(PLANE, BALL, ROD, default=default))
+
+
+def test_contacts_in_a_cone_without_friction_are_mujoco_s() -> None:
+    # Pyramids without friction are refused.
+    default = 'friction="0 0 0"'
+    assert_touches_as_mujoco(meeting(PLANE, BALL, ROD, option='cone="elliptic"', default=default))
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,33 @@ def test_what_is_not_covered_is_named(parts: dict[str, str], named: str) -> None
     assert named in (uncovered(body(**parts)) or "")
 
 
+PEBBLE = (
+    '<mujoco><option {}/><worldbody><geom type="plane" size="5 5 1" friction="{}"/>{}</worldbody></mujoco>'
+)
+
+
+@pytest.mark.parametrize(
+    ("option", "friction", "is_refused"),
+    [("", 0.0, True), ("", 0.005, True), ("", 0.02, False), ('cone="elliptic"', 0.0, False)],
+)
+def test_pyramids_that_single_precision_cannot_compute_are_named(
+    option: str, friction: float, *, is_refused: bool
+) -> None:
+    ball = f'<body><freejoint/><geom name="pebble" size="0.1" friction="{friction}"/></body>'
+    reason = uncovered(mujoco.MjModel.from_xml_string(PEBBLE.format(option, friction, ball)))
+    assert ("'pebble' can touch with hardly any friction" in (reason or "")) == is_refused
+
+
+@pytest.mark.parametrize(("offset", "is_refused"), [(0.0, True), (0.001, True), (0.05, False)])
+def test_contacts_of_a_body_that_turns_about_its_centre_are_named(offset: float, *, is_refused: bool) -> None:
+    # MuJoCo's inverse weight of this contact is 0 where the hinge goes through the centre, and its stiffness
+    # 1e15.
+    geom = f'<geom name="paddle" type="box" size="0.3 0.1 0.1" pos="0 0 {offset}"/>'
+    wheel = f'<body pos="0 0 0.2"><joint axis="0 1 0"/>{geom}</body>'
+    reason = uncovered(mujoco.MjModel.from_xml_string(PEBBLE.format("", 1.0, wheel)))
+    assert ("'paddle' can touch, but turn about the centres" in (reason or "")) == is_refused
+
+
 def test_more_rows_than_code_can_hold_are_refused() -> None:
     balls = "".join(f'<geom size="0.1" pos="{k} 0 0" condim="6"/>' for k in range(120))
     model = mujoco.MjModel.from_xml_string(f"""
