@@ -247,7 +247,9 @@ def _inverse_weights(model: mujoco.MjModel) -> np.ndarray:
     """How easily each geom moves where it ends, [ngeom] in 1/kg: the mean of the three directions, as in
     MuJoCo's `body_invweight0`. 0: it never moves."""
     found, data = np.zeros(model.ngeom), mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    # Not `mj_forward`: the world of a user's model may have thousands of geoms, which touch each other.
+    for stage in (mujoco.mj_fwdKinematics, mujoco.mj_makeM, mujoco.mj_factorM):
+        stage(model, data)
     for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid]):
         axes = data.geom_xmat[geom].reshape(3, 3)
         middle, half = model.geom_aabb[geom].reshape(2, 3)

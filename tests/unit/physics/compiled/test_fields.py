@@ -119,3 +119,51 @@ def test_fields_that_must_be_the_same_are_named(name: str, reason: str) -> None:
     model.geom_contype[-1] = 1
     assert uncovered(model) is None
     assert reason in (uncovered_own(model, (name,)) or "")
+
+
+FIXED = """
+<mujoco><worldbody>
+  <geom name="floor" type="plane" size="5 5 1"/>
+  <body name="wall" pos="0 0 1"><body name="shelf" pos="0.1 0.2 0" euler="10 20 30">
+    <geom name="board" size="0.1" {board}/>
+    <body name="arm" pos="0 0.3 0"><joint axis="0 1 0"/><geom type="capsule" size="0.05 0.1" pos="0.1 0 0"
+      contype="0" conaffinity="0"/></body>
+  </body></body>
+  <body pos="0 0 3"><freejoint/><geom name="ball" size="0.1"/></body>
+</worldbody>{more}</mujoco>
+"""
+UNTOUCHED = 'contype="0" conaffinity="0"'
+PAIR = '<contact><pair geom1="board" geom2="ball"/></contact>'
+
+
+@pytest.mark.parametrize("name", ["body_pos", "body_quat"])
+@pytest.mark.parametrize(("board", "more"), [("", ""), (UNTOUCHED, PAIR)])
+def test_a_fixed_body_that_can_be_touched_must_be_where_the_model_has_it(
+    name: str, board: str, more: str
+) -> None:
+    model = mujoco.MjModel.from_xml_string(FIXED.format(board=board, more=more))
+    assert uncovered(model) is None
+    assert uncovered_own(model, (name,)) == f"{name}: its body 'shelf' stands still and can be touched"
+
+
+def test_a_fixed_body_that_nothing_touches_may_be_anywhere() -> None:
+    model = mujoco.MjModel.from_xml_string(FIXED.format(board=UNTOUCHED, more=""))
+    names, generator = ("body_pos", "body_quat"), np.random.default_rng(0)
+    assert uncovered_own(model, names) is None
+    datas = random_states(model, 0.3)
+    models = [copy.copy(model) for _ in datas]
+    for one, data in zip(models, datas, strict=True):
+        for name in names:
+            values = getattr(one, name)
+            values[1:4] += 0.3 * generator.normal(size=values[1:4].shape)
+        one.body_quat[:] /= np.linalg.norm(one.body_quat, axis=1, keepdims=True)
+        mujoco.mj_forward(one, data)
+    own = {name: list(np.stack([np.ravel(getattr(one, name)) for one in models], 1)) for name in names}
+    state = state_of(datas)
+    moved = substep(read_model(model, own), state, [])
+    seen = derived(Scene(Fields(model, own), state.qpos, state.qvel), ("xpos", "xquat", "geom_xpos"))
+    for field, numbers in seen.items():
+        assert_close(numbers, list(np.stack([np.ravel(getattr(data, field)) for data in datas], 1)))
+    for one, data in zip(models, datas, strict=True):
+        mujoco.mj_step(one, data)
+    assert_close(moved.qvel, of_all(datas, "qvel"), 1e-11)
