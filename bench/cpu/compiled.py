@@ -1,8 +1,9 @@
-"""Physics compiled for one body beside C MuJoCo, on all cores of this machine; and PPO on both."""
+"""Physics compiled for one body beside C MuJoCo, on all cores of this machine; PPO and Q-learning on both."""
 
 from collections.abc import Sequence
 from statistics import median
 
+from bench.cpu import q_learning
 from bench.measure import comparison, requests
 from bench.measure.comparison import UNIT, rate
 from bench.measure.result import Figure, Options, Result, Table, at_least, at_most
@@ -16,7 +17,6 @@ _OTHERS = ("half_cheetah", "hopper", "walker2d", "corridor")
 _NUM_ENVS = 512
 # For these, `auto` decides by the number of environments; a rollout may have one.
 _FEWER = (1, 4, 16, 64, 256)
-_BY_AUTO = ("ant", "humanoid", "half_cheetah", "hopper", "walker2d")
 _EQUAL = "equal-settings"
 _ENGINES = ("compiled", "native")
 _TRAINED, _STEPS, _NUM_EVALS = "ant", 491_520, 5
@@ -32,6 +32,7 @@ def measure(options: Options) -> Result:
     equal = _request(bodies[0], options, own_settings=True)
     runs.make([Work(_EQUAL, "bench.ours.run_steps", equal, about_s=60)])
     runs.make([work for seed in seeds for work in _trainings(seed, options)])
+    runs.make(_steered(options))
     figures = [_figure(body, runs.done.get(body), runs.failed.get(body)) for body in bodies]
     if run := runs.done.get(_EQUAL):
         name = f"{bodies[0]}: both under the model's own solver settings"
@@ -44,7 +45,11 @@ def measure(options: Options) -> Result:
         command="./run bench compiled",
         quick=options.quick,
         machine=runs.where(),
-        figures=[*figures, *(_training_figures(requests.body(_TRAINED, options), trained))],
+        figures=[
+            *figures,
+            *_training_figures(requests.body(_TRAINED, options), trained),
+            *_steered_figures(runs.done),
+        ],
         table=_table(steps),
         rows=[
             *(
@@ -71,7 +76,7 @@ def _envs(options: Options) -> int:
 
 
 def _request(body: str, options: Options, *, own_settings: bool = False) -> dict[str, object]:
-    fewer = () if own_settings else ((1,) if options.quick else _FEWER if body in _BY_AUTO else ())
+    fewer = () if own_settings else ((1,) if options.quick else _FEWER)
     return {
         "environment": body,
         "engines": list(_ENGINES),
@@ -98,6 +103,33 @@ def _trainings(seed: int, options: Options) -> list[Work]:
         for engine in _ENGINES
     ]
     return works[:: -1 if seed % 2 else 1]
+
+
+def _steered(options: Options) -> list[Work]:
+    """Q-learning on a brittle star, on each engine."""
+    return [
+        Work(
+            f"star-{engine}",
+            "bench.ours.train_star",
+            q_learning.request_of(options, "cpu", engine, {}, steered=False),
+            about_s=60,
+            cache=f"star-{engine}",
+        )
+        for engine in _ENGINES
+    ]
+
+
+def _steered_figures(done: dict[str, Run]) -> list[Figure]:
+    rates = [rate(run["training"]) for engine in _ENGINES if (run := done.get(f"star-{engine}"))]
+    if len(rates) < len(_ENGINES):
+        return []
+    ours, theirs = rates
+    unit = q_learning.CONTROL_STEPS
+    return [
+        Figure(name="brittle star, Q-learning on `compiled`", value=ours, unit=unit, target=at_least(10_000)),
+        Figure(name="brittle star, Q-learning on `native`", value=theirs, unit=unit),
+        Figure(name="brittle star, Q-learning: `compiled` ÷ `native`", value=ours / theirs, unit="×"),
+    ]
 
 
 def _figure(body: str, run: Run | None, why: str | None) -> Figure:
