@@ -1,9 +1,8 @@
-"""Where two boxes touch: at a polygon of up to eight corners on a face, or at a point of two edges.
+"""Where two boxes touch: at up to eight corners of a polygon on a face, or at one point between two edges.
 
-Of the six directions of faces and nine at right angles to an edge of each, the one in which the boxes overlap
-least decides. In a face's direction the other box's face that looks towards it is clipped to it, and each
-corner of the polygon that is left is a point. Each of the polygon's edges is a part of an edge of one of both
-faces, and begins at one of its corners: so those eight edges, clipped, give all corners, each of them once.
+There are 15 directions to look along: of six faces, and at right angles to an edge of each box. The boxes
+overlap least in one of them. If it is a face's, the other box's face that looks towards it is clipped to it,
+and each corner of what is left is a point.
 Source: MuJoCo's `mjc_BoxBox`, with its constants for single precision.
 """
 
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from functools import reduce
 from itertools import product
 
+from core.physics.compiled.collisions.rectangles import Rectangle, overlap
 from core.physics.compiled.collisions.shapes import Placed, Touch
 from core.physics.compiled.program.arithmetic import (
     Matrix,
@@ -22,12 +22,10 @@ from core.physics.compiled.program.arithmetic import (
     clip,
     dot,
     maximum,
-    minimum,
     rotate,
     scale,
     select,
     sqrt,
-    squared,
     subtract,
     total,
     transpose,
@@ -35,20 +33,13 @@ from core.physics.compiled.program.arithmetic import (
 
 # In m, of a point that is not there.
 _AWAY = 1e3
-# sin² of the angle between edges that are as good as parallel: faces have their directions already.
+# sin² of an angle between edges. Below it they count as parallel, and the directions of faces suffice.
 _PARALLEL = 1e-7
-# A part of a direction: smaller ones do not say which of a box's edges is nearest.
+# Where a component of a direction is smaller, rounding may choose the wrong one of two edges: both are tried.
 _UNDECIDED = 1e-5
-# An edge must be better than any face by this part of the overlap,
-_EDGE_BIAS = 1e-6
-# and by this part where its direction is almost a face's: several points carry better than one.
-_FACE_BIAS, _ALMOST_A_FACE = 0.05, 0.99
-# Of the smaller face's size: points that are nearer to each other than this are one,
-_SAME_POINT = 1e-5
-# and ends of edges that are nearer to a line than this lie on it.
-_ON_LINE = 1e-6
-# The corners of a square, one after the other.
-_CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+# Edges must be better than a face by a part of the overlap, as several points carry better than one: by the
+# first part in any direction, by the second where the cosine of the angle to the face's direction is larger.
+_EDGE_BIAS, _FACE_BIAS, _NEAR_FACE = 1e-6, 0.05, 0.99
 _SMALLEST = 1e-15
 
 
@@ -57,7 +48,7 @@ def box_box(one: Placed, other: Placed) -> list[Touch]:
     boxes = _boxes(one, other)
     face = _best_face(boxes)
     edges = _best_edges(boxes, face.gap)
-    is_edge = edges.are_better & ~_is_almost(edges, face, boxes)
+    is_edge = edges.are_better & ~_is_near_face(edges, face, boxes)
     first, *others = _touches_of_face(face, boxes)
     point = _touch_of_edges(edges, boxes)
     return [
@@ -177,12 +168,12 @@ def _edges(boxes: _Boxes, i: int, k: int) -> _Edges:
     return _Edges(gap, axis, [_unit(i), _unit(k)], sine_squared)
 
 
-def _is_almost(edges: _Edges, face: _Face, boxes: _Boxes) -> Number:
-    """Whether the edges' direction is the face's but for a little, and hardly better."""
+def _is_near_face(edges: _Edges, face: _Face, boxes: _Boxes) -> Number:
+    """Whether the edges have nearly the direction of the face, and hardly less overlap."""
     others = rotate(transpose(boxes.turns), edges.axis)
     part = _of_axis(face.is_x, face.is_z, _chosen(face.is_second, others, edges.axis))[2]
     most = face.gap + _FACE_BIAS * absolute(face.gap) + _SMALLEST
-    return (absolute(part) > _ALMOST_A_FACE) & (edges.gap < most)
+    return (absolute(part) > _NEAR_FACE) & (edges.gap < most)
 
 
 def _touch_of_edges(edges: _Edges, boxes: _Boxes) -> Touch:
@@ -256,7 +247,7 @@ def _touches_of_face(face: _Face, boxes: _Boxes) -> list[Touch]:
     for vector in (*axes, *to_world):
         (vector[2],) = _signed(way[2], [vector[2]])
     middle = [*way[:2], absolute(way[2]) - size[2]]
-    polygon = _polygon(size[:2], _facing(middle, axes, _chosen(is_second, *boxes.sizes)))
+    polygon = overlap(size[:2], _facing(middle, axes, _chosen(is_second, *boxes.sizes)))
     centre = _chosen(is_second, boxes.positions[1], boxes.positions[0])
     normal = [select(is_second, -row[2], row[2]) for row in to_world]
     return [
@@ -265,87 +256,14 @@ def _touches_of_face(face: _Face, boxes: _Boxes) -> list[Touch]:
     ]
 
 
-@dataclass(frozen=True)
-class _Rectangle:
-    """A face in the frame of another, whose axes x and y lie in that face, around its centre.
-
-    centre: [3]. edges: [2][3], half of each; lengths: theirs, [2].
-    """
-
-    centre: Vector
-    edges: Matrix
-    lengths: Vector
-
-    def at(self, u: Number, v: Number) -> Vector:
-        return add(self.centre, add(scale(self.edges[0], u), scale(self.edges[1], v)))
-
-
-def _facing(middle: Vector, axes: Matrix, size: Vector) -> _Rectangle:
+def _facing(middle: Vector, axes: Matrix, size: Vector) -> Rectangle:
     """The lowest of a box's faces. middle: of the box, [3]; axes: the box's, [3][3]; size: half, [3]."""
     is_x, is_z = _largest([absolute(axis[2]) for axis in axes])
     lengths = _of_axis(is_x, is_z, size)
     one, other, own = transpose([_of_axis(is_x, is_z, list(row)) for row in zip(*axes, strict=True)])
     downwards = _signed(-own[2], own)
     centre = add(middle, scale(downwards, lengths[2]))
-    return _Rectangle(centre, [scale(one, lengths[0]), scale(other, lengths[1])], lengths[:2])
-
-
-def _polygon(size: Vector, face: _Rectangle) -> list[tuple[Number, Vector]]:
-    """Whether each corner exists, and where it is, [3]: of what is left of the face over a rectangle.
-
-    size: half of the rectangle, [2].
-    """
-    smaller = minimum(total(size), total(face.lengths))
-    corners = [face.at(u, v) for u, v in _CORNERS]
-    found = _starts(corners, [_outside(corner, size, smaller) for corner in corners], True)
-    (a, b, _), (c, d, _) = face.edges
-    determinant = a * d - b * c
-    corners, outsides = list[Vector](), list[Vector]()
-    for corner in _CORNERS:
-        x, y = (own * half for own, half in zip(corner, size, strict=True))
-        left, up = x - face.centre[0], y - face.centre[1]
-        u, v = (left * d - up * c) / determinant, (a * up - b * left) / determinant
-        corners.append([x, y, face.at(u, v)[2]])
-        outsides.append(_outside([u * face.lengths[0], v * face.lengths[1]], face.lengths, smaller))
-    # Seen from above, the face's edges may run the other way round.
-    found += _starts(corners, outsides, determinant > 0.0)
-    return _different(found, squared(_SAME_POINT * smaller))
-
-
-def _outside(point: Vector, size: Vector, smaller: Number) -> Vector:
-    """How far the point is outside of each of a rectangle's four edges, in m; below 0 inside."""
-    over = [sign * x - half for x, half in zip(point, size, strict=False) for sign in (1.0, -1.0)]
-    return [select(absolute(x) < _ON_LINE * smaller, 0.0, x) for x in over]
-
-
-def _starts(corners: list[Vector], outsides: list[Vector], is_forward: Number) -> list[tuple[Number, Vector]]:
-    """Of each edge between corners [4][3]: whether a part of it is inside of four lines, and its start.
-
-    outsides: of each corner, how far it is outside of each line. is_forward: otherwise the part's end.
-    """
-    found = list[tuple[Number, Vector]]()
-    for here, there in ((k, (k + 1) % 4) for k in range(4)):
-        first, last = 0.0, 1.0
-        for one, other in zip(outsides[here], outsides[there], strict=True):
-            is_out, gets_out = one > 0.0, other > 0.0
-            crossing = one / select(absolute(one - other) < _SMALLEST, 1.0, one - other)
-            first = maximum(first, select(is_out, select(gets_out, 2.0, crossing), 0.0))
-            last = minimum(last, select(is_out, 1.0, select(gets_out, crossing, 1.0)))
-        way = subtract(corners[there], corners[here])
-        start = add(corners[here], scale(way, select(is_forward, first, last)))
-        found.append((~(last < first), start))
-    return found
-
-
-def _different(points: list[tuple[Number, Vector]], nearest: Number) -> list[tuple[Number, Vector]]:
-    """Those that exist and are no nearer than a distance, in m², to an earlier one, seen from above."""
-    found = list[tuple[Number, Vector]]()
-    for exists, point in points:
-        for is_there, earlier in found:
-            way = subtract(point[:2], earlier[:2])
-            exists = exists & ~(is_there & (dot(way, way) < nearest))
-        found.append((exists, point))
-    return found
+    return Rectangle(centre, [scale(one, lengths[0]), scale(other, lengths[1])], lengths[:2])
 
 
 def _largest(values: Vector) -> tuple[Number, Number]:
