@@ -59,7 +59,8 @@ def merged(
     nominal: the pairs' parameters by the model's own numbers; those of a choice are the same.
     """
     groups: dict[object, list[Pair]] = {}
-    for place, (pair, parameters) in enumerate(zip(pairs, nominal, strict=True)):
+    for place, (given, parameters) in enumerate(zip(pairs, nominal, strict=True)):
+        pair = _fixed_last(given, geoms)
         other = geoms[pair.other]
         is_fixed_box = other.kind == _BOX and not other.body
         alike = (pair.one, parameters, str(other.rotation)) if is_fixed_box else place
@@ -116,6 +117,13 @@ def _chosen(is_near: Vector, numbers: Sequence[Number]) -> Number:
         for condition, number in zip(is_near, numbers[1:], strict=True):
             found = select(condition, number, found)
     return found
+
+
+def _fixed_last(pair: Pair, geoms: Sequence[Geom]) -> Pair:
+    """The pair, turned round if a box that never moves is the first of two: the order changes no row."""
+    one, other = geoms[pair.one], geoms[pair.other]
+    turns_round = one.kind == other.kind == _BOX and not one.body
+    return replace(pair, one=pair.other, other=pair.one) if turns_round else pair
 
 
 def _choice(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> Choice:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 
 import mujoco
 
+from core.physics.compiled.collisions.box_box import box_box
 from core.physics.compiled.collisions.boxes import sphere_box
 from core.physics.compiled.collisions.capsule_box import capsule_box
 from core.physics.compiled.collisions.ellipsoid_box import ellipsoid_box
@@ -36,6 +37,7 @@ COLLIDERS: Mapping[tuple[int, int], tuple[Collider, int]] = {
     (_CAPSULE, _CAPSULE): (capsule_capsule, 1),
     (_CAPSULE, _BOX): (capsule_box, 2),
     (_ELLIPSOID, _BOX): (ellipsoid_box, 1),
+    (_BOX, _BOX): (box_box, 8),
 }
 # Where a look at whether geoms are near takes as long as to compute the points.
 CHEAP = frozenset({(_PLANE, _SPHERE), (_PLANE, _CAPSULE), (_SPHERE, _SPHERE)})

@@ -59,7 +59,7 @@ def limbs(
     trunk: str = "box",
     tendons: str = "",
 ) -> mujoco.MjModel:
-    # The trunk touches the floor alone: boxes and the like have no contact with the step's box.
+    # The trunk touches the floor alone: cylinders have no contact with the step's box.
     parts = {"cone": cone, "impratio": impratio, "joint": joint, "geom": geom, "trunk": trunk}
     contact = '<exclude body1="world" body2="trunk"/><pair geom1="floor" geom2="trunk" condim="3"/>'
     xml = LIMBS.replace('type="{trunk}"', 'name="trunk" type="{trunk}"')
@@ -67,13 +67,13 @@ def limbs(
     return mujoco.MjModel.from_xml_string(xml.replace("</contact>", f"</contact>{tendons}"))
 
 
-def falling(model: mujoco.MjModel) -> list[mujoco.MjData]:
-    """States as they come about where the body falls again and again."""
+def falling(model: mujoco.MjModel, speed: float = 1.0) -> list[mujoco.MjData]:
+    """States as they come about where the body falls again and again. speed: about how fast it starts."""
     generator, found = np.random.default_rng(0), list[mujoco.MjData]()
     while len(found) < NUM_STATES:
         data = mujoco.MjData(model)
         data.qpos[:2] += generator.uniform(-0.2, 0.5, size=2)
-        data.qvel[:] = generator.normal(size=model.nv)
+        data.qvel[:] = generator.normal(scale=speed, size=model.nv)
         for step in range(1, 361):
             if step % 20 == 1:
                 data.ctrl[:] = generator.uniform(-1.0, 1.0, size=model.nu)
@@ -125,6 +125,35 @@ def test_the_ant_moves_in_its_corridor_as_in_mujoco() -> None:
                 kept = mujoco.MjData(model)
                 mujoco.mj_copyData(kept, model, data)
                 datas.append(kept)
+    assert_same_rows(model, [after_forward(model, data) for data in datas])
+    assert_moves_as_mujoco(model, datas)
+
+
+# On two platforms with a gap between them, and on each other.
+BLOCKS = """
+<mujoco>
+  <option timestep="0.002" {option}/>
+  <default><geom type="box" friction="0.6"/></default>
+  <worldbody>
+    <geom name="left" size="1 1 0.1" pos="-1 0 0"/>
+    <geom name="right" size="1 1 0.1" pos="1.02 0 0"/>
+    <body pos="0 0 0.4"><freejoint/><geom name="lower" size="0.6 0.5 0.1"/></body>
+    <body pos="0 0 0.7"><freejoint/><geom name="upper" size="0.1 0.15 0.08"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("option", ["", 'cone="elliptic" impratio="3"'], ids=["pyramidal", "elliptic"])
+def test_blocks_fall_on_platforms_and_on_each_other_as_in_mujoco(option: str) -> None:
+    model = converge(mujoco.MjModel.from_xml_string(BLOCKS.format(option=option)), implicit_damping=True)
+    assert uncovered(model) is None
+    datas, generator = falling(model, speed=0.3), np.random.default_rng(0)
+    for data in datas:
+        # Many have come to rest.
+        data.qvel[:] += generator.normal(scale=0.3, size=model.nv)
+    touching = {tuple(one.geom) for data in datas for one in data.contact}
+    assert touching == {(0, 2), (1, 2), (2, 3)}
     assert_same_rows(model, [after_forward(model, data) for data in datas])
     assert_moves_as_mujoco(model, datas)
 

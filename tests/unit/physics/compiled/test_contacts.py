@@ -38,6 +38,7 @@ MEETING = """
 PLANE = '<geom name="still" type="plane" size="5 5 1" euler="10 20 0" pos="0 0 0.4"/>'
 BOX = '<body pos="0.1 0 0.3" euler="10 20 30"><geom name="still" type="box" size="0.2 0.3 0.25"/></body>'
 BALL = '<geom name="left" type="sphere" size="0.2" pos="0.05 0 0"/>'
+BLOCK = '<geom name="block" type="box" size="0.1 0.15 0.2" pos="0.05 0 0" euler="30 20 0"/>'
 ROD = '<geom name="rod" type="capsule" size="0.1 0.2" euler="20 50 0"/>'
 
 
@@ -83,6 +84,8 @@ def assert_touches_as_mujoco(model: mujoco.MjModel) -> None:
         (BOX, BALL, ""),
         (BOX, ROD, ""),
         (BOX, '<geom type="capsule" size="0.05 0.6" euler="20 50 0"/>', ""),
+        (BOX, BLOCK, ""),
+        ("", BLOCK, '<geom type="box" size="0.2 0.1 0.3"/>'),
         ("", '<geom type="box" size="0.2 0.3 0.25"/>', '<geom type="capsule" size="0.05 0.3"/>'),
         ("", BALL, '<geom size="0.1"/>'),
         ("", BALL, '<geom type="capsule" size="0.05 0.3"/>'),
@@ -162,7 +165,7 @@ def test_of_many_fixed_boxes_each_is_touched() -> None:
         f'<geom type="box" size="{0.9 + 0.05 * (k % 3)} 0.5 0.2" pos="{2.0 * k - 4.0} 0 {0.1 * (k % 2)}"/>'
         for k in range(5)
     ]
-    model = meeting("".join(boxes), BALL, '<geom type="capsule" size="0.1 0.3"/>')
+    model = meeting("".join(boxes), BALL + BLOCK, '<geom type="capsule" size="0.1 0.3"/>')
     datas = at_random(model, spread=(5.0, 0.5, 0.1))
     touched = {int(geom) for data in datas for geom in data.contact.geom1} | {
         int(geom) for data in datas for geom in data.contact.geom2
