@@ -176,7 +176,11 @@ def _cannot_run(options: CorridorOptions) -> Mapping[EngineName, str]:
     return cannot
 
 
-_BEYOND_COMPILED: Mapping[tuple[Walker, Arena], str] = {}
+_MANY_ROWS = "it can have more than 1000 constraint rows at once"
+_BEYOND_COMPILED: Mapping[tuple[Walker, Arena], str] = {
+    ("rodent", "gaps"): _MANY_ROWS,
+    ("rodent", "walls"): _MANY_ROWS,
+}
 
 
 INFO = EnvironmentInfo(
