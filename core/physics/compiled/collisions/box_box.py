@@ -244,8 +244,9 @@ def _touches_of_face(face: _Face, boxes: _Boxes) -> list[Touch]:
         for both in zip(transpose(boxes.axes[1]), transpose(boxes.axes[0]), strict=True)
     ]
     # Upwards is towards the other box.
+    is_below = way[2] < 0.0
     for vector in (*axes, *to_world):
-        (vector[2],) = _signed(way[2], [vector[2]])
+        vector[2] = select(is_below, -vector[2], vector[2])
     middle = [*way[:2], absolute(way[2]) - size[2]]
     polygon = overlap(size[:2], _facing(middle, axes, _chosen(is_second, *boxes.sizes)))
     centre = _chosen(is_second, boxes.positions[1], boxes.positions[0])

@@ -22,11 +22,11 @@ from core.physics.compiled.program.arithmetic import (
     total,
 )
 
-# Parts of the smaller rectangle's size: points that are nearer to each other are one,
-_SAME_POINT = 1e-5
-# and ends of edges that are nearer to a line lie on it.
-_ON_LINE = 1e-6
-# One after the other.
+# As parts of the smaller rectangle's size. Points that are nearer to each other than the first are one point:
+# MuJoCo's constant for single precision. Ends of edges that are nearer to a line than the second lie on it:
+# otherwise rounding could lose an edge that two rectangles have in common.
+_SAME_POINT, _ON_LINE = 1e-5, 1e-6
+# In the order in which edges join them.
 _CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 _SMALLEST = 1e-15
 
