@@ -52,18 +52,7 @@ def measure(options: Options) -> Result:
         ],
         table=_table(steps),
         rows=[
-            *(
-                {
-                    "run": body,
-                    "engine": engine,
-                    "num_envs": int(num),
-                    "control_steps_per_second": median(each),
-                }
-                for body, run in runs.done.items()
-                if "rates" in run
-                for engine, rates in run["rates"].items()
-                for num, each in rates.items()
-            ),
+            *comparison.step_rows({name: run for name, run in runs.done.items() if "rates" in run}),
             *(comparison.row(name, run) for name, run in runs.done.items() if "training" in run),
         ],
         notes=[*_notes(options, len(trained)), *runs.notes()],

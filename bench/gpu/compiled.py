@@ -3,7 +3,7 @@
 from statistics import median
 from typing import Any
 
-from bench.measure import requests
+from bench.measure import comparison, requests
 from bench.measure.result import Figure, Options, Result, Table, Target, at_least, at_most
 from bench.measure.runs import Run, Runs, Work
 from core.environments import catalog
@@ -50,17 +50,7 @@ def measure(options: Options) -> Result:
         machine=runs.where(),
         figures=[figure for body, sizes in bodies.items() for figure in _figures(body, sizes, runs, peer)],
         table=_table(runs.done),
-        rows=[
-            {
-                "run": name,
-                "engine": engine,
-                "num_envs": int(num_envs),
-                "control_steps_per_second": median(one),
-            }
-            for name, run in runs.done.items()
-            for engine, rates in run["rates"].items()
-            for num_envs, one in rates.items()
-        ],
+        rows=comparison.step_rows(runs.done),
         notes=[
             "Physics alone in a compiled JAX loop, under random controls, a second after the bodies' start; "
             "both engines in one process, in turns, under the same solver settings.",

@@ -1,6 +1,7 @@
 """Figures of training runs: rates, returns over seeds, shares of the wall time, and their pictures."""
 
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any
 
 from bench.measure.result import Bars, Figure, Line, Panel, Target, at_least
@@ -70,6 +71,21 @@ def row(name: str, run: Run, **more: Any) -> Row:
         "returns": ", ".join(f"{step}: {value:.0f}" for step, value in run["rewards"]),
         "training": ", ".join(f"{step}: {seconds:.2f} s" for step, seconds in run["training"]),
     }
+
+
+def step_rows(done: Mapping[str, Run]) -> list[Row]:
+    """What bench.ours.run_steps found, as lines of the JSON."""
+    return [
+        {
+            "run": name,
+            "engine": engine,
+            "num_envs": int(num_envs),
+            "control_steps_per_second": median(rates),
+        }
+        for name, run in done.items()
+        for engine, by_num_envs in run["rates"].items()
+        for num_envs, rates in by_num_envs.items()
+    ]
 
 
 def by_steps(runs: Mapping[str, Sequence[Run]], title: str = "Return at equal steps") -> Panel:

@@ -7,13 +7,13 @@ the number of updates before timing, and repeats, how often each part is timed.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bench.measure.cache import keep_compiled
 from bench.measure.child import answer
 from bench.measure.limits import gradient_step
 from core.algorithms.catalog import resolve
@@ -28,7 +28,6 @@ from core.environments.mujoco_env import MujocoEnv
 from core.environments.wrappers.autoreset import Episodes, draw, fresh_states, step_episodes
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.choose import engine_builder
-from core.physics.kernels import keep_kernels
 
 _UPDATES_PER_EPOCH = 4
 
@@ -36,10 +35,7 @@ _UPDATES_PER_EPOCH = 4
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """seconds: of each part of an update, repeat by repeat; need, xla: of one gradient step, calculated and
     by XLA's own count; gradient_steps, steps: in an update."""
-    if request["cache"]:
-        jax.config.update("jax_compilation_cache_dir", request["cache"])
-        if request["engine"] == "warp":
-            keep_kernels(Path(request["cache"], "warp"))
+    keep_compiled(request)
     info = catalog.find(request["environment"])
     settings = resolve(PPOSpec.model_validate(request["settings"]), info, request["device"])
     built: Any = catalog.make(info, catalog.parse_options(info, {}), engine_builder(request["engine"]))

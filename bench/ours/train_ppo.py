@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bench.measure.cache import keep_compiled
 from bench.measure.child import answer
 
 
@@ -21,7 +22,6 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     first_update_at, evaluated_at: the time of that and of the last evaluation's end; overflow: the largest
     share of steps in which the engine lost contacts; peak_bytes: the most device memory in use, if the
     device counts it."""
-    import jax
 
     from bench.measure.device_memory import peak_bytes
     from bench.measure.turn import Turn
@@ -31,15 +31,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from core.algorithms.run import make_run
     from core.environments import catalog
     from core.physics.choose import engine_builder
-    from core.physics.compiled.code.kept_code import keep_code
-    from core.physics.kernels import keep_kernels
 
-    if request["cache"]:
-        jax.config.update("jax_compilation_cache_dir", request["cache"])
-        if request["engine"] == "warp":
-            keep_kernels(Path(request["cache"], "warp"))
-        if request["engine"] == "compiled":
-            keep_code(Path(request["cache"], "compiled"))
+    keep_compiled(request)
     info = catalog.find(request["environment"])
     build = engine_builder(request["engine"])
     environment = catalog.make(info, catalog.parse_options(info, {}), build)

@@ -6,9 +6,9 @@ steered (episodes in which the learnt table is tried afterwards, with unseen tar
 """
 
 import time
-from pathlib import Path
 from typing import Any
 
+from bench.measure.cache import keep_compiled
 from bench.measure.child import answer
 
 # Far from the seeds of runs.
@@ -21,7 +21,6 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     of that; evaluation_s: of the wall, evaluating; phases: of it, seconds by name; control_steps: of all
     environments; episodes: made; greedy: each row's best column; reached: of the episodes afterwards, the
     share in which the target was reached; arrived_s: the mean of what those took."""
-    import jax
 
     from core.algorithms.catalog import resolve
     from core.algorithms.events import Evaluated, Phase, Progress
@@ -30,12 +29,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     from core.algorithms.run import make_run
     from core.environments import catalog
     from core.physics.choose import engine_builder
-    from core.physics.kernels import keep_kernels
 
-    if request["cache"]:
-        jax.config.update("jax_compilation_cache_dir", request["cache"])
-        if request["engine"] == "warp":
-            keep_kernels(Path(request["cache"], "warp"))
+    keep_compiled(request)
     began = time.perf_counter()
     row = catalog.find("brittle_star")
     options = catalog.parse_options(row, request["options"])

@@ -8,9 +8,9 @@ the solver settings of `native`.
 import inspect
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
+from bench.measure.cache import keep_compiled
 from bench.measure.child import answer
 
 # Brax uses these names with another type or meaning; no bench changes any of them but the first.
@@ -24,16 +24,11 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[steps, seconds of training until then], …]; rewards: [[steps, return], …], and
     evaluated_s: for each of them the seconds from the call; wall_s: from the call to its return;
     evaluation_s: of it, evaluating; peak_bytes: the most device memory in use, if the device counts it."""
-    import jax
 
     from bench.measure.device_memory import peak_bytes
     from bench.measure.turn import Turn
-    from core.physics.kernels import keep_kernels
 
-    if request.get("cache"):
-        jax.config.update("jax_compilation_cache_dir", request["cache"])
-        if request["engine"] == "warp":
-            keep_kernels(Path(request["cache"], "warp"))
+    keep_compiled(request)
 
     _give_back_what_brax_calls()
     from brax.training.agents.ppo import networks, train

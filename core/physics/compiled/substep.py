@@ -125,7 +125,7 @@ def unmoved(model: Model, state: State, ctrl: Vector) -> Moved:
 
 
 def _problem(model: Model, state: State, ctrl: Vector) -> tuple[Problem, Driven]:
-    """What the solver solves in this state, and what the actuators do."""
+    """The solver's problem in this state, and the forces of the actuators."""
     tree = model.tree
     at = poses(tree, state.qpos)
     moving = motion(tree, at, state.qvel)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from core.physics.compiled.code.steps import Step, num_operations, results, uses, with_outputs
 from core.physics.compiled.program.needed import needed
-from core.physics.compiled.program.program import Assign, Branch, Loop, Program, Statement
+from core.physics.compiled.program.program import Assign, Branch, Loop, Program, Statement, assigns
 
 # Written again in each section that uses them: loading them from slots would be no cheaper.
 _CONSTANTS = ("constant", "lane_constant")
@@ -74,7 +74,7 @@ def slotted(program: Program, section_size: int) -> SlottedProgram:
     """The program in sections of at most `section_size` operations."""
     # An unused use would hide that a product has a single one; see `_grouped`.
     program = needed(replace(program))
-    every = list(_assigns(program.statements))
+    every = list(assigns(program.statements))
     constants = {one.target: one for one in every if one.operation in _CONSTANTS}
     highest = max((one for each in _all_results(program.statements) for one in each), default=0)
     split = _Split(section_size, constants, highest)
@@ -82,14 +82,6 @@ def slotted(program: Program, section_size: int) -> SlottedProgram:
     truths = {one.target for one in every if one.operation in _TRUTHS} | split.running
     slots, num_slots = _allocated(parts)
     return SlottedProgram(parts, slots, num_slots, frozenset(truths))
-
-
-def _assigns(statements: Sequence[Statement]) -> Iterator[Assign]:
-    for one in statements:
-        if isinstance(one, Assign):
-            yield one
-        else:
-            yield from _assigns(one.body)
 
 
 def _all_results(statements: Sequence[Statement]) -> Iterator[list[int]]:

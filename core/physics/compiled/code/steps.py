@@ -1,11 +1,9 @@
-"""What code does one after the other: a program's statements, and writing its outputs."""
+"""The steps of a function: the program's statements, and the writing of its outputs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from core.physics.compiled.program.program import Assign, Branch, Loop, Program, Statement
-
-_WITHOUT_VARIABLES = ("constant", "input", "lane_input", "lane_constant")
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ def uses(step: Step) -> list[int]:
     """The variables that must be known before it."""
     match step:
         case Assign():
-            return [] if step.operation in _WITHOUT_VARIABLES else [int(one) for one in step.arguments]
+            return step.uses
         case Write():
             return [step.variable]
         case Loop():
@@ -70,7 +68,7 @@ def uses(step: Step) -> list[int]:
 
 
 def _free(body: Sequence[Statement], after: Sequence[int], known: Sequence[int]) -> list[int]:
-    """What a body, and what follows it, use of the variables outside."""
+    """The outer variables that a body needs, and those of `after` that it does not compute."""
     inside = {*known, *(one for step in body for one in results(step))}
     used = [one for step in body for one in uses(step)] + list(after)
     return [one for one in used if one not in inside]

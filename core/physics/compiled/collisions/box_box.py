@@ -12,7 +12,7 @@ from functools import reduce
 from itertools import product
 
 from core.physics.compiled.collisions.rectangles import Rectangle, overlap
-from core.physics.compiled.collisions.shapes import Placed, Touch
+from core.physics.compiled.collisions.shapes import AWAY, Placed, Touch
 from core.physics.compiled.program.arithmetic import (
     Matrix,
     Number,
@@ -31,8 +31,6 @@ from core.physics.compiled.program.arithmetic import (
     transpose,
 )
 
-# In m, of a point that is not there.
-_AWAY = 1e3
 # sin² of an angle between edges. Below it they count as parallel, and the directions of faces suffice.
 _PARALLEL = 1e-7
 # Where a component of a direction is smaller, rounding may choose the wrong one of two edges: both are tried.
@@ -57,7 +55,7 @@ def box_box(one: Placed, other: Placed) -> list[Touch]:
             select(is_edge, point.distance, first.distance),
             _chosen(is_edge, point.normal, first.normal),
         ),
-        *(Touch(one.position, select(is_edge, _AWAY, one.distance), one.normal) for one in others),
+        *(Touch(one.position, select(is_edge, AWAY, one.distance), one.normal) for one in others),
     ]
 
 
@@ -164,7 +162,7 @@ def _edges(boxes: _Boxes, i: int, k: int) -> _Edges:
         for size, one in zip(boxes.sizes, (axis, in_second), strict=True)
     )
     gap = absolute(dot(axis, boxes.ways[0])) - total(reaches)
-    gap = select(sine_squared < _PARALLEL, -_AWAY, gap)
+    gap = select(sine_squared < _PARALLEL, -AWAY, gap)
     return _Edges(gap, axis, [_unit(i), _unit(k)], sine_squared)
 
 
@@ -252,7 +250,7 @@ def _touches_of_face(face: _Face, boxes: _Boxes) -> list[Touch]:
     centre = _chosen(is_second, boxes.positions[1], boxes.positions[0])
     normal = [select(is_second, -row[2], row[2]) for row in to_world]
     return [
-        Touch(add(centre, rotate(to_world, [x, y, size[2] + 0.5 * z])), select(exists, z, _AWAY), normal)
+        Touch(add(centre, rotate(to_world, [x, y, size[2] + 0.5 * z])), select(exists, z, AWAY), normal)
         for exists, (x, y, z) in polygon
     ]
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from core.physics.compiled.collisions.boxes import ball_in_box
-from core.physics.compiled.collisions.shapes import Placed, Touch
+from core.physics.compiled.collisions.shapes import AWAY, Placed, Touch
 from core.physics.compiled.program.arithmetic import (
     Number,
     Vector,
@@ -27,8 +27,6 @@ from core.physics.compiled.program.arithmetic import (
 )
 
 _SMALLEST, _FAR = 1e-15, 1e15
-# In m, of a point that is not there.
-_AWAY = 1e3
 # The way to a second point, where there is none. A way of 0 is one: MuJoCo counts that point twice.
 _NONE = -4.0
 
@@ -48,7 +46,7 @@ def capsule_box(capsule: Placed, box: Placed) -> list[Touch]:
 
 
 def _if(exists: Number, touch: Touch) -> Touch:
-    return Touch(touch.position, select(exists, touch.distance, _AWAY), touch.normal)
+    return Touch(touch.position, select(exists, touch.distance, AWAY), touch.normal)
 
 
 @dataclass(frozen=True)

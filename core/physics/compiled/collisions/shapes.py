@@ -8,6 +8,9 @@ import numpy as np
 from core.physics.compiled.program.arithmetic import Matrix, Number, Vector, add, rotate, transpose
 from core.physics.compiled.smooth.kinematics import Poses
 
+# In m, between geoms at a point that is not there.
+AWAY = 1e3
+
 
 @dataclass(frozen=True)
 class Geom:

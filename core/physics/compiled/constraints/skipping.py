@@ -4,15 +4,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 
-from core.physics.compiled.collisions.shapes import Touch
+from core.physics.compiled.collisions.shapes import AWAY, Touch
 from core.physics.compiled.constraints.body_rows import BodyGroup
 from core.physics.compiled.constraints.laws import with_stiffness
 from core.physics.compiled.constraints.rows import Group
 from core.physics.compiled.program.arithmetic import Number, Vector
 from core.physics.compiled.program.flow import nothing, where_needed
-
-# In m, between geoms that are not near each other.
-_APART = 1e3
 
 
 def touches_where(is_close: Number, collide: Callable[[], Sequence[Touch]]) -> list[Touch]:
@@ -26,7 +23,7 @@ def touches_where(is_close: Number, collide: Callable[[], Sequence[Touch]]) -> l
 
     def apart(values: Vector) -> Vector:
         others = (value if isinstance(value, float) else 0.0 for value in values[len(touches) :])
-        return [*([_APART] * len(touches)), *others]
+        return [*([AWAY] * len(touches)), *others]
 
     values = where_needed(is_close, numbers, apart)
     left = iter(values[len(touches) :])

@@ -17,11 +17,11 @@ from core.physics.compiled.program.program import (
     Assign,
     Branch,
     Loop,
-    Operation,
     Output,
     Program,
     Statement,
     Symbol,
+    assigns,
 )
 
 # Numbers of inputs that are alike, by input: their places by lane.
@@ -75,9 +75,9 @@ class _Fold:
                 for variable in (one.condition, *(x for _, *both in one.results for x in both)):
                     self.uses.setdefault(variable, []).append(None)
                 self._note_uses(one.body)
-            elif one.operation not in _GIVEN:
-                for argument in one.arguments:
-                    self.uses.setdefault(int(argument), []).append(one)
+            else:
+                for variable in one.uses:
+                    self.uses.setdefault(variable, []).append(one)
 
     def _take(self, statements: Sequence[Statement]) -> None:
         here = {one.target for one in statements if isinstance(one, Assign)}
@@ -249,7 +249,7 @@ class _Fold:
         condition = self._kind_of(branch.condition)
         with self.program.block() as statements:
             self._take(branch.body)
-            if condition.lane != TRUNK and any(_operates(one, "lane_sum") for one in statements):
+            if condition.lane != TRUNK and any(one.operation == "lane_sum" for one in assigns(statements)):
                 raise NotAlike("limbs meet where only some of them compute")
             insides = {
                 one: self.program.variable(self.symbols[one])
@@ -287,7 +287,7 @@ class _Fold:
     def _end(self, loop: Loop) -> None:
         """What comes after a repetition must be alike where the variables are."""
         ends: dict[int, tuple[int, int]] = {}
-        inside = set(_targets(loop.body))
+        inside = {one.target for one in assigns(loop.body)}
         for variable, _, after in loop.carried:
             kind, end = self.kinds[variable], self._kind_of(after)
             if kind.lane == TRUNK and end.lane != TRUNK:
@@ -330,18 +330,3 @@ class _Fold:
 
     def _limb(self, variable: int, lane: int, form: int) -> None:
         self.kinds[variable] = Kind(lane, form)
-
-
-def _targets(statements: Sequence[Statement]) -> Iterator[int]:
-    for one in statements:
-        if isinstance(one, Loop | Branch):
-            yield from _targets(one.body)
-        else:
-            yield one.target
-
-
-def _operates(statement: Statement, operation: Operation) -> bool:
-    """Whether the statement is such an operation, or has one in its body."""
-    if isinstance(statement, Assign):
-        return statement.operation == operation
-    return any(_operates(one, operation) for one in statement.body)

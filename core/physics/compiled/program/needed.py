@@ -5,8 +5,6 @@ from dataclasses import replace
 
 from core.physics.compiled.program.program import Assign, Branch, Loop, Program, Statement
 
-_WITHOUT_VARIABLES = ("constant", "input", "lane_input", "lane_constant", "limb_constant")
-
 
 def needed(program: Program) -> Program:
     """The program (changed): what its outputs need."""
@@ -23,8 +21,7 @@ def _kept(statements: Sequence[Statement], wanted: set[int]) -> list[Statement]:
             # Inputs stay, for the order of the code's arrays.
             if one.target in wanted or one.operation in ("input", "lane_input"):
                 found.append(one)
-                if one.operation not in _WITHOUT_VARIABLES:
-                    wanted.update(int(argument) for argument in one.arguments)
+                wanted.update(one.uses)
         elif isinstance(one, Branch):
             if any(variable in wanted for variable, _, _ in one.results):
                 found.append(_kept_branch(one, wanted))

@@ -9,7 +9,7 @@ a number's sum over the lanes, which has the same bits in each. Before it is fol
 body has `limb_constant` (lane, value by lane): the value of that lane, which must not melt into others.
 """
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
@@ -22,6 +22,10 @@ Operation = Literal[
 ]  # fmt: skip
 
 
+# Their arguments are no variables.
+_GIVEN = ("input", "constant", "limb_constant", "lane_input", "lane_constant")
+
+
 @dataclass(frozen=True)
 class Assign:
     """Variable `target` is the operation's result. arguments: numbers of variables, or a constant's value, or
@@ -30,6 +34,11 @@ class Assign:
     target: int
     operation: Operation
     arguments: tuple[int | float | str, ...]
+
+    @property
+    def uses(self) -> list[int]:
+        """The variables that it needs."""
+        return [] if self.operation in _GIVEN else [int(argument) for argument in self.arguments]
 
 
 @dataclass(frozen=True)
@@ -248,6 +257,15 @@ class Symbol:
 
     def __invert__(self) -> "Symbol":
         return self.program.write("not", self.number)
+
+
+def assigns(statements: Sequence[Statement]) -> Iterator[Assign]:
+    """All operations, those in loops and branches, too."""
+    for one in statements:
+        if isinstance(one, Assign):
+            yield one
+        else:
+            yield from assigns(one.body)
 
 
 def call(operation: Operation, *arguments: "Symbol | float") -> "Symbol | float":
