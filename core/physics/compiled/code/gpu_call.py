@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from core.physics.compiled.code.gpu_kernel import NUM_THREADS, threads_of
+from core.physics.compiled.code.gpu_kernel import WARP, threads_of
 from core.physics.compiled.code.piece import FUNCTION, Piece
 
 _TARGET = "__gpu$xla.gpu.ptx"
@@ -23,7 +23,8 @@ class GpuCall:
 
     def __init__(self, piece: Piece) -> None:
         self._piece = piece
-        self._kernel = piece.kernel(jax.devices("gpu")[0].compute_capability)
+        card: Any = jax.devices("gpu")[0]
+        self._kernel, self._num_processors = piece.kernel(card.compute_capability), int(card.core_count)
         self._many: Any = jax.custom_batching.custom_vmap(self._launch)
         self._many.def_vmap(self._on_another_axis)
 
@@ -45,10 +46,18 @@ class GpuCall:
             name=FUNCTION,
             kernel_type="ptx",
             kernel_data=self._kernel.ptx,
-            **_grid(math.ceil(num_envs * threads_of(self._kernel.num_lanes) / NUM_THREADS)),
+            **self._grid(num_envs),
             shared_mem_bytes=np.int32(0),
             output_indices=np.arange(num_given, num_given + len(shapes), dtype=np.int32),
         )
+
+    def _grid(self, num_envs: int) -> dict[str, np.int32]:
+        """Enough blocks, and spread over all of the card's processors."""
+        num_warps = math.ceil(num_envs * threads_of(self._kernel.num_lanes) / WARP)
+        of_block = min(self._kernel.most_warps, math.ceil(num_warps / self._num_processors))
+        first = {"grid_x": math.ceil(num_warps / of_block), "block_x": of_block * WARP}
+        others = dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
+        return {name: np.int32(size) for name, size in (first | others).items()}
 
     def _on_another_axis(
         self, size: int, is_mapped: list[bool], *arrays: jax.Array
@@ -60,9 +69,3 @@ class GpuCall:
         ]
         outputs = self._many(*(array.reshape(-1, array.shape[-1]) for array in whole))
         return [one.reshape(size, -1, one.shape[-1]) for one in outputs], [True] * len(outputs)
-
-
-def _grid(num_blocks: int) -> dict[str, np.int32]:
-    first = {"grid_x": num_blocks, "block_x": NUM_THREADS}
-    others = dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
-    return {name: np.int32(size) for name, size in (first | others).items()}

@@ -14,9 +14,10 @@ _CPU_SECTION, _GPU_SECTION = 250, 2_000
 
 @dataclass(frozen=True)
 class Kernel:
-    """num_lanes: threads of an environment."""
+    """num_lanes: of an environment. most_warps: of a block."""
 
     num_lanes: int
+    most_warps: int
     ptx: str
 
 
@@ -49,7 +50,7 @@ class Piece:
 
     def kernel(self, compute_capability: str) -> Kernel:
         """For cards of this compute capability."""
-        from core.physics.compiled.code.gpu_kernel import gpu_kernel
+        from core.physics.compiled.code.gpu_kernel import gpu_kernel, most_warps
         from core.physics.compiled.code.long_writer import is_long
         from core.physics.compiled.code.ptx import ptx
 
@@ -57,10 +58,10 @@ class Piece:
             program = self._checked(self.write_lanes())
             section_size = _GPU_SECTION if is_long(program) else None
             code = ptx(gpu_kernel(program, FUNCTION, section_size), compute_capability)
-            return f"{program.num_lanes} {code}".encode()
+            return f"{program.num_lanes} {most_warps(program, section_size)} {code}".encode()
 
-        num_lanes, code = kept(f"{self.described} for {compute_capability}", make).decode().split(" ", 1)
-        return Kernel(int(num_lanes), code)
+        lanes, warps, code = kept(f"{self.described} for {compute_capability}", make).decode().split(" ", 2)
+        return Kernel(int(lanes), int(warps), code)
 
     def _checked(self, program: Program) -> Program:
         """Raises ValueError if the program's arrays are others, which would write into foreign memory."""

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from core.physics.compiled.code.steps import Step, Write
+from core.physics.compiled.code.steps import Step, Write, num_operations
 from core.physics.compiled.program.program import Assign, Branch, Loop, Operation
 
 _INSTRUCTIONS: Mapping[Operation, str] = {
@@ -23,15 +23,29 @@ _INTRINSICS = ("sqrt", "fabs", "fma")
 
 
 @dataclass(frozen=True)
+class Meeting:
+    """How threads that run side by side wait for each other, in LLVM's words.
+
+    every: operations from one meeting to the next; a shorter loop goes on in each thread for itself. wait:
+    the call. any: of a truth value, whether it is true in one of the threads, which meet there, too.
+    """
+
+    every: int
+    wait: str
+    any: str
+
+
+@dataclass(frozen=True)
 class Target:
     """How a kind of processor takes numbers.
 
     width: environments in a vector; 1: no vector. allowed: what a division and a square root may do besides
-    rounding correctly, in LLVM's words.
+    rounding correctly, in LLVM's words. meeting: None: a thread does not wait for others.
     """
 
     width: int
     allowed: str
+    meeting: Meeting | None = None
 
     @property
     def number(self) -> str:
@@ -91,6 +105,8 @@ class Writer:
     block: str
     lines: list[str] = field(default_factory=list[str])
     _num_names: int = 0
+    _num_since_meeting: int = 0
+    _num_alone: int = 0  # parts around the block through which a thread goes alone
     _constants: dict[int, str] = field(default_factory=dict[int, str])
     # By the name of an angle: sine and cosine of what is left of it, and its quadrant.
     _angles: dict[str, tuple[str, str, str]] = field(default_factory=dict[str, tuple[str, str, str]])
@@ -116,6 +132,7 @@ class Writer:
 
     def write(self, steps: Sequence[Step]) -> None:
         for step in steps:
+            self._meet_before(step)
             match step:
                 case Loop():
                     self._loop(step)
@@ -125,6 +142,16 @@ class Writer:
                     self.memory.store(self, step.output, step.places, self.operand(step.variable))
                 case Assign():
                     self._assign(step)
+
+    def _meet_before(self, step: Step) -> None:
+        self._num_since_meeting += num_operations([step])
+        if self._meeting is not None and self._num_since_meeting > self._meeting.every:
+            self.line(self._meeting.wait)
+            self._num_since_meeting = 0
+
+    @property
+    def _meeting(self) -> Meeting | None:
+        return None if self._num_alone else self.target.meeting
 
     def operand(self, variable: int | float | str) -> str:
         """The variable's name, or its value if it is a constant."""
@@ -240,10 +267,13 @@ class Writer:
         count, next_count, running, next_running = (self.name() for _ in range(4))
         begun, truth = self.block, self.target.truth
         known = dict(self._angles)
+        meeting = self._meeting
+        alone = meeting is not None and num_operations(loop.body) <= meeting.every
+        self._num_alone += alone
         self.line(f"br label %{head}")
         self.lines.append(f"{head}:")
         place = len(self.lines)  # of the phis, which need the last block of the body
-        any_runs = self.any(running)
+        any_runs = self._any_runs(running)
         is_left = self.value(f"icmp slt i32 {count}, {loop.most}")
         goes_on = self.value(f"and i1 {any_runs}, {is_left}")
         self.line(f"br i1 {goes_on}, label %{inside}, label %{after}")
@@ -253,8 +283,7 @@ class Writer:
         kept = dict[int, str]()
         for variable, _, value in loop.carried:
             kept[variable] = self.operand(value)
-            # A single environment is in the loop only while it runs.
-            if loop.improves is not None and self.target.width > 1:
+            if loop.improves is not None and self._goes_on_for_others:
                 kept[variable] = self.name()
                 self.select(kept[variable], running, self.operand(value), f"%v{variable}")
         true = self.target.splat("i1", "true")
@@ -274,6 +303,7 @@ class Writer:
         ]
         self.lines.append(f"{after}:")
         self.block, self._angles = after, known
+        self._num_alone -= alone
 
     def _branch(self, branch: Branch) -> None:
         inside, after = self.name()[1:], self.name()[1:]
@@ -282,7 +312,9 @@ class Writer:
         self.line(f"br i1 {self.any(condition)}, label %{inside}, label %{after}")
         self.lines.append(f"{inside}:")
         self.block = inside
+        self._num_alone += 1
         self.write(branch.body)
+        self._num_alone -= 1
         found = dict[int, str]()
         for variable, value, otherwise in branch.results:
             found[variable] = self.operand(value)
@@ -297,6 +329,17 @@ class Writer:
                 f"[ {found[variable]}, %{self.block} ], [ {self.operand(otherwise)}, %{begun} ]"
             )
         self.block, self._angles = after, known
+
+    @property
+    def _goes_on_for_others(self) -> bool:
+        """Whether an environment stays in a loop while others run."""
+        return self.target.width > 1 or self._meeting is not None
+
+    def _any_runs(self, running: str) -> str:
+        """Of the environments that go through a loop together."""
+        if self._meeting is None:
+            return self.any(running)
+        return self.value(f"{self._meeting.any}(i32 0, i1 {running})")
 
     def any(self, truth: str) -> str:
         """Whether it is true for an environment of the vector."""

@@ -1,0 +1,73 @@
+"""Which threads of a kernel wait for each other, and where."""
+
+import re
+
+from core.physics.compiled.code.gpu_kernel import gpu_kernel, most_warps
+from core.physics.compiled.program.arithmetic import Number, sine
+from core.physics.compiled.program.flow import repeat, where_needed
+from core.physics.compiled.program.program import Program
+
+WAIT, ASK = "call void @llvm.nvvm.barrier", "call i1 @llvm.nvvm.barrier"
+
+
+def chain(x: Number, length: int) -> Number:
+    for _ in range(length):
+        x = sine(x)
+    return x
+
+
+def program_of(length: int) -> Program:
+    """A loop of about this length, in it another loop of 50 operations and a branch of 3,000."""
+    program = Program()
+
+    def body(carried: list[Number]) -> tuple[list[Number], Number]:
+        x = chain(carried[0], length)
+        (y,) = repeat(4, lambda own: ([chain(own[0], 50)], own[0] < 1.0), [x])
+        return where_needed(y < 0.5, lambda: [chain(y, 3_000)], lambda _: [y]), y < 2.0
+
+    program.output("y", repeat(5, body, list(program.inputs("x", 1))))
+    return program
+
+
+def test_warps_stay_together_in_a_large_program() -> None:
+    program = program_of(20_000)
+    code = gpu_kernel(program, "run")
+    assert most_warps(program, None) == 8
+    assert '"nvvm.maxntid"="256"' in code
+    # Before the loop, after each thousand of its chain, before and after the branch.
+    assert code.count(WAIT) == 1 + 20 + 2
+    # In the long loop alone.
+    assert code.count(ASK) == 1
+
+
+def test_threads_do_not_wait_where_others_may_not_come() -> None:
+    """Waiting in a branch, or in a loop that each thread leaves for itself, would never end."""
+    lines = gpu_kernel(program_of(20_000), "run").splitlines()
+    waits = [number for number, line in enumerate(lines) if WAIT in line or ASK in line]
+    branches = [
+        (number, lines.index(f"{after[1]}:"))
+        for number, line in enumerate(lines)
+        if (after := re.search(r"br i1 %\w+, label %\w+, label %(\w+)$", line))
+    ]
+    # Of both loops and of the branch; outputs are written in blocks of their own.
+    (outer, *_), *inner = [one for one in branches if one[1] - one[0] > 50]
+    assert len(inner) == 2
+    assert min(waits) < outer
+    assert not [wait for first, last in inner for wait in waits if first < wait < last]
+
+
+def test_threads_of_a_small_program_go_alone() -> None:
+    program = program_of(1_000)
+    code = gpu_kernel(program, "run")
+    assert most_warps(program, None) == 1
+    assert '"nvvm.maxntid"="32"' in code
+    assert WAIT not in code
+    assert ASK not in code
+
+
+def test_a_program_in_sections_goes_alone() -> None:
+    program = program_of(20_000)
+    code = gpu_kernel(program, "run", section_size=2_000)
+    assert most_warps(program, 2_000) == 1
+    assert WAIT not in code
+    assert ASK not in code
