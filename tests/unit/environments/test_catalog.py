@@ -159,8 +159,8 @@ STARS = {"brittle_star", "brittle_star_light_escape", "brittle_star_undirected"}
         ("cpu", 4096, {"corridor", "rodent", *STARS}),
         # A rollout of one episode: these take longer to compile than C MuJoCo takes for it.
         ("cpu", 1, set[str]()),
-        ("gpu", 4096, {"corridor"}),
-        ("gpu", 1, {"corridor"}),
+        ("gpu", 4096, {"corridor", *STARS}),
+        ("gpu", 1, {"corridor", *STARS}),
     ],
 )
 def test_auto_takes_compiled_for_the_bodies_it_was_measured_on_where_it_is_installed(

@@ -21,7 +21,7 @@ from core.environments.brittle_star.options import DirectedOptions, LightEscapeO
 from core.environments.info import FiniteSpace
 from core.errors import JobFailed, Rejected
 from core.physics import availability
-from core.physics.availability import choose
+from core.physics.availability import PACKAGES, choose
 from core.physics.choose import engine_builder
 
 STARS = [info.id for info in INFOS]
@@ -293,12 +293,26 @@ def test_mjx_is_refused_for_more_segments_than_it_compiles_in_time() -> None:
 
 
 @pytest.mark.parametrize("task", STARS)
-def test_a_gpu_gets_warp_and_the_host_without_warp(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for is_there, engine in ((True, "warp"), (False, "native")):
-        monkeypatch.setattr(
-            availability, "is_installed", lambda name, found=is_there: name != "warp" or found
-        )
-        assert choose("auto", "gpu", 2048, catalog.find(task).on_a_gpu).name == engine
+@pytest.mark.parametrize(
+    ("options", "installed", "engine"),
+    [
+        ({}, {"compiled", "warp"}, "compiled"),
+        ({}, {"warp"}, "warp"),
+        ({}, set[str](), "native"),
+        # An arm's code would be too long, or no arm is like the others.
+        ({"num_segments_per_arm": 6}, {"compiled", "warp"}, "warp"),
+        ({"num_segments_per_arm": [5, 5, 5, 5, 4]}, {"compiled", "warp"}, "warp"),
+        # The walls' contacts are more than it covers.
+        ({"walls": "contacts"}, {"compiled", "warp"}, "warp"),
+    ],
+)
+def test_a_gpu_gets_the_engine_that_is_quickest_there(
+    task: str, options: dict[str, Any], installed: set[str], engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(availability, "is_installed", lambda name: name not in PACKAGES or name in installed)
+    info = catalog.find(task)
+    row = info.under(catalog.parse_options(info, options))
+    assert choose("auto", "gpu", 2048, row.on_a_gpu, row.cannot_run).name == engine
 
 
 @pytest.mark.parametrize("task", STARS)
