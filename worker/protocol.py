@@ -105,7 +105,8 @@ class Task(Stored):
     device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to resume
     from (training), or to take the policy from (rollout). checkpoint_step: its environment step. model: path
     of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with the
-    reasons. begun_on: the engine of the job's own checkpoint, which `auto` then takes again.
+    reasons. begun_on: the engine of the job's own checkpoint, which `auto` then takes again. lent_by: the
+    engine that moved the environments in another job's checkpoint, which `auto` takes if no other can.
     """
 
     job_id: str
@@ -117,3 +118,4 @@ class Task(Stored):
     model: str | None = None
     engines_that_cannot: dict[EngineName, str] = {}
     begun_on: EngineName | None = None
+    lent_by: EngineName | None = None

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Annotated, Any, TypeVar
 
-from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from core.algorithms.memory import Memory
 from core.algorithms.ppo import checks as ppo_checks
@@ -102,6 +102,16 @@ def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnyS
     if refusal := ALGORITHMS[spec.algorithm()].refusal(settings, environment, device):
         raise refusal
     return settings
+
+
+def reported(hyperparameters: Mapping[str, Any]) -> BaseSpec:
+    """The settings of a run from its record, without those that only another version has."""
+    spec = ALGORITHMS[hyperparameters["kind"]].spec
+    try:
+        return spec.model_validate(hyperparameters)
+    except ValidationError as error:
+        foreign = {one["loc"][0] for one in error.errors() if one["type"] == "extra_forbidden"}
+    return spec.model_validate({name: hyperparameters[name] for name in {*hyperparameters} - foreign})
 
 
 def least_memory(settings: BaseSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from core.algorithms.catalog import ALGORITHMS, resolve
+from core.algorithms.catalog import reported, resolve
 from core.algorithms.spec import BaseSpec, check_resumption
 from core.documents import Strict
 from core.environments import catalog
@@ -24,7 +24,7 @@ from core.jobs.spec import (
     ZeroPolicy,
 )
 from core.jobs.store import JobStore
-from core.physics.availability import check_physics
+from core.physics.availability import check_physics, share_states
 from core.rendering.camera import check_cameras, check_width, model_camera
 from core.user_models.record import Description
 from core.user_models.store import ModelStore
@@ -135,14 +135,11 @@ def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> No
 
 
 def _check_engine(spec: TrainSpec, source: Job) -> None:
-    """Warp states have one extra field, so a checkpoint cannot move between warp and another engine.
-
-    `auto` is resolved on the worker and cannot be checked here.
-    """
-    had = next((attempt.engine for attempt in reversed(source.attempts) if attempt.engine), None)
+    """`auto` takes an engine that can go on from the checkpoint."""
+    had = source.engine
     if had is None or spec.physics == "auto" or not spec.algorithm.checkpoint_holds_envs:
         return
-    if (had == "warp") != (spec.physics == "warp"):
+    if not share_states(had, spec.physics):
         detail = (
             f"The checkpoint holds states of the engine {had}, and a run on {spec.physics} cannot resume "
             f"from them: ask for {had}."
@@ -166,7 +163,7 @@ def _check_fit(spec: TrainSpec, info: EnvironmentInfo, source: Job) -> None:
     used = [a.details["hyperparameters"] for a in source.attempts if "hyperparameters" in a.details]
     if not used:
         return
-    made_with = ALGORITHMS[used[-1]["kind"]].spec.model_validate(used[-1])
+    made_with = reported(used[-1])
     refusals: list[Rejected] = []
     for device in DEVICES[spec.resources.kind]:
         try:

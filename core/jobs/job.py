@@ -150,6 +150,11 @@ class Job(Stored):
         return next((attempt for attempt in reversed(self.attempts) if attempt.device), None)
 
     @property
+    def engine(self) -> str | None:
+        """The physics engine of the newest attempt that reported one."""
+        return next((attempt.engine for attempt in reversed(self.attempts) if attempt.engine), None)
+
+    @property
     def accelerator(self) -> Accelerator:
         """The kind of device that the next attempt needs: the kind that made the job's checkpoint, if any.
 

@@ -53,6 +53,11 @@ def check_installed(engine: EngineName) -> None:
         )
 
 
+def share_states(one: str, other: str) -> bool:
+    """Whether environments that one engine moved can go on under the other. Warp's have a field more."""
+    return (one == "warp") == (other == "warp")
+
+
 def beyond_compiled(reason: str) -> str:
     """The sentence that refuses the engine `compiled`. reason: that of `compiled.coverage.uncovered`."""
     return f"The engine 'compiled' cannot run the model: {reason}. Choose another engine, or omit `physics`."

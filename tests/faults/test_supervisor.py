@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
+from core.algorithms.ppo.spec import PPOSpec
 from core.errors import RecordsUnavailable, StorageUnavailable
 from core.jobs.job import utc_now
 from core.jobs.status import JobStatus
@@ -98,6 +99,17 @@ def test_an_attempt_that_goes_on_keeps_the_hyperparameters_and_the_engine_of_the
     # Tuned values may have changed since, with the version of a worker; its checkpoint would not fit them.
     assert task["spec"]["algorithm"] == {"kind": "ppo", "num_envs": 64, "learning_rate": 0.125}
     assert task["begun_on"] == "mjx"
+
+
+def test_a_job_that_resumes_from_another_knows_the_engine_that_moved_its_environments(bench: Bench) -> None:
+    source = bench.run("says_what_it_runs_on_and_is_killed")
+    same = PPOSpec(num_envs=64).model_dump(mode="json")
+    job = bench.submit(resume_from={"job": source.id}, algorithm=same)
+    bench.supervisor(job, "keeps_its_task").run()
+    kept = bench.store.get(job.id).newest("policy")
+    assert kept is not None
+    task = json.loads(bench.objects.get(kept.key))
+    assert (task["lent_by"], task["begun_on"]) == ("mjx", None)
 
 
 def test_attempts_run_out(bench: Bench) -> None:

@@ -4,6 +4,7 @@ import hashlib
 from pathlib import Path
 from typing import get_args
 
+from core.algorithms.catalog import reported
 from core.errors import JobFailed, NotFound, ObjectNotFound
 from core.jobs.attempts import Claim
 from core.jobs.checks import source_checkpoint
@@ -29,10 +30,11 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     model has ("bad_model"), or if no checkpoint of another job is whole ("bad_checkpoint").
     """
     notes: list[str] = []
+    task = _as_begun(Task(job_id=job.id, attempt=claim.number, spec=job.spec, device=device), job.begun)
     checkpoint = _own_checkpoint(job, claim, spool, notes)
     if checkpoint is None:
         checkpoint = _lent_checkpoint(job, claim, spool, notes)
-    task = _as_begun(Task(job_id=job.id, attempt=claim.number, spec=job.spec, device=device), job.begun)
+        task = _as_lent(task, claim)
     if checkpoint is not None:
         task = task.model_copy(update={"checkpoint": _FILE, "checkpoint_step": checkpoint.step or 0})
     task = _with_model(task, claim, spool)
@@ -100,13 +102,22 @@ def _as_begun(task: Task, begun: Attempt | None) -> Task:
     spec = task.spec
     if begun is None or not isinstance(spec, TrainSpec):
         return task
-    had = begun.details.get("hyperparameters", {})
-    known = {name: value for name, value in had.items() if name in type(spec.algorithm).model_fields}
-    if known:
-        spec = spec.model_copy(update={"algorithm": type(spec.algorithm).model_validate(known)})
-    # Environments with physics of their own name that instead, and have no choice.
-    engine = begun.engine if begun.engine in get_args(EngineName) else None
-    return task.model_copy(update={"spec": spec, "begun_on": engine})
+    if had := begun.details.get("hyperparameters"):
+        spec = spec.model_copy(update={"algorithm": reported(had)})
+    return task.model_copy(update={"spec": spec, "begun_on": _choice(begun.engine)})
+
+
+def _as_lent(task: Task, claim: Claim) -> Task:
+    """The task of a training that goes on in the environments of another job's checkpoint, if it does."""
+    spec = task.spec
+    if not isinstance(spec, TrainSpec) or spec.source is None or not spec.algorithm.checkpoint_holds_envs:
+        return task
+    return task.model_copy(update={"lent_by": _choice(claim.store.get(spec.source.job).engine)})
+
+
+def _choice(engine: str | None) -> EngineName | None:
+    """Environments with physics of their own name that instead, and have no choice."""
+    return next((name for name in get_args(EngineName) if name == engine), None)
 
 
 def _with_model(task: Task, claim: Claim, spool: Path) -> Task:

@@ -19,7 +19,8 @@ from core.environments.info import Device, EnvironmentInfo
 from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
-from core.physics.choose import EngineChoice, choose, engine_builder
+from core.physics.availability import EngineChoice, choose, share_states
+from core.physics.choose import engine_builder
 from core.reasons import Reason
 from worker.protocol import Started, Task
 from worker.training.compilations import keep_machine_code, keep_programs, keep_warp_kernels
@@ -75,8 +76,8 @@ def build_environment(task: Task) -> BuiltEnvironment:
         info = replace(info, cannot_run=task.engines_that_cannot)
     num_envs = _num_envs(task.spec, info, device) // num_devices
     choice = choose(task.spec.physics, device, num_envs, info.rules_on(device), info.cannot_run)
-    if task.spec.physics == "auto" and task.begun_on is not None:
-        choice = EngineChoice(task.begun_on, "The job's checkpoint was made on it.")
+    if task.spec.physics == "auto":
+        choice = _that_can_go_on(choice, task)
     if choice.name == "warp":
         keep_warp_kernels()
     if choice.name == "compiled":
@@ -89,6 +90,15 @@ def build_environment(task: Task) -> BuiltEnvironment:
     if info.own_physics:
         engine, reason = info.own_physics, f"{info.id} brings its own physics."
     return BuiltEnvironment(info, environment, device, name, engine, reason, num_devices)
+
+
+def _that_can_go_on(choice: EngineChoice, task: Task) -> EngineChoice:
+    """The choice, or the engine that made the checkpoint where the run needs that one."""
+    if task.begun_on is not None:
+        return EngineChoice(task.begun_on, "The job's checkpoint was made on it.")
+    if task.lent_by is not None and not share_states(choice.name, task.lent_by):
+        return EngineChoice(task.lent_by, "The checkpoint that the job resumes from was made on it.")
+    return choice
 
 
 def _brought_by(info: EnvironmentInfo) -> list[str]:

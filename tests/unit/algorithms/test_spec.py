@@ -3,8 +3,9 @@ from typing import Any, get_args
 
 import pytest
 from brax.training.networks import ACTIVATION
+from pydantic import ValidationError
 
-from core.algorithms.catalog import resolve
+from core.algorithms.catalog import reported, resolve
 from core.algorithms.ppo.spec import Activation, PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.spec import check_resumption
@@ -33,6 +34,26 @@ def test_a_lowest_learning_rate_above_the_highest_is_refused() -> None:
         "/algorithm/learning_rate_schedule_min_lr",
         "/algorithm/learning_rate_schedule_max_lr",
     ]
+
+
+@pytest.mark.parametrize(
+    ("spec", "renamed"),
+    [
+        (PPOSpec(learning_rate=0.125), {}),
+        # The names of version 0.1.
+        (
+            QLearningSpec.model_validate({"state_discretizer": {"kind": "arm_role"}}),
+            {"state_discretizer": "indexer", "action_set": "mapper"},
+        ),
+    ],
+)
+def test_settings_that_another_version_recorded_are_understood(
+    spec: PPOSpec | QLearningSpec, renamed: dict[str, str]
+) -> None:
+    record = {renamed.get(name, name): value for name, value in spec.model_dump(mode="json").items()}
+    assert reported({**record, "of_another_version": 1}) == spec
+    with pytest.raises(ValidationError):
+        reported({**record, "discounting": 2.0, "of_another_version": 1})
 
 
 def test_an_observation_that_the_environment_does_not_have_is_refused() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from core.errors import JobFailed
 from core.jobs.spec import JOB_SPEC
+from core.physics.availability import EngineName, PhysicsChoice
 from worker.protocol import Task
 from worker.training.built_environment import build_environment
 
@@ -55,6 +56,23 @@ def test_a_job_that_goes_on_takes_the_engine_of_its_checkpoint_where_the_choice_
     assert build_environment(begun).engine == "mjx"
     asked_for = spec.model_copy(update={"physics": "native"})
     assert build_environment(begun.model_copy(update={"spec": asked_for})).engine == "native"
+
+
+@pytest.mark.parametrize(
+    ("physics", "lent_by", "engine"),
+    [
+        # Environments that `warp` moved go on under no other, and `compiled` takes those of `native`.
+        ("auto", "warp", "warp"),
+        ("auto", "native", "compiled"),
+        ("native", "mjx", "native"),
+    ],
+)
+def test_a_job_that_resumes_from_another_gets_an_engine_that_can_go_on(
+    physics: PhysicsChoice, lent_by: EngineName, engine: str
+) -> None:
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": "hopper", "physics": physics})
+    task = Task(job_id="j", attempt=1, spec=spec, device="cpu", lent_by=lent_by)
+    assert build_environment(task).engine == engine
 
 
 def test_training_and_rollout_share_the_engine_that_auto_takes_and_a_begun_training_keeps_its_own() -> None:
