@@ -17,6 +17,7 @@ from bench.measure.result import Options, Result
 DEFAULT = {
     "physics": "bench.cpu.physics",
     "compiled": "bench.cpu.compiled",
+    "gate": "bench.cpu.gate",
     "training": "bench.cpu.training",
     "corridor": "bench.cpu.corridor",
     "q_learning": "bench.cpu.q_learning",
@@ -40,6 +41,7 @@ ON_A_GPU = {
     "gpu_compiled": "bench.gpu.compiled",
     "gpu_returns": "bench.gpu.returns",
     "gpu_resume": "bench.gpu.resume",
+    "gpu_gate": "bench.gpu.gate",
     "gpu_ant": "bench.gpu.ant",
     "gpu_humanoid": "bench.gpu.humanoid",
     "gpu_bodies": "bench.gpu.bodies",

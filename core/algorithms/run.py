@@ -76,6 +76,7 @@ class Run(Generic[S]):
         )
         self._loop = Loop(schedule, epoch_s)
         self._state: S | None = None
+        self._functions: CompiledFunctions[S] | None = None
         if resume is not None:
             self._restore(resume)
 
@@ -95,8 +96,20 @@ class Run(Generic[S]):
         Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state before
         the update that gave it; after a bad evaluation, the state that was evaluated.
         """
-        functions = yield from self._prepare()
+        self._functions = functions = yield from self._prepare()
         yield from self._loop.events(partial(self._train, functions), partial(self._evaluate, functions))
+
+    def evaluate(self, seed: int) -> dict[str, float]:
+        """The metrics of episodes with other starts than the run's own evaluations have.
+
+        Valid after the first event of training; the run goes on as if it had not been called.
+        """
+        state = self._begun
+        if self._functions is None:
+            raise RuntimeError("The run has no compiled functions before its first event.")
+        key = jax.random.fold_in(state.eval_key, seed)
+        totals = self._functions.evaluate(self._algorithm.evaluated(state), key, state.num_updates)
+        return self._algorithm.after_evaluation(state, jax.device_get(totals))[1]
 
     def checkpoint(self) -> bytes:
         """The whole state of the run: equal states give equal bytes.

@@ -1,0 +1,56 @@
+"""Seconds until a body moves as well as Brax's trainer leaves it after its whole budget, on a GPU."""
+
+from bench.measure import gate, requests
+from bench.measure.gate import Gate
+from bench.measure.marks import ON_A_GPU
+from bench.measure.result import Options, Result
+from bench.measure.runs import Runs
+
+_GATES = [
+    Gate(
+        "ant",
+        ON_A_GPU["ant"],
+        every_steps=1_000_000,
+        most_steps=40_000_000,
+        peer_engine="mjx",
+        warm_s=10,
+        cold_s=20,
+        warm_times=6,
+        cold_times=4,
+    ),
+    Gate(
+        "humanoid",
+        ON_A_GPU["humanoid"],
+        every_steps=2_000_000,
+        most_steps=40_000_000,
+        peer_engine="mjx",
+        warm_s=20,
+        cold_s=35,
+    ),
+    *(
+        Gate(body, ON_A_GPU[body], 2_000_000, 40_000_000, peer_engine="mjx", warm_times=5)
+        for body in ("half_cheetah", "hopper", "walker2d")
+    ),
+]
+
+
+def measure(options: Options) -> Result:
+    """Body by body: one cold run of each trainer, then the seeds from a warm cache."""
+    device = requests.gpu("gpu_gate", options)
+    gates = _GATES[:1] if options.quick else _GATES
+    runs = Runs("gpu_gate", options)
+    runs.make(work for one in gates for work in gate.works(device, one, options))
+    pictures = [gate.picture(one, "gpu_gate", runs.done) for one in gates]
+    return Result(
+        name="gpu_gate",
+        title="Seconds to Brax's final return",
+        command="./run bench gpu_gate",
+        quick=options.quick,
+        machine=runs.where(),
+        figures=[figure for one in gates for figure in gate.figures(one, runs)],
+        table=gate.table(gates, runs.done),
+        rows=gate.rows(runs.done),
+        notes=[*gate.NOTES, *runs.notes()],
+        pictures=[one for one in pictures if one],
+        unfinished=runs.left,
+    )

@@ -1,0 +1,57 @@
+"""This project's PPO until the body reaches a mark: `python -m bench.ours.reach_mark FOLDER`.
+
+Request: environment, engine, settings (hyperparameters), seed, device (`cpu` or `gpu`); mark
+(bench.measure.marks); cache (a folder for compiled programs, or null).
+"""
+
+import time
+from typing import Any
+
+from bench.measure.cache import keep_compiled
+from bench.measure.child import answer
+
+
+def work(request: dict[str, Any]) -> dict[str, Any]:
+    """curve: [[steps, value of the mark's metric, seconds from the call], …]; reached_s: of them, at the end
+    of the first evaluation that reached the mark, if another with other starts did so, too; reached_at: the
+    time of that; confirmed: the value of the other; phases: seconds by name; training_s, evaluation_s: until
+    then."""
+    from core.algorithms.catalog import resolve
+    from core.algorithms.events import Evaluated, Phase, Progress
+    from core.algorithms.ppo.spec import PPOSpec
+    from core.algorithms.run import make_run
+    from core.environments import catalog
+    from core.physics.choose import engine_builder
+
+    keep_compiled(request)
+    mark = request["mark"]
+    info = catalog.find(request["environment"])
+    environment = catalog.make(info, catalog.parse_options(info, {}), engine_builder(request["engine"]))
+    settings = resolve(PPOSpec.model_validate(request["settings"]), info, request["device"])
+    began = time.perf_counter()
+    run = make_run(environment, settings, seed=request["seed"], checkpoint_every_steps=None)
+    told: dict[str, Any] = {"curve": [], "reached_s": None, "reached_at": None, "confirmed": None}
+    told |= {"phases": {}, "training_s": 0.0, "evaluation_s": 0.0}
+    for event in run.events():
+        match event:
+            case Phase(name=name, seconds=seconds):
+                told["phases"][name] = seconds
+            case Progress(metrics=metrics):
+                told["training_s"] = metrics["training/walltime"]
+            case Evaluated(step=step, metrics=metrics):
+                reached_at, seconds = time.time(), time.perf_counter() - began
+                told["evaluation_s"] = metrics["eval/walltime"]
+                told["curve"].append((step, metrics[mark["metric"]], seconds))
+                if metrics[mark["metric"]] < mark["least"]:
+                    continue
+                again = run.evaluate(1_000)[mark["metric"]]
+                if again >= mark["least"]:
+                    told.update(reached_s=seconds, reached_at=reached_at, confirmed=again)
+                    break
+            case _:
+                pass
+    return told
+
+
+if __name__ == "__main__":
+    answer(work)
