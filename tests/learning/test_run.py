@@ -98,3 +98,24 @@ def test_a_loss_that_overflows_is_told_from_a_reward_that_does() -> None:
         list(run.events())
     assert failure.value.facts == {"step": STEPS_PER_UPDATE, "quantity": "policy loss"}
     assert run.step == 0
+
+
+def test_a_second_evaluation_has_other_starts_and_changes_nothing() -> None:
+    """The probe's reward is what an episode's start drew."""
+    runs = [
+        small_run(probes.observed_reward(), num_timesteps=2 * STEPS_PER_UPDATE, num_evals=1) for _ in range(2)
+    ]
+    seen = list[float]()
+    for event in runs[0].events():
+        if isinstance(event, Evaluated):
+            values = [runs[0].evaluate(seed)["eval/episode_reward"] for seed in (1, 1, 2)]
+            seen = [event.metrics["eval/episode_reward"], *values]
+    assert seen[1] == seen[2]
+    assert len(set(seen)) == 3
+    list(runs[1].events())
+    assert runs[0].checkpoint() == runs[1].checkpoint()
+
+
+def test_a_run_that_has_not_begun_has_nothing_to_evaluate() -> None:
+    with pytest.raises(RuntimeError, match="before its first event"):
+        small_run(probes.observed_reward()).evaluate(1)

@@ -16,7 +16,7 @@ from bench.measure.result import Options, Result
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
-    *("q_learning", "gpu_q_learning", "compiled"),
+    *("q_learning", "gpu_q_learning", "compiled", "gate", "gpu_gate"),
 )
 SECONDS = {
     "epoch": [0.010],
@@ -42,6 +42,12 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
         return {"rates": rates, "began_at": 0.0, "process_s": 9.0}
     if module == "bench.peers.notebook_star":
         return {"control_steps_per_second": 2.0, "compile_s": 90.0, "began_at": 0.0, "process_s": 9.0}
+    if module.endswith(".reach_mark"):
+        theirs = {"curve": [(50, 1.0, 30.0), (100, 2.0, 60.0)], "reached_s": 60.0, "reached_at": 1062.0}
+        own = {"curve": [(50, 2.0, 10.0)], "reached_s": 10.0 + request["seed"], "reached_at": 1012.0}
+        parts = {"confirmed": 2.0, "phases": {}, "training_s": 7.0, "evaluation_s": 1.0}
+        own = theirs if module.startswith("bench.peers") else {**own, **parts}
+        return {**own, "began_at": 1000.0, "process_s": 13.0}
     reward = request["seed"] if ours else request["seed"] - 1
     return {
         "training": [(50, 0.9), (100, 1.0)],
@@ -114,6 +120,26 @@ def test_a_result_without_any_run_says_what_is_left(
     result = measured(name, tmp_path, monkeypatch, only="nothing")
     assert result.unfinished
     assert "Not made yet" in report.markdown(result)
+
+
+def test_the_gate_compares_the_seconds_to_the_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = figures(measured("gate", tmp_path, monkeypatch))
+    assert found["ant, warm, median of the seeds"] == pytest.approx(10.5)
+    assert found["ant, the worst seed ÷ the median"] == pytest.approx(11 / 10.5)
+    assert found["ant, cold: Brax ÷ ours"] == pytest.approx(6.0)
+    assert found["ant, warm, from the process's start"] == pytest.approx(12.0)
+
+
+def test_a_seed_that_never_reached_the_mark_is_a_miss(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def one_fails(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
+        run = answered(module, request, timeout_s=timeout_s)
+        return run if request["seed"] == 0 else {**run, "reached_s": None, "reached_at": None}
+
+    result = measured("gate", tmp_path, monkeypatch, one_fails)
+    assert figures(result)["ant, warm, median of the seeds"] is None
+    assert "1 of 2 runs did not reach the mark" in report.markdown(result)
 
 
 def test_the_difference_of_returns_is_in_standard_errors(
