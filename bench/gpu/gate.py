@@ -1,7 +1,8 @@
 """Seconds until a body moves as well as Brax's trainer leaves it after its whole budget, on a GPU."""
 
-from bench.measure import gate, requests
-from bench.measure.gate import Gate
+from bench.cpu import gate
+from bench.cpu.gate import Gate
+from bench.measure import requests
 from bench.measure.marks import ON_A_GPU
 from bench.measure.result import Options, Result
 from bench.measure.runs import Runs

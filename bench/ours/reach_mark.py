@@ -1,9 +1,11 @@
 """This project's PPO until the body reaches a mark: `python -m bench.ours.reach_mark FOLDER`.
 
 Request: environment, engine, settings (hyperparameters), seed, device (`cpu` or `gpu`); mark
-(bench.measure.marks); cache (a folder for compiled programs, or null).
+(bench.measure.marks); cache (a folder for compiled programs, or null). A line [steps, value, seconds] of JSON
+on the standard output follows each evaluation; its seconds are those of training and evaluating alone.
 """
 
+import json
 import time
 from typing import Any
 
@@ -42,6 +44,8 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
                 reached_at, seconds = time.time(), time.perf_counter() - began
                 told["evaluation_s"] = metrics["eval/walltime"]
                 told["curve"].append((step, metrics[mark["metric"]], seconds))
+                at_work = told["training_s"] + told["evaluation_s"]
+                print(json.dumps([step, metrics[mark["metric"]], at_work]), flush=True)
                 if metrics[mark["metric"]] < mark["least"]:
                     continue
                 again = run.evaluate(1_000)[mark["metric"]]
