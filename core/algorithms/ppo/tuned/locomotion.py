@@ -47,13 +47,19 @@ def _gpu(**own: Any) -> PPOSpec:
 
 
 ANT: Mapping[Device, PPOSpec] = {
+    # Chosen among 40 variants on two cores (docs/experiments/cpu_training.md), for the time to a running ant.
     "cpu": _cpu(
         num_timesteps=3_000_000,
-        unroll_length=5,
+        unroll_length=10,
         batch_size=64,
         num_minibatches=8,
+        learning_rate=1e-3,
+        entropy_cost=1e-2,
         discounting=0.97,
+        clipping_epsilon=0.2,
         reward_scaling=0.1,
+        value_hidden_layer_sizes=[64, 64],
+        activation="tanh",
     ),
     "gpu": _gpu(
         num_evals=1,

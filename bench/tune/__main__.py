@@ -1,0 +1,125 @@
+"""Search for the settings of PPO under which a body reaches a mark soonest: `./run tune ant --minutes 60`.
+
+Each trial trains in a process of its own, on seeds that no bench uses; one that is behind is stopped. What
+counts is the worst seed's seconds of training and evaluating. Trials are kept in a file, and another call
+goes on from them. At the end the best are tried on more seeds, and the winner is written to a file: its
+`settings` are a job's `algorithm`.
+"""
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import optuna
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+
+from bench.measure.machine import this_machine
+from bench.measure.marks import ON_A_CPU, ON_A_GPU, Mark
+from bench.tune.space import first_trial
+from bench.tune.task import CONFIRMED, Task
+from core.environments import catalog
+from core.environments.info import Device
+from worker.host.device import visible_gpus
+
+_NUM_FINALISTS = 3
+
+
+def main() -> int:
+    given = _arguments()
+    task = _task(given)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    with warnings.catch_warnings(category=optuna.exceptions.ExperimentalWarning, action="ignore"):
+        sampler = optuna.samplers.TPESampler(seed=0, multivariate=True, n_startup_trials=12)
+    study = optuna.create_study(
+        study_name=f"{task.environment} on a {task.device}: {task.mark} within {task.most_s:g} s",
+        storage=JournalStorage(JournalFileBackend(str(given.study))),
+        sampler=sampler,
+        pruner=optuna.pruners.PercentilePruner(50.0, n_startup_trials=6),
+        direction="minimize",
+        load_if_exists=True,
+    )
+    if not study.trials:
+        study.enqueue_trial(first_trial(task.environment, task.device))
+    study.optimize(task.worst_seconds, timeout=60 * given.minutes, callbacks=[_tell])
+    found = _confirmed(task, study)
+    if found is None:
+        print("No trial reached the mark with every seed: try more --minutes, or more --seconds for a run.")
+        return 1
+    seconds, settings = found
+    out = given.out or Path(f"tuned-{task.environment}-{task.device}.json")
+    out.write_text(json.dumps(_record(task, settings, seconds), indent=1) + "\n")
+    print(f"At most {max(seconds):.1f} s over {len(seconds)} seeds. Written to {out}.")
+    return 0
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="./run tune", description=__doc__)
+    parser.add_argument("environment", help="an environment of the catalog, such as ant")
+    parser.add_argument("--mark", type=_mark, metavar="METRIC=VALUE", help="what an evaluation has to reach")
+    parser.add_argument("--minutes", type=float, default=60.0, help="of the search, without its end")
+    parser.add_argument("--seconds", type=float, default=40.0, help="at most for a run, compiling apart")
+    parser.add_argument("--every-steps", type=int, default=50_000, help="training between two evaluations")
+    parser.add_argument("--study", type=Path, default=Path("tune.journal"), help="the file with the trials")
+    parser.add_argument("--out", type=Path, help="what is found (tuned-ENVIRONMENT-DEVICE.json)")
+    given = parser.parse_args()
+    if given.environment not in catalog.BUILT_IN:
+        known = ", ".join(catalog.BUILT_IN)
+        parser.error(f"There is no environment {given.environment!r}; there are {known}.")
+    return given
+
+
+def _mark(text: str) -> Mark:
+    metric, _, least = text.partition("=")
+    return Mark(metric, float(least), "")
+
+
+def _task(given: argparse.Namespace) -> Task:
+    device: Device = "gpu" if visible_gpus() else "cpu"
+    mark = given.mark or (ON_A_GPU if device == "gpu" else ON_A_CPU).get(given.environment)
+    if mark is None:
+        raise SystemExit(
+            f"Nobody has set a mark for {given.environment!r} on a {device.upper()}: name one, such as "
+            "--mark eval/forward_speed=1.0."
+        )
+    return Task(given.environment, device, mark, given.seconds, given.every_steps)
+
+
+def _tell(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+    ended = [one.value for one in study.trials if one.value is not None]
+    value = "stopped" if trial.value is None else f"{trial.value:.1f} s"
+    best = f", the best {min(ended):.1f} s" if ended else ""
+    print(f"{time.strftime('%H:%M:%S')} trial {trial.number}: {value}{best}. {trial.params}", flush=True)
+
+
+def _confirmed(task: Task, study: optuna.Study) -> tuple[list[float], dict[str, Any]] | None:
+    """The finalist whose worst seed is soonest at the mark, with the seconds of its seeds."""
+    ended = sorted((trial.value, trial.number) for trial in study.trials if trial.value is not None)
+    found: list[tuple[list[float], dict[str, Any]]] = []
+    for _, number in ended[:_NUM_FINALISTS]:
+        settings = study.trials[number].user_attrs["settings"]
+        seconds = [task.seconds(settings, seed) for seed in CONFIRMED]
+        print(f"trial {number} again: {', '.join(f'{one:.1f} s' for one in seconds)}", flush=True)
+        if max(seconds) <= task.most_s:
+            found.append((seconds, settings))
+    return min(found, key=lambda one: max(one[0]), default=None)
+
+
+def _record(task: Task, settings: dict[str, Any], seconds: Sequence[float]) -> dict[str, Any]:
+    """What is needed to find them again."""
+    return {
+        "settings": {"kind": "ppo", **settings},
+        "command": " ".join(["./run tune", *sys.argv[1:]]),
+        "mark": task.mark.in_request(),
+        "seconds": [round(one, 1) for one in seconds],
+        "machine": this_machine().model_dump(),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())
