@@ -22,7 +22,7 @@ from gaitway.service.embedded.stack import Stack
 from gaitway.service.embedded.up import port_number, positive, report
 from gaitway.views import JobView
 
-_BUDGETS = {"ant": 1_500_000}
+_BUDGETS = {"ant": 1_200_000}
 
 
 @dataclass(frozen=True)
