@@ -1,45 +1,14 @@
-"""Seconds until an ant runs, on all cores of this machine; and what the same bench on a GPU is made of."""
+"""Seconds until an ant runs, on all cores of this machine; and the runs that such a bench is made of."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from statistics import median
 from typing import Any
 
 from bench.measure import requests
-from bench.measure.comparison import Row
 from bench.measure.marks import NUM_EPISODES, ON_A_CPU, Mark
-from bench.measure.result import Figure, Line, Options, Panel, Picture, Result, Table, at_least, at_most
-from bench.measure.runs import Run, Runs, Work
-from bench.measure.statistics import spread
+from bench.measure.result import Options, Result
+from bench.measure.runs import Runs, Work
+from bench.measure.time_to_mark import Gate, figures, picture, rows, table
 from bench.peers.published import PUBLISHED
 from core.environments.info import Device
-
-# How many times as long as the median seed the worst may take.
-_WORST = 1.5
-
-
-@dataclass(frozen=True)
-class Gate:
-    """One body's way to its mark.
-
-    every_steps: training steps from one evaluation to the next. most_steps: of the whole budget. warm_s,
-    cold_s: seconds from the call in which it is to be there; start_s: from the process's start, warm, with
-    each seed; warm_times, cold_times: how many times as fast as Brax. peer_engine: of Brax's trainer;
-    num_peers: its seeds, as they may take long.
-    """
-
-    body: str
-    mark: Mark
-    every_steps: int
-    most_steps: int
-    peer_engine: str
-    warm_s: float | None = None
-    cold_s: float | None = None
-    start_s: float | None = None
-    warm_times: float | None = None
-    cold_times: float | None = None
-    num_peers: int | None = None
-
 
 NOTES = [
     f"The mark is reached at the end of the first evaluation of {NUM_EPISODES} episodes that has it as its "
@@ -56,6 +25,7 @@ _ANT = Gate(
     every_steps=100_000,
     most_steps=3_000_000,
     peer_engine="native",
+    job_steps=700_000,
     start_s=25,
     num_peers=1,
 )
@@ -85,34 +55,44 @@ def works(device: Device, gate: Gate, options: Options) -> list[Work]:
     """Both trainers with nothing compiled, then every seed with what that left on disk, in turns."""
     body, seeds = requests.body(gate.body, options), options.seeds or (2 if options.quick else 5)
 
-    def ours(seed: int, **more: Any) -> Work:
+    requested = {"ours": _ours, "brax": _brax}
+    modules = {"ours": "bench.ours.reach_mark", "brax": "bench.peers.reach_mark"}
+
+    def work(who: str, seed: int, **more: Any) -> Work:
         return Work(
-            f"{gate.body}-ours-{'cold' if more.get('cold') else seed}",
-            "bench.ours.reach_mark",
-            _ours(device, body, gate, options, seed),
-            about_s=60,
-            cache=f"ours-{gate.body}",
+            f"{gate.body}-{who}-{'cold' if more.get('cold') else seed}",
+            modules[who],
+            requested[who](device, body, gate, options, seed),
+            about_s=60 if who == "ours" else 200,
+            cache=f"{who}-{gate.body}",
             **more,
         )
 
-    def brax(seed: int, **more: Any) -> Work:
-        return Work(
-            f"{gate.body}-brax-{'cold' if more.get('cold') else seed}",
-            "bench.peers.reach_mark",
-            _brax(device, body, gate, options, seed),
-            about_s=200,
-            cache=f"brax-{gate.body}",
-            **more,
-        )
-
-    ours_cold, brax_cold = ours(0, cold=True), brax(0, cold=True)
-    found = [ours_cold, brax_cold]
+    cold = {who: work(who, 0, cold=True) for who in modules}
+    found = list(cold.values())
     num_peers = min(seeds, gate.num_peers or seeds)
     for seed in range(seeds):
-        pair = [ours(seed, after=ours_cold)]
-        pair += [brax(seed, after=brax_cold)] if seed < num_peers else []
+        runners = modules if seed < num_peers else ("ours",)
+        pair = [work(who, seed, after=cold[who]) for who in runners]
         found += pair[:: -1 if seed % 2 else 1]
+    if gate.job_steps is not None:
+        request = {"device": device, "specification": _job(gate, body, options), "mark": _mark(gate, options)}
+        found.append(Work(f"{gate.body}-job", "bench.ours.post_job", request, about_s=120))
     return found
+
+
+def _job(gate: Gate, body: str, options: Options) -> dict[str, Any]:
+    """A job with the tuned settings that ends soon after the mark."""
+    steps = gate.job_steps or 0
+    algorithm = {
+        "num_timesteps": steps,
+        "num_evals": steps // gate.every_steps,
+        "num_eval_envs": NUM_EPISODES,
+    }
+    if options.quick:
+        algorithm = {"num_timesteps": 5_120, "num_evals": 1, "num_eval_envs": 2, "episode_length": 20}
+    video = {"seconds": 0.5} if options.quick else {}
+    return {"kind": "train", "environment": body, "algorithm": algorithm, "video": video}
 
 
 def _ours(device: Device, body: str, gate: Gate, options: Options, seed: int) -> dict[str, Any]:
@@ -139,120 +119,3 @@ def _brax(device: Device, body: str, gate: Gate, options: Options, seed: int) ->
 def _mark(gate: Gate, options: Options) -> dict[str, Any]:
     """One that everything reaches, if the bench is only tried out."""
     return Mark("eval/episode_reward", -1e9, "").in_request() if options.quick else gate.mark.in_request()
-
-
-def figures(gate: Gate, runs: Runs) -> list[Figure]:
-    """Seconds from the call to the mark; a run that did not come there has none, and misses."""
-    ours, brax = (_warm(gate, who, runs.done) for who in ("ours", "brax"))
-    ours_cold, brax_cold = (_cold(gate, who, runs.done) for who in ("ours", "brax"))
-    found = [
-        _seconds(f"{gate.body}, warm, median of the seeds", ours, gate.warm_s),
-        *_worst(gate, ours),
-        _seconds(f"{gate.body}, cold", ours_cold, gate.cold_s),
-        _seconds(f"{gate.body}, Brax, warm", brax, None),
-        _seconds(f"{gate.body}, Brax, cold", brax_cold, None),
-        _times(f"{gate.body}, warm: Brax ÷ ours", brax, ours, gate.warm_times),
-        _times(f"{gate.body}, cold: Brax ÷ ours", brax_cold, ours_cold, gate.cold_times),
-    ]
-    if ours and all(run["reached_s"] is not None for run in ours):
-        from_start = [run["reached_at"] - run["began_at"] for run in ours]
-        in_time = at_most(gate.start_s) if gate.start_s else None
-        worst = f"{gate.body}, warm, from the process's start, worst seed"
-        found.append(Figure(name=worst, value=max(from_start), unit="s", target=in_time))
-        steps = [float(run["curve"][-1][0]) for run in ours]
-        found.append(Figure.of(f"{gate.body}, steps until then", spread(steps), "steps"))
-    return found
-
-
-def _cold(gate: Gate, who: str, done: Mapping[str, Run]) -> list[Run]:
-    run = done.get(f"{gate.body}-{who}-cold")
-    return [] if run is None else [run]
-
-
-def _warm(gate: Gate, who: str, done: Mapping[str, Run]) -> list[Run]:
-    names = (name for name in done if name.startswith(f"{gate.body}-{who}-") and not name.endswith("-cold"))
-    return [done[name] for name in sorted(names)]
-
-
-def _seconds(name: str, runs: Sequence[Run], most: float | None) -> Figure:
-    target = at_most(most) if most else None
-    reached = [run["reached_s"] for run in runs if run["reached_s"] is not None]
-    if not runs or len(reached) < len(runs):
-        why = f"{len(runs) - len(reached)} of {len(runs)} runs did not reach the mark" if runs else "not run"
-        return Figure(name=name, value=None, unit="s", target=target, missing=why)
-    return Figure.of(name, spread(reached), "s", target)
-
-
-def _worst(gate: Gate, runs: Sequence[Run]) -> list[Figure]:
-    reached = [run["reached_s"] for run in runs if run["reached_s"] is not None]
-    if len(reached) < max(2, len(runs)):
-        return []
-    ratio = max(reached) / median(reached)
-    return [
-        Figure(
-            name=f"{gate.body}, the worst seed ÷ the median", value=ratio, unit="×", target=at_most(_WORST)
-        )
-    ]
-
-
-def _times(name: str, theirs: Sequence[Run], ours: Sequence[Run], least: float | None) -> Figure:
-    """Where Brax did not reach the mark, it is counted with the time that it was given: at least so many."""
-    target = at_least(least) if least else None
-    if not theirs or not ours or any(run["reached_s"] is None for run in ours):
-        return Figure(name=name, value=None, unit="×", target=target, missing="not reached")
-    own = median(run["reached_s"] for run in ours)
-    peers = median(run["reached_s"] or run["curve"][-1][2] for run in theirs)
-    return Figure(name=name, value=peers / own, unit="×", target=target)
-
-
-def rows(done: Mapping[str, Run]) -> list[Row]:
-    """Every evaluation of every run, for the JSON."""
-    return [
-        {"run": name, "steps": steps, "value": value, "seconds": seconds, "reached_s": run["reached_s"]}
-        for name, run in done.items()
-        for steps, value, seconds in run["curve"]
-    ]
-
-
-def table(gates: Sequence[Gate], done: Mapping[str, Run]) -> Table | None:
-    """Each run: where it was at its end, and what its seconds went into."""
-    rows = [
-        [
-            name,
-            f"{run['curve'][-1][0]:,}",
-            f"{run['curve'][-1][1]:,.2f} {gate.mark.unit}".strip(),
-            "not reached" if run["reached_s"] is None else f"{run['reached_s']:.1f}",
-            *(f"{run.get(part, 0.0):.1f}" if part in run else "" for part in ("training_s", "evaluation_s")),
-        ]
-        for gate in gates
-        for name, run in done.items()
-        if name.startswith(f"{gate.body}-") and run["curve"]
-    ]
-    headings = [
-        "run",
-        "steps",
-        "at the mark's evaluation",
-        "seconds to it",
-        "of which training",
-        "evaluating",
-    ]
-    return Table(headings=headings, rows=rows) if rows else None
-
-
-def picture(gate: Gate, bench: str, done: Mapping[str, Run]) -> Picture | None:
-    """The mark's metric against seconds from the call, all warm runs."""
-    lines = [
-        Line(label=label, points=[(seconds, value) for _, value, seconds in run["curve"]])
-        for who, label in (("ours", "ours"), ("brax", "Brax"))
-        for run in _warm(gate, who, done)
-        if run["curve"]
-    ]
-    if not lines:
-        return None
-    metric = "speed, m/s" if gate.mark.unit else "return"
-    title = f"{gate.body}, to {gate.mark.least:g}"
-    return Picture(
-        name=f"{bench}_{gate.body}",
-        caption=f"The {gate.body}'s {metric} against time, ours and Brax's, each seed a curve",
-        panels=[Panel(title=title, x="seconds from the call", y=metric, lines=lines)],
-    )

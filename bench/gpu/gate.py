@@ -1,11 +1,11 @@
 """Seconds until a body moves as well as Brax's trainer leaves it after its whole budget, on a GPU."""
 
-from bench.cpu import gate
-from bench.cpu.gate import Gate
+from bench.cpu.gate import NOTES, works
 from bench.measure import requests
 from bench.measure.marks import ON_A_GPU
 from bench.measure.result import Options, Result
 from bench.measure.runs import Runs
+from bench.measure.time_to_mark import Gate, figures, picture, rows, table
 
 _GATES = [
     Gate(
@@ -14,10 +14,12 @@ _GATES = [
         every_steps=1_000_000,
         most_steps=40_000_000,
         peer_engine="mjx",
+        job_steps=10_000_000,
         warm_s=10,
         cold_s=20,
         warm_times=6,
         cold_times=4,
+        video_s=20,
     ),
     Gate(
         "humanoid",
@@ -40,18 +42,18 @@ def measure(options: Options) -> Result:
     device = requests.gpu("gpu_gate", options)
     gates = _GATES[:1] if options.quick else _GATES
     runs = Runs("gpu_gate", options)
-    runs.make(work for one in gates for work in gate.works(device, one, options))
-    pictures = [gate.picture(one, "gpu_gate", runs.done) for one in gates]
+    runs.make(work for one in gates for work in works(device, one, options))
+    pictures = [picture(one, "gpu_gate", runs.done) for one in gates]
     return Result(
         name="gpu_gate",
         title="Seconds to Brax's final return",
         command="./run bench gpu_gate",
         quick=options.quick,
         machine=runs.where(),
-        figures=[figure for one in gates for figure in gate.figures(one, runs)],
-        table=gate.table(gates, runs.done),
-        rows=gate.rows(runs.done),
-        notes=[*gate.NOTES, *runs.notes()],
+        figures=[figure for one in gates for figure in figures(one, runs)],
+        table=table(gates, runs.done),
+        rows=rows(runs.done),
+        notes=[*NOTES, *runs.notes()],
         pictures=[one for one in pictures if one],
         unfinished=runs.left,
     )

@@ -42,6 +42,9 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
         return {"rates": rates, "began_at": 0.0, "process_s": 9.0}
     if module == "bench.peers.notebook_star":
         return {"control_steps_per_second": 2.0, "compile_s": 90.0, "began_at": 0.0, "process_s": 9.0}
+    if module == "bench.ours.post_job":
+        seconds = {"cold": {"mark": 25.0, "video": 40.0}, "warm": {"mark": 12.0, "video": None}}
+        return {**seconds, "began_at": 0.0, "process_s": 70.0}
     if module.endswith(".reach_mark"):
         theirs = {"curve": [(50, 1.0, 30.0), (100, 2.0, 60.0)], "reached_s": 60.0, "reached_at": 1062.0}
         own = {"curve": [(50, 2.0, 10.0)], "reached_s": 10.0 + request["seed"], "reached_at": 1012.0}
@@ -128,6 +131,9 @@ def test_the_gate_compares_the_seconds_to_the_mark(tmp_path: Path, monkeypatch: 
     assert found["ant, the worst seed ÷ the median"] == pytest.approx(11 / 10.5)
     assert found["ant, cold: Brax ÷ ours"] == pytest.approx(6.0)
     assert found["ant, warm, from the process's start, worst seed"] == pytest.approx(12.0)
+    assert found["ant, from the submission to the mark, warm"] == 12.0
+    assert found["ant, from the submission to the video, cold"] == 40.0
+    assert found["ant, from the submission to the video, warm"] is None
 
 
 def test_a_seed_that_never_reached_the_mark_is_a_miss(
@@ -135,7 +141,7 @@ def test_a_seed_that_never_reached_the_mark_is_a_miss(
 ) -> None:
     def one_fails(module: str, request: Mapping[str, Any], *, timeout_s: float) -> dict[str, Any]:
         run = answered(module, request, timeout_s=timeout_s)
-        return run if request["seed"] == 0 else {**run, "reached_s": None, "reached_at": None}
+        return run if request.get("seed", 0) == 0 else {**run, "reached_s": None, "reached_at": None}
 
     result = measured("gate", tmp_path, monkeypatch, one_fails)
     assert figures(result)["ant, warm, median of the seeds"] is None
