@@ -149,7 +149,11 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/physics",
             "no contacts between ellipsoids and boxes",
         ),
-        (star(walls="contacts") | {"physics": "compiled"}, "/physics", "1000 constraint rows"),
+        (
+            star(walls="contacts", num_segments_per_arm=12) | {"physics": "compiled"},
+            "/physics",
+            "2000 constraint rows",
+        ),
         (corridor(gap_length=[2, 1]), "/environment/options/gap_length", "low ≤ high"),
         (corridor(gap_length=[1, 50]), "/environment/options", "gap_length goes up to 50 m"),
         (

@@ -68,7 +68,7 @@ def test_an_environment_says_which_engines_cannot_run_it_under_these_options(sta
     options = '{"walls": "contacts", "num_segments_per_arm": 12}'
     star = stack.http.get("/environments/brittle_star", params={"options": options}).json()["cannot_run"]
     assert set(star) == {"compiled", "mjx"}
-    assert "it can have more than 1000 constraint rows at once" in star["compiled"]
+    assert "it can have more than 2000 constraint rows at once" in star["compiled"]
     options = '{"walker": "ant", "arena": "empty"}'
     ant = stack.http.get("/environments/corridor", params={"options": options}).json()
     assert ant["cannot_run"] == {}

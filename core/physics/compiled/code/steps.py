@@ -49,7 +49,7 @@ def results(step: Step) -> list[int]:
             return []
 
 
-def uses(step: Step) -> list[int]:
+def uses(step: Step) -> Sequence[int]:
     """The variables that must be known before it."""
     match step:
         case Assign():

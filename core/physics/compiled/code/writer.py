@@ -144,6 +144,8 @@ class Writer:
                     self._assign(step)
 
     def _meet_before(self, step: Step) -> None:
+        if self.target.meeting is None:
+            return
         self._num_since_meeting += num_operations([step])
         if self._meeting is not None and self._num_since_meeting > self._meeting.every:
             self.line(self._meeting.wait)

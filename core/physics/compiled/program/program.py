@@ -12,7 +12,7 @@ body has `limb_constant` (lane, value by lane): the value of that lane, which mu
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, cast
 
 Operation = Literal[
     "input", "constant", "limb_constant", "lane_input", "lane_constant", "lane_sum",
@@ -36,9 +36,9 @@ class Assign:
     arguments: tuple[int | float | str, ...]
 
     @property
-    def uses(self) -> list[int]:
+    def uses(self) -> Sequence[int]:
         """The variables that it needs."""
-        return [] if self.operation in _GIVEN else [int(argument) for argument in self.arguments]
+        return () if self.operation in _GIVEN else cast("tuple[int, ...]", self.arguments)
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,7 @@ class Program:
     outputs: dict[str, list[Output]] = field(default_factory=dict[str, list[Output]])
     num_lanes: int = 1
     _known: dict[tuple[object, ...], int] = field(default_factory=dict[tuple[object, ...], int])
+    _order: list[tuple[object, ...]] = field(default_factory=list[tuple[object, ...]])  # of what is known
     _num_variables: int = 0
 
     def inputs(self, name: str, size: int) -> list["Symbol"]:
@@ -99,6 +100,7 @@ class Program:
         key = (operation, *arguments)
         if key not in self._known:
             self._known[key] = self.new_variable()
+            self._order.append(key)
             self.statements.append(Assign(self._known[key], operation, arguments))
         return Symbol(self, self._known[key])
 
@@ -164,10 +166,13 @@ class Program:
     @contextmanager
     def block(self) -> Generator[list[Statement]]:
         """A block of its own: what is computed in it is not known after it."""
-        outer, known = self.statements, dict(self._known)
+        outer, num_known = self.statements, len(self._order)
         self.statements = []
         yield self.statements
-        self.statements, self._known = outer, known
+        self.statements = outer
+        for key in self._order[num_known:]:
+            del self._known[key]
+        del self._order[num_known:]
 
     def new_variable(self) -> int:
         self._num_variables += 1

@@ -302,7 +302,7 @@ def test_mjx_is_refused_for_more_segments_than_it_compiles_in_time() -> None:
         # An arm's code would be too long, or no arm is like the others.
         ({"num_segments_per_arm": 6}, {"compiled", "warp"}, "warp"),
         ({"num_segments_per_arm": [5, 5, 5, 5, 4]}, {"compiled", "warp"}, "warp"),
-        # The walls' contacts are more than it covers.
+        # So would it with the walls' contacts.
         ({"walls": "contacts"}, {"compiled", "warp"}, "warp"),
     ],
 )

@@ -92,7 +92,7 @@ def test_contacts_of_a_body_that_turns_about_its_centre_are_named(offset: float,
 
 
 def test_more_rows_than_code_can_hold_are_refused() -> None:
-    balls = "".join(f'<geom size="0.1" pos="{k} 0 0" condim="6"/>' for k in range(120))
+    balls = "".join(f'<geom size="0.1" pos="{k} 0 0" condim="6"/>' for k in range(240))
     model = mujoco.MjModel.from_xml_string(f"""
       <mujoco><worldbody><geom type="plane" size="5 5 1"/>
         <body><freejoint/>{balls}</body>
