@@ -107,11 +107,15 @@ def _ours(device: Device, body: str, gate: Gate, options: Options, seed: int) ->
 
 
 def _brax(device: Device, body: str, gate: Gate, options: Options, seed: int) -> dict[str, Any]:
-    published = {**PUBLISHED[gate.body], "num_timesteps": gate.most_steps, "normalize_observations": True}
-    given = requests.settings(device, body, options) if options.quick else published
-    epochs = 2 if options.quick else gate.most_steps // gate.every_steps
     if options.quick:
-        given = requests.whole_updates(device, body, given, 4)
+        epochs, given = 2, requests.whole_updates(device, body, requests.settings(device, body, options), 4)
+    else:
+        # In whole updates, as Brax would round up the budget and every evaluation's share of it.
+        published = PUBLISHED[gate.body]
+        update = published["batch_size"] * published["num_minibatches"] * published["unroll_length"]
+        between = max(1, gate.every_steps // update) * update
+        epochs = gate.most_steps // between
+        given = {**published, "num_timesteps": epochs * between, "normalize_observations": True}
     request = requests.brax(device, body, gate.peer_engine, given, seed=seed, epochs=epochs)
     return {**request, "mark": _mark(gate, options)}
 

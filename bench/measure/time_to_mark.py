@@ -115,8 +115,10 @@ def _worst(gate: Gate, runs: Sequence[Run]) -> list[Figure]:
 
 
 def _times(name: str, theirs: Sequence[Run], ours: Sequence[Run], least: float | None) -> Figure:
-    """Where Brax did not reach the mark, it is counted with the time that it was given: at least so many."""
+    """Where Brax did not reach the mark, it is counted with the time that it was given."""
     target = at_least(least) if least else None
+    if any(run["reached_s"] is None for run in theirs):
+        name += ", at least"
     if not theirs or not ours or any(run["reached_s"] is None for run in ours):
         return Figure(name=name, value=None, unit="×", target=target, missing="not reached")
     own = median(run["reached_s"] for run in ours)
@@ -150,9 +152,9 @@ def table(gates: Sequence[Gate], done: Mapping[str, Run]) -> Table | None:
     headings = [
         "run",
         "steps",
-        "at the mark's evaluation",
-        "seconds to it",
-        "of which training",
+        "its last evaluation",
+        "seconds to the mark",
+        "of it training",
         "evaluating",
     ]
     return Table(headings=headings, rows=rows) if rows else None

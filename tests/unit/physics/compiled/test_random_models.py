@@ -88,6 +88,6 @@ def test_a_random_model_is_refused_or_moves_as_in_mujoco() -> None:
             assert errors(moved.act, of_all(datas, "act")).max() < 1e-9
 
     check()
-    # Hypothesis draws constants of the modules that are loaded, too: beside other tests the models are others.
+    # Hypothesis draws constants of loaded modules, too: beside other tests the models are others.
     assert seen["states"] > NUM_STATES * NUM_MODELS / 4
     assert seen["states with contacts"] > NUM_STATES * NUM_MODELS / 8
