@@ -18,6 +18,7 @@ from typing import Any
 import optuna
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
 
 from bench.measure.machine import this_machine
 from bench.measure.marks import ON_A_CPU, ON_A_GPU, Mark
@@ -46,7 +47,7 @@ def main() -> int:
     )
     if not study.trials:
         study.enqueue_trial(first_trial(task.environment, task.device))
-    study.optimize(task.worst_seconds, timeout=60 * given.minutes, callbacks=[_tell])
+    study.optimize(task.worst_seconds, given.trials, timeout=60 * given.minutes, callbacks=[_tell])
     found = _confirmed(task, study)
     if found is None:
         print("No trial reached the mark with every seed: try more --minutes, or more --seconds for a run.")
@@ -63,6 +64,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("environment", help="an environment of the catalog, such as ant")
     parser.add_argument("--mark", type=_mark, metavar="METRIC=VALUE", help="what an evaluation has to reach")
     parser.add_argument("--minutes", type=float, default=60.0, help="of the search, without its end")
+    parser.add_argument("--trials", type=int, metavar="N", help="at most so many in this call")
     parser.add_argument("--seconds", type=float, default=40.0, help="at most for a run, compiling apart")
     parser.add_argument("--every-steps", type=int, default=50_000, help="training between two evaluations")
     parser.add_argument("--study", type=Path, default=Path("tune.journal"), help="the file with the trials")
@@ -91,17 +93,21 @@ def _task(given: argparse.Namespace) -> Task:
 
 
 def _tell(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
-    ended = [one.value for one in study.trials if one.value is not None]
-    value = "stopped" if trial.value is None else f"{trial.value:.1f} s"
-    best = f", the best {min(ended):.1f} s" if ended else ""
+    ended = _ended(study)
+    value = f"{trial.value:.1f} s" if trial.state == TrialState.COMPLETE else "stopped"
+    best = f", the best {ended[0][0]:.1f} s" if ended else ""
     print(f"{time.strftime('%H:%M:%S')} trial {trial.number}: {value}{best}. {trial.params}", flush=True)
+
+
+def _ended(study: optuna.Study) -> list[tuple[float, int]]:
+    """Seconds and numbers of the trials that were not stopped (those have values, too), the best first."""
+    return sorted((one.value or 0.0, one.number) for one in study.get_trials(states=[TrialState.COMPLETE]))
 
 
 def _confirmed(task: Task, study: optuna.Study) -> tuple[list[float], dict[str, Any]] | None:
     """The finalist whose worst seed is soonest at the mark, with the seconds of its seeds."""
-    ended = sorted((trial.value, trial.number) for trial in study.trials if trial.value is not None)
     found: list[tuple[list[float], dict[str, Any]]] = []
-    for _, number in ended[:_NUM_FINALISTS]:
+    for _, number in _ended(study)[:_NUM_FINALISTS]:
         settings = study.trials[number].user_attrs["settings"]
         seconds = [task.seconds(settings, seed) for seed in CONFIRMED]
         print(f"trial {number} again: {', '.join(f'{one:.1f} s' for one in seconds)}", flush=True)

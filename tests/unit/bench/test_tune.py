@@ -87,8 +87,8 @@ def test_a_search_ends_with_what_other_seeds_confirm(
         "inverted_pendulum",
         "--mark",
         "eval/episode_reward=10",
-        "--minutes",
-        "0.05",
+        "--trials",
+        "15",
         "--seconds",
         "20",
     ]
