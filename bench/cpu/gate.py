@@ -115,7 +115,7 @@ def _brax(device: Device, body: str, gate: Gate, options: Options, seed: int) ->
         update = published["batch_size"] * published["num_minibatches"] * published["unroll_length"]
         between = max(1, gate.every_steps // update) * update
         epochs = gate.most_steps // between
-        given = {**published, "num_timesteps": epochs * between, "normalize_observations": True}
+        given = {**published, "num_timesteps": epochs * between}
     request = requests.brax(device, body, gate.peer_engine, given, seed=seed, epochs=epochs)
     return {**request, "mark": _mark(gate, options)}
 

@@ -5,6 +5,7 @@ from typing import Any
 from bench.measure import requests
 from bench.measure.result import Figure, Options, Result, Table, at_least
 from bench.measure.runs import Run, Runs, Work
+from bench.peers.published import PUBLISHED
 from core.environments.info import Device
 
 _UPDATES = 24
@@ -14,7 +15,7 @@ _KEPT, _USUAL = "deterministic", "as usual"
 
 
 def measure(options: Options) -> Result:
-    """Bodies under the tuned settings: with XLA's deterministic operations, and without."""
+    """Bodies under Brax's published settings: with XLA's deterministic operations, and without."""
     device = requests.gpu("gpu_resume", options)
     bodies = [requests.body("ant", options)] if options.quick else list(_RATES)
     runs = Runs("gpu_resume", options)
@@ -33,7 +34,7 @@ def measure(options: Options) -> Result:
         table=_table(runs.done),
         rows=[{"run": name, **run} for name, run in runs.done.items()],
         notes=[
-            "PPO on compiled physics: one run, the same run again, and one that goes on from the first one's "
+            "PPO on compiled physics under Brax's published settings: one run, the same run again, and one that goes on from the first one's "
             f"checkpoint after half of {_UPDATES} updates. Checkpoints are compared byte by byte.",
             "Deterministic: XLA_FLAGS=--xla_gpu_deterministic_ops=true.",
             *runs.notes(),
@@ -47,7 +48,8 @@ def _name(body: str, kind: str) -> str:
 
 
 def _request(device: Device, body: str, kind: str, options: Options) -> dict[str, Any]:
-    given = requests.settings(device, body, options, num_evals=0)
+    published = {} if options.quick else PUBLISHED[body]
+    given = requests.settings(device, body, options, num_evals=0, **published)
     updates = 4 if options.quick else _UPDATES
     given = requests.whole_updates(device, body, given, updates)
     return {**requests.ours(device, body, "compiled", given), "deterministic": kind == _KEPT}

@@ -9,6 +9,7 @@ from bench.measure.requests import Settings
 from bench.measure.result import Figure, Options, Picture, Result, at_least, below
 from bench.measure.runs import Run, Runs, Work
 from bench.measure.statistics import spread
+from bench.peers.published import PUBLISHED
 from core.environments.info import Device
 
 _NUM_EVAL_ENVS = 128  # Brax's default
@@ -76,7 +77,7 @@ def _settings(device: Device, environment: str, plan: Plan, options: Options) ->
         options,
         num_evals=plan.num_evals,
         reset_pool_size=0,  # An episode starts again at its own first state, as in Brax.
-        **({} if options.quick else {"num_eval_envs": _NUM_EVAL_ENVS}),
+        **({} if options.quick else {**PUBLISHED[environment], "num_eval_envs": _NUM_EVAL_ENVS}),
     )
     epochs = plan.num_evals - 1
     if options.quick:

@@ -5,8 +5,22 @@ The notebook trains the hopper and the walker by SAC; theirs are this project's 
 
 from typing import Any
 
-_SHARED = {"unroll_length": 20, "batch_size": 1024, "num_minibatches": 32, "learning_rate": 3e-4}
-_SHARED |= {"num_envs": 2048, "num_updates_per_batch": 4, "entropy_cost": 1e-3}
+# What the notebook leaves out is Brax's default.
+_SHARED: dict[str, Any] = {
+    "num_envs": 2048,
+    "unroll_length": 20,
+    "batch_size": 1024,
+    "num_minibatches": 32,
+    "num_updates_per_batch": 4,
+    "learning_rate": 3e-4,
+    "entropy_cost": 1e-3,
+    "gae_lambda": 0.95,
+    "clipping_epsilon": 0.3,
+    "normalize_observations": True,
+    "policy_hidden_layer_sizes": [32] * 4,
+    "value_hidden_layer_sizes": [256] * 5,
+    "activation": "swish",
+}
 _LEGS = {"discounting": 0.99, "reward_scaling": 1.0}
 
 PUBLISHED: dict[str, dict[str, Any]] = {

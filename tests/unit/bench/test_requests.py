@@ -4,6 +4,7 @@ import pytest
 
 from bench.measure import requests
 from bench.measure.result import Options
+from bench.peers.published import PUBLISHED
 from core.errors import Rejected
 
 SMALL = {"num_envs": 8, "batch_size": 4, "num_minibatches": 4, "unroll_length": 5}  # 80 steps an update
@@ -17,7 +18,7 @@ def test_an_equal_budget_is_whole_updates_in_each_of_the_peers_epochs() -> None:
 
 def test_the_ants_published_budget_is_93_updates_of_both() -> None:
     # 2048 × 32 × 5 = 327,680 steps; 30 M are 91.6 updates, and the next number that 3 divides is 93.
-    given = requests.equal_budget("gpu", "ant", {"num_timesteps": 30_000_000}, epochs=3)
+    given = requests.equal_budget("gpu", "ant", {**PUBLISHED["ant"], "num_timesteps": 30_000_000}, epochs=3)
     assert given["num_timesteps"] == 93 * 327_680
 
 

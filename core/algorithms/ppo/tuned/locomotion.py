@@ -1,8 +1,8 @@
 """PPO on Gymnasium's bodies.
 
-On a GPU: what Brax's training notebook has for the ant, the half cheetah, the humanoid, the inverted pendulum
-and the reacher, with our own numbers of evaluations. It has SAC's for the hopper and the walker, so these are
-ours, as are all for a CPU.
+On a GPU, the half cheetah, the inverted pendulum and the reacher have what Brax's training notebook has for
+them, with our own numbers of evaluations. The others were chosen for the time to a mark on an H200
+(docs/experiments/gpu_tuning.md), and those for a CPU on two cores (docs/experiments/cpu_training.md).
 """
 
 from collections.abc import Mapping
@@ -63,20 +63,35 @@ ANT: Mapping[Device, PPOSpec] = {
     ),
     "gpu": _gpu(
         num_evals=1,
-        num_envs=4096,
         unroll_length=5,
-        batch_size=2048,
-        discounting=0.97,
+        num_minibatches=8,
+        learning_rate=1e-3,
         entropy_cost=1e-2,
-        reward_scaling=10.0,
+        discounting=0.97,
+        clipping_epsilon=0.2,
+        value_hidden_layer_sizes=[64, 64],
+        activation="tanh",
     ),
 }
 HALF_CHEETAH: Mapping[Device, PPOSpec] = {
     "cpu": _cpu(num_timesteps=3_000_000, discounting=0.95),
     "gpu": _gpu(num_evals=3, batch_size=512, num_updates_per_batch=8, discounting=0.95),
 }
-HOPPER: Mapping[Device, PPOSpec] = {"cpu": _cpu(discounting=0.99), "gpu": _gpu(discounting=0.99)}
-WALKER2D = HOPPER
+HOPPER: Mapping[Device, PPOSpec] = {
+    "cpu": _cpu(discounting=0.99),
+    "gpu": _gpu(num_envs=1024, batch_size=256, num_minibatches=16, learning_rate=6e-4, discounting=0.99),
+}
+WALKER2D: Mapping[Device, PPOSpec] = {
+    "cpu": _cpu(discounting=0.99),
+    "gpu": _gpu(
+        num_envs=512,
+        batch_size=128,
+        num_minibatches=16,
+        learning_rate=6e-4,
+        discounting=0.99,
+        value_hidden_layer_sizes=[256, 256],
+    ),
+}
 HUMANOID: Mapping[Device, PPOSpec] = {
     "cpu": _cpu(
         num_timesteps=10_000_000,
@@ -86,7 +101,16 @@ HUMANOID: Mapping[Device, PPOSpec] = {
         discounting=0.97,
         reward_scaling=0.1,
     ),
-    "gpu": _gpu(num_evals=3, unroll_length=10, num_updates_per_batch=8, discounting=0.97, reward_scaling=0.1),
+    "gpu": _gpu(
+        num_evals=3,
+        unroll_length=10,
+        batch_size=512,
+        num_minibatches=16,
+        learning_rate=6e-4,
+        discounting=0.97,
+        reward_scaling=0.1,
+        value_hidden_layer_sizes=[256, 256],
+    ),
 }
 INVERTED_PENDULUM: Mapping[Device, PPOSpec] = {
     "cpu": _cpu(num_timesteps=500_000, num_envs=128, unroll_length=10, num_minibatches=8, discounting=0.97),
