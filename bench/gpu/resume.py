@@ -34,8 +34,9 @@ def measure(options: Options) -> Result:
         table=_table(runs.done),
         rows=[{"run": name, **run} for name, run in runs.done.items()],
         notes=[
-            "PPO on compiled physics under Brax's published settings: one run, the same run again, and one that goes on from the first one's "
-            f"checkpoint after half of {_UPDATES} updates. Checkpoints are compared byte by byte.",
+            "PPO on compiled physics under Brax's published settings: one run, the same run again, and one "
+            f"that goes on from the first one's checkpoint after half of {_UPDATES} updates. Checkpoints are "
+            "compared byte by byte.",
             "Deterministic: XLA_FLAGS=--xla_gpu_deterministic_ops=true.",
             *runs.notes(),
         ],
