@@ -15,14 +15,14 @@ _BODIES = (
     *("ant", "humanoid", "half_cheetah", "hopper", "walker2d"),
     *("rodent", "reacher", "inverted_pendulum"),
 )
-_ENGINES: tuple[EngineName, ...] = ("warp", "mjx", "native")
+_ENGINES: tuple[EngineName, ...] = ("compiled", "warp", "mjx", "native")
 _UPDATES = 12
 _MAX_TRAINING_S = 10.0
 _PHYSICS_S = 3.0
 _TIMEOUT_S = 560.0
 _AT_ONCE = 4
-# Its training compiles for many minutes; gpu_rodent measures its physics.
-_LEFT_OUT = {("rodent", "mjx")}
+# They compile for minutes; gpu_rodent and gpu_compiled measure their physics.
+_LEFT_OUT = {("rodent", "mjx"), ("rodent", "compiled")}
 
 
 def measure(options: Options) -> Result:
@@ -31,7 +31,7 @@ def measure(options: Options) -> Result:
     bodies = [body for body in _BODIES if body in catalog.ENVIRONMENTS]
     bodies = ["inverted_pendulum"] if options.quick else bodies
     # On a CPU, where the bench is only tried out, Warp's kernels would take minutes to compile.
-    on_device: list[EngineName] = ["warp", "mjx"] if device == "gpu" else ["mjx"]
+    on_device: list[EngineName] = ["compiled", "warp", "mjx"] if device == "gpu" else ["compiled", "mjx"]
     pairs: list[tuple[str, EngineName]] = [
         *(pair for body in bodies for engine in on_device if (pair := (body, engine)) not in _LEFT_OUT),
         *((body, "native") for body in bodies),
@@ -140,5 +140,5 @@ def _notes() -> list[str]:
         f"Programs were compiled from an empty cache, {_AT_ONCE} runs at once; Warp's kernels are compiled "
         "in the first "
         "update of the bench's first run on `warp`, and kept for the others. The rodent's physics on `mjx` "
-        "is in gpu_rodent: its training compiles for many minutes.",
+        "is in gpu_rodent, that on `compiled` in gpu_compiled: its training compiles for minutes.",
     ]
