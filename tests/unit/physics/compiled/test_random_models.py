@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from hypothesis import HealthCheck, given
+import pytest
+from hypothesis import HealthCheck, assume, given, seed
 from hypothesis import settings as searching
 from numpy.typing import NDArray
 
@@ -22,10 +23,12 @@ from core.physics.compiled.substep import State, read_model, substep
 from tests.unit.physics.compiled.random_models import models
 from tests.unit.physics.compiled.test_substep import Arrays, converge, of_all
 
-NUM_STATES, NUM_MODELS = 8, 30
+NUM_STATES = 8
+# How many states are enough. Hypothesis draws constants of all loaded modules, too, so how many models of a
+# search are covered depends on the tests beside this one: the search goes on until these are there.
+LEAST, MOST_SEARCHES = {"refused": 2, "states": 100, "states with contacts": 40}, 10
 searched = searching(
-    max_examples=NUM_MODELS,
-    derandomize=True,
+    max_examples=15,
     database=None,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
@@ -42,9 +45,19 @@ def states(model: mujoco.MjModel) -> list[mujoco.MjData]:
         data.act[:] = 0.3 * generator.normal(size=model.na)
         mujoco.mj_step(model, data, 20 * (number % 4))
         # A state that is past all bounds, MuJoCo puts back to the beginning.
-        assert not any(warning.number for warning in data.warning)
+        assume(not any(warning.number for warning in data.warning))
+        assume(not has_contacts_without_a_normal(model, data))
         found.append(data)
     return found
+
+
+def has_contacts_without_a_normal(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+    """Whether two balls, or balls at two capsules' ends, have one centre: each program has its own normal."""
+    round_ones = np.isin(model.geom_type, [mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE])
+    return any(
+        round_ones[contact.geom].all() and contact.dist < 1e-9 - model.geom_size[contact.geom, 0].sum()
+        for contact in data.contact
+    )
 
 
 def step_converged(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -64,8 +77,6 @@ def errors(ours: Vector, theirs: Arrays) -> NDArray[np.float64]:
 def test_a_random_model_is_refused_or_moves_as_in_mujoco() -> None:
     seen = Counter[str]()
 
-    @searched
-    @given(models())
     def check(xml: str) -> None:
         model = converge(mujoco.MjModel.from_xml_string(xml), implicit_damping=True)
         if reason := uncovered(model):
@@ -87,7 +98,8 @@ def test_a_random_model_is_refused_or_moves_as_in_mujoco() -> None:
         if model.na:
             assert errors(moved.act, of_all(datas, "act")).max() < 1e-9
 
-    check()
-    # Hypothesis draws constants of loaded modules, too: beside other tests the models are others.
-    assert seen["states"] > NUM_STATES * NUM_MODELS / 4
-    assert seen["states with contacts"] > NUM_STATES * NUM_MODELS / 8
+    for number in range(MOST_SEARCHES):
+        seed(number)(searched(given(models())(check)))()
+        if all(seen[what] >= least for what, least in LEAST.items()):
+            return
+    pytest.fail(f"The searches found too little: {dict(seen)}.")
