@@ -113,7 +113,7 @@ def _brax(device: Device, body: str, gate: Gate, options: Options, seed: int) ->
         # In whole updates, as Brax would round up the budget and every evaluation's share of it.
         published = PUBLISHED[gate.body]
         update = published["batch_size"] * published["num_minibatches"] * published["unroll_length"]
-        between = max(1, gate.every_steps // update) * update
+        between = max(1, (gate.peer_every_steps or gate.every_steps) // update) * update
         epochs = gate.most_steps // between
         given = {**published, "num_timesteps": epochs * between}
     request = requests.brax(device, body, gate.peer_engine, given, seed=seed, epochs=epochs)

@@ -18,7 +18,8 @@ _WORST = 1.5
 class Gate:
     """One body's way to its mark.
 
-    every_steps: training steps from one evaluation to the next. most_steps: of the whole budget. warm_s,
+    every_steps: training steps from one evaluation to the next; peer_every_steps: Brax's, if others, as its
+    evaluations take longer. most_steps: of the whole budget. warm_s,
     cold_s: seconds from the call in which it is to be there; start_s: from the process's start, warm, with
     each seed; video_s: from the submission to a video, warm; warm_times, cold_times: how many times as fast
     as Brax. job_steps: of the job that is submitted. peer_engine: of Brax's trainer; num_peers: its seeds, as
@@ -38,6 +39,7 @@ class Gate:
     warm_times: float | None = None
     cold_times: float | None = None
     num_peers: int | None = None
+    peer_every_steps: int | None = None
 
 
 def figures(gate: Gate, runs: Runs) -> list[Figure]:
