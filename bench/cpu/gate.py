@@ -13,7 +13,7 @@ from core.environments.info import Device
 NOTES = [
     f"The mark is reached at the end of the first evaluation of {NUM_EPISODES} episodes that has it as its "
     "mean, if a second one from other starts has it, too. Marks were set before any tuning "
-    "(bench/measure/marks.py). Seconds count from the call of the trainer, evaluations included.",
+    "(bench/measure/marks.py). Seconds count from the call of the trainer, first evaluations included.",
     "Ours runs under the tuned settings of the catalog on the engine that `auto` takes, Brax's `ppo.train` "
     "under its published settings. Cold: nothing is compiled.",
 ]
@@ -63,7 +63,7 @@ def works(device: Device, gate: Gate, options: Options) -> list[Work]:
             f"{gate.body}-{who}-{'cold' if more.get('cold') else seed}",
             modules[who],
             requested[who](device, body, gate, options, seed),
-            about_s=60 if who == "ours" else 200,
+            about_s=30 if who == "ours" else 200,
             cache=f"{who}-{gate.body}",
             **more,
         )
@@ -77,7 +77,7 @@ def works(device: Device, gate: Gate, options: Options) -> list[Work]:
         found += pair[:: -1 if seed % 2 else 1]
     if gate.job_steps is not None:
         request = {"device": device, "specification": _job(gate, body, options), "mark": _mark(gate, options)}
-        found.append(Work(f"{gate.body}-job", "bench.ours.post_job", request, about_s=120))
+        found.append(Work(f"{gate.body}-job", "bench.ours.post_job", request, about_s=100))
     return found
 
 
