@@ -121,7 +121,9 @@ def _times(name: str, theirs: Sequence[Run], ours: Sequence[Run], least: float |
     target = at_least(least) if least else None
     if any(run["reached_s"] is None for run in theirs):
         name += ", at least"
-    if not theirs or not ours or any(run["reached_s"] is None for run in ours):
+    if not theirs or not ours:
+        return Figure(name=name, value=None, unit="×", target=target, missing="not run")
+    if any(run["reached_s"] is None for run in ours):
         return Figure(name=name, value=None, unit="×", target=target, missing="not reached")
     own = median(run["reached_s"] for run in ours)
     peers = median(run["reached_s"] or run["curve"][-1][2] for run in theirs)
