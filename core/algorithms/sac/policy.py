@@ -1,0 +1,65 @@
+"""A trained policy: read from a checkpoint, written to a file that Brax reads, and as a function."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+from flax import serialization
+
+from core.algorithms.checkpoint import Format
+from core.algorithms.normalizer import init_normalizer, normalization
+from core.algorithms.ppo import policy as files
+from core.algorithms.ppo.networks import PolicyConfig, PolicyParams
+from core.algorithms.sac.networks import make_networks
+from core.algorithms.sac.spec import SACSpec
+from core.algorithms.trained_policy import Acting, TrainedPolicy
+from core.environments.environment import Environment, State
+from core.environments.wrappers.action_hold import ActionHold
+
+FORMAT = Format("gaitway-sac-1")
+
+
+def write_policy(normalizer: Any, policy: Any, header: Mapping[str, Any]) -> bytes:
+    """The file that `brax.io.model.load_params` reads: (normaliser, policy, {}), of which Brax's SAC takes the
+    first two."""
+    return files.write_policy(PolicyParams(normalizer, policy, {}, PolicyConfig.of(header)))
+
+
+def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
+    """What a checkpoint or a policy file holds, ready to act. Raises JobFailed if it is damaged."""
+    params = _from_checkpoint(content) if is_checkpoint else files.read_policy(content)
+
+    def answer(params: PolicyParams, observation: Any, key: jax.Array) -> jax.Array:
+        layers = params.policy["params"]
+        sizes = [layers[f"hidden_{i}"]["kernel"].shape for i in range(len(layers))]
+        settings = SACSpec.model_validate(
+            {
+                "policy_hidden_layer_sizes": [size[1] for size in sizes[:-1]],
+                "activation": params.config.activation,
+            }
+        )
+        networks = make_networks(sizes[0][0], sizes[-1][1] // 2, settings)
+
+        def normalize(observation: Any) -> Any:
+            return normalization(None)(observation, params.normalizer)
+
+        return networks.acting(params.policy, normalize, deterministic=deterministic)(observation, key)[0]
+
+    def acting(environment: Environment) -> Acting:
+        steps = params.config.action_repeat
+        if steps == 1:
+            return Acting(environment, lambda params, state, key: answer(params, state.obs, key))
+
+        def act(params: PolicyParams, state: State, key: jax.Array) -> jax.Array:
+            return ActionHold.due_or_held(state, steps, answer(params, state.obs, key))
+
+        return Acting(ActionHold(environment), act)
+
+    return TrainedPolicy(params, acting)
+
+
+def _from_checkpoint(content: bytes) -> PolicyParams:
+    header, state = FORMAT.read(content)
+    template = jax.device_get(init_normalizer(header["observation_size"]))
+    normalizer: Any = serialization.from_state_dict(template, state["normalizer"])
+    return PolicyParams(normalizer, state["params"]["policy"], {}, PolicyConfig.of(header))
