@@ -48,8 +48,10 @@ class Critics:
 def projected(
     probabilities: Float[Array, "B atoms"], moved: Float[Array, "B atoms"], atoms: Float[Array, " atoms"]
 ) -> Float[Array, "B atoms"]:
-    """The distribution of values that have moved, over the fixed ones: each shares its probability between its
-    neighbours. Values beyond the ends stay at the ends."""
+    """The distribution of values that have moved, over the fixed ones.
+
+    Each value shares its probability between its neighbours; those beyond the ends stay at the ends.
+    """
     spacing = atoms[1] - atoms[0]
     place = (jnp.clip(moved, atoms[0], atoms[-1]) - atoms[0]) / spacing
     shares = jnp.clip(1.0 - jnp.abs(place[:, None, :] - jnp.arange(len(atoms))[None, :, None]), 0.0, 1.0)

@@ -57,9 +57,7 @@ class Networks:
         """What each critic expects."""
         return jax.nn.softmax(self.critics.logits(q, observation, action)) @ self.atoms
 
-    def acting(
-        self, policy: Any, normalize: Callable[[Any], Any], *, deterministic: bool = False
-    ) -> Policy:
+    def acting(self, policy: Any, normalize: Callable[[Any], Any], *, deterministic: bool = False) -> Policy:
         """The policy as a function of raw observations; its extras hold the actions."""
 
         def act(observation: Any, key: jax.Array) -> tuple[jax.Array, Any]:
@@ -80,7 +78,7 @@ def make_networks(observation_size: int, action_size: int, settings: SACSpec) ->
     policy = brax_networks.make_policy_network(
         actions.param_size,
         observation_size,
-        preprocess_observations_fn=identity_observation_preprocessor,
+        preprocess_observations_fn=cast("Any", identity_observation_preprocessor),
         hidden_layer_sizes=tuple(settings.policy_hidden_layer_sizes),
         activation=activation,
     )

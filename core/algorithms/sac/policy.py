@@ -6,28 +6,25 @@ from typing import Any
 import jax
 from flax import serialization
 
+from core.algorithms import policy_file
 from core.algorithms.checkpoint import Format
 from core.algorithms.normalizer import init_normalizer, normalization
-from core.algorithms.ppo import policy as files
-from core.algorithms.ppo.networks import PolicyConfig, PolicyParams
+from core.algorithms.policy_file import PolicyConfig, PolicyParams
 from core.algorithms.sac.networks import make_networks
 from core.algorithms.sac.spec import SACSpec
-from core.algorithms.trained_policy import Acting, TrainedPolicy
-from core.environments.environment import Environment, State
-from core.environments.wrappers.action_hold import ActionHold
+from core.algorithms.trained_policy import TrainedPolicy, of_network
 
 FORMAT = Format("gaitway-sac-1")
 
 
 def write_policy(normalizer: Any, policy: Any, header: Mapping[str, Any]) -> bytes:
-    """The file that `brax.io.model.load_params` reads: (normaliser, policy, {}), of which Brax's SAC takes the
-    first two."""
-    return files.write_policy(PolicyParams(normalizer, policy, {}, PolicyConfig.of(header)))
+    """The file that `brax.io.model.load_params` reads; Brax's SAC takes the first two of its three parts."""
+    return policy_file.write_policy(PolicyParams(normalizer, policy, {}, PolicyConfig.of(header)))
 
 
 def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> TrainedPolicy:
     """What a checkpoint or a policy file holds, ready to act. Raises JobFailed if it is damaged."""
-    params = _from_checkpoint(content) if is_checkpoint else files.read_policy(content)
+    params = _from_checkpoint(content) if is_checkpoint else policy_file.read_policy(content)
 
     def answer(params: PolicyParams, observation: Any, key: jax.Array) -> jax.Array:
         layers = params.policy["params"]
@@ -45,17 +42,7 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
 
         return networks.acting(params.policy, normalize, deterministic=deterministic)(observation, key)[0]
 
-    def acting(environment: Environment) -> Acting:
-        steps = params.config.action_repeat
-        if steps == 1:
-            return Acting(environment, lambda params, state, key: answer(params, state.obs, key))
-
-        def act(params: PolicyParams, state: State, key: jax.Array) -> jax.Array:
-            return ActionHold.due_or_held(state, steps, answer(params, state.obs, key))
-
-        return Acting(ActionHold(environment), act)
-
-    return TrainedPolicy(params, acting)
+    return of_network(params, answer, params.config.action_repeat)
 
 
 def _from_checkpoint(content: bytes) -> PolicyParams:

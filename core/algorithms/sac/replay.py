@@ -1,7 +1,7 @@
 """The last transitions of all environments, and samples of several steps of them.
 
-Next observations are not stored: that of a transition is the observation of its environment's next row, unless
-the episode ended there.
+Next observations are not stored: that of a transition is the observation of its environment's next row,
+unless the episode ended there.
 """
 
 from typing import NamedTuple
@@ -73,9 +73,7 @@ def added(replay: Replay, rows: Rows) -> Replay:
     return Replay(kept, replay.written + len(rows.reward))
 
 
-def sample(
-    replay: Replay, key: jax.Array, batch_size: int, *, n_step: int, discounting: jax.Array
-) -> Sample:
+def sample(replay: Replay, key: jax.Array, batch_size: int, *, n_step: int, discounting: jax.Array) -> Sample:
     """Starts drawn uniformly from those whose n steps, and the row after them, are there.
 
     A step that cuts an episode off is left out, because the state it led to is gone: the sum ends before it,
@@ -83,7 +81,9 @@ def sample(
     """
     row_key, env_key = jax.random.split(key)
     oldest = jnp.maximum(replay.written - replay.capacity, 0)
-    first = jax.random.randint(row_key, (batch_size,), oldest, jnp.maximum(replay.written - n_step, oldest + 1))
+    first = jax.random.randint(
+        row_key, (batch_size,), oldest, jnp.maximum(replay.written - n_step, oldest + 1)
+    )
     env = jax.random.randint(env_key, (batch_size,), 0, replay.rows.reward.shape[1])
 
     def row(offset: int | jax.Array) -> jax.Array:

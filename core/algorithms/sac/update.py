@@ -154,8 +154,9 @@ class Learner:
         )
 
     def _unlearnt(self, state: TrainingState) -> tuple[TrainingState, dict[str, jax.Array]]:
-        zeros = dict.fromkeys(("critic_loss", "policy_loss", "q_value", "entropy"), jnp.float32(0))
-        return state, zeros | {"alpha": jnp.exp(state.params.log_alpha)}
+        names = ("critic_loss", "policy_loss", "q_value", "entropy")
+        metrics = {name: jnp.float32(0) for name in names}
+        return state, metrics | {"alpha": jnp.exp(state.params.log_alpha)}
 
     def _learn(
         self, state: TrainingState, hyperparameters: Hyperparameters, key: jax.Array

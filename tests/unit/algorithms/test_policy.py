@@ -16,20 +16,15 @@ from brax.training.agents.ppo.networks import make_inference_fn, make_ppo_networ
 
 from core.algorithms.checkpoint import describe
 from core.algorithms.normalizer import init_normalizer
-from core.algorithms.ppo.networks import (
+from core.algorithms.policy_file import (
     PolicyConfig,
     PolicyParams,
-    init_params,
-    make_networks,
-)
-from core.algorithms.ppo.policy import (
     _PolicyPickler,
-    load,
-    make_inference,
-    policy_from_checkpoint,
     read_policy,
     write_policy,
 )
+from core.algorithms.ppo.networks import init_params, make_networks
+from core.algorithms.ppo.policy import load, make_inference, policy_from_checkpoint
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.rollout import Roller
 from core.errors import JobFailed

@@ -17,8 +17,9 @@ from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.checkpoint import describe
 from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy import load_policy
-from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, init_params, make_networks
-from core.algorithms.ppo.policy import make_inference, write_policy
+from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
+from core.algorithms.ppo.networks import init_params, make_networks
+from core.algorithms.ppo.policy import make_inference
 from core.algorithms.ppo.spec import Activation, PPOSpec
 from core.algorithms.q_learning import policy as tables
 from core.algorithms.q_learning.options import StateDiscretizerOptions
