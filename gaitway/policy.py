@@ -42,8 +42,8 @@ def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool
     an action, or for Q-learning the columns chosen (docs/q_learning.md).
 
     observation: the input of the algorithm's policies; for PPO and SAC [..., observation_size]. An action is
-    [..., action_size], each component in [-1, 1]. key: a JAX random key, needed by a stochastic policy (ValueError
-    without one).
+    [..., action_size], each component in [-1, 1]. key: a JAX random key, needed by a stochastic policy
+    (ValueError without one).
     Raises MissingExtra where JAX or msgpack is not installed, and PolicyUnreadable.
     """
     if algorithm not in READERS:

@@ -26,6 +26,8 @@ class SACSpec(BaseSpec):
         "q_network_layer_norm",
         "activation",
         "num_atoms",
+        "value_min",
+        "value_max",
         "normalize_observations",
         "returns_to_first_state",
     )
