@@ -117,7 +117,8 @@ class Learner:
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
-        enough = replay.written * settings.num_envs >= settings.min_replay_size
+        # Counted for one environment: those of all pass 2**31 in a long run.
+        enough = replay.written >= -(-settings.min_replay_size // settings.num_envs)
         enough &= replay.written > settings.n_step
         learn = partial(self._learn, hyperparameters=hyperparameters, key=learn_key)
         learnt, metrics = jax.lax.cond(enough, learn, self._unlearnt, state)
