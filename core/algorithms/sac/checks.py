@@ -1,13 +1,23 @@
 """Which of SAC's hyperparameters go together."""
 
+from core.algorithms.memory import shown
+from core.algorithms.sac.memory import replay_bytes
 from core.algorithms.sac.spec import SACSpec
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
+# A checkpoint holds the replay, and MessagePack holds 4 GiB; networks and environments take the rest.
+_MOST_BYTES = 3 * 2**30
+
 
 def refusal(settings: SACSpec, environment: EnvironmentInfo, device: Device) -> Rejected | None:
     """Why these values do not go together; None where they do."""
-    return _empty_range(settings) or _too_few_rows(settings) or _never_learns(settings)
+    return (
+        _empty_range(settings)
+        or _too_few_rows(settings)
+        or _never_learns(settings)
+        or _too_large_for_a_checkpoint(settings, environment)
+    )
 
 
 def _empty_range(settings: SACSpec) -> Rejected | None:
@@ -47,6 +57,17 @@ def _never_learns(settings: SACSpec) -> Rejected | None:
         f"{settings.min_replay_size} of them to learn from.",
         "min_replay_size",
         "num_timesteps",
+    )
+
+
+def _too_large_for_a_checkpoint(settings: SACSpec, environment: EnvironmentInfo) -> Rejected | None:
+    size = replay_bytes(settings, environment)
+    if size <= _MOST_BYTES:
+        return None
+    return _rejected(
+        f"max_replay_size = {settings.max_replay_size} transitions of {environment.id} take {shown(size)}; "
+        f"a checkpoint holds them and has room for {shown(_MOST_BYTES)}.",
+        "max_replay_size",
     )
 
 

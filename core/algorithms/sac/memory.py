@@ -11,6 +11,12 @@ _CRITICS = 2
 _COPIES, _COPIES_OF_CRITICS = 4, 5
 
 
+def replay_bytes(settings: SACSpec, environment: EnvironmentInfo) -> int:
+    """The size of the replay, on the device and in a checkpoint. Unknown sizes count as 0."""
+    observation, action = environment.observation_size or 0, environment.action_size or 0
+    return FLOAT_BYTES * settings.replay_rows * settings.num_envs * (observation + action + _SCALARS)
+
+
 def least_memory(settings: SACSpec, environment: EnvironmentInfo, num_devices: int) -> Memory:
     """Bytes, all in float32. Left out: the engine's own arrays, and activations. Unknown sizes count as 0."""
     observation, action = environment.observation_size or 0, environment.action_size or 0
@@ -23,7 +29,7 @@ def least_memory(settings: SACSpec, environment: EnvironmentInfo, num_devices: i
         (
             Part(
                 f"the {kept:,} transitions that are kept",
-                FLOAT_BYTES * kept * (observation + action + _SCALARS),
+                replay_bytes(settings, environment),
                 ("max_replay_size",),
             ),
             Part(

@@ -35,3 +35,11 @@ def test_a_run_lasts_until_it_learns() -> None:
     # 3 updates of 10 × 8 transitions.
     told = refused(num_envs=10, unroll_length=8, num_timesteps=240, min_replay_size=241)
     assert "The run ends after 240 transitions, before there are min_replay_size = 241" in told.detail
+
+
+def test_a_replay_fits_into_a_checkpoint() -> None:
+    # A transition of the ant has 27 + 8 + 3 floats, 152 bytes: 21,192,272 of them fit into 3 GiB.
+    told = refused(num_envs=1, max_replay_size=21_192_273)
+    assert "max_replay_size = 21192273 transitions of ant take 3 GiB" in told.detail
+    assert [problem.pointer for problem in told.problems] == ["/algorithm/max_replay_size"]
+    resolve(SACSpec(num_envs=1, max_replay_size=21_192_272), catalog.find("ant"), "cpu")
