@@ -1,7 +1,7 @@
 """A process that trains shortly on native physics.
 
-`python -m tests.learning.start_process CACHE ALGORITHM CHANGES`; ALGORITHM: `ppo` or `sac`; CHANGES: JSON, what
-differs from 512 steps of its small run.
+`python -m tests.learning.start_process CACHE ALGORITHM CHANGES`; ALGORITHM: `ppo` or `sac`; CHANGES: JSON,
+what differs from 512 steps of its small run.
 
 Prints, as one line of JSON, how often JAX's cache had a program and had not, and which libraries of physics
 for accelerators were loaded.

@@ -43,3 +43,8 @@ def test_a_replay_fits_into_a_checkpoint() -> None:
     assert "max_replay_size = 21192273 transitions of ant take 3 GiB" in told.detail
     assert [problem.pointer for problem in told.problems] == ["/algorithm/max_replay_size"]
     resolve(SACSpec(num_envs=1, max_replay_size=21_192_272), catalog.find("ant"), "cpu")
+
+
+def test_several_gpus_are_refused() -> None:
+    with pytest.raises(Rejected, match="sac runs on one device, but the job asks for 2 GPUs"):
+        SACSpec().check_sharing(2)
