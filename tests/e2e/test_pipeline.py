@@ -132,7 +132,7 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
 
 
 def test_sac_goes_the_same_way_as_ppo(client: Client, tmp_path: Path) -> None:
-    # Updates of 32 × 4 = 128 steps, which learn from the third on.
+    # Updates of 32 × 4 = 128 steps, which learn from the second on.
     algorithm = {
         "kind": "sac",
         "num_timesteps": 6400,
