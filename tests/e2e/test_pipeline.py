@@ -41,6 +41,26 @@ SMALL: dict[str, Any] = {
     "seed": 3,
 }
 
+# Updates of 32 × 4 = 128 steps, which learn from the second on.
+SMALL_SAC: dict[str, Any] = {
+    **SMALL,
+    "algorithm": {
+        "kind": "sac",
+        "num_timesteps": 6400,
+        "num_envs": 32,
+        "unroll_length": 4,
+        "batch_size": 64,
+        "min_replay_size": 256,
+        "max_replay_size": 4096,
+        "num_evals": 2,
+        "num_eval_envs": 4,
+        "episode_length": 100,
+        "policy_hidden_layer_sizes": [16],
+        "q_hidden_layer_sizes": [16],
+    },
+    "checkpoints": {"every_steps": 1280},
+}
+
 # What a training job keeps in any case.
 KEPT = {"checkpoint", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory", "video"}
 
@@ -132,23 +152,7 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
 
 
 def test_sac_goes_the_same_way_as_ppo(client: Client, tmp_path: Path) -> None:
-    # Updates of 32 × 4 = 128 steps, which learn from the second on.
-    algorithm = {
-        "kind": "sac",
-        "num_timesteps": 6400,
-        "num_envs": 32,
-        "unroll_length": 4,
-        "batch_size": 64,
-        "min_replay_size": 256,
-        "max_replay_size": 4096,
-        "num_evals": 2,
-        "num_eval_envs": 4,
-        "episode_length": 100,
-        "policy_hidden_layer_sizes": [16],
-        "q_hidden_layer_sizes": [16],
-    }
-    brief = {**SMALL, "algorithm": algorithm, "checkpoints": {"every_steps": 1280}}
-    job = client.wait(client.submit(brief).id, timeout=110)
+    job = client.wait(client.submit(SMALL_SAC).id, timeout=110)
     assert job.succeeded, job.message
     assert (job.progress.step, job.progress.total) == (6400, 6400)
     assert {a.role for a in job.artifacts} == KEPT
@@ -272,8 +276,11 @@ def test_killed_stores_change_nothing_in_the_result_and_cost_no_attempt(
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
 
 
-def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(client: Client) -> None:
-    job = client.submit({**SMALL, "algorithm": {**SMALL["algorithm"], "num_timesteps": 10_000_000}})
+@pytest.mark.parametrize("small", [SMALL, SMALL_SAC], ids=["ppo", "sac"])
+def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(
+    client: Client, small: dict[str, Any]
+) -> None:
+    job = client.submit({**small, "algorithm": {**small["algorithm"], "num_timesteps": 10_000_000}})
     _, pid = until_checkpoint(client, job)
     assert client.cancel(job.id).status == "cancelling"
     ended = client.wait(job.id, timeout=110)
