@@ -1,3 +1,5 @@
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -6,6 +8,9 @@ from core.algorithms.catalog import resolve
 from core.algorithms.sac.spec import SACSpec
 from core.environments import catalog
 from core.errors import Rejected
+from core.jobs.checks import check
+from core.jobs.spec import JOB_SPEC
+from core.jobs.store import JobStore
 
 
 def refused(**changes: Any) -> Rejected:
@@ -48,3 +53,11 @@ def test_a_replay_fits_into_a_checkpoint() -> None:
 def test_several_gpus_are_refused() -> None:
     with pytest.raises(Rejected, match="sac runs on one device, but the job asks for 2 GPUs"):
         SACSpec().check_sharing(2)
+
+
+def test_the_jobs_of_the_page_are_jobs(jobs: JobStore) -> None:
+    page = (Path(__file__).parents[4] / "docs" / "sac.md").read_text()
+    found = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
+    assert len(found) == 2
+    for job in found:
+        check(JOB_SPEC.validate_json(job), jobs)
