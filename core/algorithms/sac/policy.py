@@ -37,8 +37,10 @@ def load(content: bytes, *, is_checkpoint: bool, deterministic: bool = True) -> 
         )
         networks = make_networks(sizes[0][0], sizes[-1][1] // 2, settings)
 
+        bounded = normalization(params.config.normalize_observations_max_abs_value)
+
         def normalize(observation: Any) -> Any:
-            return normalization(None)(observation, params.normalizer)
+            return bounded(observation, params.normalizer)
 
         return networks.acting(params.policy, normalize, deterministic=deterministic)(observation, key)[0]
 
