@@ -40,8 +40,10 @@ def make_inference(params: PolicyParams, *, deterministic: bool = True) -> Infer
     )
     networks = make_networks(sizes[0][0], sizes[-1][1] // 2, settings)
 
+    bounded = normalization(params.config.normalize_observations_max_abs_value)
+
     def normalize(observation: Any) -> Any:
-        return normalization(None)(observation, params.normalizer)
+        return bounded(observation, params.normalizer)
 
     policy = networks.acting(params.policy, normalize, deterministic=deterministic)
 

@@ -29,6 +29,7 @@ class SACSpec(BaseSpec):
         "value_min",
         "value_max",
         "normalize_observations",
+        "normalize_observations_max_abs_value",
         "returns_to_first_state",
     )
     checkpoint_holds_envs: ClassVar[bool] = True
@@ -96,6 +97,12 @@ class SACSpec(BaseSpec):
     )
     normalize_observations: bool = Field(
         default=True, description="Normalise the networks' observations to mean 0 and deviation 1."
+    )
+    normalize_observations_max_abs_value: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Bound on normalised observations, in standard deviations. null: no bound, as in Brax.",
     )
     num_evals: int = Field(
         default=10, ge=0, le=10_000, description="Evaluations, spread evenly; the last is at the end."

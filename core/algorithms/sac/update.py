@@ -61,6 +61,10 @@ class TrainingState:
     num_updates: jax.Array
 
 
+# Parameters, the critics that follow, the optimiser.
+Learnt = tuple[Params, Any, optax.ScaleByAdamState]
+
+
 @dataclass(frozen=True)
 class Learner:
     """The pure functions of a run, for one environment and the settings that fix shapes."""
@@ -106,10 +110,19 @@ class Learner:
         if settings.normalize_observations:
             normalizer = running_statistics.update(normalizer, transitions.observation)
         replay = replays.added(state.replay, _rows(transitions, outcome))
-        state = TrainingState(
-            params=state.params,
-            target_q=state.target_q,
-            optimizer=state.optimizer,
+        # Counted for one environment: those of all pass 2**31 in a long run.
+        enough = replay.written >= -(-settings.min_replay_size // settings.num_envs)
+        enough &= replay.written > settings.n_step
+        learn = partial(self._learn, replay, self.normalize(normalizer), hyperparameters, learn_key)
+        # The replay is read, not passed through: a conditional would copy it.
+        learnt, metrics = jax.lax.cond(
+            enough, learn, self._unlearnt, (state.params, state.target_q, state.optimizer)
+        )
+        params, target_q, optimizer = learnt
+        new = TrainingState(
+            params=params,
+            target_q=target_q,
+            optimizer=optimizer,
             normalizer=normalizer,
             replay=replay,
             episodes=episodes,
@@ -117,12 +130,7 @@ class Learner:
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
-        # Counted for one environment: those of all pass 2**31 in a long run.
-        enough = replay.written >= -(-settings.min_replay_size // settings.num_envs)
-        enough &= replay.written > settings.n_step
-        learn = partial(self._learn, hyperparameters=hyperparameters, key=learn_key)
-        learnt, metrics = jax.lax.cond(enough, learn, self._unlearnt, state)
-        return learnt, summarise(outcome) | metrics, _failure(transitions, outcome, metrics, learnt.params)
+        return new, summarise(outcome) | metrics, _failure(transitions, outcome, metrics, params)
 
     @property
     def networks(self) -> Networks:
@@ -132,7 +140,8 @@ class Learner:
         """Raw observations as the networks take them."""
         if not self.settings.normalize_observations:
             return lambda observation: observation
-        return lambda observation: normalization(None)(observation, normalizer)
+        normalize = normalization(self.settings.normalize_observations_max_abs_value)
+        return lambda observation: normalize(observation, normalizer)
 
     @property
     def _sizes(self) -> tuple[int, int]:
@@ -154,24 +163,28 @@ class Learner:
             chosen=jax.random.randint(choose_key, shape, 0, settings.reset_pool_size),
         )
 
-    def _unlearnt(self, state: TrainingState) -> tuple[TrainingState, dict[str, jax.Array]]:
+    def _unlearnt(self, learnt: Learnt) -> tuple[Learnt, dict[str, jax.Array]]:
         names = ("critic_loss", "policy_loss", "q_value", "entropy")
         metrics = {name: jnp.float32(0) for name in names}
-        return state, metrics | {"alpha": jnp.exp(state.params.log_alpha)}
+        return learnt, metrics | {"alpha": jnp.exp(learnt[0].log_alpha)}
 
     def _learn(
-        self, state: TrainingState, hyperparameters: Hyperparameters, key: jax.Array
-    ) -> tuple[TrainingState, dict[str, jax.Array]]:
+        self,
+        replay: replays.Replay,
+        normalize: Any,
+        hyperparameters: Hyperparameters,
+        key: jax.Array,
+        learnt: Learnt,
+    ) -> tuple[Learnt, dict[str, jax.Array]]:
         """Gradient steps on samples of the replay, and means of their metrics."""
         settings, networks = self.settings, self.networks
-        normalize = self.normalize(state.normalizer)
         target_entropy = hyperparameters.target_entropy_per_action * self.environment.action_size
 
         def gradient_step(carry: Any, key: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
             params, target_q, optimizer = carry
             sample_key, critic_key, policy_key = jax.random.split(key, 3)
             batch = replays.sample(
-                state.replay,
+                replay,
                 sample_key,
                 settings.batch_size,
                 n_step=settings.n_step,
@@ -205,10 +218,7 @@ class Learner:
             return (params, target_q, optimizer), metrics
 
         steps = settings.unroll_length * settings.grad_updates_per_step
-        (params, target_q, optimizer), metrics = jax.lax.scan(
-            gradient_step, (state.params, state.target_q, state.optimizer), jax.random.split(key, steps)
-        )
-        learnt = cast("Any", state).replace(params=params, target_q=target_q, optimizer=optimizer)
+        learnt, metrics = jax.lax.scan(gradient_step, learnt, jax.random.split(key, steps))
         return learnt, jax.tree.map(jnp.mean, metrics)
 
 
