@@ -1,6 +1,7 @@
 """A trained policy as a function for notebooks. Imports JAX only when called."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,15 @@ Reader = Callable[[bytes, bool, bool], tuple[Any, Any]]
 
 
 def _ppo() -> Reader:
-    from gaitway.policies import ppo
+    from gaitway.policies import network
 
-    return ppo.load
+    return partial(network.load, network.PPO)
+
+
+def _sac() -> Reader:
+    from gaitway.policies import network
+
+    return partial(network.load, network.SAC)
 
 
 def _q_learning() -> Reader:
@@ -27,16 +34,16 @@ def _q_learning() -> Reader:
 
 
 # By algorithm. The call imports JAX.
-READERS: dict[str, Callable[[], Reader]] = {"ppo": _ppo, "q_learning": _q_learning}
+READERS: dict[str, Callable[[], Reader]] = {"ppo": _ppo, "q_learning": _q_learning, "sac": _sac}
 
 
 def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool = True) -> Policy:
     """The policy in a file of this algorithm as a jitted `act(observation, key=None)` -> the policy's output:
     an action, or for Q-learning the columns chosen (docs/q_learning.md).
 
-    observation: the input of the algorithm's policies; for PPO [..., observation_size]. An action is [...,
-    action_size], each component in [-1, 1]. key: a JAX random key, needed by a stochastic policy (ValueError
-    without one).
+    observation: the input of the algorithm's policies; for PPO and SAC [..., observation_size]. An action is
+    [..., action_size], each component in [-1, 1]. key: a JAX random key, needed by a stochastic policy
+    (ValueError without one).
     Raises MissingExtra where JAX or msgpack is not installed, and PolicyUnreadable.
     """
     if algorithm not in READERS:

@@ -32,7 +32,7 @@ def put_off(name: str) -> None:
 
 put_off("brax")
 
-from brax.training import networks  # noqa: E402
+from brax.training import distribution, networks  # noqa: E402
 from brax.training.acme import running_statistics, specs  # noqa: E402
 from brax.training.acme.running_statistics import RunningStatisticsState  # noqa: E402
 from brax.training.agents.ppo.losses import PPONetworkParams, compute_ppo_loss  # noqa: E402
@@ -49,6 +49,7 @@ __all__ = [
     "RunningStatisticsState",
     "Transition",
     "compute_ppo_loss",
+    "distribution",
     "identity_observation_preprocessor",
     "make_inference_fn",
     "make_ppo_networks",

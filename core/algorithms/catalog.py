@@ -16,6 +16,9 @@ from core.algorithms.q_learning import checks as q_learning_checks
 from core.algorithms.q_learning import memory as q_learning_memory
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.q_learning.tuned import catalog as q_learning_tuned
+from core.algorithms.sac import checks as sac_checks
+from core.algorithms.sac import memory as sac_memory
+from core.algorithms.sac.spec import SACSpec
 from core.algorithms.spec import BaseSpec
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
@@ -32,7 +35,7 @@ def _default_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> 
 
 
 AlgorithmSpec = Annotated[
-    PPOSpec | QLearningSpec, Field(discriminator="kind"), WrapValidator(_default_unless_it_says)
+    PPOSpec | QLearningSpec | SACSpec, Field(discriminator="kind"), WrapValidator(_default_unless_it_says)
 ]
 
 
@@ -76,6 +79,13 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             q_learning_tuned.tuned,
             q_learning_checks.refusal,
             q_learning_memory.least_memory,
+        ),
+        AlgorithmInfo(
+            SACSpec,
+            "core.algorithms.sac.algorithm:SAC",
+            "core.algorithms.sac.policy:load",
+            refusal=sac_checks.refusal,
+            least_memory=sac_memory.least_memory,
         ),
     )
 }

@@ -4,8 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from core.environments.environment import Environment
+import jax
+
+from core.environments.environment import Environment, State
 from core.environments.rollout import ParametricPolicy
+from core.environments.wrappers.action_hold import ActionHold
 
 
 class Acting(NamedTuple):
@@ -26,3 +29,21 @@ class TrainedPolicy:
 
     parameters: Any
     acting: Callable[[Environment], Acting]
+
+
+def of_network(
+    parameters: Any, answer: Callable[[Any, Any, jax.Array], jax.Array], action_repeat: int
+) -> TrainedPolicy:
+    """A policy that takes observations alone. answer: (parameters, observation, key) -> action [action_size];
+    action_repeat: time steps for which an action is held."""
+
+    def acting(environment: Environment) -> Acting:
+        if action_repeat == 1:
+            return Acting(environment, lambda params, state, key: answer(params, state.obs, key))
+
+        def act(params: Any, state: State, key: jax.Array) -> jax.Array:
+            return ActionHold.due_or_held(state, action_repeat, answer(params, state.obs, key))
+
+        return Acting(ActionHold(environment), act)
+
+    return TrainedPolicy(parameters, acting)

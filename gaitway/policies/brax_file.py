@@ -1,4 +1,4 @@
-"""Reads the policy file of a PPO run: a pickle that Brax reads, too, followed by JSON.
+"""Reads the policy file of a PPO or SAC run: a pickle that Brax reads, too, followed by JSON.
 
 Of the code that the pickle names, only NumPy's code of arrays runs.
 """

@@ -21,6 +21,10 @@ def q_learning(**options: Any) -> dict[str, Any]:
     return MINIMAL | {"algorithm": {"kind": "q_learning", **options}}
 
 
+def sac(**options: Any) -> dict[str, Any]:
+    return MINIMAL | {"algorithm": {"kind": "sac", **options}}
+
+
 def corridor(**options: Any) -> dict[str, Any]:
     return {"kind": "train", "environment": {"id": "corridor", "options": options}}
 
@@ -46,7 +50,7 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         ({"kind": "zzz", "environment": "ant"}, "/kind", "known are `train`, `rollout`."),
         ([], "", "must be an object"),
         ("text", "", "must be an object"),
-        (MINIMAL | {"algorithm": {"kind": "sac"}}, "/algorithm/kind", "known are `ppo`, `q_learning`"),
+        (MINIMAL | {"algorithm": {"kind": "td3"}}, "/algorithm/kind", "known are `ppo`, `q_learning`, `sac`"),
         (MINIMAL | {"algorithm": "ppo"}, "/algorithm", "must be an object"),
         (
             MINIMAL | {"algorithm": {"kind": "ppo", "clip_epsilon": 0.2}},
@@ -81,6 +85,24 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "the run has 100 episodes",
         ),
         (q_learning(epsilom={}), "/algorithm/epsilom", "did you mean `epsilon`?"),
+        (sac(entropy_cost=0.1), "/algorithm/entropy_cost", "`entropy_cost` is not a field here"),
+        (sac(tau=0), "/algorithm/tau", "greater than 0, not 0"),
+        (
+            sac(value_min=5, value_max=5),
+            "/algorithm/value_min",
+            "value_min = 5 is not below value_max = 5",
+        ),
+        (
+            sac(max_replay_size=1000),
+            "/algorithm/max_replay_size",
+            "it has to keep 8: 1024 or more",
+        ),
+        (sac(num_timesteps=1000), "/algorithm/min_replay_size", "The run ends after 1024 transitions"),
+        (
+            sac() | {"resources": {"gpus": 2}},
+            "/resources/gpus",
+            "sac runs on one device, but the job asks for 2 GPUs.",
+        ),
         (MINIMAL | {"enviroment": "ant"}, "/enviroment", "did you mean `environment`?"),
         (MINIMAL | {"a/b~c": 1}, "/a~1b~0c", "not a field here"),
         (MINIMAL | {"video": {"camera": "moon"}}, "/video/camera", "no camera 'moon'"),

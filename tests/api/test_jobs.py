@@ -193,7 +193,7 @@ def test_a_job_may_end_with_words_that_no_database_stores(stack: Stack) -> None:
 def unreadable(stack: Stack) -> Attempt:
     """A running job whose specification another version wrote; and a job before and after it."""
     attempt = Attempt(stack, job("00000000000b-0000000000", name="b", labels={"group": "x"}))
-    damage(stack, attempt.id, '{"kind": "train", "environment": {"id": "ant"}, "algorithm": {"kind": "sac"}}')
+    damage(stack, attempt.id, '{"kind": "train", "environment": {"id": "ant"}, "algorithm": {"kind": "td3"}}')
     for other in ("a", "c"):
         stack.store.add(job(f"00000000000{other}-0000000000", name=other))
     return attempt
@@ -221,7 +221,7 @@ def test_a_record_that_cannot_be_read_shows_what_can(stack: Stack, unreadable: A
     view = stack.http.get(f"/jobs/{unreadable.id}").json()
     assert view["message"].startswith("This version of Gaitway cannot read the job's record (")
     assert "algorithm" in view["message"]
-    assert view["spec"]["algorithm"] == {"kind": "sac"}
+    assert view["spec"]["algorithm"] == {"kind": "td3"}
     assert (view["kind"], view["labels"], view["attempts"], view["artifacts"]) == (
         "train",
         {"group": "x"},

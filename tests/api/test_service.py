@@ -60,6 +60,7 @@ def test_an_environment_is_shown_under_the_options_that_a_job_would_give(stack: 
     # What fits a pattern generator and a table is not what fits single joints.
     assert plain["defaults"]["ppo"]["cpu"]["action_repeat"] == 1
     assert steered["defaults"]["ppo"]["cpu"]["action_repeat"] == 10
+    assert plain["defaults"]["sac"]["cpu"]["episode_length"] == plain["episode_length"]
     assert "q_learning" not in plain["defaults"]
     assert steered["defaults"]["q_learning"]["cpu"]["state_discretizer"] == {"kind": "arm_towards_target"}
 

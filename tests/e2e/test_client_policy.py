@@ -7,8 +7,9 @@ import pytest
 
 from core.algorithms.checkpoint import describe
 from core.algorithms.normalizer import init_normalizer
+from core.algorithms.policy_file import write_policy
 from core.algorithms.ppo.networks import init_params, make_networks
-from core.algorithms.ppo.policy import make_inference, write_policy
+from core.algorithms.ppo.policy import make_inference
 from core.algorithms.ppo.spec import PPOSpec
 from gaitway import Client, NotFound
 from tests import probes

@@ -122,6 +122,14 @@ def test_the_cli_submits_what_its_options_say(stack: Stack, client: Client) -> N
     assert spec["video"] == {"cameras": ["track", 0]}
 
 
+def test_the_cli_submits_a_job_of_another_algorithm(stack: Stack, client: Client) -> None:
+    options = ("--num-timesteps", "1000000", "--set", "algorithm.kind=sac", "--set", "algorithm.n_step=1")
+    done = gaitway(stack, "submit", "ant", *options, "--json")
+    assert done.exit_code == 0, done.output
+    spec = client.get(json.loads(done.stdout)["id"]).spec
+    assert spec["algorithm"] == {"kind": "sac", "num_timesteps": 1_000_000, "n_step": 1}
+
+
 def test_the_cli_reads_a_job_from_a_file_and_from_stdin(stack: Stack, client: Client, tmp_path: Path) -> None:
     text = '{"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}}'
     file = tmp_path / "job.json"

@@ -41,6 +41,26 @@ SMALL: dict[str, Any] = {
     "seed": 3,
 }
 
+# Updates of 32 × 4 = 128 steps, which learn from the second on.
+SMALL_SAC: dict[str, Any] = {
+    **SMALL,
+    "algorithm": {
+        "kind": "sac",
+        "num_timesteps": 6400,
+        "num_envs": 32,
+        "unroll_length": 4,
+        "batch_size": 64,
+        "min_replay_size": 256,
+        "max_replay_size": 4096,
+        "num_evals": 2,
+        "num_eval_envs": 4,
+        "episode_length": 100,
+        "policy_hidden_layer_sizes": [16],
+        "q_hidden_layer_sizes": [16],
+    },
+    "checkpoints": {"every_steps": 1280},
+}
+
 # What a training job keeps in any case.
 KEPT = {"checkpoint", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory", "video"}
 
@@ -60,6 +80,17 @@ def until_checkpoint(client: Client, job: JobView) -> tuple[list[Event], int]:
             break
     pid = next(e.data["pid"] for e in seen if e.kind == "phase" and e.data["name"] == "process")
     return seen, int(pid)
+
+
+def rolled_out(client: Client, trained: JobView, **length: int) -> JobView:
+    """A finished rollout of what a job has learnt."""
+    policy = {"kind": "checkpoint", "job": trained.id}
+    common = {name: value for name, value in SMALL.items() if name not in ("algorithm", "checkpoints")}
+    job = client.wait(
+        client.submit({**common, "kind": "rollout", "policy": policy, **length}).id, timeout=110
+    )
+    assert job.succeeded, job.message
+    return job
 
 
 def final_checkpoint(job: JobView) -> str:
@@ -110,12 +141,7 @@ def test_metrics_have_braxs_names_and_rise_in_step(client: Client, undisturbed: 
 def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     client: Client, undisturbed: JobView, tmp_path: Path
 ) -> None:
-    policy = {"kind": "checkpoint", "job": undisturbed.id}
-    spec = {**SMALL, "kind": "rollout", "policy": policy, "num_steps": 40, "num_episodes": 2}
-    for field in ("algorithm", "checkpoints"):
-        del spec[field]
-    job = client.wait(client.submit(spec).id, timeout=110)
-    assert job.succeeded, job.message
+    job = rolled_out(client, undisturbed, num_steps=40, num_episodes=2)
     shown = trajectory.load(client.download(job.id, "trajectory.npz", tmp_path / "trajectory.npz"))
     assert [episode.num_steps for episode in shown.episodes] == [40, 40]
     summary = httpx.get(f"{client.base_url}/jobs/{job.id}/artifacts/summary.json").json()
@@ -123,6 +149,26 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     assert summary["episodes"][1]["return"] == pytest.approx(expected)
     assert job.newest("video") is not None
     assert job.artifact("path.png") is not None
+
+
+def test_sac_goes_the_same_way_as_ppo(client: Client, tmp_path: Path) -> None:
+    job = client.wait(client.submit(SMALL_SAC).id, timeout=110)
+    assert job.succeeded, job.message
+    assert (job.progress.step, job.progress.total) == (6400, 6400)
+    assert {a.role for a in job.artifacts} == KEPT
+    assert [a.step for a in client.checkpoints(job.id)] == [1280 * i for i in range(1, 6)]
+    names = {name for row in client.metrics(job.id) for name in row.values}
+    assert {"eval/episode_reward", "training/sps", "training/critic_loss", "training/alpha"} <= names
+    final, kept = (client.load_policy(job.id, step=step) for step in (None, 6400))
+    seen = np.full(4, 0.1, np.float32)
+    assert final(seen).shape == (1,)
+    np.testing.assert_allclose(final(seen), kept(seen), rtol=1e-6)
+
+    shown = rolled_out(client, job, num_steps=20, num_episodes=2)
+    assert shown.newest("video") is not None
+    path = client.download(shown.id, "trajectory.npz", tmp_path / "sac.npz")
+    [episode, _] = trajectory.load(path).episodes
+    assert len(np.unique(episode.action)) > 1
 
 
 def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) -> None:
@@ -153,12 +199,7 @@ def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) 
     column = client.load_policy(job.id)({"observation": np.zeros(4, np.float32)})
     assert column.shape == (1,)
 
-    policy = {"kind": "checkpoint", "job": job.id}
-    spec = {**SMALL, "kind": "rollout", "policy": policy, "num_steps": 20, "num_episodes": 2}
-    for field in ("algorithm", "checkpoints"):
-        del spec[field]
-    shown = client.wait(client.submit(spec).id, timeout=110)
-    assert shown.succeeded, shown.message
+    shown = rolled_out(client, job, num_steps=20, num_episodes=2)
     path = client.download(shown.id, "trajectory.npz", tmp_path / "table.npz")
     [episode, _] = trajectory.load(path).episodes
     assert set(np.unique(episode.action)) <= {-0.5, 0.0, 0.5}
@@ -235,8 +276,11 @@ def test_killed_stores_change_nothing_in_the_result_and_cost_no_attempt(
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
 
 
-def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(client: Client) -> None:
-    job = client.submit({**SMALL, "algorithm": {**SMALL["algorithm"], "num_timesteps": 10_000_000}})
+@pytest.mark.parametrize("small", [SMALL, SMALL_SAC], ids=["ppo", "sac"])
+def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(
+    client: Client, small: dict[str, Any]
+) -> None:
+    job = client.submit({**small, "algorithm": {**small["algorithm"], "num_timesteps": 10_000_000}})
     _, pid = until_checkpoint(client, job)
     assert client.cancel(job.id).status == "cancelling"
     ended = client.wait(job.id, timeout=110)

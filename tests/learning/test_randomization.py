@@ -1,5 +1,6 @@
 """Environments that differ, in training: when their numbers change, and that runs stay what they are."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -8,6 +9,7 @@ import pytest
 
 from core.algorithms.events import Progress
 from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.run import Run
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.randomization import Randomization
@@ -16,6 +18,8 @@ from core.errors import JobFailed
 from core.physics.native import NativeEngine
 from tests import probes
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
+from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
+from tests.learning.sac_runs import sac_run
 
 FALL = Randomization(field="opt.gravity", axis=2, range=(-12.0, -8.0), operation="set")
 BUDGET = {"num_timesteps": 4 * STEPS_PER_UPDATE, "num_evals": 0}
@@ -76,10 +80,14 @@ def test_without_a_pool_of_starts_an_environment_keeps_its_number_for_the_run() 
         np.testing.assert_array_equal(drawn, first)
 
 
-def test_a_resumed_run_equals_an_uninterrupted_one() -> None:
-    half = 2 * STEPS_PER_UPDATE
-    straight = checkpoints(small_run(pendulum(), checkpoint_every_steps=half, **BUDGET))
-    resumed = small_run(pendulum(), resume=straight[half], **BUDGET)
+@pytest.mark.parametrize(
+    ("begin", "update"), [(small_run, STEPS_PER_UPDATE), (sac_run, SAC_STEPS_PER_UPDATE)], ids=["ppo", "sac"]
+)
+def test_a_resumed_run_equals_an_uninterrupted_one(begin: Callable[..., Run[Any]], update: int) -> None:
+    half = 4 * update
+    budget = {"num_timesteps": 2 * half, "num_evals": 0}
+    straight = checkpoints(begin(pendulum(), checkpoint_every_steps=half, **budget))
+    resumed = begin(pendulum(), resume=straight[half], **budget)
     assert checkpoints(resumed) == {2 * half: straight[2 * half]}
 
 

@@ -18,6 +18,8 @@ from core.physics.choose import engine_builder
 from tests import probes
 from tests.learning.q_probes import q_run, q_settings, two_rooms
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
+from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
+from tests.learning.sac_runs import sac_run
 
 
 def probe() -> Environment:
@@ -46,6 +48,14 @@ def q_learning(**options: Any) -> tuple[Begin, int]:
     return lambda **run: q_run(two_rooms(), settings, **run), settings.env_steps_per_update
 
 
+def sac(environment: Callable[[], Environment], **options: Any) -> tuple[Begin, int]:
+    """It learns from the second update on, of targets that reach over what an earlier update wrote; the ring
+    of 10 actions in each environment is full after the third and is written over in a resumed run."""
+    budget = {"num_timesteps": 6 * SAC_STEPS_PER_UPDATE, "episode_length": 5, "num_evals": 2}
+    kept = {"min_replay_size": 128, "max_replay_size": 160, "n_step": 3, "normalize_observations": True}
+    return lambda **run: sac_run(environment(), **budget, **kept, **options, **run), SAC_STEPS_PER_UPDATE
+
+
 REPLAYED: dict[str, Any] = {
     "agents": [{}, {"seed": 7, "learning_rate": 0.2}],
     "replay": {"buffer_size": 50, "batch_size": 4},
@@ -54,8 +64,24 @@ REPLAYED: dict[str, Any] = {
 
 @pytest.mark.parametrize(
     ("begin", "update"),
-    [ppo(probe), ppo(partial(ant, "native")), ppo(partial(ant, "compiled")), q_learning(**REPLAYED)],
-    ids=["ppo-probe", "ppo-ant-native", "ppo-ant-compiled", "q_learning-replay-agents"],
+    [
+        ppo(probe),
+        ppo(partial(ant, "native")),
+        ppo(partial(ant, "compiled")),
+        q_learning(**REPLAYED),
+        sac(probe),
+        sac(probe, reset_pool_size=0),
+        sac(partial(ant, "native")),
+    ],
+    ids=[
+        "ppo-probe",
+        "ppo-ant-native",
+        "ppo-ant-compiled",
+        "q_learning-replay-agents",
+        "sac-probe",
+        "sac-first-states",
+        "sac-ant-native",
+    ],
 )
 def test_a_resumed_run_equals_an_uninterrupted_one(begin: Begin, update: int) -> None:
     # Kept after three updates and at the end. Short epochs first, one long one after the resumption.
@@ -93,7 +119,11 @@ def test_a_checkpoint_holds_first_states_only_where_a_run_goes_back_to_them() ->
         small_run(probe(), resume=kept, **budget)
 
 
-@pytest.mark.parametrize(("begin", "update"), [ppo(probe), q_learning(**REPLAYED)], ids=["ppo", "q_learning"])
+@pytest.mark.parametrize(
+    ("begin", "update"),
+    [ppo(probe), q_learning(**REPLAYED), sac(probe)],
+    ids=["ppo", "q_learning", "sac"],
+)
 def test_a_run_that_was_stopped_anywhere_goes_on_as_if_it_had_not(begin: Begin, update: int) -> None:
     straight = checkpoints(begin())
     stopped = begin()

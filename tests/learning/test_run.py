@@ -1,24 +1,56 @@
 """What a run tells while it goes on, and how it ends when values are not finite."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
 import jax
 import pytest
 
+from core.algorithms.checkpoint import Format
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
-from core.algorithms.ppo.checkpoint import FORMAT
+from core.algorithms.ppo.checkpoint import FORMAT as PPO_FORMAT
+from core.algorithms.run import Run
+from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
 from core.errors import JobFailed
 from tests import probes
 from tests.learning.runs import STEPS_PER_UPDATE, small_run
+from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
+from tests.learning.sac_runs import sac_run
 
 
-def names(events: list[Event]) -> list[str]:
-    """Events as words, in their order."""
+@dataclass(frozen=True)
+class Case:
+    """An algorithm's small runs. update: environment steps."""
+
+    begin: Callable[..., Run[Any]]
+    update: int
+    num_envs: int
+    format: Format
+
+
+@pytest.fixture(
+    params=[
+        Case(small_run, STEPS_PER_UPDATE, 32, PPO_FORMAT),
+        Case(sac_run, SAC_STEPS_PER_UPDATE, 16, SAC_FORMAT),
+    ],
+    ids=["ppo", "sac"],
+)
+def case(request: pytest.FixtureRequest) -> Case:
+    return request.param
+
+
+def names(events: list[Event], update: int) -> list[str]:
+    """Events as words, in their order, with the number of the update."""
     return [
-        f"phase {event.name}" if isinstance(event, Phase) else f"{type(event).__name__} {event.step}"
+        f"phase {event.name}"
+        if isinstance(event, Phase)
+        else f"{type(event).__name__} {event.step / update:g}"
         for event in events
     ]
 
 
-def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> None:
+def test_events_come_in_their_order_and_nothing_compiles_after_the_start(case: Case) -> None:
     compilations = list[str]()
 
     def note(event: str, duration: float, **_: object) -> None:
@@ -26,12 +58,12 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
             compilations.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(note)
-    # Six updates: evaluations after 3 and 6, checkpoints at 1000 steps (update 2), 2000 (4), 3000 (6).
-    run = small_run(
+    # Six updates: evaluations after 3 and 6, checkpoints at 1.95 updates (2), 3.9 (4), 5.85 (6).
+    run = case.begin(
         probes.endless(),
-        num_timesteps=6 * STEPS_PER_UPDATE,
+        num_timesteps=6 * case.update,
         num_evals=2,
-        checkpoint_every_steps=1000,
+        checkpoint_every_steps=125 * case.update // 64,
         epoch_s=1000.0,
     )
     events = list[Event]()
@@ -40,28 +72,28 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
         if isinstance(event, Phase) and event.name == "compile":
             compiled_at_start = len(compilations)
         if isinstance(event, CheckpointReady):
-            assert FORMAT.read(run.checkpoint())[0]["progress"]["step"] == event.step
+            assert case.format.read(run.checkpoint())[0]["progress"]["step"] == event.step
         events.append(event)
-    assert names(events) == [
+    assert names(events, case.update) == [
         "phase trace",
         "phase compile",
         "phase first_update",
-        "Progress 512",
-        "Progress 1024",
-        "CheckpointReady 1024",
-        "Progress 1536",
-        "Evaluated 1536",
-        "Progress 2048",
-        "CheckpointReady 2048",
-        "Progress 3072",
-        "Evaluated 3072",
-        "CheckpointReady 3072",
+        "Progress 1",
+        "Progress 2",
+        "CheckpointReady 2",
+        "Progress 3",
+        "Evaluated 3",
+        "Progress 4",
+        "CheckpointReady 4",
+        "Progress 6",
+        "Evaluated 6",
+        "CheckpointReady 6",
     ]
     assert compiled_at_start > 0
     assert len(compilations) == compiled_at_start
 
     progress = [event for event in events if isinstance(event, Progress)][-1]
-    assert progress.total == 3072
+    assert progress.total == 6 * case.update
     # The action is both the reward and the speed of this probe, and an episode has 8 steps.
     assert progress.metrics["training/episode_length"] == 8.0
     assert progress.metrics["training/fall_rate"] == 0.0
@@ -77,17 +109,20 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
     assert evaluations[-1]["eval/walltime_share"] == pytest.approx(evaluating / (evaluating + training))
 
 
-def test_a_run_that_diverges_names_step_and_quantity_and_keeps_the_last_good_state() -> None:
-    # The reward breaks with an episode's 41st step. An update has 16 steps of 32 environments, so this is
-    # time step 8 of the third update: environment step 2 · 512 + 8 · 32 = 1280.
-    run = small_run(probes.exploding(after=40), episode_length=1000, epoch_s=1000.0)
-    with pytest.raises(JobFailed, match="reward became non-finite at environment step 1280") as failure:
+def test_a_run_that_diverges_names_step_and_quantity_and_keeps_the_last_good_state(case: Case) -> None:
+    # The reward breaks with an episode's 42nd step. PPO's update has 16 steps of 32 environments, so this is
+    # time step 9 of the third update: environment step 2 · 512 + 9 · 32 = 1312. SAC's has 4 steps of 16
+    # environments: time step 1 of the eleventh, environment step 10 · 64 + 16 = 656.
+    step = 41 * case.num_envs
+    before = step // case.update * case.update
+    run = case.begin(probes.exploding(after=41), episode_length=1000, epoch_s=1000.0)
+    with pytest.raises(JobFailed, match=f"reward became non-finite at environment step {step}") as failure:
         list(run.events())
     assert failure.value.reason == "diverged"
-    assert failure.value.facts == {"step": 1280, "quantity": "reward"}
-    assert run.step == 2 * STEPS_PER_UPDATE
-    header, state = FORMAT.read(run.checkpoint())
-    assert header["progress"]["step"] == 2 * STEPS_PER_UPDATE
+    assert failure.value.facts == {"step": step, "quantity": "reward"}
+    assert run.step == before
+    header, state = case.format.read(run.checkpoint())
+    assert header["progress"]["step"] == before
     assert all(jax.numpy.isfinite(leaf).all() for leaf in jax.tree.leaves(state["params"]))
 
 
@@ -100,11 +135,10 @@ def test_a_loss_that_overflows_is_told_from_a_reward_that_does() -> None:
     assert run.step == 0
 
 
-def test_a_second_evaluation_has_other_starts_and_changes_nothing() -> None:
+def test_a_second_evaluation_has_other_starts_and_changes_nothing(case: Case) -> None:
     """The probe's reward is what an episode's start drew."""
-    runs = [
-        small_run(probes.observed_reward(), num_timesteps=2 * STEPS_PER_UPDATE, num_evals=1) for _ in range(2)
-    ]
+    budget = {"num_timesteps": 4 * case.update, "num_evals": 1}
+    runs = [case.begin(probes.observed_reward(), **budget) for _ in range(2)]
     seen = list[float]()
     for event in runs[0].events():
         if isinstance(event, Evaluated):
@@ -116,6 +150,6 @@ def test_a_second_evaluation_has_other_starts_and_changes_nothing() -> None:
     assert runs[0].checkpoint() == runs[1].checkpoint()
 
 
-def test_a_run_that_has_not_begun_has_nothing_to_evaluate() -> None:
+def test_a_run_that_has_not_begun_has_nothing_to_evaluate(case: Case) -> None:
     with pytest.raises(RuntimeError, match="before its first event"):
-        small_run(probes.observed_reward()).evaluate(1)
+        case.begin(probes.observed_reward()).evaluate(1)

@@ -12,47 +12,62 @@ import pytest
 from core.algorithms.compiled_functions import trace
 from core.algorithms.ppo.algorithm import PPO
 from core.algorithms.ppo.update import Learner
+from core.algorithms.sac.algorithm import SAC
+from core.algorithms.sac.update import Learner as SACLearner
 from tests import probes
 from tests.compiling import compiling_quickly
-from tests.learning.runs import STEPS_PER_UPDATE, small_settings
+from tests.learning.runs import small_settings
+from tests.learning.sac_runs import sac_settings
 
 
-def test_an_update_is_traced_once(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("algorithm", "learner", "settings"),
+    [(PPO, Learner, small_settings()), (SAC, SACLearner, sac_settings())],
+    ids=["ppo", "sac"],
+)
+def test_an_update_is_traced_once(
+    algorithm: Any, learner: Any, settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # The loop over updates needs the update's shapes before it, and the update in it.
     times = 0
-    update = Learner.update
+    update = learner.update
 
     def counted(*arguments: object) -> object:
         nonlocal times
         times += 1
-        return update(*arguments)  # pyright: ignore
+        return update(*arguments)
 
-    monkeypatch.setattr(Learner, "update", counted)
-    settings = small_settings()
-    trace(PPO(probes.endless(), settings, seed=0))
+    monkeypatch.setattr(learner, "update", counted)
+    trace(algorithm(probes.endless(), settings, seed=0))
     assert times == 1
 
 
 # What may be another number without being another program.
 CHANGES = {
     "learning_rate": 2e-3,
-    "entropy_cost": 0.1,
-    "clipping_epsilon": 0.2,
     "discounting": 0.9,
-    "gae_lambda": 0.9,
     "reward_scaling": 0.1,
-    "vf_loss_coefficient": 0.25,
-    "max_grad_norm": 1.0,
     "seed": 7,
-    "num_timesteps": 2 * STEPS_PER_UPDATE,
-    "checkpoint_every_steps": STEPS_PER_UPDATE,
+    "num_timesteps": 1024,
+    "checkpoint_every_steps": 512,
+}
+CHANGES_OF = {
+    "ppo": {
+        "entropy_cost": 0.1,
+        "clipping_epsilon": 0.2,
+        "gae_lambda": 0.9,
+        "vf_loss_coefficient": 0.25,
+        "max_grad_norm": 1.0,
+    },
+    "sac": {"tau": 0.1, "target_entropy_per_action": -1.0},
 }
 
 
+@pytest.mark.parametrize("algorithm", CHANGES_OF)
 def test_a_second_process_compiles_no_program_with_native_physics_whatever_numbers_changed(
-    tmp_path: Path,
+    algorithm: str, tmp_path: Path
 ) -> None:
-    first, second = start(tmp_path, {}), start(tmp_path, CHANGES)
+    first, second = (start(tmp_path, algorithm, changes) for changes in ({}, CHANGES | CHANGES_OF[algorithm]))
     assert first["hits"] == 0
     for name in ("init", "epoch", "evaluate"):
         assert any(file.name.startswith(f"jit_{name}-") for file in tmp_path.iterdir())
@@ -62,10 +77,10 @@ def test_a_second_process_compiles_no_program_with_native_physics_whatever_numbe
     assert second["physics"] == []
 
 
-def start(cache: Path, changes: dict[str, Any]) -> dict[str, Any]:
+def start(cache: Path, algorithm: str, changes: dict[str, Any]) -> dict[str, Any]:
     """What a process says that trains with these changes."""
     said = subprocess.run(
-        [sys.executable, "-m", "tests.learning.start_process", str(cache), json.dumps(changes)],
+        [sys.executable, "-m", "tests.learning.start_process", str(cache), algorithm, json.dumps(changes)],
         env={**os.environ, **compiling_quickly(), "JAX_PLATFORMS": "cpu"},
         stdout=subprocess.PIPE,
         check=True,

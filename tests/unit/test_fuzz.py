@@ -65,7 +65,12 @@ _Q_LEARNING: dict[str, Any] = {
     "environment": {"id": "brittle_star", "options": {}},
     "algorithm": {"kind": "q_learning", "epsilon": {"start": 1.0}, "action_set": {"kind": "leading_arm"}},
 }
-_DOCUMENTS = [*(example["value"] for example in EXAMPLES.values()), _FULL, _Q_LEARNING]
+_SAC: dict[str, Any] = {
+    "kind": "train",
+    "environment": {"id": "ant", "options": {}},
+    "algorithm": {"kind": "sac", "max_replay_size": 10_000, "value_min": -10.0, "q_hidden_layer_sizes": [32]},
+}
+_DOCUMENTS = [*(example["value"] for example in EXAMPLES.values()), _FULL, _Q_LEARNING, _SAC]
 
 
 @st.composite

@@ -11,11 +11,11 @@ from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import make_inference_fn
 from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
+from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.checkpoint import FORMAT, header
 from core.algorithms.ppo.failure import QUANTITIES
 from core.algorithms.ppo.hyperparameters import Hyperparameters
-from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, make_networks
-from core.algorithms.ppo.policy import write_policy
+from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.update import Learner, TrainingState
 from core.algorithms.sharding import Sharding

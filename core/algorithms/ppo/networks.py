@@ -1,16 +1,13 @@
 """Brax's networks for this project's settings."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
 from typing import Any, cast
 
 import jax
-from flax import struct
 
 from core.algorithms.brax_training import (
     PPONetworkParams,
     PPONetworks,
-    RunningStatisticsState,
     identity_observation_preprocessor,
     make_ppo_networks,
 )
@@ -18,44 +15,6 @@ from core.algorithms.brax_training import networks as brax_networks
 from core.algorithms.normalizer import normalization
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments.environment import ObservationSize
-
-
-@dataclass(frozen=True)
-class PolicyConfig:
-    """What inference needs besides a policy's parameters: the hyperparameters of these names."""
-
-    activation: str = "swish"
-    policy_obs_key: str = "state"
-    value_obs_key: str = "state"
-    action_repeat: int = 1
-    normalize_observations_max_abs_value: float | None = None
-
-    @classmethod
-    def of(cls, facts: Mapping[str, Any]) -> "PolicyConfig":
-        """From facts that may include others; a missing one takes its default.
-
-        A run that does not normalise observations does not bound them either.
-        """
-        names = set(asdict(cls())) & facts.keys()
-        if not facts.get("normalize_observations", True):
-            names -= {"normalize_observations_max_abs_value"}
-        return cls(**{name: facts[name] for name in names})
-
-
-@struct.dataclass
-class PolicyParams:
-    """What Brax saves and its inference functions take, (normaliser, policy, value), and their config.
-
-    Iterates like that triple; a bare triple can replace it if the config is the default.
-    """
-
-    normalizer: RunningStatisticsState
-    policy: Any
-    value: Any
-    config: PolicyConfig = struct.field(pytree_node=False, default=PolicyConfig())
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter((self.normalizer, self.policy, self.value))
 
 
 def make_networks(

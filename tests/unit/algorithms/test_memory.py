@@ -11,6 +11,9 @@ from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.replay import empty
 from core.algorithms.q_learning.spec import QLearningSpec
+from core.algorithms.sac import replay as sac_replay
+from core.algorithms.sac.networks import make_networks as make_sac_networks
+from core.algorithms.sac.spec import SACSpec
 from core.environments import catalog
 
 ANT = catalog.find("ant")
@@ -43,6 +46,28 @@ def test_a_replay_buffer_has_the_size_of_the_arrays_it_is() -> None:
     part = least_memory(QLearningSpec.model_validate({"num_envs": 10, **said}), ANT, 1).parts[1]
     arrays = jax.tree.leaves(jax.eval_shape(lambda: empty(1000).steps))
     assert part.bytes == 2 * sum(4 * array.size for array in arrays) == 48_000
+
+
+def test_sac_counts_its_replay_and_networks_as_the_arrays_they_are() -> None:
+    settings = SACSpec.model_validate(
+        {
+            "num_envs": 10,
+            "max_replay_size": 1009,  # 100 actions of each environment
+            "policy_hidden_layer_sizes": [8, 4],
+            "q_hidden_layer_sizes": [16],
+            "q_network_layer_norm": False,
+        }
+    )
+    kept, networks, environments = least_memory(settings, ANT, 1).parts
+    ring = jax.tree.leaves(jax.eval_shape(lambda: sac_replay.empty(100, 10, 27, 8).rows))
+    assert kept.bytes == sum(4 * array.size for array in ring) == 4 * 1000 * (27 + 8 + 3)
+    assert kept.lower == ("max_replay_size",)
+    made = make_sac_networks(27, 8, settings)
+    params = jax.eval_shape(lambda key: made.init(key, 27, 8, 0.1), jax.random.PRNGKey(0))
+    policy, critics = (sum(leaf.size for leaf in jax.tree.leaves(part)) for part in (params.policy, params.q))
+    # Parameters, gradient and two moments; and the critics that follow.
+    assert networks.bytes == 4 * (4 * policy + 5 * critics)
+    assert environments.bytes == 4 * 10 * 28
 
 
 def test_the_sentence_says_what_is_needed_what_there_is_and_what_to_lower() -> None:

@@ -13,24 +13,23 @@ import pytest
 from brax.io import model
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo.networks import make_inference_fn, make_ppo_networks
+from brax.training.agents.sac import networks as brax_sac
 
 from core.algorithms.checkpoint import describe
 from core.algorithms.normalizer import init_normalizer
-from core.algorithms.ppo.networks import (
+from core.algorithms.policy_file import (
     PolicyConfig,
     PolicyParams,
-    init_params,
-    make_networks,
-)
-from core.algorithms.ppo.policy import (
     _PolicyPickler,
-    load,
-    make_inference,
-    policy_from_checkpoint,
     read_policy,
     write_policy,
 )
+from core.algorithms.ppo.networks import init_params, make_networks
+from core.algorithms.ppo.policy import load, make_inference, policy_from_checkpoint
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.sac import policy as sac
+from core.algorithms.sac.networks import make_networks as make_sac_networks
+from core.algorithms.sac.spec import SACSpec
 from core.environments.rollout import Roller
 from core.errors import JobFailed
 from tests import probes
@@ -65,6 +64,26 @@ def test_brax_loads_the_file_and_acts_as_we_do(
     policy = make_inference_fn(networks)(model.load_params(str(path)), deterministic=deterministic)
     expected, _ = policy(OBSERVATIONS, KEY)
     got = make_inference(read_policy(path.read_bytes()), deterministic=deterministic)(OBSERVATIONS, KEY)
+    assert got.shape == (2, 2)
+    np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.parametrize("deterministic", [True, False])
+def test_brax_loads_the_file_of_sac_and_acts_as_we_do(tmp_path: Path, deterministic: bool) -> None:
+    settings = SACSpec.model_validate({"policy_hidden_layer_sizes": [8, 4], "q_hidden_layer_sizes": [6]})
+    trained = make_sac_networks(3, 2, settings).init(jax.random.PRNGKey(0), 3, 2, 0.1)
+    normalizer = running_statistics.update(init_normalizer(3), OBSERVATIONS)
+    path = tmp_path / "policy"
+    path.write_bytes(sac.write_policy(normalizer, trained.policy, settings.model_dump()))
+    networks = brax_sac.make_sac_networks(
+        3, 2, preprocess_observations_fn=running_statistics.normalize, hidden_layer_sizes=(8, 4)
+    )
+    first_two = model.load_params(str(path))[:2]
+    policy = brax_sac.make_inference_fn(networks)(first_two, deterministic=deterministic)
+    expected, _ = policy(OBSERVATIONS, KEY)
+    kept = read_policy(path.read_bytes())
+    assert kept.config == PolicyConfig(activation="relu")
+    got = sac.make_inference(kept, deterministic=deterministic)(OBSERVATIONS, KEY)
     assert got.shape == (2, 2)
     np.testing.assert_array_equal(got, expected)
 

@@ -8,7 +8,8 @@ from pydantic import ValidationError
 from core.algorithms.catalog import reported, resolve
 from core.algorithms.ppo.spec import Activation, PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.spec import check_resumption
+from core.algorithms.sac.spec import SACSpec
+from core.algorithms.spec import BaseSpec, check_resumption
 from core.environments import catalog
 from core.environments.info import Device
 from core.errors import Rejected
@@ -40,6 +41,7 @@ def test_a_lowest_learning_rate_above_the_highest_is_refused() -> None:
     ("spec", "renamed"),
     [
         (PPOSpec(learning_rate=0.125), {}),
+        (SACSpec(learning_rate=0.125), {}),
         # The names of version 0.1.
         (
             QLearningSpec.model_validate({"state_discretizer": {"kind": "arm_role"}}),
@@ -48,7 +50,7 @@ def test_a_lowest_learning_rate_above_the_highest_is_refused() -> None:
     ],
 )
 def test_settings_that_another_version_recorded_are_understood(
-    spec: PPOSpec | QLearningSpec, renamed: dict[str, str]
+    spec: BaseSpec, renamed: dict[str, str]
 ) -> None:
     record = {renamed.get(name, name): value for name, value in spec.model_dump(mode="json").items()}
     assert reported({**record, "of_another_version": 1}) == spec
@@ -76,27 +78,51 @@ def test_every_activation_is_one_of_brax_s() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("spec", "change", "sentence"),
     [
-        ({"activation": "tanh"}, "activation = swish; this job has tanh"),
-        ({"action_repeat": 2}, "action_repeat = 1; this job has 2"),
-        ({"reset_pool_size": 0}, "returns_to_first_state = False; this job has True"),
+        (PPOSpec, {"activation": "tanh"}, "activation = swish; this job has tanh"),
+        (PPOSpec, {"action_repeat": 2}, "action_repeat = 1; this job has 2"),
+        (PPOSpec, {"reset_pool_size": 0}, "returns_to_first_state = False; this job has True"),
+        (SACSpec, {"activation": "tanh"}, "activation = relu; this job has tanh"),
+        (SACSpec, {"max_replay_size": 2**18}, "replay_rows = 4096; this job has 2048"),
+        (SACSpec, {"value_max": 50}, "value_max = 100.0; this job has 50.0"),
+        (SACSpec, {"unroll_length": 4}, "env_steps_per_update = 1024; this job has 512"),
     ],
 )
-def test_what_a_checkpoint_fixes_is_told_where_it_differs(change: dict[str, Any], sentence: str) -> None:
+def test_what_a_checkpoint_fixes_is_told_where_it_differs(
+    spec: type[BaseSpec], change: dict[str, Any], sentence: str
+) -> None:
     with pytest.raises(Rejected, match=sentence):
-        check_resumption(PPOSpec.model_validate(change), PPOSpec())
+        check_resumption(spec.model_validate(change), spec())
 
 
-def test_what_does_not_change_the_state_may_change_on_the_way() -> None:
-    free = {
-        "learning_rate_schedule": "ADAPTIVE_KL",
-        "desired_kl": 0.02,
-        "clipping_epsilon_value": 0.2,
-        "bootstrap_on_timeout": True,
-        "reset_pool_size": 7,
-    }
-    check_resumption(PPOSpec.model_validate(free), PPOSpec())
+@pytest.mark.parametrize(
+    "free",
+    [
+        PPOSpec.model_validate(
+            {
+                "learning_rate_schedule": "ADAPTIVE_KL",
+                "desired_kl": 0.02,
+                "clipping_epsilon_value": 0.2,
+                "bootstrap_on_timeout": True,
+                "reset_pool_size": 7,
+            }
+        ),
+        SACSpec.model_validate(
+            {
+                "n_step": 1,
+                "batch_size": 64,
+                "grad_updates_per_step": 4,
+                "min_replay_size": 0,
+                "tau": 0.1,
+                "reset_pool_size": 7,
+            }
+        ),
+    ],
+    ids=lambda spec: spec.kind,
+)
+def test_what_does_not_change_the_state_may_change_on_the_way(free: PPOSpec | SACSpec) -> None:
+    check_resumption(free, type(free)())
 
 
 @pytest.mark.parametrize("device", ["cpu", "gpu"])
@@ -104,7 +130,7 @@ def test_what_was_resolved_for_an_environment_is_read_back_as_it_was(device: Dev
     # An attempt that goes on begins from what the one before wrote down.
     star = catalog.find("brittle_star")
     steered = star.under(catalog.parse_options(star, {"control": "cpg"}))
-    trained = [(PPOSpec(), info) for info in catalog.ENVIRONMENTS.values()]
+    trained = [(spec, info) for spec in (PPOSpec(), SACSpec()) for info in catalog.ENVIRONMENTS.values()]
     for spec, info in [*trained, (QLearningSpec(), steered)]:
         settings = resolve(spec, info, device)
         read_back = type(settings).model_validate_json(json.dumps(settings.model_dump()))

@@ -3,6 +3,7 @@
 import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import fields
+from itertools import product
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,13 +18,17 @@ from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.checkpoint import describe
 from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy import load_policy
-from core.algorithms.ppo.networks import PolicyConfig, PolicyParams, init_params, make_networks
-from core.algorithms.ppo.policy import make_inference, write_policy
+from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
+from core.algorithms.ppo.networks import init_params, make_networks
+from core.algorithms.ppo.policy import make_inference
 from core.algorithms.ppo.spec import Activation, PPOSpec
 from core.algorithms.q_learning import policy as tables
 from core.algorithms.q_learning.options import StateDiscretizerOptions
 from core.algorithms.q_learning.state_discretizers import make_state_discretizer
 from core.algorithms.q_learning.table import epsilon_greedy, greedy
+from core.algorithms.sac import policy as sac
+from core.algorithms.sac.networks import make_networks as make_sac_networks
+from core.algorithms.sac.spec import SACSpec
 from gaitway import PolicyUnreadable, policy
 from tests import probes
 from tests.learning.q_probes import PlanarStar
@@ -32,6 +37,8 @@ from tests.unit.algorithms.checkpoints import pack
 Answer = Callable[[Any, jax.Array], jax.Array]
 
 KEY = jax.random.key(5)
+# The algorithms whose policies are networks.
+NETWORKS = ("ppo", "sac")
 SMALL = {"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]}
 SEEN = {
     "state": jnp.array([[1.0, -2.0, 0.5], [0.0, 3.0, -1.0]]),
@@ -56,6 +63,29 @@ def ppo_files(settings: PPOSpec, *, by_name: bool = False) -> Mapping[bool, byte
     }
 
 
+def sac_files(settings: SACSpec) -> Mapping[bool, bytes]:
+    """The same of SAC."""
+    networks = make_sac_networks(3, 2, settings)
+    trained: Any = jax.jit(lambda key: networks.init(key, 3, 2, 0.1))(jax.random.key(0))
+    normalizer = init_normalizer(3)
+    if settings.normalize_observations:
+        normalizer = running_statistics.update(normalizer, SEEN["state"])
+    facts = describe(probes.endless(), settings) | {"observation_size": 3, "action_size": 2}
+    state = {"normalizer": normalizer, "params": trained}
+    return {
+        True: sac.FORMAT.pack(facts, {}, state),
+        False: sac.write_policy(normalizer, trained.policy, facts),
+    }
+
+
+def files_of_network(algorithm: str, **options: Any) -> Mapping[bool, bytes]:
+    """Those of an algorithm whose policies are networks."""
+    sizes = {"policy_hidden_layer_sizes": [8, 4]}
+    if algorithm == "sac":
+        return sac_files(SACSpec.model_validate({**sizes, "q_hidden_layer_sizes": [6], **options}))
+    return ppo_files(PPOSpec.model_validate({**SMALL, **options}))
+
+
 def table_files(discretizer: Mapping[str, Any], num_rows: int) -> Mapping[bool, bytes]:
     """A checkpoint of two agents, whose second is the best, and that one's policy file."""
     both = np.random.default_rng(0).normal(size=(2, num_rows, 4)).astype(np.float32)
@@ -73,14 +103,15 @@ def table_files(discretizer: Mapping[str, Any], num_rows: int) -> Mapping[bool, 
     return {True: tables.FORMAT.pack(facts, {}, state), False: tables.write_policy(learnt)}
 
 
-def network_answers(content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
+def network_answers(algorithm: str, content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
     """The service's own answers with a network."""
-    own = load_policy(content, "ppo", is_checkpoint=is_checkpoint, deterministic=deterministic)
-    answer: Any = jax.jit(lambda params, *seen: make_inference(params, deterministic=deterministic)(*seen))
+    own = load_policy(content, algorithm, is_checkpoint=is_checkpoint, deterministic=deterministic)
+    make: Any = {"ppo": make_inference, "sac": sac.make_inference}[algorithm]
+    answer: Any = jax.jit(lambda params, *seen: make(params, deterministic=deterministic)(*seen))
     return lambda observation, key: answer(own.parameters, observation, key)
 
 
-def table_answers(content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
+def table_answers(_: str, content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
     """The service's own answers with a table, on a star of five arms."""
     learnt = tables.table_from_checkpoint(content) if is_checkpoint else tables.read_policy(content)
     options: Any = TypeAdapter(StateDiscretizerOptions).validate_python(learnt.facts["state_discretizer"])
@@ -102,12 +133,12 @@ def assert_acts_alike(
 
     Bit for bit: both are compiled from the same operations.
     """
-    answers = {"ppo": network_answers, "q_learning": table_answers}[algorithm]
+    answers = table_answers if algorithm == "q_learning" else network_answers
     for is_checkpoint, content in files.items():
         (tmp_path / "file").write_bytes(content)
         options: dict[str, bool] = {"is_checkpoint": is_checkpoint, "deterministic": is_checkpoint}
         act = policy.load(tmp_path / "file", algorithm, **options)
-        answer = answers(content, **options)
+        answer = answers(algorithm, content, **options)
         for observation in observations:
             expected = answer(observation, KEY)
             got = act(observation, KEY)
@@ -115,26 +146,30 @@ def assert_acts_alike(
             np.testing.assert_array_equal(got, expected)
 
 
+@pytest.mark.parametrize("algorithm", NETWORKS)
 @pytest.mark.parametrize("activation", get_args(Activation))
-def test_a_network_of_any_activation_acts_alike(tmp_path: Path, activation: str) -> None:
-    settings = PPOSpec.model_validate({**SMALL, "activation": activation})
-    assert_acts_alike(tmp_path, "ppo", ppo_files(settings), SEEN["state"])
+def test_a_network_of_any_activation_acts_alike(tmp_path: Path, activation: str, algorithm: str) -> None:
+    files = files_of_network(algorithm, activation=activation)
+    assert_acts_alike(tmp_path, algorithm, files, SEEN["state"])
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("algorithm", "options"),
     [
-        {"normalize_observations": False},
-        {"normalize_observations_max_abs_value": 0.5},
-        {"action_repeat": 3},
-        {"policy_hidden_layer_sizes": [5]},
+        ("ppo", {"normalize_observations_max_abs_value": 0.5}),
+        *product(
+            NETWORKS,
+            ({"normalize_observations": False}, {"action_repeat": 3}, {"policy_hidden_layer_sizes": [5]}),
+        ),
     ],
-    ids=lambda options: next(iter(options)),
+    ids=lambda value: value if isinstance(value, str) else next(iter(value)),
 )
-def test_a_network_under_any_option_acts_alike(tmp_path: Path, options: dict[str, Any]) -> None:
-    settings = PPOSpec.model_validate({**SMALL, **options})
+def test_a_network_under_any_option_acts_alike(
+    tmp_path: Path, algorithm: str, options: dict[str, Any]
+) -> None:
     whole_numbers = jnp.array([1, -2, 3])  # Brax does not normalise these.
-    assert_acts_alike(tmp_path, "ppo", ppo_files(settings), SEEN["state"][0], whole_numbers)
+    files = files_of_network(algorithm, **options)
+    assert_acts_alike(tmp_path, algorithm, files, SEEN["state"][0], whole_numbers)
 
 
 @pytest.mark.parametrize(("own", "values"), [("state", "other"), ("other", "state")])
@@ -181,16 +216,14 @@ def test_every_algorithm_and_every_state_discretizer_is_read() -> None:
     )
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "q_learning"])
+@pytest.mark.parametrize("algorithm", [*NETWORKS, "q_learning"])
 @pytest.mark.parametrize("is_checkpoint", [True, False])
 def test_a_damaged_file_is_refused(tmp_path: Path, algorithm: str, is_checkpoint: bool) -> None:
-    files = {
-        "ppo": lambda: ppo_files(PPOSpec.model_validate(SMALL)),
-        "q_learning": lambda: table_files({"kind": "arm_role"}, 5),
-    }
-    content = files[algorithm]()[is_checkpoint]
+    is_table = algorithm == "q_learning"
+    files = table_files({"kind": "arm_role"}, 5) if is_table else files_of_network(algorithm)
+    content = files[is_checkpoint]
     damaged = [content[: len(content) // 2], b"nonsense"]
-    if is_checkpoint or algorithm == "q_learning":
+    if is_checkpoint or is_table:
         damaged.append(content.replace(b"-1", b"-9").replace(b"ppo-2", b"ppo-9"))
     for body in damaged:
         (tmp_path / "file").write_bytes(body)
@@ -210,5 +243,5 @@ def test_no_code_that_a_file_names_runs(tmp_path: Path) -> None:
 
 
 def test_a_later_algorithm_is_refused_with_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(PolicyUnreadable, match="does not read policies of 'sac'"):
-        policy.load(tmp_path / "file", "sac", is_checkpoint=False)
+    with pytest.raises(PolicyUnreadable, match="does not read policies of 'later'"):
+        policy.load(tmp_path / "file", "later", is_checkpoint=False)

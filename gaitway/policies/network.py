@@ -1,4 +1,4 @@
-"""PPO's policies: a normaliser, a network, and a normal distribution whose samples tanh bounds.
+"""PPO's and SAC's policies: a normaliser, a network, and a normal distribution whose samples tanh bounds.
 
 Source: brax.training (running_statistics.normalize, networks.MLP, distribution.NormalTanhDistribution).
 """
@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from gaitway.errors import PolicyUnreadable
 from gaitway.policies import brax_file, checkpoint
 
-_FORMAT = "gaitway-ppo-2"
+# Of checkpoints.
+PPO, SAC = "gaitway-ppo-2", "gaitway-sac-1"
 # Names in jax.nn.
 _ACTIVATIONS = ("swish", "relu", "tanh", "elu", "gelu", "leaky_relu", "selu", "sigmoid", "softplus")
 _LEAST_DEVIATION = 0.001
@@ -30,11 +31,11 @@ class Parameters(NamedTuple):
 Answer = Callable[[Parameters, Any, jax.Array], jax.Array]
 
 
-def load(content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[Parameters, Answer]:
+def load(form: str, content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[Parameters, Answer]:
     """The parameters, and (parameters, observation [..., observation_size], key) -> action [..., action_size]
     in [-1, 1]. Raises PolicyUnreadable."""
     if is_checkpoint:
-        facts, state = checkpoint.read(content, _FORMAT)
+        facts, state = checkpoint.read(content, form)
         normalizer, network = state["normalizer"], state["params"]["policy"]
     else:
         saved, network, facts = brax_file.read(content)

@@ -1,0 +1,26 @@
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from core.algorithms.sac.update import Hyperparameters, Learner
+from tests import probes
+from tests.learning.sac_runs import sac_settings
+
+
+@pytest.mark.parametrize(
+    ("written", "learns"),
+    # Of 16 environments, an update adds 4 actions each, and 16 of each are 256 transitions: enough. Of
+    # 2**27 actions of each there are 2**31, which is no int32.
+    [(0, False), (11, False), (12, True), (2**27, True)],
+)
+def test_it_learns_as_soon_as_there_is_enough_and_never_stops(written: int, learns: bool) -> None:
+    settings = sac_settings(min_replay_size=256)
+    learner = Learner(probes.constant_reward(), settings)
+    state: Any = learner.init(jnp.uint32(0))
+    state = state.replace(replay=state.replay.replace(written=jnp.int32(written)))
+    after, metrics, _ = jax.jit(learner.update)(state, Hyperparameters.of(settings))
+    assert (float(metrics["critic_loss"]) > 0) == learns
+    changed = jax.tree.map(lambda old, new: jnp.any(old != new), state.params, after.params)
+    assert any(jax.tree.leaves(changed)) == learns
