@@ -42,6 +42,7 @@ ON_A_GPU = {
     "gpu_returns": "bench.gpu.returns",
     "gpu_resume": "bench.gpu.resume",
     "gpu_gate": "bench.gpu.gate",
+    "gpu_sac": "bench.gpu.sac",
     "gpu_ant": "bench.gpu.ant",
     "gpu_humanoid": "bench.gpu.humanoid",
     "gpu_bodies": "bench.gpu.bodies",

@@ -117,7 +117,8 @@ def _brax(device: Device, body: str, gate: Gate, options: Options, seed: int) ->
         epochs = gate.most_steps // between
         given = {**published, "num_timesteps": epochs * between}
     request = requests.brax(device, body, gate.peer_engine, given, seed=seed, epochs=epochs)
-    return {**request, "mark": _mark(gate, options)}
+    limit = {"most_s": gate.peer_most_s} if gate.peer_most_s else {}
+    return {**request, "mark": _mark(gate, options), **limit}
 
 
 def _mark(gate: Gate, options: Options) -> dict[str, Any]:

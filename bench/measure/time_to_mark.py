@@ -23,7 +23,7 @@ class Gate:
     cold_s: seconds from the call in which it is to be there; start_s: from the process's start, warm, with
     each seed; video_s: from the submission to a video, warm; warm_times, cold_times: how many times as fast
     as Brax. job_steps: of the job that is submitted. peer_engine: of Brax's trainer; num_peers: its seeds, as
-    they may take long.
+    they may take long; peer_most_s: seconds from the call after which its run is cut off.
     """
 
     body: str
@@ -40,6 +40,7 @@ class Gate:
     cold_times: float | None = None
     num_peers: int | None = None
     peer_every_steps: int | None = None
+    peer_most_s: float | None = None
 
 
 def figures(gate: Gate, runs: Runs) -> list[Figure]:

@@ -1,9 +1,11 @@
 """Brax's trainer until the body reaches a mark: `python -m bench.peers.reach_mark FOLDER`.
 
 Request: that of bench.peers.brax_ppo; mark (bench.measure.marks); epochs (evaluations in the whole budget);
-cache (a folder for compiled programs, or null).
+most_s (seconds after which the run ends at its next evaluation; may be left out); cache (a folder for
+compiled programs, or null).
 """
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,7 +16,7 @@ from bench.measure.child import answer
 from bench.measure.marks import NUM_EPISODES
 
 
-class _Reached(Exception):
+class _Ended(Exception):
     """Brax's trainer stops in no other way."""
 
 
@@ -33,17 +35,18 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     def report(step: int, metrics: dict[str, Any]) -> None:
         value, seconds = _value(metrics, mark["metric"]), time.perf_counter() - began - sum(confirming)
         told["curve"].append((int(step), value, seconds))
-        if value < mark["least"] or not step:
-            return
-        reached_at, before = time.time(), time.perf_counter()
-        again = _value(_evaluated(train.args[0], policies[0], request), mark["metric"])
-        confirming.append(time.perf_counter() - before)
-        if again >= mark["least"]:
-            told.update(reached_s=seconds, reached_at=reached_at, confirmed=again)
-            raise _Reached
+        if value >= mark["least"] and step:
+            reached_at, before = time.time(), time.perf_counter()
+            again = _value(_evaluated(train.args[0], policies[0], request), mark["metric"])
+            confirming.append(time.perf_counter() - before)
+            if again >= mark["least"]:
+                told.update(reached_s=seconds, reached_at=reached_at, confirmed=again)
+                raise _Ended
+        if seconds > request.get("most_s", math.inf):
+            raise _Ended
 
     began = time.perf_counter()
-    with suppress(_Reached):
+    with suppress(_Ended):
         train(
             num_evals=request["epochs"] + 1,
             num_eval_envs=NUM_EPISODES,

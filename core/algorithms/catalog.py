@@ -19,6 +19,7 @@ from core.algorithms.q_learning.tuned import catalog as q_learning_tuned
 from core.algorithms.sac import checks as sac_checks
 from core.algorithms.sac import memory as sac_memory
 from core.algorithms.sac.spec import SACSpec
+from core.algorithms.sac.tuned import catalog as sac_tuned
 from core.algorithms.spec import BaseSpec
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
@@ -84,8 +85,9 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             SACSpec,
             "core.algorithms.sac.algorithm:SAC",
             "core.algorithms.sac.policy:load",
-            refusal=sac_checks.refusal,
-            least_memory=sac_memory.least_memory,
+            sac_tuned.tuned,
+            sac_checks.refusal,
+            sac_memory.least_memory,
         ),
     )
 }

@@ -16,7 +16,7 @@ from bench.measure.result import Options, Result
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
-    *("q_learning", "gpu_q_learning", "compiled", "gate", "gpu_gate"),
+    *("q_learning", "gpu_q_learning", "compiled", "gate", "gpu_gate", "gpu_sac"),
 )
 SECONDS = {
     "epoch": [0.010],
@@ -49,6 +49,7 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
         theirs = {"curve": [(50, 1.0, 30.0), (100, 2.0, 60.0)], "reached_s": 60.0, "reached_at": 1062.0}
         own = {"curve": [(50, 2.0, 10.0)], "reached_s": 10.0 + request["seed"], "reached_at": 1012.0}
         parts = {"confirmed": 2.0, "phases": {}, "training_s": 7.0, "evaluation_s": 1.0}
+        parts |= {"trained_s": [7.0], "lengths": [100.0]}
         own = theirs if module.startswith("bench.peers") else {**own, **parts}
         return {**own, "began_at": 1000.0, "process_s": 13.0}
     reward = request["seed"] if ours else request["seed"] - 1
