@@ -87,7 +87,7 @@ def _task(given: argparse.Namespace) -> Task:
     if mark is None:
         raise SystemExit(
             f"Nobody has set a mark for {given.environment!r} on a {device.upper()}: name one, such as "
-            "--mark eval/forward_speed=1.0."
+            "--mark eval/episode_reward=2500."
         )
     return Task(given.environment, device, mark, given.seconds, given.every_steps)
 

@@ -1,5 +1,6 @@
 """The state of a SAC run, and one update of it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
@@ -145,7 +146,11 @@ class Learner:
 
     @property
     def _sizes(self) -> tuple[int, int]:
-        return cast("int", self.environment.observation_size), self.environment.action_size
+        """Of an observation and an action. Raises ValueError where the environment has several by name."""
+        observation = self.environment.observation_size
+        if isinstance(observation, Mapping):
+            raise ValueError(f"SAC learns from one observation; there are {sorted(observation)}.")
+        return observation, self.environment.action_size
 
     @property
     def _envs(self) -> VectorEnv:

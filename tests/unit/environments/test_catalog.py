@@ -9,6 +9,8 @@ from core.algorithms.catalog import resolve, tuned
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.tuned import catalog as ppo_tuned
 from core.algorithms.q_learning.tuned import catalog as q_learning_tuned
+from core.algorithms.sac.spec import SACSpec
+from core.algorithms.sac.tuned import catalog as sac_tuned
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.locomotion.ant.info import AntOptions
@@ -127,8 +129,16 @@ def test_tuned_values_are_complete_and_go_together(info: EnvironmentInfo, device
     assert resolved.batch_size * resolved.num_minibatches % resolved.num_envs == 0
 
 
+@pytest.mark.parametrize("info", [catalog.find(name) for name in sac_tuned.TUNED], ids=lambda info: info.id)
+def test_tuned_values_of_sac_go_together(info: EnvironmentInfo) -> None:
+    values = tuned("sac", info, "gpu")
+    assert resolve(SACSpec(), info, "gpu").model_dump(include=set(values)) == values
+    assert {"num_timesteps", "num_envs", "value_min", "value_max", "learning_rate"} <= set(values)
+
+
 def test_tuned_values_belong_to_environments_that_there_are() -> None:
     named = {*ppo_tuned.TUNED, *ppo_tuned.TUNED_BY_OPTIONS, *q_learning_tuned.TUNED_BY_OPTIONS}
+    named |= set(sac_tuned.TUNED)
     assert named <= set(catalog.ENVIRONMENTS)
 
 

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -24,3 +25,19 @@ def test_it_learns_as_soon_as_there_is_enough_and_never_stops(written: int, lear
     assert (float(metrics["critic_loss"]) > 0) == learns
     changed = jax.tree.map(lambda old, new: jnp.any(old != new), state.params, after.params)
     assert any(jax.tree.leaves(changed)) == learns
+
+
+def test_several_observations_by_name_are_refused() -> None:
+    probe = replace(probes.constant_reward(), observation_size={"state": 1, "privileged_state": 1})
+    learner = Learner(probe, sac_settings())
+    with pytest.raises(ValueError, match=r"one observation; there are \['privileged_state', 'state'\]"):
+        learner.init(jnp.uint32(0))
+
+
+@pytest.mark.parametrize(("bound", "seen"), [(None, 200.0), (10.0, 10.0)])
+def test_normalised_observations_have_a_bound_where_one_is_set(bound: float | None, seen: float) -> None:
+    settings = sac_settings(normalize_observations=True, normalize_observations_max_abs_value=bound)
+    learner = Learner(probes.constant_reward(), settings)
+    state = learner.init(jnp.uint32(0))
+    # Nothing has been observed yet: the mean is 0, the deviation 1.
+    assert float(learner.normalize(state.normalizer)(jnp.array([200.0]))[0]) == pytest.approx(seen)
