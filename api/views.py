@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from core.algorithms.catalog import ALGORITHMS, resolve, tuned
+from core.algorithms.catalog import ALGORITHMS, environment_options, resolve, tuned
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Rejected
 from core.jobs.job import Artifact, ArtifactRole, Job, Progress, UnreadableJob
@@ -70,7 +70,10 @@ class AttemptView(View):
 
 
 class JobView(View):
-    """A job as it is now. spec: as it was sent; the environment's tuned values apply where it names none.
+    """A job as it is now.
+
+    spec: as it was sent, with the environment's options that it takes for its algorithm; the environment's
+    tuned values apply where it names none.
 
     A record of another version that cannot be read has the reason `unreadable`, and neither attempts nor
     artifacts.
@@ -165,8 +168,9 @@ class Metrics(View):
 class EnvironmentView(View):
     """An environment. dt: seconds between actions; options: their JSON Schema.
 
-    tuned: hyperparameters that fit it, by algorithm and device. family: `gaitway`, or the package that
-    provides it. cannot_run: engines that cannot run it, each with the reason.
+    tuned: hyperparameters that fit it, by algorithm and device. environment_options: by algorithm, the
+    options that a job takes where it leaves them out, because `tuned` is made for them. family: `gaitway`, or
+    the package that provides it. cannot_run: engines that cannot run it, each with the reason.
     Sizes and dt are null where they depend on the model that the options name.
     """
 
@@ -180,6 +184,7 @@ class EnvironmentView(View):
     cameras: Sequence[str]
     options: dict[str, Any]
     tuned: Mapping[str, Mapping[Device, Mapping[str, Any]]]
+    environment_options: Mapping[str, Mapping[str, Any]]
     cannot_run: Mapping[EngineName, str]
 
     @classmethod
@@ -194,7 +199,8 @@ class EnvironmentView(View):
             episode_length=info.episode_length,
             cameras=[TRACK, *(name for name in info.cameras if name and name != TRACK)],
             options=info.options.model_json_schema(),
-            tuned=_by_algorithm_and_device(lambda kind, device: tuned(kind, info, device)),
+            tuned=_by_algorithm_and_device(lambda kind, device: tuned(kind, _row_for(kind, info), device)),
+            environment_options={kind: taken for kind in ALGORITHMS if (taken := _taken(kind, info))},
             cannot_run=info.cannot_run,
         )
 
@@ -243,10 +249,27 @@ def _by_algorithm_and_device(
     return found
 
 
+def _taken(kind: str, info: EnvironmentInfo) -> Mapping[str, Any]:
+    """Options that a job on the environment takes because neither it nor these options say them."""
+    if info.takes_model:
+        return {}
+    return environment_options(
+        ALGORITHMS[kind].spec(), info.id, info.option_values.model_dump(exclude_unset=True)
+    )
+
+
+def _row_for(kind: str, info: EnvironmentInfo) -> EnvironmentInfo:
+    """The environment as a job with this algorithm gets it."""
+    if not (taken := _taken(kind, info)):
+        return info
+    given = info.option_values.model_dump(exclude_unset=True)
+    return info.under(info.options.model_validate({**given, **taken}))
+
+
 def _defaults(kind: str, info: EnvironmentInfo, device: Device) -> dict[str, Any]:
     """Every hyperparameter; none where the algorithm needs more than its defaults."""
     with suppress(Rejected):
-        return resolve(ALGORITHMS[kind].spec(), info, device).model_dump(mode="json")
+        return resolve(ALGORITHMS[kind].spec(), _row_for(kind, info), device).model_dump(mode="json")
     return {}
 
 

@@ -11,7 +11,7 @@ from gaitway import Client
 JOB: dict[str, Any] = {
     "kind": "train",
     "name": "steer a brittle star",
-    "environment": {"id": "brittle_star", "options": {"control": "cpg"}},
+    "environment": "brittle_star",
     # Each arm chooses for itself with "state_discretizer": {"kind": "arm_role"} and
     # "action_set": {"kind": "arm_roles"}.
     "algorithm": {"kind": "q_learning"},

@@ -51,7 +51,8 @@ class AlgorithmInfo:
     tuned: the values that fit an environment on a device, all others unset; a field `episode_length` gets the
     environment's without it. refusal: why resolved values do not go together, or not with an environment;
     None where they do. least_memory: what a run under resolved values certainly needs on each of its devices.
-    A row may leave these three out.
+    environment_options: options of the environment of this id that the tuned values are made for. A row may
+    leave these four out.
     """
 
     spec: type[BaseSpec]
@@ -60,6 +61,7 @@ class AlgorithmInfo:
     tuned: Callable[[EnvironmentInfo, Device], BaseSpec] | None = None
     refusal: Callable[[Any, EnvironmentInfo, Device], Rejected | None] = lambda *_: None
     least_memory: Callable[[Any, EnvironmentInfo, int], Memory] = lambda *_: Memory([])
+    environment_options: Callable[[Any, str], Mapping[str, Any]] = lambda *_: {}
 
 
 ALGORITHMS: dict[str, AlgorithmInfo] = {
@@ -80,6 +82,7 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             q_learning_tuned.tuned,
             q_learning_checks.refusal,
             q_learning_memory.least_memory,
+            q_learning_tuned.environment_options,
         ),
         AlgorithmInfo(
             SACSpec,
@@ -102,6 +105,12 @@ def tuned(algorithm: str, environment: EnvironmentInfo, device: Device) -> dict[
     has_length = "episode_length" in row.spec.model_fields
     given = {"episode_length": environment.episode_length} if has_length else {}
     return given | (row.tuned(environment, device).model_dump(exclude_unset=True) if row.tuned else {})
+
+
+def environment_options(spec: BaseSpec, environment_id: str, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The environment's options that a job takes because it leaves them out beside this algorithm."""
+    wanted = ALGORITHMS[spec.algorithm()].environment_options(spec, environment_id)
+    return {name: value for name, value in wanted.items() if name not in given}
 
 
 def resolve(spec: AnySpec, environment: EnvironmentInfo, device: Device) -> AnySpec:

@@ -4,11 +4,12 @@ from collections.abc import Callable
 
 import structlog
 
+from core.algorithms.catalog import environment_options
 from core.errors import GaitwayError, RecordsUnavailable
 from core.jobs.checks import check
 from core.jobs.job import Job, new_job_id
 from core.jobs.queue import JobQueue
-from core.jobs.spec import JobSpec
+from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.store import Dispatch, Idempotency, JobStore
 
 log = structlog.get_logger()
@@ -30,6 +31,7 @@ def submit(
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
         return known
+    spec = completed(spec)
     check(spec, store)
     now = store.now()
     job = store.add(Job(id=new_job_id(now), spec=spec, created_at=now), idempotency)
@@ -37,6 +39,20 @@ def submit(
     if hand_over(dispatch, store=store, queue=queue, job=job):
         acknowledge(dispatch)
     return job
+
+
+def completed(spec: JobSpec) -> JobSpec:
+    """The specification with those options of its environment that its algorithm is tuned for.
+
+    They are stored, so that everything that reads the job later sees the environment that it was trained in.
+    """
+    if not isinstance(spec, TrainSpec):
+        return spec
+    environment = spec.environment
+    if not (taken := environment_options(spec.algorithm, environment.id, environment.options)):
+        return spec
+    options = {**environment.options, **taken}
+    return spec.model_copy(update={"environment": environment.model_copy(update={"options": options})})
 
 
 def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job | None = None) -> bool:

@@ -57,6 +57,13 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/algorithm/clip_epsilon",
             "`clip_epsilon` is not a field here; did you mean `clipping_epsilon`?",
         ),
+        (
+            MINIMAL
+            | {"environment": {"id": "brittle_star", "options": {"control": "joints"}}}
+            | {"algorithm": {"kind": "q_learning"}},
+            "/algorithm/action_set",
+            "50 continuous numbers, and a table has columns",
+        ),
         (q_learning(), "/algorithm/action_set", "8 continuous numbers, and a table has columns"),
         (
             q_learning(state_discretizer={"kind": "arm_role"}),

@@ -2,7 +2,7 @@
 
 import re
 from datetime import timedelta
-from typing import Literal
+from typing import Any, Literal
 
 import httpx
 import pytest
@@ -43,6 +43,38 @@ def test_a_job_reads_as_it_was_sent_with_times_in_utc(stack: Stack) -> None:
     assert (view["kind"], view["name"], view["labels"]) == ("train", "first steps", {"project": "gaits"})
     assert (view["status"], view["reason"], view["attempts"], view["artifacts"]) == ("queued", None, [], [])
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z", view["created_at"])
+
+
+def star(algorithm: dict[str, Any], **options: Any) -> dict[str, Any]:
+    environment = {"id": "brittle_star", "options": options} if options else {"id": "brittle_star"}
+    return {"kind": "train", "environment": environment, "algorithm": algorithm}
+
+
+def test_a_star_in_one_line_takes_what_its_table_is_tuned_for(stack: Stack) -> None:
+    sent = star({"kind": "q_learning", "num_episodes": 8})
+    answer = stack.http.post("/jobs", json=sent)
+    assert answer.status_code == 202
+    assert answer.json()["spec"] == star({"kind": "q_learning", "num_episodes": 8}, control="cpg")
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        star({"kind": "ppo"}),
+        star({"kind": "q_learning"}, control="cpg", num_arms=4),
+        # Who says how the star is to act says the rest, too.
+        star(
+            {
+                "kind": "q_learning",
+                "state_discretizer": {"kind": "arm_role"},
+                "action_set": {"kind": "arm_actions", "actions": [[0.0] * 10, [1.0] * 10]},
+            }
+        ),
+    ],
+)
+def test_nothing_is_taken_where_nothing_is_needed(stack: Stack, sent: dict[str, Any]) -> None:
+    answer = stack.http.post("/jobs", json=sent)
+    assert (answer.status_code, answer.json()["spec"]) == (202, sent)
 
 
 @pytest.mark.parametrize("part", ["queue", "objects"])

@@ -20,3 +20,9 @@ def tuned(environment: EnvironmentInfo, device: Device) -> QLearningSpec:
     by_options = TUNED_BY_OPTIONS.get(environment.id)
     values = by_options(environment.option_values) if by_options else {}
     return values.get(device, QLearningSpec())
+
+
+def environment_options(settings: QLearningSpec, environment_id: str) -> Mapping[str, Any]:
+    """Options of the environment that its tuned values are made for; none for a job that says how to act."""
+    steers = environment_id in TUNED_BY_OPTIONS and settings.action_set is None
+    return {"control": "cpg"} if steers else {}
