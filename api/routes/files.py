@@ -108,6 +108,9 @@ def read_artifact(
 
 def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
     found = [artifact for artifact in job.artifacts if artifact.role == role and asked.shows(artifact)]
+    if not found and job.spec.video is None:
+        detail = f"Job {job.id} asks for no video: its `video` is null."
+        raise ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)
     if not found:
         step = "" if asked.step is None else f" of step {asked.step}"
         camera = "" if asked.camera is None else f" by camera {asked.camera!r}"

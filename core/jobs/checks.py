@@ -62,6 +62,8 @@ def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[Environment
 
 
 def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
+    if spec.video is None:
+        return
     if spec.video.cameras is None:
         model_camera(spec.video.camera, info.cameras)
     else:

@@ -174,7 +174,7 @@ class _Common(Strict):
         "alike; the rules apply in order.",
     )
     seed: Seed = 0
-    video: VideoSpec = VideoSpec()
+    video: VideoSpec | None = Field(default=VideoSpec(), description="null: no video is made.")
     resources: ResourcesSpec = ResourcesSpec()
     priority: Priority = "normal"
     timeout_s: float = Field(

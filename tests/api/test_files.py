@@ -127,6 +127,15 @@ def test_a_video_that_may_come_says_when_to_ask_again(stack: Stack) -> None:
     assert int(answer.headers["Retry-After"]) > 0
 
 
+@pytest.mark.parametrize("picture", ["video", "poster"])
+def test_a_job_that_asks_for_no_video_says_so(stack: Stack, picture: str) -> None:
+    sent = {"kind": "train", "environment": "ant", "video": None}
+    address = stack.http.post("/jobs", json=sent).headers["Location"]
+    answer = stack.http.get(f"{address}/{picture}")
+    assert "asks for no video: its `video` is null" in problem(answer, 404, "artifact-not-found")["detail"]
+    assert "Retry-After" not in answer.headers
+
+
 def test_a_video_that_never_comes_says_why(stack: Stack) -> None:
     attempt = Attempt(stack, job())
     attempt.end(JobStatus.FAILED, Reason.OUT_OF_MEMORY)

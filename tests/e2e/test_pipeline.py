@@ -17,6 +17,7 @@ from core.algorithms.policy import load_policy
 from core.algorithms.ppo.policy import make_inference
 from core.environments import trajectory
 from gaitway.client import Client
+from gaitway.errors import NotFound
 from gaitway.views import Event, JobView
 from tests.e2e.installed import Installed
 
@@ -82,13 +83,11 @@ def until_checkpoint(client: Client, job: JobView) -> tuple[list[Event], int]:
     return seen, int(pid)
 
 
-def rolled_out(client: Client, trained: JobView, **length: int) -> JobView:
+def rolled_out(client: Client, trained: JobView, **own: Any) -> JobView:
     """A finished rollout of what a job has learnt."""
     policy = {"kind": "checkpoint", "job": trained.id}
     common = {name: value for name, value in SMALL.items() if name not in ("algorithm", "checkpoints")}
-    job = client.wait(
-        client.submit({**common, "kind": "rollout", "policy": policy, **length}).id, timeout=110
-    )
+    job = client.wait(client.submit({**common, "kind": "rollout", "policy": policy, **own}).id, timeout=110)
     assert job.succeeded, job.message
     return job
 
@@ -149,6 +148,17 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
     assert summary["episodes"][1]["return"] == pytest.approx(expected)
     assert job.newest("video") is not None
     assert job.artifact("path.png") is not None
+
+
+def test_a_job_without_a_video_keeps_all_else(client: Client) -> None:
+    job = client.wait(client.submit({**SMALL, "video": None}).id, timeout=110)
+    assert job.succeeded, job.message
+    assert {a.role for a in job.artifacts} == KEPT - {"video", "poster", "picture", "trajectory"}
+    shown = rolled_out(client, job, num_steps=20, num_episodes=2, video=None)
+    assert {"trajectory", "summary"} <= {a.role for a in shown.artifacts}
+    assert shown.newest("video") is None
+    with pytest.raises(NotFound, match="asks for no video: its `video` is null"):
+        client.video(shown.id)
 
 
 def test_sac_goes_the_same_way_as_ppo(client: Client, tmp_path: Path) -> None:

@@ -58,8 +58,9 @@ def roll_out(
         summary = trajectory.summary(shown)
         events.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
         _report(summary, events)
-        film = VideoRecorder(spec, built, policy, events)
-        film.show("video", _first_seconds(episodes, spec.video.seconds, built.environment.dt), None)
+        if spec.video is not None:
+            film = VideoRecorder(spec, spec.video, built, policy, events)
+            film.show("video", _first_seconds(episodes, spec.video.seconds, built.environment.dt), None)
     return len(episodes) < spec.num_episodes
 
 

@@ -12,7 +12,7 @@ from core.algorithms.policy import policy_from_checkpoint
 from core.algorithms.run import Run, make_run
 from core.algorithms.spec import BaseSpec
 from core.errors import JobFailed
-from core.jobs.spec import TrainSpec
+from core.jobs.spec import TrainSpec, VideoSpec
 from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
@@ -30,14 +30,14 @@ def train(
 ) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 
-    Keeps a checkpoint; and, unless the job continues elsewhere, its policy and a video.
+    Keeps a checkpoint; and, unless the job continues elsewhere, its policy and the video that it asks for.
     """
     settings = resolve(spec.algorithm, built.info, built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     check_memory(least_memory(settings, built.info, built.num_devices), built.device)
     run = begin_or_resume(task, spec, settings, built, events)
     report = Report(events, run, spec.checkpoints.every_seconds)
-    videos = PolicyVideos(spec, built, events, run)
+    videos = None if spec.video is None else PolicyVideos(spec, spec.video, built, events, run)
     try:
         for event in run.events():
             if isinstance(event, Progress):
@@ -47,7 +47,7 @@ def train(
                 break
             if isinstance(event, Progress):
                 report.keep_checkpoint_if_due()
-            if isinstance(event, CheckpointReady) and spec.video.every_checkpoint:
+            if isinstance(event, CheckpointReady) and videos and videos.at_checkpoints:
                 with stopping.nothing_to_keep():
                     videos.take(f"video-{event.step:012d}")
     except JobFailed:
@@ -57,7 +57,8 @@ def train(
     with stopping.nothing_to_keep():
         events.keep("policy", run.policy(), "policy", "application/octet-stream", step=run.step)
         with _tables(run, spec, events):
-            videos.take("video")
+            if videos:
+                videos.take("video")
     return stopping.asked and run.step < run.total
 
 
@@ -88,17 +89,23 @@ class PolicyVideos:
     """Videos of a run's policy as it is at the time; it is compiled for the first of them."""
 
     spec: TrainSpec
+    video: VideoSpec
     built: BuiltEnvironment
     events: EventWriter
     run: Run[Any]
     _film: VideoRecorder | None = None
+
+    @property
+    def at_checkpoints(self) -> bool:
+        return self.video.every_checkpoint
 
     def take(self, name: str) -> None:
         """Keep a video of the present step as `<name>.mp4`."""
         policy = policy_from_checkpoint(self.run.checkpoint())
         if self._film is None:
             env, act = policy.acting(self.built.environment)
-            self._film = VideoRecorder(self.spec, replace(self.built, environment=env), act, self.events)
+            built = replace(self.built, environment=env)
+            self._film = VideoRecorder(self.spec, self.video, built, act, self.events)
         self._film.shoot(name, policy.parameters, self.run.step)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from core.environments import trajectory
 from core.environments.rollout import ParametricPolicy, Roller, footage, trajectory_of
 from core.environments.trajectory import Episode, Trajectory
-from core.jobs.spec import RolloutSpec, TrainSpec
+from core.jobs.spec import RolloutSpec, TrainSpec, VideoSpec
 from core.rendering.gl import RenderingFailed
 from core.rendering.request import RenderRequest, RenderResult
 from worker.host.disk import is_full, what_to_do
@@ -32,6 +32,7 @@ class VideoRecorder:
     """Makes a job's videos. The policy is compiled once, whatever its parameters."""
 
     spec: TrainSpec | RolloutSpec
+    video: VideoSpec
     built: BuiltEnvironment
     policy: ParametricPolicy
     events: EventWriter
@@ -42,7 +43,7 @@ class VideoRecorder:
         Also keeps what it shows: as numbers, `trajectory….npz`, and from above, `path….png`.
         """
         key = jax.random.PRNGKey(self.spec.seed)
-        seconds = self.spec.video.seconds
+        seconds = self.video.seconds
         episodes = footage(self._roller, parameters, key, dt=self.built.environment.dt, seconds=seconds)
         chosen = self.spec.environment
         shown = trajectory_of(
@@ -66,7 +67,7 @@ class VideoRecorder:
         self.events.hand_over(f"{name}.png", "poster", "image/png", step=step, metadata=facts)
 
     def _drawn(self, name: str, shown: Trajectory) -> RenderResult:
-        spool, video = self.events.spool, self.spec.video
+        spool, video = self.events.spool, self.video
         model = self.built.environment.model
         compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
         mujoco.mj_saveModel(model, None, compiled)
