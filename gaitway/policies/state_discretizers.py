@@ -26,6 +26,8 @@ def rows_of(options: Mapping[str, Any], num_arms: int) -> Rows:
             return _finite(_TARGET, lambda seen: _sector_of_target(seen, num_arms)[None])
         case "arm_role":
             return _finite(_TARGET, lambda seen: _steps_to_target(seen, num_arms))
+        case "arm_side":
+            return _finite(_TARGET, lambda seen: _sides_of_target(seen, num_arms))
         case "disk_position_grid":
             ranges = [options["x"], options["y"]]
             return _finite(
@@ -67,6 +69,13 @@ def _sector_of_target(seen: Seen, num_arms: int) -> jax.Array:
 def _steps_to_target(seen: Seen, num_arms: int) -> jax.Array:
     """[num_arms] int32: how many arms on, counter-clockwise, the target's sector lies from each."""
     return jnp.mod(_sector_of_target(seen, num_arms) - jnp.arange(num_arms), num_arms).astype(jnp.int32)
+
+
+def _sides_of_target(seen: Seen, num_arms: int) -> jax.Array:
+    """[num_arms] int32: 0 closest to the target, 1 left of the way there, 2 right of it, 3 opposite."""
+    steps = _steps_to_target(seen, num_arms)
+    side = jnp.where(2 * steps < num_arms, 2, jnp.where(2 * steps > num_arms, 1, 3))
+    return jnp.where(steps == 0, 0, side).astype(jnp.int32)
 
 
 def _cell(values: jax.Array, ranges: Sequence[Sequence[float]], cells: Sequence[int]) -> jax.Array:

@@ -3,7 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 
-from core.algorithms.q_learning.options import ActionList, ActionSetOptions, ArmActions, ArmRoles, LeadingArm
+from core.algorithms.q_learning.options import (
+    ActionList,
+    ActionSetOptions,
+    ArmActions,
+    ArmAmplitudes,
+    ArmRoles,
+    LeadingArm,
+)
 from core.environments.discretization import ActionSet
 from core.environments.environment import Environment
 from core.errors import JobFailed
@@ -16,7 +23,7 @@ def make_action_set(options: ActionSetOptions, environment: Environment) -> Acti
     Raises JobFailed("bad_model") where the environment does not offer it, or takes other actions.
     """
     match options:
-        case LeadingArm() | ArmRoles():
+        case LeadingArm() | ArmRoles() | ArmAmplitudes():
             offered = environment.discretization.action_sets.get(options.kind)
             if offered is None:
                 raise JobFailed(Reason.BAD_MODEL, f"The environment offers no action set {options.kind!r}.")

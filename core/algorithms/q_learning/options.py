@@ -35,6 +35,13 @@ class ArmRole(Strict):
     kind: Literal["arm_role"]
 
 
+class ArmSide(Strict):
+    """Decentralised: each arm reads whether it is the closest to the target, on the left of the way there, on
+    the right, or, in a star of an even number of arms, opposite. All arms share one table."""
+
+    kind: Literal["arm_side"]
+
+
 class DiskPositionGrid(Strict):
     """The cell of a grid in which the disk is; outside of the grid, the nearest one."""
 
@@ -86,7 +93,7 @@ class ObservationGrid(Strict):
 
 
 StateDiscretizerOptions = Annotated[
-    ArmTowardsTarget | ArmRole | DiskPositionGrid | ObservationGrid, Field(discriminator="kind")
+    ArmTowardsTarget | ArmRole | ArmSide | DiskPositionGrid | ObservationGrid, Field(discriminator="kind")
 ]
 
 
@@ -103,6 +110,13 @@ class ArmRoles(Strict):
     kind: Literal["arm_roles"]
 
 
+class ArmAmplitudes(Strict):
+    """A choice of each arm is the part of the gait's amplitude with which its oscillators move it: 0, a half
+    or 1. All arms row in the same sense."""
+
+    kind: Literal["arm_amplitudes"]
+
+
 class ActionList(Strict):
     """A choice is one of these actions."""
 
@@ -117,7 +131,9 @@ class ArmActions(Strict):
     actions: Actions = Field(description="Each as long as the environment's action divided by its arms.")
 
 
-ActionSetOptions = Annotated[LeadingArm | ArmRoles | ActionList | ArmActions, Field(discriminator="kind")]
+ActionSetOptions = Annotated[
+    LeadingArm | ArmRoles | ArmAmplitudes | ActionList | ArmActions, Field(discriminator="kind")
+]
 
 
 def state_space(options: StateDiscretizerOptions, environment: EnvironmentInfo) -> FiniteSpace | None:
@@ -125,7 +141,7 @@ def state_space(options: StateDiscretizerOptions, environment: EnvironmentInfo) 
     match options:
         case DiskPositionGrid() | ObservationGrid():
             return FiniteSpace(options.num_states)
-        case ArmTowardsTarget() | ArmRole():
+        case ArmTowardsTarget() | ArmRole() | ArmSide():
             return environment.finite.state_discretizers.get(options.kind)
 
 
@@ -137,5 +153,5 @@ def choice_space(options: ActionSetOptions, environment: EnvironmentInfo) -> Fin
         case ArmActions():
             parts = environment.finite.action_parts
             return FiniteSpace(len(options.actions), parts) if parts > 1 else None
-        case LeadingArm() | ArmRoles():
+        case LeadingArm() | ArmRoles() | ArmAmplitudes():
             return environment.finite.action_sets.get(options.kind)

@@ -8,6 +8,7 @@ import numpy as np
 
 from core.algorithms.q_learning.options import (
     ArmRole,
+    ArmSide,
     ArmTowardsTarget,
     DiskPositionGrid,
     ObservationGrid,
@@ -25,7 +26,7 @@ def make_state_discretizer(options: StateDiscretizerOptions, environment: Enviro
     Raises JobFailed("bad_model") where the environment does not offer it, or lacks what it needs.
     """
     match options:
-        case ArmTowardsTarget() | ArmRole():
+        case ArmTowardsTarget() | ArmRole() | ArmSide():
             offered = environment.discretization.state_discretizers.get(options.kind)
             if offered is None:
                 raise JobFailed(

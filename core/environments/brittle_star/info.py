@@ -65,14 +65,22 @@ def _is_quick_on_a_gpu(options: Options) -> bool:
 def _finite(options: Options) -> FiniteViews:
     arms, states = options.num_arms, dict[str, FiniteSpace]()
     if isinstance(options, DirectedOptions):
-        states = {"arm_towards_target": FiniteSpace(arms), "arm_role": FiniteSpace(arms, arms)}
+        # As many sides and roles as `discretization.num_sides` and `cpg.roles.roles_for` say, which load JAX.
+        states = {
+            "arm_towards_target": FiniteSpace(arms),
+            "arm_role": FiniteSpace(arms, arms),
+            "arm_side": FiniteSpace(3 + (arms % 2 == 0), arms),
+        }
     if options.control == "cpg":
-        # As many roles as `core.environments.cpg.roles.roles_for` says, but that loads JAX.
-        sets = {"leading_arm": FiniteSpace(arms), "arm_roles": FiniteSpace(3 + (arms % 2 == 0), arms)}
+        sets = {
+            "leading_arm": FiniteSpace(arms),
+            "arm_roles": FiniteSpace(3 + (arms % 2 == 0), arms),
+            "arm_amplitudes": FiniteSpace(3, arms),
+        }
         why = {"arm_actions": "its action sets a central pattern generator, and not each arm's joints"}
         return FiniteViews(states, sets, cannot_offer=why)
     generator = 'it has a central pattern generator only with the option "control": "cpg"'
-    why = {"leading_arm": generator, "arm_roles": generator}
+    why = dict.fromkeys(("leading_arm", "arm_roles", "arm_amplitudes"), generator)
     if len(set(options.segments)) == 1:
         return FiniteViews(states, action_parts=arms, cannot_offer=why)
     return FiniteViews(states, cannot_offer={**why, "arm_actions": "its arms differ in their joints"})

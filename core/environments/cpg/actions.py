@@ -15,7 +15,7 @@ from core.environments.cpg.encoding import action_size, decode, encode
 from core.environments.cpg.integration import advance
 from core.environments.cpg.options import CPGOptions
 from core.environments.cpg.oscillators import Network, Oscillators, at_rest, output
-from core.environments.cpg.roles import Gait, modulation, roles_for, roles_under
+from core.environments.cpg.roles import Gait, modulation, roles_for, roles_under, strengths
 from core.environments.discretization import ActionSet, Discretization
 from core.environments.environment import Environment, State
 from core.environments.wrappers.base import Wrapped
@@ -24,6 +24,8 @@ from core.physics.engine import NOMINAL, ModelFields
 # So that the body starts as it would without oscillators.
 _OWN_KEY = 0x637067
 _PREFIX = "cpg_"
+# Of the gait's amplitudes: the choices of an arm that only says how far it rows.
+_FACTORS = (0.0, 0.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -64,12 +66,15 @@ class CPGActions(Wrapped):
 
     @property
     def discretization(self) -> Discretization:
-        """leading_arm: one choice, the arm that leads. arm_roles: each arm chooses its role."""
+        """leading_arm: one choice, the arm that leads. arm_roles: each arm chooses its role. arm_amplitudes:
+        each arm chooses how far it rows."""
         arms = tuple(f"arm {arm}" for arm in range(self.num_arms))
         roles = tuple(role.name.lower() for role in roles_for(self.num_arms))
+        amplitudes = tuple(f"amplitude {factor:g}" for factor in _FACTORS)
         sets = {
             "leading_arm": ActionSet(len(arms), 1, lambda choices: self.leading_arm(choices[0]), arms),
             "arm_roles": ActionSet(len(roles), self.num_arms, self.of_roles, roles),
+            "arm_amplitudes": ActionSet(len(_FACTORS), self.num_arms, self.of_amplitudes, amplitudes),
         }
         return replace(self.environment.discretization, action_sets=sets)
 
@@ -79,9 +84,16 @@ class CPGActions(Wrapped):
 
     def of_roles(self, roles: jax.Array) -> jax.Array:
         """The action [7 num_arms + 1] that makes every arm play its role [num_arms]."""
+        return encode(modulation(roles, self._gait), self.options)
+
+    def of_amplitudes(self, choices: jax.Array) -> jax.Array:
+        """The action [7 num_arms + 1] that makes every arm row as far as its choice [num_arms] says."""
+        return encode(strengths(jnp.asarray(_FACTORS)[choices], self._gait), self.options)
+
+    @property
+    def _gait(self) -> Gait:
         gait = self.options.gait
-        rowing = Gait(2 * pi * gait.frequency_hz, gait.sweep, gait.stroke, gait.lift, 2 * pi * gait.lag)
-        return encode(modulation(roles, rowing), self.options)
+        return Gait(2 * pi * gait.frequency_hz, gait.sweep, gait.stroke, gait.lift, 2 * pi * gait.lag)
 
     @property
     def _network(self) -> Network:

@@ -99,6 +99,16 @@ def modulation(roles: jax.Array, gait: Gait) -> Modulation:
     )
 
 
+def strengths(factors: jax.Array, gait: Gait) -> Modulation:
+    """The modulation for arms that all row in one sense, each as far as its factor [..., num_arms] says.
+
+    Every arm pushes the star across itself, in the sense of an arm on the left. So arms to one side of a
+    direction bring the star there while it turns.
+    """
+    rowing = modulation(jnp.full(factors.shape, Role.LEFT, jnp.int32), gait)
+    return rowing.replace(amplitudes=jnp.repeat(factors, 2, axis=-1) * rowing.amplitudes)
+
+
 def _biases(roles: jax.Array, lag: jax.Array | float) -> jax.Array:
     """Phase biases [..., 3 num_arms], in the order of the edges."""
     # The right side sweeps half a period from the left, and strokes in step with it.

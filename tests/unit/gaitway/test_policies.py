@@ -189,6 +189,7 @@ GRID = [{"index": 2, "range": [0.0, 4.0], "cells": 4}, {"index": 0, "range": [0.
 DISCRETIZERS: dict[str, tuple[dict[str, Any], int, dict[str, jax.Array]]] = {
     "arm_towards_target": ({}, 5, TARGET),
     "arm_role": ({}, 5, TARGET),
+    "arm_side": ({}, 3, TARGET),
     "disk_position_grid": (
         {"x": [-1.0, 1.0], "y": [0.0, 3.0], "cells": [2, 3]},
         6,

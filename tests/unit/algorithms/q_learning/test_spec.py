@@ -16,7 +16,8 @@ from core.algorithms.spec import check_resumption
 from core.environments import catalog
 from core.environments.info import FiniteSpace, FiniteViews
 from core.errors import Rejected
-from core.jobs.spec import JOB_SPEC
+from core.jobs.spec import JOB_SPEC, TrainSpec
+from core.jobs.submission import completed
 
 STAR = replace(
     catalog.find("ant"),
@@ -244,9 +245,12 @@ def test_several_gpus_are_refused() -> None:
 def test_the_jobs_of_the_page_are_jobs() -> None:
     page = (Path(__file__).parents[4] / "docs" / "q_learning.md").read_text()
     jobs = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
-    assert len(jobs) == 3
+    assert len(jobs) == 4
     for job in jobs:
-        assert JOB_SPEC.validate_json(job).algorithm.kind == "q_learning"  # pyright: ignore
+        spec = completed(JOB_SPEC.validate_json(job))
+        assert isinstance(spec, TrainSpec)
+        info, _ = catalog.resolve(spec.environment.id, spec.environment.options)
+        assert resolve(spec.algorithm, info, "cpu").algorithm() == "q_learning"
 
 
 def test_the_names_of_version_0_1_are_still_accepted() -> None:

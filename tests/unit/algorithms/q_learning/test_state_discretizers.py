@@ -53,6 +53,13 @@ def test_each_arm_reads_how_far_round_the_target_lies_from_itself() -> None:
     np.testing.assert_array_equal(state_discretizer(3, kind="arm_role")(seen(240)), [2, 1, 0])
 
 
+def test_each_arm_reads_on_which_side_of_the_way_to_the_target_it_is() -> None:
+    # Towards arm 1 at 72°: arms 2 and 3, further on counter-clockwise, are on the left, 0 and 4 on the right.
+    np.testing.assert_array_equal(state_discretizer(kind="arm_side")(seen(72)), [2, 0, 1, 1, 2])
+    # Of four arms, the one behind arm 1 is on neither side.
+    np.testing.assert_array_equal(state_discretizer(4, kind="arm_side")(seen(90)), [2, 0, 1, 3])
+
+
 def test_a_grid_counts_along_its_last_component_and_ends_at_its_edges() -> None:
     grid = state_discretizer(kind="disk_position_grid", x=[-1.0, 1.0], y=[0.0, 3.0], cells=[2, 3])
     places = [(-0.5, 0.5), (-0.5, 2.5), (0.5, 0.5), (0.0, 1.0), (9.0, 9.0), (-9.0, -9.0)]

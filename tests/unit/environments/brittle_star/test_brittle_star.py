@@ -110,7 +110,7 @@ def test_a_pattern_generator_may_move_the_joints() -> None:
     # by more than its own noise in two seconds.
     environment = build(control="cpg", num_segments_per_arm=3)
     row = catalog.find("brittle_star").under(environment_options(control="cpg"))
-    assert set(row.finite.action_sets) == {"leading_arm", "arm_roles"}
+    assert set(row.finite.action_sets) == {"leading_arm", "arm_roles", "arm_amplitudes"}
     state, step = environment.reset(jax.random.key(0)), jax.jit(environment.step)
     action = environment.leading_arm(0)
     assert action.shape == (7 * 5 + 1,)

@@ -7,7 +7,7 @@ from core.environments.cpg import integration, roles, star
 from core.environments.cpg.encoding import action_size, decode, encode
 from core.environments.cpg.options import CPGOptions
 from core.environments.cpg.oscillators import Network, at_rest
-from core.environments.cpg.roles import Gait, Role, roles_under
+from core.environments.cpg.roles import Gait, Role, roles_under, strengths
 
 advance = jax.jit(integration.advance, static_argnames=("integrator", "num_steps"))
 modulation = jax.jit(roles.modulation)
@@ -61,6 +61,17 @@ def lock(played: jax.Array, spread: float = np.pi, seconds: float = 10.0) -> np.
             network, modulation(played, GAIT), at_rest(phases), seconds, num_steps=int(seconds / 0.04)
         ).phases
     )
+
+
+def test_arms_row_as_far_as_they_are_told() -> None:
+    gait = Gait(frequency=3.0, sweep=0.6, stroke=0.4, lift=0.5)
+    found = strengths(jnp.array([0.0, 0.5, 1.0]), gait)
+    np.testing.assert_allclose(found.amplitudes, [0.0, 0.0, 0.3, 0.2, 0.6, 0.4], rtol=1e-6)
+    np.testing.assert_array_equal(found.offsets, np.zeros(6))
+    # All of them as an arm on the left does.
+    left = roles.modulation(jnp.full(3, Role.LEFT), gait)
+    np.testing.assert_array_equal(found.phase_biases, left.phase_biases)
+    np.testing.assert_array_equal(found.frequencies, left.frequencies)
 
 
 @pytest.mark.parametrize("num_arms", [3, 4, 8])
