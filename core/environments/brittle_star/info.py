@@ -80,7 +80,7 @@ def _finite(options: Options) -> FiniteViews:
         why = {"arm_actions": "its action sets a central pattern generator, and not each arm's joints"}
         return FiniteViews(states, sets, cannot_offer=why)
     generator = 'it has a central pattern generator only with the option "control": "cpg"'
-    why = dict.fromkeys(("leading_arm", "arm_roles", "arm_amplitudes"), generator)
+    why: dict[str, str] = dict.fromkeys(("leading_arm", "arm_roles", "arm_amplitudes"), generator)
     if len(set(options.segments)) == 1:
         return FiniteViews(states, action_parts=arms, cannot_offer=why)
     return FiniteViews(states, cannot_offer={**why, "arm_actions": "its arms differ in their joints"})

@@ -11,6 +11,7 @@ The bias between two oscillators depends only on the roles of their arms, so arm
 row as well as arms whose roles are set together.
 """
 
+import dataclasses
 from enum import IntEnum
 
 import jax
@@ -106,7 +107,7 @@ def strengths(factors: jax.Array, gait: Gait) -> Modulation:
     direction bring the star there while it turns.
     """
     rowing = modulation(jnp.full(factors.shape, Role.LEFT, jnp.int32), gait)
-    return rowing.replace(amplitudes=jnp.repeat(factors, 2, axis=-1) * rowing.amplitudes)
+    return dataclasses.replace(rowing, amplitudes=jnp.repeat(factors, 2, axis=-1) * rowing.amplitudes)
 
 
 def _biases(roles: jax.Array, lag: jax.Array | float) -> jax.Array:
