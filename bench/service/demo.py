@@ -27,7 +27,7 @@ def measure(options: Options) -> Result:
         with running_stack(Path(folder, "data")) as stack, Client(stack.url) as client:
             started_s = time.time() - began
             moments, job = _follow(client, _job(options))
-            speed = _speed_in_video(job)
+            shown = _shown_in_video(job)
             Path(folder, "downloads").mkdir()
             client.video(job.id, Path(folder, "downloads"))
         clone = _fresh_clone(Path(folder, "clone")) if options.fresh_clone else []
@@ -43,7 +43,10 @@ def measure(options: Options) -> Result:
                 Figure(name=f"submission to {what}", value=value, unit="s", target=_TARGETS.get(what))
                 for what, value in moments.items()
             ),
-            Figure(name="forward speed in the video", value=speed, unit="m/s", target=at_least(1)),
+            Figure(name="forward speed in the video", value=shown["speed"], unit="m/s", target=at_least(1)),
+            Figure(
+                name="new starts after a fall in the video", value=shown["falls"], unit="", target=at_most(0)
+            ),
             *clone,
         ],
         rows=[{"job": job.id, "steps": job.progress.step, **job.progress.metrics}],
@@ -96,11 +99,12 @@ def _moment(event: Event) -> str | None:
             return None
 
 
-def _speed_in_video(job: JobView) -> float:
+def _shown_in_video(job: JobView) -> dict[str, float]:
+    """The speed, m/s, and how often the body starts anew. Raises RuntimeError if the video does not say."""
     video = job.newest("video")
-    if video is None or "forward_speed_m_s" not in video.metadata:
-        raise RuntimeError(f"The video of job {job.id} does not say how fast the body went.")
-    return float(video.metadata["forward_speed_m_s"])
+    if video is None or not {"forward_speed_m_s", "episodes"} <= video.metadata.keys():
+        raise RuntimeError(f"The video of job {job.id} does not say how the body went.")
+    return {"speed": float(video.metadata["forward_speed_m_s"]), "falls": video.metadata["episodes"] - 1}
 
 
 def _fresh_clone(folder: Path) -> list[Figure]:
