@@ -96,8 +96,12 @@ def _job(gate: Gate, body: str, options: Options) -> dict[str, Any]:
 
 
 def _ours(device: Device, body: str, gate: Gate, options: Options, seed: int) -> dict[str, Any]:
-    evaluations = gate.most_steps // gate.every_steps
-    given = requests.settings(device, body, options, num_timesteps=gate.most_steps, num_evals=evaluations)
+    budget = {"num_timesteps": gate.most_steps, "num_evals": gate.most_steps // gate.every_steps}
+    if gate.algorithm == "sac":
+        given = requests.off_policy(options, **{"num_eval_envs": NUM_EPISODES, **budget})
+        request = requests.ours(device, body, requests.engine(device, body, {}), given, seed=seed)
+        return {**request, "mark": _mark(gate, options)}
+    given = requests.settings(device, body, options, **budget)
     given["num_eval_envs"] = 2 if options.quick else NUM_EPISODES
     if options.quick:
         given = requests.whole_updates(device, body, {**given, "num_evals": 2}, 4)
@@ -114,7 +118,7 @@ def _brax(device: Device, body: str, gate: Gate, options: Options, seed: int) ->
         published = PUBLISHED[gate.body]
         update = published["batch_size"] * published["num_minibatches"] * published["unroll_length"]
         between = max(1, (gate.peer_every_steps or gate.every_steps) // update) * update
-        epochs = gate.most_steps // between
+        epochs = (gate.peer_most_steps or gate.most_steps) // between
         given = {**published, "num_timesteps": epochs * between}
     request = requests.brax(device, body, gate.peer_engine, given, seed=seed, epochs=epochs)
     limit = {"most_s": gate.peer_most_s} if gate.peer_most_s else {}

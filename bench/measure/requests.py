@@ -23,6 +23,13 @@ _QUICK: Settings = {
     "num_eval_envs": 2,
     "episode_length": 20,
 }
+_QUICK_OFF_POLICY: Settings = {
+    "num_timesteps": 5_120,
+    "num_evals": 2,
+    "num_eval_envs": 2,
+    "episode_length": 20,
+    "min_replay_size": 128,
+}
 
 
 def gpu(bench: str, options: Options) -> Device:
@@ -37,6 +44,11 @@ def gpu(bench: str, options: Options) -> Device:
 def body(wanted: str, options: Options) -> str:
     """The environment to train; a small one if the bench is only tried out."""
     return _QUICK_BODY if options.quick else wanted
+
+
+def off_policy(options: Options, **changed: Any) -> Settings:
+    """Changes to the tuned settings of SAC."""
+    return {"kind": "sac", **changed, **(_QUICK_OFF_POLICY if options.quick else {})}
 
 
 def settings(device: Device, environment: str, options: Options, **changed: Any) -> Settings:

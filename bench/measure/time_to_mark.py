@@ -19,8 +19,8 @@ class Gate:
     """One body's way to its mark.
 
     every_steps: training steps from one evaluation to the next; peer_every_steps: Brax's, if others, as its
-    evaluations take longer. most_steps: of the whole budget. warm_s,
-    cold_s: seconds from the call in which it is to be there; start_s: from the process's start, warm, with
+    evaluations take longer. most_steps, peer_most_steps: of the whole budgets. algorithm: of ours; Brax's is
+    PPO. warm_s, cold_s: seconds from the call in which it is to be there; start_s: from the process's start, warm, with
     each seed; video_s: from the submission to a video, warm; warm_times, cold_times: how many times as fast
     as Brax. job_steps: of the job that is submitted. peer_engine: of Brax's trainer; num_peers: its seeds, as
     they may take long; peer_most_s: seconds from the call after which its run is cut off.
@@ -31,6 +31,7 @@ class Gate:
     every_steps: int
     most_steps: int
     peer_engine: str
+    algorithm: str = "ppo"
     job_steps: int | None = None
     warm_s: float | None = None
     cold_s: float | None = None
@@ -40,6 +41,7 @@ class Gate:
     cold_times: float | None = None
     num_peers: int | None = None
     peer_every_steps: int | None = None
+    peer_most_steps: int | None = None
     peer_most_s: float | None = None
 
 

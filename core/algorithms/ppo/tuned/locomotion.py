@@ -1,7 +1,7 @@
 """PPO on Gymnasium's bodies.
 
-On a GPU, the half cheetah, the inverted pendulum and the reacher have what Brax's training notebook has for
-them, with our own numbers of evaluations. The others were chosen for the time to a mark on an H200
+On a GPU, the inverted pendulum and the reacher have what Brax's training notebook has for them, with our own
+numbers of evaluations. The others were chosen for the time to a mark on an H200
 (docs/experiments/gpu_tuning.md), and those for a CPU on two cores (docs/experiments/cpu_training.md).
 """
 
@@ -75,7 +75,8 @@ ANT: Mapping[Device, PPOSpec] = {
 }
 HALF_CHEETAH: Mapping[Device, PPOSpec] = {
     "cpu": _cpu(num_timesteps=3_000_000, discounting=0.95),
-    "gpu": _gpu(num_evals=3, batch_size=512, num_updates_per_batch=8, discounting=0.95),
+    # With Brax's 0.95, many seeds learn to slide on the back and stay there (docs/experiments/gpu_tuning.md).
+    "gpu": _gpu(num_evals=3, batch_size=512, num_updates_per_batch=8, learning_rate=6e-4, discounting=0.97),
 }
 HOPPER: Mapping[Device, PPOSpec] = {
     "cpu": _cpu(discounting=0.99),

@@ -39,7 +39,12 @@ HUMANOID: Mapping[Device, SACSpec] = {
         {**_GPU, "num_timesteps": 5_000_000, "num_envs": 1024, "discounting": 0.97, "value_max": 50.0}
     )
 }
-TUNED = {"humanoid": HUMANOID, "rodent": RODENT}
+WALKER2D: Mapping[Device, SACSpec] = {
+    "gpu": SACSpec.model_validate(
+        {**_GPU, "num_timesteps": 5_000_000, "num_envs": 1024, "discounting": 0.99, "value_max": 80.0}
+    )
+}
+TUNED = {"humanoid": HUMANOID, "rodent": RODENT, "walker2d": WALKER2D}
 
 
 def tuned(environment: EnvironmentInfo, device: Device) -> SACSpec:
