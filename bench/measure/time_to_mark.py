@@ -20,10 +20,10 @@ class Gate:
 
     every_steps: training steps from one evaluation to the next; peer_every_steps: Brax's, if others, as its
     evaluations take longer. most_steps, peer_most_steps: of the whole budgets. algorithm: of ours; Brax's is
-    PPO. warm_s, cold_s: seconds from the call in which it is to be there; start_s: from the process's start, warm, with
-    each seed; video_s: from the submission to a video, warm; warm_times, cold_times: how many times as fast
-    as Brax. job_steps: of the job that is submitted. peer_engine: of Brax's trainer; num_peers: its seeds, as
-    they may take long; peer_most_s: seconds from the call after which its run is cut off.
+    PPO. warm_s, cold_s: seconds from the call in which it is to be there; start_s: from the process's start,
+    warm, with each seed; video_s: from the submission to a video, warm; warm_times, cold_times: how many
+    times as fast as Brax. job_steps: of the job that is submitted. peer_engine: of Brax's trainer; num_peers:
+    its seeds, as they may take long; peer_most_s: seconds from the call after which its run is cut off.
     """
 
     body: str
