@@ -7,7 +7,7 @@ from typing import Any
 
 @dataclass
 class WandbArtifacts:
-    """created: what each artifact was said to be, by its number; whole: the numbers of those that are complete.
+    """created: what each artifact was said to be, by its number; whole: the numbers of the complete ones.
 
     Their files are uploaded as `artifacts/<number>/<name>`.
     """
@@ -47,7 +47,9 @@ class WandbArtifacts:
     def _edge(self, wanted: dict[str, Any]) -> dict[str, Any]:
         number = wanted["artifactID"]
         node = self._file(number, wanted["name"])
-        return {"node": {**node, "storagePath": None, "uploadMultipartUrls": None, "artifact": {"id": number}}}
+        return {
+            "node": {**node, "storagePath": None, "uploadMultipartUrls": None, "artifact": {"id": number}}
+        }
 
     def _described(self, number: int) -> dict[str, Any]:
         said = self.created[number]

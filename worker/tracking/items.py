@@ -7,7 +7,6 @@ from pydantic import Field, TypeAdapter
 
 from core.documents import Stored
 
-
 # The entries of the configuration that say what a run is about.
 NAMES = ("env_name", "task_name", "algo_name")
 
