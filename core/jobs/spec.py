@@ -139,7 +139,7 @@ class ResumePoint(Strict):
 
 
 class WandbSpec(Strict):
-    """A Weights & Biases run: the configuration, all metrics and the videos. The worker has the API key."""
+    """A Weights & Biases run: configuration, all metrics, videos and policy. The worker has the API key."""
 
     project: str = Field(min_length=1, max_length=128, pattern=r"^[^/\\#?%:]+$", examples=["vnl"])
     entity: str | None = Field(
@@ -149,7 +149,11 @@ class WandbSpec(Strict):
         description="Team or user; by default that of the key.",
     )
     name: str | None = Field(
-        default=None, min_length=1, max_length=128, description="By default the job's name, otherwise its id."
+        default=None,
+        min_length=1,
+        max_length=128,
+        description="By default the job's name; without one such as `ant_ppo_5be0c1d2e3`: the environment, "
+        "the label `task_name` if there is one, the algorithm, the end of the job's id.",
     )
     mode: Literal["online", "offline"] = Field(
         default="online",

@@ -4,6 +4,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -12,10 +14,9 @@ from gaitway.service.embedded.processes import free_ports
 from tests.e2e.installed import Installed, install
 
 
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    """A client of a stack with one worker."""
-    data = tmp_path_factory.mktemp("stack")
+@contextmanager
+def serving(data: Path) -> Iterator[Client]:
+    """A client of a stack with one worker, which starts in this environment. data: its folder."""
     port = free_ports(1)[0]
     command = [sys.executable, "-m", "gaitway.service.embedded.up", "--data", str(data), "--port", str(port)]
     stack = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
@@ -25,6 +26,13 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
         yield client
         stack.send_signal(signal.SIGTERM)
         stack.communicate(timeout=60)
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """A client of a stack with one worker."""
+    with serving(tmp_path_factory.mktemp("stack")) as client:
+        yield client
 
 
 @pytest.fixture(scope="module")

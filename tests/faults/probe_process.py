@@ -49,6 +49,7 @@ match behaviour:
             time.sleep(0.01)
         for step in (10, 20):
             say(type="metrics", step=step, values={"eval/episode_reward": step / 4})
+        keep("policy", "policy", b"weights", 20)
         keep("video.mp4", "video", b"film", 20)
         say(type="finished")
     case "is_killed_after_a_measurement":

@@ -25,12 +25,14 @@ from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.settings import WorkerSettings
 from tests.faults.bench import Bench, wait_until
-from tests.faults.wandb_server import wandb_server
+from tests.faults.wandb_server import WandbServer, wandb_server
 from worker.supervision import tracking
+from worker.tracking import live
 
 KEY = "0123456789abcdef0123456789abcdef01234567"
-ONLINE = {"wandb": {"project": "vnl", "name": "first"}}
-OFFLINE = {"wandb": {"project": "vnl", "name": "first", "mode": "offline"}}
+ONLINE = {"wandb": {"project": "vnl"}}
+OFFLINE = {"wandb": {"project": "vnl", "mode": "offline"}}
+LABELS = {"task_name": "run"}
 
 
 @pytest.fixture
@@ -38,6 +40,13 @@ def bench(tmp_path: Path, job_store: PostgresJobStore, monkeypatch: pytest.Monke
     monkeypatch.setenv("PROBE_WAITS_FOR", str(tmp_path / "go"))
     yield Bench(tmp_path, job_store)
     assert left_overs(tmp_path) == []
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The end of a job waits as long as a busy machine needs to send a run."""
+    for limit in ("_FINISH_S", "_OPEN_S"):
+        monkeypatch.setattr(live, limit, 60.0)
 
 
 def left_overs(folder: Path) -> list[str]:
@@ -91,6 +100,29 @@ def measured(rows: list[dict[str, Any]]) -> list[tuple[int, float]]:
     return [(row["num_steps"], row[name]) for row in rows if name in row]
 
 
+def assert_has_what_a_notebook_sends(server: WandbServer, job: Job) -> None:
+    """Name, axis, flat configuration, video and policy: the same whether it was sent at once or later."""
+    assert server.upserts[0]["displayName"] == f"ant_run_ppo_{job.id[-10:]}"
+    config = {name: entry["value"] for name, entry in json.loads(server.upserts[-1]["config"]).items()}
+    names = {"env_name": "ant", "task_name": "run", "algo_name": "ppo", "learning_rate": 0.25, "job": job.id}
+    assert {name: config[name] for name in names} == names
+    # Beside the whole specification, with the hyperparameters as they were resolved.
+    assert (config["environment"]["id"], config["labels"], config["seed"]) == ("ant", LABELS, 0)
+    assert config["algorithm"]["learning_rate"] == 0.25
+    # W&B's keys: 1 and 2 are a metric's name, or pattern; 5 is the number of its axis, from 1.
+    axis, everything = config["_wandb"]["m"]
+    assert (axis["1"], everything["2"], everything["5"]) == ("num_steps", "*", 1)
+    (shown,) = (row for row in server.rows() if "video" in row)
+    assert (shown["num_steps"], shown["video"]["_type"]) == (20, "video-file")
+    assert server.uploads[shown["video"]["path"]] == b"film"
+    (policy,) = server.artifacts.created
+    assert (policy["artifactCollectionName"], policy["artifactTypeName"]) == (f"policy-{job.id}", "model")
+    about = {"env_name": "ant", "task_name": "run", "algo_name": "ppo", "num_steps": 20}
+    assert json.loads(policy["metadata"]) == about
+    assert server.artifacts.whole == {0}
+    assert server.uploads["artifacts/0/policy"] == b"weights"
+
+
 def test_scalars_for_tensorboard_are_the_stored_metrics_of_all_attempts(bench: Bench, tmp_path: Path) -> None:
     job = bench.submit()
     with going(bench, job, "is_killed_after_a_measurement"):
@@ -110,7 +142,7 @@ def test_scalars_for_tensorboard_are_the_stored_metrics_of_all_attempts(bench: B
 
 def test_an_offline_run_is_an_artifact_that_wandb_can_sync(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "go").touch()
-    job = bench.run("is_filmed", tracking=OFFLINE)
+    job = bench.run("is_filmed", tracking=OFFLINE, labels=LABELS)
     assert (job.status, notes(bench, job)) == (JobStatus.SUCCEEDED, [])
     folder = tmp_path / "fetched"
     with tarfile.open(fileobj=io.BytesIO(body(bench, job, "wandb"))) as archive:
@@ -119,31 +151,28 @@ def test_an_offline_run_is_an_artifact_that_wandb_can_sync(bench: Bench, tmp_pat
         archive.extractall(folder, **safely)  # noqa: S202 - we have just written it
     (run,) = folder.iterdir()
     files = sorted(str(path.relative_to(run)) for path in run.rglob("*") if path.is_file())
-    assert files[-1] == f"run-{job.id}.wandb"
     assert files[0].startswith("files/media/videos/video_")
-    assert len(files) == 2
+    assert files[1:] == ["policy/policy", f"run-{job.id}.wandb"]
     with wandb_server() as server:
         # As a user would, elsewhere and with a key of one's own.
         surroundings = {"WANDB_API_KEY": KEY, "WANDB_BASE_URL": server.url, "HOME": str(tmp_path)}
         said = subprocess.run(
-            [sys.executable, "-m", "wandb", "sync", str(run)],
+            [sys.executable, "-m", "wandb", "sync", run.name],
             env={**os.environ, **surroundings},
-            cwd=tmp_path,  # It logs into its working directory.
+            cwd=folder,  # Where it looks for the policy.
             check=True,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
         )
         assert measured(server.rows()) == [(10, 2.5), (20, 5.0)], said.stdout.decode()
-        config = json.loads(server.upserts[-1]["config"])
-        assert config["algorithm"]["value"] == {"learning_rate": 0.25}  # as it was resolved
-        assert config["seed"]["value"] == 0
-        assert [content for name, content in server.uploads.items() if "media" in name] == [b"film"]
+        assert_has_what_a_notebook_sends(server, job)
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_run_is_shown_while_it_goes_on_and_a_second_attempt_continues_it(bench: Bench) -> None:
     with wandb_server() as server:
         speaks_to(bench, server.url)
-        job = bench.submit(tracking=ONLINE)
+        job = bench.submit(tracking=ONLINE, labels=LABELS)
         with going(bench, job, "is_killed_after_a_measurement"):
             wait_until(lambda: bool(server.upserts), 60)
         said = len(server.upserts)
@@ -152,9 +181,7 @@ def test_a_run_is_shown_while_it_goes_on_and_a_second_attempt_continues_it(bench
     assert measured(server.rows()) == [(5, 0.5), (10, 2.5), (20, 5.0)]
     runs = {(upsert["project"], upsert["name"]) for upsert in server.upserts}
     assert runs == {("vnl", job.id)}
-    assert server.upserts[0]["displayName"] == "first"
-    assert json.loads(server.upserts[-1]["config"])["algorithm"]["value"]["learning_rate"] == 0.25
-    assert [content for name, content in server.uploads.items() if "media" in name] == [b"film"]
+    assert_has_what_a_notebook_sends(server, job)
     assert server.streams[-1]["exitcode"] == 0
     # The key was where it belongs, and is nowhere else.
     assert server.keys == {KEY}
@@ -177,6 +204,21 @@ def test_a_server_that_refuses_the_key_costs_a_note_and_leaves_the_run_as_a_file
     assert "401" in note
     assert bench.store.get(job.id).status == JobStatus.SUCCEEDED
     assert len(body(bench, job, "wandb")) > 1000
+
+
+@pytest.mark.usefixtures("patient")
+def test_a_server_that_refuses_the_policy_costs_a_note_and_leaves_the_run_as_a_file(bench: Bench) -> None:
+    (bench.settings.data_dir / "go").touch()
+    with wandb_server() as server:
+        server.refused = "CreateArtifact"
+        speaks_to(bench, server.url)
+        job = bench.run("is_filmed", tracking=ONLINE)
+    (note,) = notes(bench, job)
+    assert note.startswith("Weights & Biases accepted no more of this run: ")
+    assert "no CreateArtifact here" in note
+    assert job.status == JobStatus.SUCCEEDED
+    with tarfile.open(fileobj=io.BytesIO(body(bench, job, "wandb"))) as archive:
+        assert any(name.endswith("/policy/policy") for name in archive.getnames())
 
 
 def test_a_server_that_never_answers_delays_no_job(bench: Bench) -> None:
@@ -211,7 +253,7 @@ from pathlib import Path
 from core.jobs.spec import JOB_SPEC
 from tests.faults.bench import unused_servers
 from tests.faults.test_tracking import that_lead_to
-from worker.tracking.items import about_run
+from worker.tracking.config import about_run
 from worker.tracking.live import Live
 folder = Path(sys.argv[1])
 settings = that_lead_to(sys.argv[2], unused_servers(folder))

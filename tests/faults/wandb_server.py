@@ -9,10 +9,13 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+from tests.faults.wandb_artifacts import WandbArtifacts
+
 
 class WandbServer(ThreadingHTTPServer):
     """url: for GAITWAY_WANDB_BASE_URL. upserts: what runs were said to be; streams: what they sent;
-    uploads: files by name; keys: with which one every request came.
+    uploads: files by name; artifacts: what of these are artifacts; keys: with which one every request came.
+    refused: the GraphQL operation that is answered with an error.
     """
 
     daemon_threads = True
@@ -24,7 +27,9 @@ class WandbServer(ThreadingHTTPServer):
         self.upserts: list[dict[str, Any]] = []
         self.streams: list[dict[str, Any]] = []
         self.uploads: dict[str, bytes] = {}
+        self.artifacts = WandbArtifacts(self.url)
         self.keys = set[str]()
+        self.refused: str | None = None
 
     def rows(self) -> list[dict[str, Any]]:
         """The history, in the order in which it came."""
@@ -42,7 +47,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.server.status != 200:
             self._answer({"errors": [{"message": "no"}]})
         elif self.path.endswith("/graphql"):
-            self._answer({"data": self._data(json.loads(body))})
+            self._answer(self._reply(json.loads(body)))
         else:
             self.server.streams.append(json.loads(body))
             self._answer({})
@@ -55,8 +60,16 @@ class _Handler(BaseHTTPRequestHandler):
         self.server.uploads[name] = self.rfile.read(int(self.headers["Content-Length"]))
         self._answer({})
 
-    def _data(self, request: dict[str, Any]) -> dict[str, Any]:
+    def _reply(self, request: dict[str, Any]) -> dict[str, Any]:
         query, variables = request["query"], request.get("variables") or {}
+        named = re.search(r"(?:mutation|query)\s+(\w+)", query)
+        operation = named[1] if named else ""
+        if operation == self.server.refused:
+            return {"errors": [{"message": f"no {operation} here"}]}
+        of_artifacts = self.server.artifacts.answer(operation, variables)
+        return {"data": self._data(query, variables) if of_artifacts is None else of_artifacts}
+
+    def _data(self, query: str, variables: dict[str, Any]) -> dict[str, Any]:
         if "upsertBucket" in query:
             self.server.upserts.append(variables)
             project = {"name": variables.get("project"), "entity": {"name": "me"}}
@@ -67,6 +80,8 @@ class _Handler(BaseHTTPRequestHandler):
                 {"name": name, "uploadUrl": f"{self.server.url}/upload/{name}"} for name in variables["files"]
             ]
             return {"createRunFiles": {"runID": "1", "uploadHeaders": [], "files": files}}
+        if "viewer {" in query:
+            return {"viewer": {"id": "1", "username": "me", "entity": "me"}}
         return dict.fromkeys(re.findall(r"^\s{1,4}(\w+)", query, re.MULTILINE))
 
     def _answer(self, document: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ import structlog
 
 from core.errors import GaitwayError, LeaseLost
 from core.jobs.attempts import Claim
-from core.jobs.job import Job
+from core.jobs.job import Artifact, Job
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
 from core.settings import WorkerSettings
@@ -21,7 +21,8 @@ from worker.protocol import FileReady, Message, Noted
 from worker.supervision.measurements import Measurements
 from worker.supervision.outbox import Outbox
 from worker.tracking.child import end, start
-from worker.tracking.items import About, VideoFile, WriteUp, about_run, configured
+from worker.tracking.config import about_run, as_resolved
+from worker.tracking.items import About, PolicyFile, VideoFile, WriteUp
 from worker.tracking.live import Live
 
 log = structlog.get_logger()
@@ -127,23 +128,30 @@ class Tracking:
     def _with_archive(self, task: WriteUp, about: About, exit_code: int) -> WriteUp:
         job = self.claim.store.get(self.job.id)
         last = job.attempts[-1]
-        config = {**about.config, **configured(last.device, last.engine, last.details).values}
-        films, kept = list[VideoFile](), about.folder / "kept"
+        config = {**about.config, **as_resolved(last.device, last.engine, last.details)}
+        kept = about.folder / "kept"
         kept.mkdir()
-        for artifact in sorted(job.artifacts, key=lambda artifact: artifact.step or 0):
-            if artifact.role == "video":
-                path = kept / artifact.name
-                with self.claim.objects.open(artifact.key) as pieces, path.open("wb") as file:
-                    file.writelines(pieces)
-                films.append(VideoFile(step=artifact.step or 0, path=path))
+        videos = sorted(
+            (artifact for artifact in job.artifacts if artifact.role == "video"),
+            key=lambda artifact: artifact.step or 0,
+        )
+        policy = job.newest("policy")
         return task.model_copy(
             update={
                 "about": about.model_copy(update={"config": config}),
                 "archive": about.folder / ARCHIVE,
-                "films": films,
+                "films": [VideoFile(step=it.step or 0, path=self._fetch(it, kept)) for it in videos],
+                "policy": policy and PolicyFile(step=policy.step or 0, path=self._fetch(policy, kept)),
                 "exit_code": exit_code,
             }
         )
+
+    def _fetch(self, artifact: Artifact, folder: Path) -> Path:
+        """Bring a stored file into the folder; returns its path there."""
+        path = folder / artifact.name
+        with self.claim.objects.open(artifact.key) as pieces, path.open("wb") as file:
+            file.writelines(pieces)
+        return path
 
     def _keep(self, notes: list[str], keep_checkpoints: int, called_off: Callable[[], bool]) -> None:
         """Store what was written, through a short outage if need be."""

@@ -88,7 +88,7 @@ def write_curve(measurements: Path, path: Path) -> None:
 
 def write_archive(task: WriteUp, about: About, path: Path) -> None:
     """The whole job as an offline run."""
-    from worker.tracking.run import archive, log_item, open_run
+    from worker.tracking.run import archive, log_archived_policy, log_item, open_run
 
     run = open_run(about, "offline")
     rows = sorted(
@@ -99,6 +99,8 @@ def write_archive(task: WriteUp, about: About, path: Path) -> None:
         log_item(run, row)
     for film in task.films:
         log_item(run, film)
+    if task.policy is not None:
+        log_archived_policy(run, task.policy)
     log_item(run, End(exit_code=task.exit_code))
     archive(about.folder, path)
 

@@ -1,14 +1,14 @@
 """The messages to the processes of this package: one JSON document per line."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 
 from core.documents import Stored
 
-if TYPE_CHECKING:  # The processes of this package would build all specifications at each start.
-    from core.jobs.spec import TrainSpec
+# The entries of the configuration that say what a run is about.
+NAMES = ("env_name", "task_name", "algo_name")
 
 
 class About(Stored):
@@ -46,6 +46,14 @@ class VideoFile(Stored):
     path: Path
 
 
+class PolicyFile(Stored):
+    """The policy of a step; the file stays as it is until the run has ended."""
+
+    kind: Literal["policy"] = "policy"
+    step: int
+    path: Path
+
+
 class End(Stored):
     """Nothing more will come. exit_code: 0 if the job has done all that was asked."""
 
@@ -53,15 +61,16 @@ class End(Stored):
     exit_code: int
 
 
-Item = Annotated[Configured | Row | VideoFile | End, Field(discriminator="kind")]
-ITEM: TypeAdapter[Configured | Row | VideoFile | End] = TypeAdapter(Item)
+Item = Configured | Row | VideoFile | PolicyFile | End
+ITEM: TypeAdapter[Item] = TypeAdapter(Annotated[Item, Field(discriminator="kind")])
 
 
 class WriteUp(Stored):
     """The files to write about the whole job; all paths are in the folder of the document.
 
     measurements: JSON lines, each with step, time and values. events: the file for TensorBoard.
-    curve: a picture, of runs that have one. archive: the offline run; None if none is wanted.
+    curve: a picture, of runs that have one. archive: the offline run; None if none is wanted. films, policy:
+    what it shows and has learnt; these files may be consumed.
     """
 
     job_id: str
@@ -71,28 +80,5 @@ class WriteUp(Stored):
     about: About | None = None
     archive: Path | None = None
     films: list[VideoFile] = []
+    policy: PolicyFile | None = None
     exit_code: int = 0
-
-
-def about_run(job_id: str, spec: "TrainSpec", folder: Path) -> About | None:
-    """The run; None if the job asks for none."""
-    wanted = spec.tracking.wandb
-    if wanted is None:
-        return None
-    name = wanted.name or spec.name or job_id
-    config = spec.model_dump(mode="json", exclude={"tracking"})
-    return About(
-        job_id=job_id,
-        project=wanted.project,
-        entity=wanted.entity,
-        name=name,
-        folder=folder,
-        config={**config, "job": job_id},
-    )
-
-
-def configured(device: str | None, engine: str | None, details: dict[str, Any]) -> Configured:
-    """The resolved hyperparameters, and what they run on."""
-    facts = {name: value for name, value in details.items() if name != "hyperparameters"}
-    resolved = {"algorithm": details["hyperparameters"]} if "hyperparameters" in details else {}
-    return Configured(values={**resolved, **facts, "device": device, "engine": engine})

@@ -13,7 +13,8 @@ from typing import IO, cast
 from core.settings import WorkerSettings
 from worker.protocol import FileReady, Measured, Message, Started
 from worker.tracking.child import end, start
-from worker.tracking.items import About, Configured, End, Row, VideoFile, configured
+from worker.tracking.config import as_resolved
+from worker.tracking.items import About, Configured, End, Item, PolicyFile, Row, VideoFile
 
 # How many items may wait for a slow process.
 _MAX_WAITING = 10_000
@@ -41,17 +42,18 @@ class Live:
         threading.Thread(target=self._feed, name="tracking_feed", daemon=True).start()
 
     def send(self, message: Message) -> None:
-        """Send a message of the training process on; its videos are still in the spool."""
+        """Send a message of the training process on; its files are still in the spool."""
         match message:
             case Started(device=device, engine=engine, details=details):
-                self._put(configured(device, engine, details))
+                self._put(Configured(values=as_resolved(device, engine, details)))
             case Measured(step=step, values=values):
                 self._put(Row(step=step, values=values))
-            case FileReady(role="video", path=path, step=step):
+            case FileReady(role="video" | "policy" as role, path=path, step=step):
                 # The outbox removes the spool's own as soon as it is stored.
                 with suppress(OSError):
                     os.link(self._spool / path, self._folder / path)
-                    self._put(VideoFile(step=step or 0, path=self._folder / path))
+                    kept = VideoFile if role == "video" else PolicyFile
+                    self._put(kept(step=step or 0, path=self._folder / path))
             case _:
                 pass
 
@@ -74,7 +76,7 @@ class Live:
         self._failed.set()
         end(self._child)
 
-    def _put(self, item: About | Configured | Row | VideoFile | End) -> None:
+    def _put(self, item: About | Item) -> None:
         if self._failed.is_set():
             return
         try:

@@ -1,15 +1,19 @@
 """A run of Weights & Biases."""
 
+import os
 import tarfile
+from contextlib import chdir
 from pathlib import Path
 from typing import Any, Literal
 
 import wandb
 
-from worker.tracking.items import About, Configured, End, Row, VideoFile
+from worker.tracking.items import NAMES, About, Configured, End, Item, PolicyFile, Row, VideoFile
 
 # How long the server may take to accept a run.
 _OPEN_S = 30.0
+# Where a run's folder keeps its policy, beside wandb's own files.
+_POLICY_FOLDER = "policy"
 # The horizontal axis: environment steps, by the name that Brax gives them to its progress function.
 _STEP = "num_steps"
 
@@ -49,8 +53,8 @@ def open_run(about: About, mode: Literal["online", "offline"]) -> Any:
     return run
 
 
-def log_item(run: Any, item: Configured | Row | VideoFile | End) -> None:
-    """Log one item."""
+def log_item(run: Any, item: Item) -> None:
+    """Log one item. Raises what wandb raises."""
     match item:
         case Configured(values=values):
             run.config.update(values, allow_val_change=True)
@@ -58,8 +62,36 @@ def log_item(run: Any, item: Configured | Row | VideoFile | End) -> None:
             run.log({_STEP: step, **values})
         case VideoFile(step=step, path=path):
             run.log({_STEP: step, path.stem.partition("-")[0]: wandb.Video(str(path), format="mp4")})
+        case PolicyFile(step=step, path=path):
+            log_policy(run, step, path)
         case End(exit_code=exit_code):
             run.finish(exit_code=exit_code)
+
+
+def log_policy(run: Any, step: int, path: Path) -> None:
+    """Log the file as the run's model; returns when the server has it.
+
+    The path is recorded relative to the working directory, in which `wandb sync` later looks for it.
+    """
+    names = {name: run.config[name] for name in NAMES if name in run.config}
+    model = wandb.Artifact(f"policy-{run.id}", type="model", metadata={**names, _STEP: step})
+    model.add_file(os.path.relpath(path), name="policy", policy="immutable", skip_cache=True)
+    logged = run.log_artifact(model)
+    if not run.offline:
+        logged.wait()
+
+
+def log_archived_policy(run: Any, policy: PolicyFile) -> None:
+    """Log the policy of an offline run, and move it into the run's folder.
+
+    Its path is recorded from the folder's parent, which is where users will unpack the archive.
+    """
+    run_folder = Path(run.dir).parent
+    kept = run_folder / _POLICY_FOLDER / "policy"
+    kept.parent.mkdir()
+    policy.path.rename(kept)
+    with chdir(run_folder.parent):
+        log_policy(run, policy.step, kept)
 
 
 def archive(folder: Path, path: Path) -> None:
@@ -71,7 +103,7 @@ def archive(folder: Path, path: Path) -> None:
     wandb.teardown()
     (run,) = (folder / "wandb").glob("offline-run-*")
     with tarfile.open(path, "w") as file:
-        for part in [*run.glob("*.wandb"), run / "files"]:
+        for part in [*run.glob("*.wandb"), run / "files", run / _POLICY_FOLDER]:
             if part.exists():
                 file.add(part, f"{run.name}/{part.name}", filter=_of_nobody)
 
