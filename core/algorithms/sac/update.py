@@ -14,7 +14,7 @@ from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import RunningStatisticsState, Transition, running_statistics
 from core.algorithms.experience import Outcome, Starts, collect, summarise
 from core.algorithms.normalizer import init_normalizer, normalization
-from core.algorithms.sac import replay as replays
+from core.algorithms.off_policy import replay as replays
 from core.algorithms.sac.losses import alpha_loss, critic_loss, policy_loss
 from core.algorithms.sac.networks import Networks, Params, make_networks
 from core.algorithms.sac.spec import SACSpec

@@ -7,11 +7,11 @@ import pytest
 
 from core.algorithms.catalog import least_memory
 from core.algorithms.memory import perceptron, shown
+from core.algorithms.off_policy import replay
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.replay import empty
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.sac import replay as sac_replay
 from core.algorithms.sac.networks import make_networks as make_sac_networks
 from core.algorithms.sac.spec import SACSpec
 from core.environments import catalog
@@ -59,7 +59,7 @@ def test_sac_counts_its_replay_and_networks_as_the_arrays_they_are() -> None:
         }
     )
     kept, networks, environments = least_memory(settings, ANT, 1).parts
-    ring = jax.tree.leaves(jax.eval_shape(lambda: sac_replay.empty(100, 10, 27, 8).rows))
+    ring = jax.tree.leaves(jax.eval_shape(lambda: replay.empty(100, 10, 27, 8).rows))
     assert kept.bytes == sum(4 * array.size for array in ring) == 4 * 1000 * (27 + 8 + 3)
     assert kept.lower == ("max_replay_size",)
     made = make_sac_networks(27, 8, settings)
