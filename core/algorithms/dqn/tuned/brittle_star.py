@@ -7,15 +7,15 @@ from core.algorithms.dqn.spec import DQNSpec
 from core.environments.brittle_star.options import DirectedOptions
 from core.environments.info import Device
 
-# A decision is one stroke of the default gait, as the table's is. A reward is a metre.
+# A choice is held for one stroke of the default gait, as the table's is. A reward is a metre.
 _STEERED: Mapping[str, Any] = {
     "action_set": {"kind": "leading_arm"},
-    "num_timesteps": 400_000,
+    "num_timesteps": 200_000,
     "num_envs": 20,
     "action_repeat": 25,
     "unroll_length": 1,
     "reset_pool_size": 4,
-    "grad_updates_per_step": 4,
+    "grad_updates_per_step": 8,
     "batch_size": 128,
     "min_replay_size": 400,
     "max_replay_size": 20_000,
