@@ -21,6 +21,7 @@ DEFAULT = {
     "training": "bench.cpu.training",
     "corridor": "bench.cpu.corridor",
     "q_learning": "bench.cpu.q_learning",
+    "exercises": "bench.cpu.exercises",
     "record": "bench.service.record",
     "faults": "bench.service.faults",
     "service": "bench.service.costs",

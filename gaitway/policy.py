@@ -27,6 +27,12 @@ def _sac() -> Reader:
     return partial(network.load, network.SAC)
 
 
+def _dqn() -> Reader:
+    from gaitway.policies import dqn
+
+    return dqn.load
+
+
 def _q_learning() -> Reader:
     from gaitway.policies import q_learning
 
@@ -34,14 +40,19 @@ def _q_learning() -> Reader:
 
 
 # By algorithm. The call imports JAX.
-READERS: dict[str, Callable[[], Reader]] = {"ppo": _ppo, "q_learning": _q_learning, "sac": _sac}
+READERS: dict[str, Callable[[], Reader]] = {
+    "dqn": _dqn,
+    "ppo": _ppo,
+    "q_learning": _q_learning,
+    "sac": _sac,
+}
 
 
 def load(path: Path, algorithm: str, *, is_checkpoint: bool, deterministic: bool = True) -> Policy:
     """The policy in a file of this algorithm as a jitted `act(observation, key=None)` -> the policy's output:
-    an action, or for Q-learning the columns chosen (docs/q_learning.md).
+    an action, or for Q-learning and DQN what is chosen (docs/q_learning.md, docs/dqn.md).
 
-    observation: the input of the algorithm's policies; for PPO and SAC [..., observation_size]. An action is
+    observation: the input of the algorithm's policies; for networks [..., observation_size]. An action is
     [..., action_size], each component in [-1, 1]. key: a JAX random key, needed by a stochastic policy
     (ValueError without one).
     Raises MissingExtra where JAX or msgpack is not installed, and PolicyUnreadable.

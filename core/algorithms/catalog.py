@@ -7,6 +7,10 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
+from core.algorithms.dqn import checks as dqn_checks
+from core.algorithms.dqn import memory as dqn_memory
+from core.algorithms.dqn.spec import DQNSpec
+from core.algorithms.dqn.tuned import catalog as dqn_tuned
 from core.algorithms.memory import Memory
 from core.algorithms.ppo import checks as ppo_checks
 from core.algorithms.ppo import memory as ppo_memory
@@ -36,7 +40,9 @@ def _default_unless_it_says(value: Any, parse: ValidatorFunctionWrapHandler) -> 
 
 
 AlgorithmSpec = Annotated[
-    PPOSpec | QLearningSpec | SACSpec, Field(discriminator="kind"), WrapValidator(_default_unless_it_says)
+    PPOSpec | DQNSpec | QLearningSpec | SACSpec,
+    Field(discriminator="kind"),
+    WrapValidator(_default_unless_it_says),
 ]
 
 
@@ -74,6 +80,15 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             ppo_tuned.tuned,
             ppo_checks.refusal,
             ppo_memory.least_memory,
+        ),
+        AlgorithmInfo(
+            DQNSpec,
+            "core.algorithms.dqn.algorithm:DQN",
+            "core.algorithms.dqn.policy:load",
+            dqn_tuned.tuned,
+            dqn_checks.refusal,
+            dqn_memory.least_memory,
+            dqn_tuned.environment_options,
         ),
         AlgorithmInfo(
             QLearningSpec,

@@ -29,6 +29,7 @@ class Parameters(NamedTuple):
 
 
 Answer = Callable[[Parameters, Any, jax.Array], jax.Array]
+Activation = Callable[[jax.Array], jax.Array]
 
 
 def load(form: str, content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[Parameters, Answer]:
@@ -36,14 +37,11 @@ def load(form: str, content: bytes, is_checkpoint: bool, deterministic: bool) ->
     in [-1, 1]. Raises PolicyUnreadable."""
     if is_checkpoint:
         facts, state = checkpoint.read(content, form)
-        normalizer, network = state["normalizer"], state["params"]["policy"]
+        normalizer, policy = state["normalizer"], state["params"]["policy"]
     else:
-        saved, network, facts = brax_file.read(content)
+        saved, policy, facts = brax_file.read(content)
         normalizer = vars(saved)
-    name = facts.get("activation", "swish")
-    if name not in _ACTIVATIONS:
-        raise PolicyUnreadable(f"This version of gaitway has no activation function {name!r}.")
-    activation: Callable[[jax.Array], jax.Array] = getattr(jax.nn, name)
+    activation = activation_of(facts.get("activation", "swish"))
     seen = facts.get("policy_obs_key", "state")
     bound = facts.get("normalize_observations_max_abs_value")
 
@@ -51,22 +49,30 @@ def load(form: str, content: bytes, is_checkpoint: bool, deterministic: bool) ->
         mean, std, layers = parameters
         if isinstance(observation, Mapping):
             observation, mean, std = observation[seen], mean[seen], std[seen]
-        output = _network(layers, _normalized(observation, mean, std, bound), activation)
+        output = network(layers, normalized(observation, mean, std, bound), activation)
         location, scale = jnp.split(output, 2, axis=-1)
         if not deterministic:
             deviation = jax.nn.softplus(scale) + _LEAST_DEVIATION
             location = jax.random.normal(key, location.shape) * deviation + location
         return jnp.tanh(location)
 
-    return Parameters(normalizer["mean"], normalizer["std"], _layers(network)), answer
+    return Parameters(normalizer["mean"], normalizer["std"], layers_of(policy)), answer
 
 
-def _layers(network: Any) -> list[tuple[jax.Array, jax.Array]]:
+def activation_of(name: str) -> Activation:
+    """The function of this name in jax.nn. Raises PolicyUnreadable for one that is not known."""
+    if name not in _ACTIVATIONS:
+        raise PolicyUnreadable(f"This version of gaitway has no activation function {name!r}.")
+    return getattr(jax.nn, name)
+
+
+def layers_of(network: Any) -> list[tuple[jax.Array, jax.Array]]:
+    """(kernel, bias) of each layer, from Brax's parameters."""
     layers = [network["params"][f"hidden_{i}"] for i in range(len(network["params"]))]
     return [(layer["kernel"], layer["bias"]) for layer in layers]
 
 
-def _normalized(observation: jax.Array, mean: Any, std: Any, bound: float | None) -> jax.Array:
+def normalized(observation: jax.Array, mean: Any, std: Any, bound: float | None) -> jax.Array:
     """Deviations from the mean, in standard deviations; whole numbers stay as they are, as in Brax."""
     if not jnp.issubdtype(observation.dtype, jnp.inexact):
         return observation
@@ -74,9 +80,10 @@ def _normalized(observation: jax.Array, mean: Any, std: Any, bound: float | None
     return deviations if bound is None else jnp.clip(deviations, -bound, bound)
 
 
-def _network(
-    layers: list[tuple[jax.Array, jax.Array]], values: jax.Array, activation: Callable[[jax.Array], jax.Array]
+def network(
+    layers: list[tuple[jax.Array, jax.Array]], values: jax.Array, activation: Activation
 ) -> jax.Array:
+    """What a multilayer perceptron puts out."""
     for kernel, bias in layers[:-1]:
         values = activation(values @ kernel + bias)
     kernel, bias = layers[-1]

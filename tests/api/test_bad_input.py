@@ -25,6 +25,10 @@ def sac(**options: Any) -> dict[str, Any]:
     return MINIMAL | {"algorithm": {"kind": "sac", **options}}
 
 
+def dqn(**options: Any) -> dict[str, Any]:
+    return MINIMAL | {"algorithm": {"kind": "dqn", **options}}
+
+
 def corridor(**options: Any) -> dict[str, Any]:
     return {"kind": "train", "environment": {"id": "corridor", "options": options}}
 
@@ -50,7 +54,11 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         ({"kind": "zzz", "environment": "ant"}, "/kind", "known are `train`, `rollout`."),
         ([], "", "must be an object"),
         ("text", "", "must be an object"),
-        (MINIMAL | {"algorithm": {"kind": "td3"}}, "/algorithm/kind", "known are `ppo`, `q_learning`, `sac`"),
+        (
+            MINIMAL | {"algorithm": {"kind": "td3"}},
+            "/algorithm/kind",
+            "known are `ppo`, `dqn`, `q_learning`, `sac`",
+        ),
         (MINIMAL | {"algorithm": "ppo"}, "/algorithm", "must be an object"),
         (
             MINIMAL | {"algorithm": {"kind": "ppo", "clip_epsilon": 0.2}},
@@ -110,6 +118,16 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/resources/gpus",
             "sac runs on one device, but the job asks for 2 GPUs.",
         ),
+        (dqn(), "/algorithm/action_set", "8 continuous numbers, and the network has an output for each"),
+        (dqn(action_set={"kind": "leading_arm"}), "/algorithm/action_set", "ant offers no action set"),
+        (
+            dqn(action_set={"kind": "actions", "actions": [[1.0, 0.0]]}),
+            "/algorithm/action_set/actions",
+            "ant takes 8 action components",
+        ),
+        (dqn(state_discretizer={"kind": "arm_role"}), "/algorithm/state_discretizer", "is not a field here"),
+        (dqn(epsilon={"decay_episodes": 5}), "/algorithm/epsilon/decay_episodes", "is not a field here"),
+        (dqn() | {"resources": {"gpus": 2}}, "/resources/gpus", "dqn runs on one device"),
         (MINIMAL | {"enviroment": "ant"}, "/enviroment", "did you mean `environment`?"),
         (MINIMAL | {"a/b~c": 1}, "/a~1b~0c", "not a field here"),
         (MINIMAL | {"video": {"camera": "moon"}}, "/video/camera", "no camera 'moon'"),

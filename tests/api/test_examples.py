@@ -1,5 +1,6 @@
 """The examples' jobs are what the service takes."""
 
+import json
 import runpy
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,9 @@ import pytest
 
 from tests.api.conftest import Stack
 
-EXAMPLES = sorted(Path(__file__).parents[2].glob("examples/*.py"))
+FOLDER = Path(__file__).parents[2] / "examples"
+EXAMPLES = sorted(FOLDER.glob("*.py"))
+EXERCISES = sorted(FOLDER.glob("exercises/*.json"))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
@@ -16,3 +19,13 @@ def test_an_examples_job_is_accepted(stack: Stack, path: Path) -> None:
     names: dict[str, Any] = runpy.run_path(str(path))
     answer = stack.http.post("/jobs", json=names["JOB"])
     assert answer.status_code == 202, answer.text
+
+
+@pytest.mark.parametrize("path", EXERCISES, ids=[path.stem for path in EXERCISES])
+def test_an_exercise_is_accepted_and_its_result_is_told(stack: Stack, path: Path) -> None:
+    answer = stack.http.post("/jobs", json=json.loads(path.read_text()))
+    assert answer.status_code == 202, answer.text
+    assert (
+        f"[{path.stem}](../examples/exercises/{path.name})"
+        in (FOLDER.parent / "docs/q_learning.md").read_text()
+    )

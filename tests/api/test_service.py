@@ -62,11 +62,12 @@ def test_an_environment_is_shown_under_the_options_that_a_job_would_give(stack: 
     assert steered["defaults"]["ppo"]["cpu"]["action_repeat"] == 10
     assert plain["defaults"]["sac"]["cpu"]["episode_length"] == plain["episode_length"]
     # A table takes the generator where a job does not say how the star is controlled, and says so.
-    assert plain["environment_options"] == {"q_learning": {"control": "cpg"}}
-    assert plain["defaults"]["q_learning"] == steered["defaults"]["q_learning"]
+    assert plain["environment_options"] == {kind: {"control": "cpg"} for kind in ("dqn", "q_learning")}
+    for kind in ("dqn", "q_learning"):
+        assert plain["defaults"][kind] == steered["defaults"][kind]
     assert steered["environment_options"] == {}
     by_joints = stack.http.get(star, params={"options": '{"control": "joints"}'}).json()
-    assert "q_learning" not in by_joints["defaults"]
+    assert {"dqn", "q_learning"}.isdisjoint(by_joints["defaults"])
     assert by_joints["environment_options"] == {}
     assert steered["defaults"]["q_learning"]["cpu"]["state_discretizer"] == {"kind": "arm_towards_target"}
 

@@ -62,6 +62,25 @@ SMALL_SAC: dict[str, Any] = {
     "checkpoints": {"every_steps": 1280},
 }
 
+# Updates of 32 environments and one action of two steps: 64 steps.
+SMALL_DQN: dict[str, Any] = {
+    **SMALL_SAC,
+    "algorithm": {
+        "kind": "dqn",
+        "action_set": {"kind": "actions", "actions": [[-0.5], [0.0], [0.5]]},
+        "num_timesteps": 6400,
+        "num_envs": 32,
+        "action_repeat": 2,
+        "batch_size": 64,
+        "min_replay_size": 256,
+        "max_replay_size": 4096,
+        "num_evals": 2,
+        "num_eval_envs": 4,
+        "episode_length": 100,
+        "hidden_layer_sizes": [16],
+    },
+}
+
 # What a training job keeps in any case.
 KEPT = {"checkpoint", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory", "video"}
 
@@ -181,6 +200,27 @@ def test_sac_goes_the_same_way_as_ppo(client: Client, tmp_path: Path) -> None:
     assert len(np.unique(episode.action)) > 1
 
 
+def test_a_deep_q_network_goes_the_same_way(client: Client, tmp_path: Path) -> None:
+    job = client.wait(client.submit(SMALL_DQN).id, timeout=110)
+    assert job.succeeded, job.message
+    assert (job.progress.step, job.progress.total) == (6400, 6400)
+    assert {a.role for a in job.artifacts} == KEPT
+    assert [a.step for a in client.checkpoints(job.id)] == [1280 * i for i in range(1, 6)]
+    names = {name for row in client.metrics(job.id) for name in row.values}
+    assert {"eval/episode_reward", "training/sps", "training/epsilon", "training/q_value"} <= names
+    final, kept = (client.load_policy(job.id, step=step) for step in (None, 6400))
+    seen = np.full(4, 0.1, np.float32)
+    assert final(seen).shape == (1,)
+    np.testing.assert_array_equal(final(seen), kept(seen))
+
+    shown = rolled_out(client, job, num_steps=20, num_episodes=2)
+    assert shown.newest("video") is not None
+    path = client.download(shown.id, "trajectory.npz", tmp_path / "dqn.npz")
+    [episode, _] = trajectory.load(path).episodes
+    assert set(np.unique(episode.action)) <= {-0.5, 0.0, 0.5}
+    np.testing.assert_array_equal(episode.action[0:-1:2], episode.action[1::2])
+
+
 def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) -> None:
     # Rounds of 8 environments, 25 decisions of 2 steps: 400 steps. Angle and its velocity are seen.
     components = [
@@ -286,7 +326,7 @@ def test_killed_stores_change_nothing_in_the_result_and_cost_no_attempt(
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
 
 
-@pytest.mark.parametrize("small", [SMALL, SMALL_SAC], ids=["ppo", "sac"])
+@pytest.mark.parametrize("small", [SMALL, SMALL_SAC, SMALL_DQN], ids=["ppo", "sac", "dqn"])
 def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(
     client: Client, small: dict[str, Any]
 ) -> None:

@@ -1,7 +1,7 @@
 """A process that trains shortly on native physics.
 
-`python -m tests.learning.start_process CACHE ALGORITHM CHANGES`; ALGORITHM: `ppo` or `sac`; CHANGES: JSON,
-what differs from 512 steps of its small run.
+`python -m tests.learning.start_process CACHE ALGORITHM CHANGES`; ALGORITHM: `ppo`, `sac` or `dqn`; CHANGES:
+JSON, what differs from 512 steps of its small run.
 
 Prints, as one line of JSON, how often JAX's cache had a program and had not, and which libraries of physics
 for accelerators were loaded.
@@ -16,13 +16,14 @@ import jax
 
 from core.environments import catalog
 from core.physics.choose import engine_builder
+from tests.learning.dqn_runs import dqn_run
 from tests.learning.runs import small_run
 from tests.learning.sac_runs import sac_run
 
 
 def run(algorithm: str, changes: dict[str, Any]) -> None:
     """Train to the end."""
-    begin = {"ppo": small_run, "sac": sac_run}[algorithm]
+    begin = {"ppo": small_run, "sac": sac_run, "dqn": dqn_run}[algorithm]
     info = catalog.find("inverted_pendulum")
     environment = catalog.make(info, info.options(), engine_builder("native"))
     for _ in begin(environment, **{"num_timesteps": 512, **changes}).events():

@@ -16,6 +16,8 @@ from core.errors import JobFailed
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from tests import probes
+from tests.learning.dqn_runs import STEPS_PER_UPDATE as DQN_STEPS_PER_UPDATE
+from tests.learning.dqn_runs import dqn_run
 from tests.learning.q_probes import q_run, q_settings, two_rooms
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
@@ -56,6 +58,14 @@ def sac(environment: Callable[[], Environment], **options: Any) -> tuple[Begin, 
     return lambda **run: sac_run(environment(), **budget, **kept, **options, **run), SAC_STEPS_PER_UPDATE
 
 
+def dqn(environment: Callable[[], Environment], **options: Any) -> tuple[Begin, int]:
+    """As SAC's; epsilon falls until the fifth update."""
+    budget = {"num_timesteps": 6 * DQN_STEPS_PER_UPDATE, "episode_length": 5, "num_evals": 2}
+    kept = {"min_replay_size": 128, "max_replay_size": 160, "n_step": 3, "normalize_observations": True}
+    kept |= {"epsilon": {"start": 1.0, "end": 0.1, "shape": "exponential", "decay_decisions": 256}}
+    return lambda **run: dqn_run(environment(), **budget, **kept, **options, **run), DQN_STEPS_PER_UPDATE
+
+
 REPLAYED: dict[str, Any] = {
     "agents": [{}, {"seed": 7, "learning_rate": 0.2}],
     "replay": {"buffer_size": 50, "batch_size": 4},
@@ -72,6 +82,8 @@ REPLAYED: dict[str, Any] = {
         sac(probe),
         sac(probe, reset_pool_size=0),
         sac(partial(ant, "native")),
+        dqn(probe),
+        dqn(probe, reset_pool_size=0),
     ],
     ids=[
         "ppo-probe",
@@ -81,6 +93,8 @@ REPLAYED: dict[str, Any] = {
         "sac-probe",
         "sac-first-states",
         "sac-ant-native",
+        "dqn-probe",
+        "dqn-first-states",
     ],
 )
 def test_a_resumed_run_equals_an_uninterrupted_one(begin: Begin, update: int) -> None:
@@ -121,8 +135,8 @@ def test_a_checkpoint_holds_first_states_only_where_a_run_goes_back_to_them() ->
 
 @pytest.mark.parametrize(
     ("begin", "update"),
-    [ppo(probe), q_learning(**REPLAYED), sac(probe)],
-    ids=["ppo", "q_learning", "sac"],
+    [ppo(probe), q_learning(**REPLAYED), sac(probe), dqn(probe)],
+    ids=["ppo", "q_learning", "sac", "dqn"],
 )
 def test_a_run_that_was_stopped_anywhere_goes_on_as_if_it_had_not(begin: Begin, update: int) -> None:
     straight = checkpoints(begin())

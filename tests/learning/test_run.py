@@ -8,12 +8,15 @@ import jax
 import pytest
 
 from core.algorithms.checkpoint import Format
+from core.algorithms.dqn.policy import FORMAT as DQN_FORMAT
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.ppo.checkpoint import FORMAT as PPO_FORMAT
 from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
 from core.errors import JobFailed
 from tests import probes
+from tests.learning.dqn_runs import STEPS_PER_UPDATE as DQN_STEPS_PER_UPDATE
+from tests.learning.dqn_runs import dqn_run
 from tests.learning.runs import STEPS_PER_UPDATE, small_run
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run
@@ -33,8 +36,9 @@ class Case:
     params=[
         Case(small_run, STEPS_PER_UPDATE, 32, PPO_FORMAT),
         Case(sac_run, SAC_STEPS_PER_UPDATE, 16, SAC_FORMAT),
+        Case(dqn_run, DQN_STEPS_PER_UPDATE, 16, DQN_FORMAT),
     ],
-    ids=["ppo", "sac"],
+    ids=["ppo", "sac", "dqn"],
 )
 def case(request: pytest.FixtureRequest) -> Case:
     return request.param
@@ -111,8 +115,8 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start(case: C
 
 def test_a_run_that_diverges_names_step_and_quantity_and_keeps_the_last_good_state(case: Case) -> None:
     # The reward breaks with an episode's 42nd step. PPO's update has 16 steps of 32 environments, so this is
-    # time step 9 of the third update: environment step 2 · 512 + 9 · 32 = 1312. SAC's has 4 steps of 16
-    # environments: time step 1 of the eleventh, environment step 10 · 64 + 16 = 656.
+    # time step 9 of the third update: environment step 2 · 512 + 9 · 32 = 1312. SAC's and DQN's have 4 steps
+    # of 16 environments: time step 1 of the eleventh, environment step 10 · 64 + 16 = 656.
     step = 41 * case.num_envs
     before = step // case.update * case.update
     run = case.begin(probes.exploding(after=41), episode_length=1000, epoch_s=1000.0)

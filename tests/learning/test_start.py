@@ -10,20 +10,27 @@ from typing import Any
 import pytest
 
 from core.algorithms.compiled_functions import trace
+from core.algorithms.dqn.algorithm import DQN
+from core.algorithms.dqn.update import Learner as DQNLearner
 from core.algorithms.ppo.algorithm import PPO
 from core.algorithms.ppo.update import Learner
 from core.algorithms.sac.algorithm import SAC
 from core.algorithms.sac.update import Learner as SACLearner
 from tests import probes
 from tests.compiling import compiling_quickly
+from tests.learning.dqn_runs import dqn_settings
 from tests.learning.runs import small_settings
 from tests.learning.sac_runs import sac_settings
 
 
 @pytest.mark.parametrize(
     ("algorithm", "learner", "settings"),
-    [(PPO, Learner, small_settings()), (SAC, SACLearner, sac_settings())],
-    ids=["ppo", "sac"],
+    [
+        (PPO, Learner, small_settings()),
+        (SAC, SACLearner, sac_settings()),
+        (DQN, DQNLearner, dqn_settings()),
+    ],
+    ids=["ppo", "sac", "dqn"],
 )
 def test_an_update_is_traced_once(
     algorithm: Any, learner: Any, settings: Any, monkeypatch: pytest.MonkeyPatch
@@ -60,6 +67,7 @@ CHANGES_OF = {
         "max_grad_norm": 1.0,
     },
     "sac": {"tau": 0.1, "target_entropy_per_action": -1.0},
+    "dqn": {"tau": 0.1, "epsilon": {"start": 0.9, "end": 0.1, "decay_decisions": 100}},
 }
 
 

@@ -70,7 +70,12 @@ _SAC: dict[str, Any] = {
     "environment": {"id": "ant", "options": {}},
     "algorithm": {"kind": "sac", "max_replay_size": 10_000, "value_min": -10.0, "q_hidden_layer_sizes": [32]},
 }
-_DOCUMENTS = [*(example["value"] for example in EXAMPLES.values()), _FULL, _Q_LEARNING, _SAC]
+_DQN: dict[str, Any] = {
+    "kind": "train",
+    "environment": {"id": "brittle_star", "options": {}},
+    "algorithm": {"kind": "dqn", "epsilon": {"shape": "exponential"}, "action_set": {"kind": "arm_roles"}},
+}
+_DOCUMENTS = [*(example["value"] for example in EXAMPLES.values()), _FULL, _Q_LEARNING, _SAC, _DQN]
 
 
 @st.composite

@@ -1,5 +1,6 @@
 """Which of Q-learning's hyperparameters go together, and with which environment."""
 
+from core.algorithms.epsilon import WHERE as EPSILON
 from core.algorithms.q_learning.options import (
     MAX_CELLS,
     MAX_ENVS,
@@ -36,7 +37,7 @@ def _of_the_table(settings: QLearningSpec, environment: EnvironmentInfo) -> list
     discretizer, action_set = settings.state_discretizer, settings.action_set
     problems = [
         *_of_the_states(discretizer, environment),
-        *_of_the_actions(action_set, environment),
+        *problems_of_the_actions(action_set, environment, "a table has columns"),
     ]
     if problems or discretizer is None or action_set is None:
         return problems
@@ -80,12 +81,16 @@ def _of_the_states(
     return [Problem("/algorithm/state_discretizer", detail)]
 
 
-def _of_the_actions(action_set: ActionSetOptions | None, environment: EnvironmentInfo) -> list[Problem]:
+def problems_of_the_actions(
+    action_set: ActionSetOptions | None, environment: EnvironmentInfo, why: str
+) -> list[Problem]:
+    """What is wrong with the action set in this environment. why: what the algorithm has in place of
+    continuous actions, for one that is missing."""
     size = environment.action_size
     if action_set is None:
         detail = (
             f"Name an `action_set`: the action of {environment.id} is "
-            f"{'continuous' if size is None else f'{size} continuous numbers'}, and a table has columns."
+            f"{'continuous' if size is None else f'{size} continuous numbers'}, and {why}."
         )
         return [Problem("/algorithm/action_set", detail)]
     choices = choice_space(action_set, environment)
@@ -138,25 +143,17 @@ def _of_the_size(settings: QLearningSpec, rows: int, columns: int) -> list[Probl
 
 
 def _of_the_schedule(settings: QLearningSpec) -> list[Problem]:
-    epsilon = settings.epsilon
-    where = "/algorithm/epsilon"
-    lengths = (
-        ("decay_episodes", epsilon.decay_episodes, settings.num_updates * settings.num_envs, "episodes"),
-        ("decay_decisions", epsilon.decay_decisions, settings.num_decisions, "decisions of an agent"),
-    )
-    problems = [
-        Problem(f"{where}/{name}", f"{name} = {length:,}, and the run has {most:,} {unit}.")
-        for name, length, most, unit in lengths
-        if length is not None and length > most
-    ]
+    epsilon, agents = settings.epsilon, settings.agents
+    ends = [end for agent in agents for end in (agent.epsilon_start, agent.epsilon_end)]
+    problems = epsilon.problems(settings.num_decisions, *ends)
+    num_episodes = settings.num_updates * settings.num_envs
+    if epsilon.decay_episodes is not None and epsilon.decay_episodes > num_episodes:
+        detail = f"decay_episodes = {epsilon.decay_episodes:,}, and the run has {num_episodes:,} episodes."
+        problems.append(Problem(f"{EPSILON}/decay_episodes", detail))
     if epsilon.decay_episodes is not None and epsilon.decay_decisions is not None:
         detail = "epsilon decays over episodes or over decisions, not over both."
-        problems += [Problem(f"{where}/decay_episodes", detail), Problem(f"{where}/decay_decisions", detail)]
-    ends = [epsilon.start, epsilon.end, *(agent.epsilon_start for agent in settings.agents)]
-    ends += [agent.epsilon_end for agent in settings.agents]
-    if epsilon.shape == "exponential" and 0.0 in ends:
-        detail = "An exponential schedule of epsilon never comes from or to 0; take a small number."
-        problems.append(Problem(f"{where}/shape", detail))
+        places = ("decay_episodes", "decay_decisions")
+        problems += [Problem(f"{EPSILON}/{place}", detail) for place in places]
     return problems
 
 

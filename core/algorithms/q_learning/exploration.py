@@ -1,11 +1,12 @@
 """How much is tried at random, and when."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
 
+from core.algorithms.epsilon import Shape
+from core.algorithms.exploration import decayed
 from core.algorithms.q_learning.spec import QLearningSpec
 
 
@@ -17,7 +18,7 @@ class Exploration:
     """
 
     by_episodes: bool
-    shape: Literal["linear", "exponential"]
+    shape: Shape
     decisions_per_round: int
     num_envs: int
 
@@ -41,10 +42,7 @@ class Exploration:
         within = 0 if self.by_episodes else decision * self.num_envs
         # In float32 from the beginning: a long run has more decisions than an int32 counts.
         done = rounds.astype(jnp.float32) * per_round + within
-        share = jnp.clip(done / length, 0.0, 1.0)
-        if self.shape == "linear":
-            return start + (end - start) * share
-        return start * (end / start) ** share
+        return decayed(start, end, done / length, self.shape)
 
 
 def decay_length(settings: QLearningSpec) -> int:

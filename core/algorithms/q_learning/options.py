@@ -155,3 +155,8 @@ def choice_space(options: ActionSetOptions, environment: EnvironmentInfo) -> Fin
             return FiniteSpace(len(options.actions), parts) if parts > 1 else None
         case LeadingArm() | ArmRoles() | ArmAmplitudes():
             return environment.finite.action_sets.get(options.kind)
+
+
+def steers_a_generator(options: ActionSetOptions | None) -> bool:
+    """Whether these choices, or those that a job leaves to the tuned values, set a pattern generator."""
+    return options is None or isinstance(options, LeadingArm | ArmRoles | ArmAmplitudes)

@@ -1,32 +1,24 @@
 """Tabular Q-learning's hyperparameters."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import AliasChoices, Field
 
+from core.algorithms.epsilon import EpsilonSchedule, Share
 from core.algorithms.q_learning.options import MAX_ENVS, ActionSetOptions, StateDiscretizerOptions
 from core.algorithms.spec import BaseSpec
 from core.documents import Strict
 
-Share = Annotated[float, Field(ge=0, le=1)]
 
-
-class EpsilonSchedule(Strict):
+class EpisodicEpsilonSchedule(EpsilonSchedule):
     """The share of choices that are made at random: from `start` to `end`, and then it stays."""
 
-    start: Share = 0.5
-    end: Share = 0.05
     decay_episodes: int | None = Field(
-        default=None, ge=1, le=10**9, description="Episodes until `end`; constant within an episode."
-    )
-    decay_decisions: int | None = Field(
         default=None,
         ge=1,
-        le=10**12,
-        description="Decisions of an agent until `end`, those in all of its environments. Without "
-        "either: all of the run's.",
+        le=10**9,
+        description="Episodes until `end`, in place of `decay_decisions`; constant within an episode.",
     )
-    shape: Literal["linear", "exponential"] = "linear"
 
 
 class ReplaySpec(Strict):
@@ -97,7 +89,7 @@ class QLearningSpec(BaseSpec):
     )
     learning_rate: float = Field(default=0.1, ge=0, le=1, description="0: nothing is learnt.")
     discounting: float = Field(default=0.99, ge=0, le=1, description="For each decision.")
-    epsilon: EpsilonSchedule = EpsilonSchedule()
+    epsilon: EpisodicEpsilonSchedule = EpisodicEpsilonSchedule()
     world_updates: Literal["mean", "compound"] = Field(
         default="mean",
         description="How environments that visit the same cell at once change it. mean: one step towards the "

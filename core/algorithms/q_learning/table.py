@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-Scalar = Float[Array, ""] | float
+from core.algorithms import exploration
+from core.algorithms.exploration import Scalar
+
 Table = Float[Array, "S A"]
 
 
@@ -28,20 +30,14 @@ class Transitions(NamedTuple):
 
 def greedy(table: Table, rows: Int[Array, "*rows"]) -> Int[Array, "*rows"]:
     """The best columns [...] int32 of these rows [...], of equal ones the first."""
-    return jnp.argmax(table[rows], axis=-1).astype(jnp.int32)
+    return exploration.greedy(table[rows])
 
 
 def epsilon_greedy(
     table: Table, rows: Int[Array, "*rows"], epsilon: Scalar, key: jax.Array
 ) -> Int[Array, "*rows"]:
-    """The best columns [...] int32, but with probability epsilon [] any.
-
-    Source: Sutton & Barto, Reinforcement Learning (2018), section 2.2.
-    """
-    explore_key, choose_key = jax.random.split(key)
-    explores = jax.random.uniform(explore_key, rows.shape) < epsilon
-    any_column = jax.random.randint(choose_key, rows.shape, 0, table.shape[-1])
-    return jnp.where(explores, any_column, greedy(table, rows))
+    """The best columns [...] int32, but with probability epsilon [] any."""
+    return exploration.epsilon_greedy(table[rows], epsilon, key)
 
 
 def td_errors(table: Table, steps: Transitions, discounting: Scalar) -> Float[Array, " N"]:

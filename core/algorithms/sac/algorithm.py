@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from core.algorithms.algorithm import Failure
 from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
+from core.algorithms.off_policy.metrics import training_metrics
 from core.algorithms.sac.policy import FORMAT, write_policy
 from core.algorithms.sac.spec import SACSpec
 from core.algorithms.sac.update import QUANTITIES, Hyperparameters, Learner, TrainingState
@@ -63,16 +64,7 @@ class SAC:
     def training_metrics(
         self, state: TrainingState, sums: Mapping[str, Any], num_updates: int
     ) -> dict[str, float]:
-        """Lengths are in environment steps."""
-        values = {name: float(value) for name, value in sums.items()}
-        names = ("episodes", "score", "length", "falls")
-        episodes, score, length, falls = (values.pop(name) for name in names)
-        metrics = {f"training/{name}": value / num_updates for name, value in values.items()}
-        if episodes:
-            metrics["training/episode_reward"] = score / episodes
-            metrics["training/episode_length"] = length / episodes * self.settings.action_repeat
-            metrics["training/fall_rate"] = falls / episodes
-        return metrics
+        return training_metrics(sums, num_updates, self.settings.action_repeat)
 
     def after_evaluation(
         self, state: TrainingState, totals: EpisodeTotals

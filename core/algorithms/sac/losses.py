@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from core.algorithms.off_policy.replay import Sample
 from core.algorithms.sac.critic import projected
 from core.algorithms.sac.networks import Networks, Params
-from core.algorithms.sac.replay import Sample
 
 Scalar = Float[Array, ""]
 

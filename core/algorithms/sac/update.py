@@ -1,6 +1,5 @@
 """The state of a SAC run, and one update of it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
@@ -11,16 +10,23 @@ import optax
 from flax import struct
 
 from core.algorithms.algorithm import Failure
-from core.algorithms.brax_training import RunningStatisticsState, Transition, running_statistics
-from core.algorithms.experience import Outcome, Starts, collect, summarise
-from core.algorithms.normalizer import init_normalizer, normalization
-from core.algorithms.sac import replay as replays
+from core.algorithms.brax_training import RunningStatisticsState
+from core.algorithms.experience import summarise
+from core.algorithms.off_policy import replay as replays
+from core.algorithms.off_policy.acting import (
+    Experience,
+    act,
+    any_not_finite,
+    failure,
+    first_experience,
+    normalize,
+    observation_size,
+)
 from core.algorithms.sac.losses import alpha_loss, critic_loss, policy_loss
 from core.algorithms.sac.networks import Networks, Params, make_networks
 from core.algorithms.sac.spec import SACSpec
 from core.environments.environment import Environment
-from core.environments.wrappers.autoreset import Episodes, fresh_states, start_episodes
-from core.environments.wrappers.vectorized import VectorEnv
+from core.environments.wrappers.autoreset import Episodes
 
 ADAM = optax.scale_by_adam()
 # Checked after each update, in the order in which one spoils the next.
@@ -78,15 +84,14 @@ class Learner:
         settings, sizes = self.settings, self._sizes
         params_key, env_key, key, eval_key = jax.random.split(jax.random.PRNGKey(seed), 4)
         params = self.networks.init(params_key, *sizes, settings.init_alpha)
+        seen = first_experience(self.environment, settings, env_key, self.environment.action_size)
         return TrainingState(
             params=params,
             target_q=params.q,
             optimizer=cast("optax.ScaleByAdamState", ADAM.init(cast("Any", params))),
-            normalizer=init_normalizer(self.environment.observation_size),
-            replay=replays.empty(settings.replay_rows, settings.num_envs, *sizes),
-            episodes=start_episodes(
-                self._envs, env_key, settings.num_envs, keep_first=settings.returns_to_first_state
-            ),
+            normalizer=seen.normalizer,
+            replay=seen.replay,
+            episodes=seen.episodes,
             key=key,
             eval_key=eval_key,
             num_updates=jnp.int32(0),
@@ -96,42 +101,30 @@ class Learner:
         self, state: TrainingState, hyperparameters: Hyperparameters
     ) -> tuple[TrainingState, dict[str, jax.Array], Failure]:
         """Act `unroll_length` times in each environment, and then learn from samples of all that is kept."""
-        settings = self.settings
         act_key, learn_key, next_key, starts_key = jax.random.split(state.key, 4)
         policy = self.networks.acting(state.params.policy, self.normalize(state.normalizer))
-        episodes, (transitions, outcome) = collect(
-            self._envs,
-            policy,
-            state.episodes,
-            jax.random.split(act_key, settings.unroll_length),
-            episode_length=settings.actions_per_episode,
-            starts=self._starts(starts_key),
-        )
-        normalizer = state.normalizer
-        if settings.normalize_observations:
-            normalizer = running_statistics.update(normalizer, transitions.observation)
-        replay = replays.added(state.replay, _rows(transitions, outcome))
-        # Counted for one environment: those of all pass 2**31 in a long run.
-        enough = replay.written >= -(-settings.min_replay_size // settings.num_envs)
-        enough &= replay.written > settings.n_step
-        learn = partial(self._learn, replay, self.normalize(normalizer), hyperparameters, learn_key)
+        before = Experience(state.normalizer, state.replay, state.episodes)
+        seen, acted = act(self.environment, self.settings, policy, before, act_key, starts_key)
+        learn = partial(self._learn, seen.replay, self.normalize(seen.normalizer), hyperparameters, learn_key)
         # The replay is read, not passed through: a conditional would copy it.
         learnt, metrics = jax.lax.cond(
-            enough, learn, self._unlearnt, (state.params, state.target_q, state.optimizer)
+            acted.enough, learn, self._unlearnt, (state.params, state.target_q, state.optimizer)
         )
         params, target_q, optimizer = learnt
         new = TrainingState(
             params=params,
             target_q=target_q,
             optimizer=optimizer,
-            normalizer=normalizer,
-            replay=replay,
-            episodes=episodes,
+            normalizer=seen.normalizer,
+            replay=seen.replay,
+            episodes=seen.episodes,
             key=next_key,
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
-        return new, summarise(outcome) | metrics, _failure(transitions, outcome, metrics, params)
+        of_losses = [~jnp.isfinite(metrics[name]) for name in _LOSSES]
+        failed = failure(acted, [*of_losses, any_not_finite(params)])
+        return new, summarise(acted.outcome) | metrics, failed
 
     @property
     def networks(self) -> Networks:
@@ -139,34 +132,12 @@ class Learner:
 
     def normalize(self, normalizer: RunningStatisticsState) -> Any:
         """Raw observations as the networks take them."""
-        if not self.settings.normalize_observations:
-            return lambda observation: observation
-        normalize = normalization(self.settings.normalize_observations_max_abs_value)
-        return lambda observation: normalize(observation, normalizer)
+        return normalize(self.settings, normalizer)
 
     @property
     def _sizes(self) -> tuple[int, int]:
-        """Of an observation and an action. Raises ValueError where the environment has several by name."""
-        observation = self.environment.observation_size
-        if isinstance(observation, Mapping):
-            raise ValueError(f"SAC learns from one observation; there are {sorted(observation)}.")
-        return observation, self.environment.action_size
-
-    @property
-    def _envs(self) -> VectorEnv:
-        return VectorEnv(self.environment)
-
-    def _starts(self, key: jax.Array) -> Starts | None:
-        """Initial states of one update's episodes: drawn from its key, so that no state has to hold them."""
-        settings = self.settings
-        if settings.returns_to_first_state:
-            return None
-        pool_key, choose_key = jax.random.split(key)
-        shape = (settings.unroll_length, settings.num_envs)
-        return Starts(
-            pool=fresh_states(self._envs, pool_key, settings.reset_pool_size),
-            chosen=jax.random.randint(choose_key, shape, 0, settings.reset_pool_size),
-        )
+        """Of an observation and an action."""
+        return observation_size(self.environment, self.settings), self.environment.action_size
 
     def _unlearnt(self, learnt: Learnt) -> tuple[Learnt, dict[str, jax.Array]]:
         names = ("critic_loss", "policy_loss", "q_value", "entropy")
@@ -225,32 +196,3 @@ class Learner:
         steps = settings.unroll_length * settings.grad_updates_per_step
         learnt, metrics = jax.lax.scan(gradient_step, learnt, jax.random.split(key, steps))
         return learnt, jax.tree.map(jnp.mean, metrics)
-
-
-def _rows(transitions: Transition, outcome: Outcome) -> replays.Rows:
-    extras = cast("Any", transitions.extras)
-    return replays.Rows(
-        observation=cast("Any", transitions.observation),
-        action=extras["policy_extras"]["action"],
-        reward=transitions.reward,
-        ended=outcome.fell,
-        truncated=extras["state_extras"]["truncation"],
-    )
-
-
-def _failure(
-    transitions: Transition, outcome: Outcome, metrics: dict[str, jax.Array], params: Params
-) -> Failure:
-    """What went wrong in an update, if anything did."""
-    bad_obs = ~jnp.all(jnp.isfinite(cast("Any", transitions.next_observation)), axis=(1, 2))
-    bad_reward = ~jnp.all(jnp.isfinite(outcome.reward), axis=1)
-    bad_params = [~jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(params)]
-    quantities = [
-        jnp.any(bad_obs),
-        jnp.any(bad_reward),
-        *(~jnp.isfinite(metrics[name]) for name in _LOSSES),
-        jnp.any(jnp.stack(bad_params)),
-    ]
-    bad = bad_obs | bad_reward
-    first = jnp.where(jnp.any(bad), jnp.argmax(bad), len(bad)).astype(jnp.int32)
-    return Failure(jnp.stack(quantities), first)

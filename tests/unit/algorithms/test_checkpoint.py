@@ -97,7 +97,7 @@ def test_the_header_says_what_was_trained() -> None:
     assert sorted(state) == ["key", "weights"]
 
 
-@pytest.mark.parametrize("kind", ["ppo", "q_learning", "sac", "soft-actor-critic"])
+@pytest.mark.parametrize("kind", ["dqn", "ppo", "q_learning", "sac", "soft-actor-critic"])
 def test_a_checkpoint_says_which_algorithm_wrote_it(kind: str) -> None:
     assert kind_of(Format(f"gaitway-{kind}-2").pack({}, PROGRESS, STATE)) == kind
 

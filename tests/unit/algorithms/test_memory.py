@@ -6,12 +6,14 @@ import jax
 import pytest
 
 from core.algorithms.catalog import least_memory
+from core.algorithms.dqn.network import QNetwork
+from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.memory import perceptron, shown
+from core.algorithms.off_policy import replay
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.replay import empty
 from core.algorithms.q_learning.spec import QLearningSpec
-from core.algorithms.sac import replay as sac_replay
 from core.algorithms.sac.networks import make_networks as make_sac_networks
 from core.algorithms.sac.spec import SACSpec
 from core.environments import catalog
@@ -59,7 +61,7 @@ def test_sac_counts_its_replay_and_networks_as_the_arrays_they_are() -> None:
         }
     )
     kept, networks, environments = least_memory(settings, ANT, 1).parts
-    ring = jax.tree.leaves(jax.eval_shape(lambda: sac_replay.empty(100, 10, 27, 8).rows))
+    ring = jax.tree.leaves(jax.eval_shape(lambda: replay.empty(100, 10, 27, 8).rows))
     assert kept.bytes == sum(4 * array.size for array in ring) == 4 * 1000 * (27 + 8 + 3)
     assert kept.lower == ("max_replay_size",)
     made = make_sac_networks(27, 8, settings)
@@ -68,6 +70,30 @@ def test_sac_counts_its_replay_and_networks_as_the_arrays_they_are() -> None:
     # Parameters, gradient and two moments; and the critics that follow.
     assert networks.bytes == 4 * (4 * policy + 5 * critics)
     assert environments.bytes == 4 * 10 * 28
+
+
+def test_dqn_counts_its_replay_and_network_as_the_arrays_they_are() -> None:
+    settings = DQNSpec.model_validate(
+        {
+            "action_set": {"kind": "arm_roles"},
+            "num_envs": 10,
+            "max_replay_size": 1009,  # 100 actions of each environment
+            "hidden_layer_sizes": [8, 4],
+        }
+    )
+    row = catalog.find("brittle_star")
+    star = row.under(catalog.parse_options(row, {"control": "cpg"}))
+    # Three pairs of numbers for each of 50 joints and the disk, and three on the way: 2 · 50 + 4 · 3 + 3.
+    assert star.observation_size == 115
+    kept, network, environments = least_memory(settings, star, 1).parts
+    # Five arms choose one of three roles each.
+    ring = jax.tree.leaves(jax.eval_shape(lambda: replay.empty(100, 10, 115, 5).rows))
+    assert kept.bytes == sum(4 * array.size for array in ring) == 4 * 1000 * (115 + 5 + 3)
+    made = QNetwork(5, 3, (8, 4), "relu")
+    params = jax.eval_shape(lambda key: made.init(key, 115), jax.random.PRNGKey(0))
+    # Parameters, gradient and two moments; and the network that follows.
+    assert network.bytes == 4 * 5 * sum(leaf.size for leaf in jax.tree.leaves(params))
+    assert environments.bytes == 4 * 10 * 116
 
 
 def test_the_sentence_says_what_is_needed_what_there_is_and_what_to_lower() -> None:

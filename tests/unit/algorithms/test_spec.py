@@ -6,6 +6,7 @@ from brax.training.networks import ACTIVATION
 from pydantic import ValidationError
 
 from core.algorithms.catalog import reported, resolve
+from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.ppo.spec import Activation, PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.sac.spec import SACSpec
@@ -42,6 +43,7 @@ def test_a_lowest_learning_rate_above_the_highest_is_refused() -> None:
     [
         (PPOSpec(learning_rate=0.125), {}),
         (SACSpec(learning_rate=0.125), {}),
+        (DQNSpec(learning_rate=0.125), {}),
         # The names of version 0.1.
         (
             QLearningSpec.model_validate({"state_discretizer": {"kind": "arm_role"}}),
@@ -86,6 +88,8 @@ def test_every_activation_is_one_of_brax_s() -> None:
         (SACSpec, {"activation": "tanh"}, "activation = relu; this job has tanh"),
         (SACSpec, {"max_replay_size": 2**18}, "replay_rows = 4096; this job has 2048"),
         (SACSpec, {"value_max": 50}, "value_max = 100.0; this job has 50.0"),
+        (DQNSpec, {"hidden_layer_sizes": [8]}, r"hidden_layer_sizes = \[64, 64\]; this job has \[8\]"),
+        (DQNSpec, {"action_set": {"kind": "leading_arm"}}, "action_set = None; this job has"),
         (SACSpec, {"unroll_length": 4}, "env_steps_per_update = 1024; this job has 512"),
     ],
 )
@@ -118,10 +122,11 @@ def test_what_a_checkpoint_fixes_is_told_where_it_differs(
                 "reset_pool_size": 7,
             }
         ),
+        DQNSpec.model_validate({"n_step": 3, "batch_size": 64, "tau": 0.1, "epsilon": {"start": 0.2}}),
     ],
     ids=lambda spec: spec.kind,
 )
-def test_what_does_not_change_the_state_may_change_on_the_way(free: PPOSpec | SACSpec) -> None:
+def test_what_does_not_change_the_state_may_change_on_the_way(free: BaseSpec) -> None:
     check_resumption(free, type(free)())
 
 
@@ -131,7 +136,7 @@ def test_what_was_resolved_for_an_environment_is_read_back_as_it_was(device: Dev
     star = catalog.find("brittle_star")
     steered = star.under(catalog.parse_options(star, {"control": "cpg"}))
     trained = [(spec, info) for spec in (PPOSpec(), SACSpec()) for info in catalog.ENVIRONMENTS.values()]
-    for spec, info in [*trained, (QLearningSpec(), steered)]:
+    for spec, info in [*trained, (QLearningSpec(), steered), (DQNSpec(), steered)]:
         settings = resolve(spec, info, device)
         read_back = type(settings).model_validate_json(json.dumps(settings.model_dump()))
         assert resolve(read_back, info, device) == settings

@@ -16,7 +16,7 @@ from bench.measure.result import Options, Result
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
-    *("q_learning", "gpu_q_learning", "compiled", "gate", "gpu_gate", "gpu_sac"),
+    *("q_learning", "gpu_q_learning", "exercises", "compiled", "gate", "gpu_gate", "gpu_sac"),
 )
 SECONDS = {
     "epoch": [0.010],
@@ -45,6 +45,16 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
     if module == "bench.ours.post_job":
         seconds = {"cold": {"mark": 25.0, "video": 40.0}, "warm": {"mark": 12.0, "video": None}}
         return {**seconds, "began_at": 0.0, "process_s": 70.0}
+    if module == "bench.ours.train_job":
+        seconds = {
+            "training_s": 20.0,
+            "trained_s": 33.0,
+            "learnt_s": 35.0,
+            "ended_s": 40.0,
+            "steps_per_s": 500.0,
+        }
+        shown = {"reached": 1.0, "arrived_s": 15.0, "mean_return": 2.8, "steps": 10_000, "phases": {}}
+        return {**seconds, **shown, "began_at": 0.0, "process_s": 60.0}
     if module.endswith(".reach_mark"):
         theirs = {"curve": [(50, 1.0, 30.0), (100, 2.0, 60.0)], "reached_s": 60.0, "reached_at": 1062.0}
         own = {"curve": [(50, 2.0, 10.0)], "reached_s": 10.0 + request["seed"], "reached_at": 1012.0}

@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from core.algorithms.catalog import resolve, tuned
+from core.algorithms.dqn.tuned import catalog as dqn_tuned
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.ppo.tuned import catalog as ppo_tuned
 from core.algorithms.q_learning.tuned import catalog as q_learning_tuned
@@ -138,7 +139,7 @@ def test_tuned_values_of_sac_go_together(info: EnvironmentInfo) -> None:
 
 def test_tuned_values_belong_to_environments_that_there_are() -> None:
     named = {*ppo_tuned.TUNED, *ppo_tuned.TUNED_BY_OPTIONS, *q_learning_tuned.TUNED_BY_OPTIONS}
-    named |= set(sac_tuned.TUNED)
+    named |= {*sac_tuned.TUNED, *dqn_tuned.TUNED_BY_OPTIONS}
     assert named <= set(catalog.ENVIRONMENTS)
 
 

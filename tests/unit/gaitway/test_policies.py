@@ -16,6 +16,9 @@ from pydantic import TypeAdapter
 
 from core.algorithms.catalog import ALGORITHMS
 from core.algorithms.checkpoint import describe
+from core.algorithms.dqn import policy as dqn
+from core.algorithms.dqn.network import QNetwork
+from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy import load_policy
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
@@ -38,7 +41,7 @@ Answer = Callable[[Any, jax.Array], jax.Array]
 
 KEY = jax.random.key(5)
 # The algorithms whose policies are networks.
-NETWORKS = ("ppo", "sac")
+NETWORKS = ("ppo", "sac", "dqn")
 SMALL = {"policy_hidden_layer_sizes": [8, 4], "value_hidden_layer_sizes": [6]}
 SEEN = {
     "state": jnp.array([[1.0, -2.0, 0.5], [0.0, 3.0, -1.0]]),
@@ -78,11 +81,30 @@ def sac_files(settings: SACSpec) -> Mapping[bool, bytes]:
     }
 
 
+def dqn_files(settings: DQNSpec) -> Mapping[bool, bytes]:
+    """The same of DQN; two parts of the body choose one of three actions each."""
+    network = QNetwork(2, 3, tuple(settings.hidden_layer_sizes), settings.activation)
+    params: Any = jax.jit(lambda key: network.init(key, 3))(jax.random.key(0))
+    normalizer = init_normalizer(3)
+    if settings.normalize_observations:
+        normalizer = running_statistics.update(normalizer, SEEN["state"])
+    facts = describe(probes.endless(), settings) | {"observation_size": 3, "action_size": 2}
+    facts |= {"num_parts": 2, "num_choices": 3, "epsilon": 0.7}
+    return {
+        True: dqn.FORMAT.pack(facts, {}, {"normalizer": normalizer, "params": params}),
+        False: dqn.write_policy(normalizer, params, facts),
+    }
+
+
 def files_of_network(algorithm: str, **options: Any) -> Mapping[bool, bytes]:
     """Those of an algorithm whose policies are networks."""
     sizes = {"policy_hidden_layer_sizes": [8, 4]}
     if algorithm == "sac":
         return sac_files(SACSpec.model_validate({**sizes, "q_hidden_layer_sizes": [6], **options}))
+    if algorithm == "dqn":
+        own = {"action_set": {"kind": "arm_actions", "actions": [[0.0], [0.5], [1.0]]}}
+        sizes = {"hidden_layer_sizes": options.pop("policy_hidden_layer_sizes", [8, 4])}
+        return dqn_files(DQNSpec.model_validate({**own, **sizes, **options}))
     return ppo_files(PPOSpec.model_validate({**SMALL, **options}))
 
 
@@ -106,6 +128,9 @@ def table_files(discretizer: Mapping[str, Any], num_rows: int) -> Mapping[bool, 
 def network_answers(algorithm: str, content: bytes, *, is_checkpoint: bool, deterministic: bool) -> Answer:
     """The service's own answers with a network."""
     own = load_policy(content, algorithm, is_checkpoint=is_checkpoint, deterministic=deterministic)
+    if algorithm == "dqn":
+        choose: Any = jax.jit(dqn.make_choose(dqn.read_policy(content)[1], deterministic=deterministic))
+        return lambda observation, key: choose(own.parameters, observation, key)
     make: Any = {"ppo": make_inference, "sac": sac.make_inference}[algorithm]
     answer: Any = jax.jit(lambda params, *seen: make(params, deterministic=deterministic)(*seen))
     return lambda observation, key: answer(own.parameters, observation, key)
@@ -224,7 +249,7 @@ def test_a_damaged_file_is_refused(tmp_path: Path, algorithm: str, is_checkpoint
     files = table_files({"kind": "arm_role"}, 5) if is_table else files_of_network(algorithm)
     content = files[is_checkpoint]
     damaged = [content[: len(content) // 2], b"nonsense"]
-    if is_checkpoint or is_table:
+    if is_checkpoint or algorithm in ("q_learning", "dqn"):
         damaged.append(content.replace(b"-1", b"-9").replace(b"ppo-2", b"ppo-9"))
     for body in damaged:
         (tmp_path / "file").write_bytes(body)

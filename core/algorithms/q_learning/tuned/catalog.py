@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from core.algorithms.q_learning.options import ArmAmplitudes, ArmRoles, LeadingArm
+from core.algorithms.q_learning.options import steers_a_generator
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.algorithms.q_learning.tuned.brittle_star import brittle_star
 from core.environments.info import Device, EnvironmentInfo
@@ -25,6 +25,5 @@ def tuned(environment: EnvironmentInfo, device: Device) -> QLearningSpec:
 
 def environment_options(settings: QLearningSpec, environment_id: str) -> Mapping[str, Any]:
     """Options of the environment that its tuned values, or the job's action set, are made for."""
-    action_set = settings.action_set
-    steers = action_set is None or isinstance(action_set, LeadingArm | ArmRoles | ArmAmplitudes)
+    steers = steers_a_generator(settings.action_set)
     return {"control": "cpg"} if environment_id in TUNED_BY_OPTIONS and steers else {}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from core.algorithms.catalog import resolve
+from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.q_learning.spec import QLearningSpec
 from core.environments import catalog
@@ -136,6 +137,19 @@ def test_a_table_needs_nothing_said_to_steer_by_a_pattern_generator(device: Any)
     assert settings.decisions_per_episode == 30
     with pytest.raises(Rejected, match="Name a `state_discretizer`"):
         resolve(QLearningSpec(), catalog.find("brittle_star").under(environment_options()), device)
+
+
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+def test_a_network_of_values_needs_nothing_said_either(device: Any) -> None:
+    given = environment_options(control="cpg", simulation_time=30.0)
+    settings = resolve(DQNSpec(), catalog.find("brittle_star").under(given), device)
+    assert settings.action_set is not None
+    assert settings.action_set.kind == "leading_arm"
+    # A decision is one stroke of 1 Hz, and 30 s have as many.
+    assert settings.action_repeat * given.dt == pytest.approx(1 / given.cpg.gait.frequency_hz)
+    assert settings.actions_per_episode == 30
+    with pytest.raises(Rejected, match="Name an `action_set`"):
+        resolve(DQNSpec(), catalog.find("brittle_star").under(environment_options()), device)
 
 
 def test_who_steers_by_a_pattern_generator_is_shown_no_forces_unless_they_are_named() -> None:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from core.algorithms.sac.replay import Replay, Rows, Sample, added, empty, sample
+from core.algorithms.off_policy.replay import Replay, Rows, Sample, added, empty, sample
 
 DISCOUNTING = 0.5
 

@@ -1,0 +1,132 @@
+"""The first half of an update: environments act, and what they see is kept."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+
+from core.algorithms.algorithm import Failure
+from core.algorithms.brax_training import RunningStatisticsState, Transition, running_statistics
+from core.algorithms.evaluation import Policy
+from core.algorithms.experience import Outcome, Starts, collect
+from core.algorithms.normalizer import init_normalizer, normalization
+from core.algorithms.off_policy import replay as replays
+from core.algorithms.off_policy.spec import OffPolicySpec
+from core.environments.environment import Environment
+from core.environments.wrappers.autoreset import Episodes, fresh_states, start_episodes
+from core.environments.wrappers.vectorized import VectorEnv
+
+
+class Experience(NamedTuple):
+    """What a run has seen: statistics of all observations, the transitions that are kept, and where each
+    environment is in its episode."""
+
+    normalizer: RunningStatisticsState
+    replay: replays.Replay
+    episodes: Episodes
+
+
+class Acted(NamedTuple):
+    """What one update's acting brought. enough: [] bool, whether there are transitions to learn from."""
+
+    transitions: Transition
+    outcome: Outcome
+    enough: jax.Array
+
+
+def first_experience(
+    environment: Environment, settings: OffPolicySpec, key: jax.Array, numbers_per_action: int
+) -> Experience:
+    """Fresh episodes and an empty replay, whose rows keep this number of an action's numbers."""
+    size = observation_size(environment, settings)
+    return Experience(
+        normalizer=init_normalizer(size),
+        replay=replays.empty(settings.replay_rows, settings.num_envs, size, numbers_per_action),
+        episodes=start_episodes(
+            VectorEnv(environment), key, settings.num_envs, keep_first=settings.returns_to_first_state
+        ),
+    )
+
+
+def act(
+    environment: Environment,
+    settings: OffPolicySpec,
+    policy: Policy,
+    before: Experience,
+    act_key: jax.Array,
+    starts_key: jax.Array,
+) -> tuple[Experience, Acted]:
+    """Act `unroll_length` times in each environment. policy: its extras hold, as `action`, what is kept."""
+    envs = VectorEnv(environment)
+    episodes, (transitions, outcome) = collect(
+        envs,
+        policy,
+        before.episodes,
+        jax.random.split(act_key, settings.unroll_length),
+        episode_length=settings.actions_per_episode,
+        starts=_starts(envs, settings, starts_key),
+    )
+    normalizer = before.normalizer
+    if settings.normalize_observations:
+        normalizer = running_statistics.update(normalizer, transitions.observation)
+    replay = replays.added(before.replay, _rows(transitions, outcome))
+    # Counted for one environment: those of all pass 2**31 in a long run.
+    enough = replay.written >= -(-settings.min_replay_size // settings.num_envs)
+    enough &= replay.written > settings.n_step
+    return Experience(normalizer, replay, episodes), Acted(transitions, outcome, enough)
+
+
+def normalize(settings: OffPolicySpec, normalizer: RunningStatisticsState) -> Any:
+    """Raw observations as the networks take them."""
+    if not settings.normalize_observations:
+        return lambda observation: observation
+    normalized = normalization(settings.normalize_observations_max_abs_value)
+    return lambda observation: normalized(observation, normalizer)
+
+
+def observation_size(environment: Environment, settings: OffPolicySpec) -> int:
+    """Raises ValueError where the environment has several observations by name."""
+    size = environment.observation_size
+    if isinstance(size, Mapping):
+        kind = settings.algorithm()
+        raise ValueError(f"{kind} learns from one observation; there are {sorted(size)}.")
+    return size
+
+
+def failure(acted: Acted, learnt: Sequence[jax.Array]) -> Failure:
+    """What was not finite in an update: observations, rewards, then each of what was learnt, [] bool."""
+    observations = cast("Any", acted.transitions.next_observation)
+    bad_obs = ~jnp.all(jnp.isfinite(observations), axis=(1, 2))
+    bad_reward = ~jnp.all(jnp.isfinite(acted.outcome.reward), axis=1)
+    bad = bad_obs | bad_reward
+    first = jnp.where(jnp.any(bad), jnp.argmax(bad), len(bad)).astype(jnp.int32)
+    return Failure(jnp.stack([jnp.any(bad_obs), jnp.any(bad_reward), *learnt]), first)
+
+
+def any_not_finite(tree: Any) -> jax.Array:
+    """[] bool, of all arrays of a tree."""
+    return jnp.any(jnp.stack([~jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))
+
+
+def _starts(envs: VectorEnv, settings: OffPolicySpec, key: jax.Array) -> Starts | None:
+    """Initial states of one update's episodes: drawn from its key, so that no state has to hold them."""
+    if settings.returns_to_first_state:
+        return None
+    pool_key, choose_key = jax.random.split(key)
+    shape = (settings.unroll_length, settings.num_envs)
+    return Starts(
+        pool=fresh_states(envs, pool_key, settings.reset_pool_size),
+        chosen=jax.random.randint(choose_key, shape, 0, settings.reset_pool_size),
+    )
+
+
+def _rows(transitions: Transition, outcome: Outcome) -> replays.Rows:
+    extras = cast("Any", transitions.extras)
+    return replays.Rows(
+        observation=cast("Any", transitions.observation),
+        action=extras["policy_extras"]["action"],
+        reward=transitions.reward,
+        ended=outcome.fell,
+        truncated=extras["state_extras"]["truncation"],
+    )
