@@ -1,8 +1,9 @@
 """A job without the service: its training process alone, on a machine that has no stores.
 
-`python -m bench.run_job FOLDER SPEC.json [--gpu [N]]` fills FOLDER while the job runs, so that an interrupted
-job leaves what it has so far: its files, `metrics.jsonl`, and `job.json` with what the process reported about
-itself; `curve.png` comes at the end. The video is drawn as in the service. `bench/jobs` has jobs for a GPU.
+`python -m bench.run_job FOLDER SPEC.json [--gpu [N]] [--seed N]` fills FOLDER while the job runs, so that an
+interrupted job leaves what it has so far: its files, `metrics.jsonl`, and `job.json` with what the process
+reported about itself; `curve.png` comes at the end. The video is drawn as in the service. `bench/jobs` and
+`examples` have jobs.
 """
 
 import argparse
@@ -31,10 +32,14 @@ def main() -> None:
         metavar="N",
         help="on the first GPU, or the first N; else on the CPU",
     )
+    parser.add_argument("--seed", type=int, metavar="N", help="in place of the file's")
     arguments = parser.parse_args()
     folder = arguments.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    spec = JOB_SPEC.validate_json(arguments.spec.read_bytes())
+    document = json.loads(arguments.spec.read_bytes())
+    if arguments.seed is not None:
+        document["seed"] = arguments.seed
+    spec = JOB_SPEC.validate_json(json.dumps(document))
     device = "gpu:" + ",".join(map(str, range(arguments.gpu))) if arguments.gpu else "cpu"
     task = Task(job_id="bench", attempt=1, spec=spec, device=device)
     (folder / "task.json").write_text(task.model_dump_json())
