@@ -1,5 +1,6 @@
 """The notebooks of the rodent and the corridor to the letter: what their numbers mean on today's bodies."""
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -7,17 +8,20 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from core.environments import catalog
 from core.environments.dm_control.corridor.compose import composed
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
+from core.environments.dm_control.rodent.model import rodent_model
 from core.errors import Rejected
 from core.jobs.checks import check
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import JobStore
 from core.physics.availability import choose
 from core.physics.choose import engine_builder
+from core.physics.model import initial_qpos
 
 # The corridor notebook's solver; the rodent notebook's is CG with 6 and 6.
 CORRIDORS_SOLVER: dict[str, Any] = {"solver": "cg", "iterations": 1, "ls_iterations": 4}
@@ -77,6 +81,37 @@ def test_the_solver_that_a_job_names_is_what_native_computes_with() -> None:
         ends.append(np.array(data.qvel))
     np.testing.assert_allclose(after.physics.qvel, ends[0], rtol=1e-4, atol=1e-4)
     assert np.abs(ends[0] - ends[1]).max() > 1e-2  # The converged solver's is another motion.
+
+
+def _after_a_tenth_of_a_second(
+    model: mujoco.MjModel, solver: tuple[mujoco.mjtSolver, int, int]
+) -> NDArray[Any]:
+    """Positions after 0.1 s of constant random controls, from rest. solver: and its iterations."""
+    model.opt.solver, model.opt.iterations, model.opt.ls_iterations = solver
+    data = mujoco.MjData(model)
+    data.qpos[:] = initial_qpos(model)
+    data.ctrl[:] = np.random.default_rng(0).uniform(-1.0, 1.0, model.nu)
+    mujoco.mj_step(model, data, 50)
+    return np.array(data.qpos)
+
+
+@pytest.mark.parametrize(
+    ("make", "cg", "newtons_m", "cgs_m"),
+    [
+        (lambda: rodent_model(0.002), (6, 6), 1e-3, 1e-2),
+        (lambda: corridor_model(CorridorOptions()), (1, 4), 1e-5, 2e-4),
+    ],
+    ids=["rodent", "ant"],
+)
+def test_the_notebooks_solver_is_ten_times_as_far_off_as_ours(
+    make: Callable[[], mujoco.MjModel], cg: tuple[int, int], newtons_m: float, cgs_m: float
+) -> None:
+    model, newton = make(), mujoco.mjtSolver.mjSOL_NEWTON
+    exact = _after_a_tenth_of_a_second(model, (newton, 100, 50))
+    ours = _after_a_tenth_of_a_second(model, (newton, 4, 8))
+    theirs = _after_a_tenth_of_a_second(model, (mujoco.mjtSolver.mjSOL_CG, *cg))
+    assert np.abs(ours - exact).max() < newtons_m
+    assert np.abs(theirs - exact).max() > cgs_m
 
 
 @pytest.mark.parametrize("environment", ["rodent", "corridor"])
