@@ -1,8 +1,9 @@
 """A job without the service: its training process alone, on a machine that has no stores.
 
-`python -m bench.run_job FOLDER SPEC.json [--gpu [N]]` fills FOLDER while the job runs, so that an interrupted
-job leaves what it has so far: its files, `metrics.jsonl`, and `job.json` with what the process reported about
-itself; `curve.png` comes at the end. The video is drawn as in the service. `bench/jobs` has jobs for a GPU.
+`python -m bench.run_job FOLDER SPEC.json [--gpu [N]] [--set PATH=VALUE]` fills FOLDER while the job
+runs, so that an interrupted job leaves what it has so far: its files, `metrics.jsonl`, and `job.json` with
+what the process reported about itself; `curve.png` comes at the end. The video is drawn as in the service.
+`bench/jobs` and `examples` have jobs.
 """
 
 import argparse
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from core.jobs.spec import JOB_SPEC, TrainSpec
+from gaitway.cli.submit import assigned
 from gaitway.plots import learning_curve
 from worker.host.child import TRAINING, TrainingProcess
 from worker.protocol import Advanced, Failed, Finished, Measured, Message, Noted, PhaseEnded, Started, Task
@@ -31,10 +33,21 @@ def main() -> None:
         metavar="N",
         help="on the first GPU, or the first N; else on the CPU",
     )
+    parser.add_argument(
+        "--set",
+        dest="assignments",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        help="another value of a field, as in `gaitway submit`: seed=1, algorithm.num_timesteps=200000",
+    )
     arguments = parser.parse_args()
     folder = arguments.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    spec = JOB_SPEC.validate_json(arguments.spec.read_bytes())
+    document = json.loads(arguments.spec.read_bytes())
+    for text in arguments.assignments:
+        assigned(document, text)
+    spec = JOB_SPEC.validate_json(json.dumps(document))
     device = "gpu:" + ",".join(map(str, range(arguments.gpu))) if arguments.gpu else "cpu"
     task = Task(job_id="bench", attempt=1, spec=spec, device=device)
     (folder / "task.json").write_text(task.model_dump_json())

@@ -1,10 +1,12 @@
 """Options that several environments share, and the types of their values."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
 from core.documents import Strict
+from core.physics.availability import EngineName, beyond_compiled
 
 
 def _ascending(bounds: tuple[float, float | None]) -> tuple[float, float | None]:
@@ -26,6 +28,11 @@ Weight = Annotated[float, Field(ge=-1e6, le=1e6)]
 NoiseScale = Annotated[float, Field(ge=0, le=10)]
 
 
+SolverIterations = int | None
+SOLVER_ITERATIONS = "Solver iterations. null: 4 on mjx, warp and compiled; on native until it has converged."
+LINE_SEARCH_ITERATIONS = "Line-search iterations. null: 8 on mjx, warp and compiled; on native 50 at most."
+
+
 class RunnerOptions(Strict):
     """The reward and the physics of dm_control's walkers, on a floor (`rodent`) and in a `corridor`."""
 
@@ -36,17 +43,19 @@ class RunnerOptions(Strict):
     n_frames: int = Field(5, ge=1, le=50, description="Physics steps per control step.")
     timestep: float = Field(0.002, ge=0.0005, le=0.005, description="Seconds per physics step.")
     solver: Literal["newton", "cg"] = Field(
-        "newton", description="Solver on mjx and warp; the other engines have Newton's."
+        "newton", description="Constraint solver; compiled has Newton's alone."
     )
-    iterations: int = Field(
-        4,
-        ge=1,
-        le=100,
-        description="Solver iterations on mjx, warp and compiled; native iterates until convergence.",
-    )
-    ls_iterations: int = Field(
-        8, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
-    )
+    iterations: SolverIterations = Field(None, ge=1, le=100, description=SOLVER_ITERATIONS)
+    ls_iterations: SolverIterations = Field(None, ge=1, le=100, description=LINE_SEARCH_ITERATIONS)
+
+
+def lacks_solver(options: RunnerOptions) -> Mapping[EngineName, str]:
+    """The engines that lack the solver that these options name, and the sentence that refuses each."""
+    if options.solver == "newton":
+        return {}
+    return {
+        "compiled": beyond_compiled("its job asks for the solver 'cg', and 'compiled' has Newton's alone")
+    }
 
 
 def check_survives_its_start(height: float, healthy: tuple[float, float], *, terminates: bool) -> None:

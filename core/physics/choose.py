@@ -7,7 +7,7 @@ import mujoco
 
 from core.physics.availability import EngineChoice, EngineName, check_installed, choose
 from core.physics.engine import DERIVED_FIELDS, Engine, EngineBuilder, SolverSettings
-from core.physics.model import enough_iterations, with_solver
+from core.physics.model import with_asked_solver, with_enough_iterations, with_solver
 
 __all__ = ["EngineChoice", "choose", "engine_builder"]
 
@@ -33,7 +33,7 @@ class _Builder:
             case "native":
                 from core.physics.native import NativeEngine
 
-                return NativeEngine(model, num_substeps, derived)
+                return NativeEngine(with_asked_solver(model, accelerated), num_substeps, derived)
             case "mjx":
                 from core.physics.mjx import MjxEngine
 
@@ -42,14 +42,12 @@ class _Builder:
                 check_installed("warp")
                 from core.physics.warp_engine import WarpEngine
 
-                return WarpEngine(enough_iterations(with_solver(model, accelerated)), num_substeps, derived)
+                return WarpEngine(with_enough_iterations(model, accelerated), num_substeps, derived)
             case "compiled":
                 check_installed("compiled")
                 from core.physics.compiled.engine import CompiledEngine
 
-                return CompiledEngine(
-                    enough_iterations(with_solver(model, accelerated)), num_substeps, derived
-                )
+                return CompiledEngine(with_enough_iterations(model, accelerated), num_substeps, derived)
             case _:
                 assert_never(self.name)
 

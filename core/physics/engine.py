@@ -132,12 +132,33 @@ class SolverSettings:
     """Solver settings that are enough for a body, for engines on which the solver is expensive.
 
     implicit_damping: Euler's implicit joint damping, which costs one more factorisation per substep.
+    asked: the names of the fields that the job itself gives; every engine takes these as they are.
     """
 
     iterations: int
     ls_iterations: int
     implicit_damping: bool
     solver: Literal["newton", "cg"] = "newton"
+    asked: frozenset[str] = frozenset()
+
+    @classmethod
+    def of_job(
+        cls,
+        iterations: int | None,
+        ls_iterations: int | None,
+        *,
+        implicit_damping: bool,
+        solver: Literal["newton", "cg"] = "newton",
+    ) -> "SolverSettings":
+        """A job's settings; what it leaves out (None) is 4 iterations, with 8 of line search."""
+        given = {"solver": solver, "iterations": iterations, "ls_iterations": ls_iterations}
+        return cls(
+            iterations or 4,
+            ls_iterations or 8,
+            implicit_damping,
+            solver,
+            asked=frozenset(name for name, value in given.items() if value is not None),
+        )
 
 
 class EngineBuilder(Protocol):
@@ -159,6 +180,7 @@ class EngineBuilder(Protocol):
         """An engine that computes these derived fields.
 
         accelerated: the solver settings for the engines on which each iteration is expensive (`mjx`, `warp`,
-        `compiled`); `native` always keeps the model's own, and so does every engine when it is None.
+        `compiled`); `native` keeps the model's own but for what the job asks for, and every engine keeps them
+        when it is None.
         """
         ...

@@ -67,6 +67,23 @@ def with_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> muj
     return changed
 
 
+def with_asked_solver(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
+    """A copy of the model with those of these solver settings that the job itself gives; for `native`."""
+    changed = copy.copy(model)
+    for name in settings.asked if settings is not None else ():
+        value = getattr(settings, name)
+        setattr(changed.opt, name, _SOLVERS[value] if name == "solver" else value)
+    return changed
+
+
+def with_enough_iterations(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
+    """A copy of the model with these solver settings, for `warp` and `compiled`: they make two iterations at
+    least, unless the job itself gives a number."""
+    changed = with_solver(model, settings)
+    given = settings is not None and "iterations" in settings.asked
+    return changed if given else enough_iterations(changed)
+
+
 def enough_iterations(model: mujoco.MjModel) -> mujoco.MjModel:
     """The model (changed) with the two solver iterations that `warp` and `compiled` make at least.
 

@@ -12,6 +12,7 @@ from tests.api.conftest import Stack
 FOLDER = Path(__file__).parents[2] / "examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
 EXERCISES = sorted(FOLDER.glob("exercises/*.json"))
+JOBS = sorted(FOLDER.glob("*.json"))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
@@ -29,3 +30,9 @@ def test_an_exercise_is_accepted_and_its_result_is_told(stack: Stack, path: Path
         f"[{path.stem}](../examples/exercises/{path.name})"
         in (FOLDER.parent / "docs/q_learning.md").read_text()
     )
+
+
+@pytest.mark.parametrize("path", JOBS, ids=[path.stem for path in JOBS])
+def test_a_job_that_lies_beside_them_is_accepted(stack: Stack, path: Path) -> None:
+    answer = stack.http.post("/jobs", content=path.read_bytes(), headers={"content-type": "application/json"})
+    assert answer.status_code == 202, answer.text

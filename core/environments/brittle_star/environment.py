@@ -65,7 +65,7 @@ class BrittleStar(MujocoEnv):
         self, options: Options, model: mujoco.MjModel, task: Task, build_engine: EngineBuilder
     ) -> None:
         self._observed = observed(options)
-        accelerated = SolverSettings(options.iterations, options.ls_iterations, implicit_damping=False)
+        accelerated = SolverSettings.of_job(options.iterations, options.ls_iterations, implicit_damping=False)
         num_substeps = options.num_physics_steps_per_control_step
         derived = (*_derived(self._observed), *task.derived)
         super().__init__(

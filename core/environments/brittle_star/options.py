@@ -18,7 +18,12 @@ from core.environments.brittle_star.observables import (
     TargetObservable,
 )
 from core.environments.cpg.options import CPGOptions
-from core.environments.options import NoiseScale
+from core.environments.options import (
+    LINE_SEARCH_ITERATIONS,
+    SOLVER_ITERATIONS,
+    NoiseScale,
+    SolverIterations,
+)
 
 # biorobot puts its morphology's name before the names of all its parts.
 DISK = "BrittleStarMorphology/central_disk"
@@ -71,15 +76,8 @@ class BrittleStarOptions(Strict):
     num_physics_steps_per_control_step: int = Field(10, ge=1, le=100)
     time_scale: float = Field(2.0, ge=0.25, le=5, description="A physics step takes this times 2 ms.")
     simulation_time: float = Field(20.0, gt=0, le=4000, description="Seconds until an episode is cut off.")
-    iterations: int = Field(
-        4,
-        ge=1,
-        le=100,
-        description="Solver iterations on mjx, warp and compiled; native iterates until convergence.",
-    )
-    ls_iterations: int = Field(
-        8, ge=1, le=100, description="Line-search iterations on mjx, warp and compiled."
-    )
+    iterations: SolverIterations = Field(None, ge=1, le=100, description=SOLVER_ITERATIONS)
+    ls_iterations: SolverIterations = Field(None, ge=1, le=100, description=LINE_SEARCH_ITERATIONS)
 
     @property
     def segments(self) -> list[int]:

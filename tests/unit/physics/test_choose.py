@@ -4,7 +4,7 @@ import mujoco
 import pytest
 
 from core.errors import JobFailed
-from core.physics import availability
+from core.physics import availability, native
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.compiled import engine
@@ -59,3 +59,39 @@ def test_compiled_solves_as_the_environment_asks_and_with_two_iterations_at_leas
     assert solvers == [(2, 4), (7, 9), (ant.opt.iterations, ant.opt.ls_iterations)]
     explicit = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     assert [bool(model.opt.disableflags & explicit) for model in made] == [True, False, False]
+
+
+def _solver(model: mujoco.MjModel) -> tuple[int, int, int]:
+    return model.opt.solver, model.opt.iterations, model.opt.ls_iterations
+
+
+def test_native_takes_what_the_job_says_of_the_solver_and_keeps_the_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[mujoco.MjModel] = []
+    monkeypatch.setattr(native, "NativeEngine", lambda model, num_substeps, derived: made.append(model))
+    ant = brax_model("ant")
+    for settings in (
+        SolverSettings(1, 3, implicit_damping=False),  # An environment's own, which no job has said.
+        SolverSettings.of_job(None, None, implicit_damping=False),
+        SolverSettings.of_job(6, None, implicit_damping=False, solver="cg"),
+    ):
+        engine_builder("native")(ant, 5, (), accelerated=settings)
+    newton, own = int(mujoco.mjtSolver.mjSOL_NEWTON), (ant.opt.iterations, ant.opt.ls_iterations)
+    assert [_solver(model) for model in made] == [
+        (newton, *own),
+        (newton, *own),
+        (int(mujoco.mjtSolver.mjSOL_CG), 6, own[1]),
+    ]
+    assert {model.opt.disableflags for model in made} == {ant.opt.disableflags}
+
+
+@pytest.mark.parametrize(("asked", "made_with"), [(None, (4, 8)), (1, (1, 8))])
+def test_one_iteration_is_one_where_the_job_says_it(
+    asked: int | None, made_with: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[mujoco.MjModel] = []
+    monkeypatch.setattr(engine, "CompiledEngine", lambda model, num_substeps, derived: made.append(model))
+    settings = SolverSettings.of_job(asked, None, implicit_damping=False)
+    engine_builder("compiled")(brax_model("ant"), 5, (), accelerated=settings)
+    assert _solver(made[0])[1:] == made_with

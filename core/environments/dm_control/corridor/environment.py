@@ -36,7 +36,7 @@ class Corridor(MujocoEnv):
 
     def __init__(self, options: CorridorOptions, build_engine: EngineBuilder) -> None:
         model = corridor_model(options)
-        accelerated = SolverSettings(
+        accelerated = SolverSettings.of_job(
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
         hidden = 2 if options.exclude_current_positions_from_observation else 0

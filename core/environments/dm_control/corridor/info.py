@@ -8,7 +8,13 @@ from pydantic import AfterValidator, Field, model_validator
 from core.documents import Strict
 from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker
 from core.environments.info import EnvironmentInfo
-from core.environments.options import Range, RunnerOptions, Weight, check_survives_its_start
+from core.environments.options import (
+    Range,
+    RunnerOptions,
+    Weight,
+    check_survives_its_start,
+    lacks_solver,
+)
 from core.physics.availability import EngineName, Rule
 
 # The length of dm_control's first platform, and the space it leaves before the first wall, in metres.
@@ -177,7 +183,7 @@ def _is_long(options: CorridorOptions) -> bool:
 
 
 def _cannot_run(options: CorridorOptions) -> Mapping[EngineName, str]:
-    cannot: dict[EngineName, str] = {}
+    cannot = dict(lacks_solver(options))
     if WALKERS[options.walker].has_ellipsoids and options.arena != "empty":
         cannot["mjx"] = (
             f"MJX has no contacts between ellipsoids and boxes: the {options.walker} has ellipsoids, and "

@@ -30,7 +30,7 @@ class Rodent(MujocoEnv):
     def __init__(self, options: RodentOptions, build_engine: EngineBuilder) -> None:
         model = rodent_model(options.timestep)
         # The tail's joints have next to no inertia: without implicit damping they fly apart at once.
-        accelerated = SolverSettings(
+        accelerated = SolverSettings.of_job(
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
         hidden = 2 if options.exclude_current_positions_from_observation else 0

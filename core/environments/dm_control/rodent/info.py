@@ -1,11 +1,20 @@
 """The rodent's row in the catalog."""
 
-from typing import Self
+from collections.abc import Mapping
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
 from core.environments.info import EnvironmentInfo
-from core.environments.options import Range, RunnerOptions, check_survives_its_start
+from core.environments.options import (
+    LINE_SEARCH_ITERATIONS,
+    SOLVER_ITERATIONS,
+    Range,
+    RunnerOptions,
+    SolverIterations,
+    check_survives_its_start,
+    lacks_solver,
+)
 from core.physics.availability import Rule
 
 STANDING_HEIGHT_M = 0.047
@@ -24,21 +33,20 @@ class RodentOptions(RunnerOptions):
     )
     exclude_current_positions_from_observation: bool = Field(False, description="Hide x and y.")
     # With two iterations of Newton's method the body flies apart, even in float64.
-    iterations: int = Field(
-        4,
-        ge=3,
-        le=100,
-        description="Solver iterations on mjx, warp and compiled; native iterates until convergence.",
-    )
-    ls_iterations: int = Field(
-        8, ge=4, le=100, description="Line-search iterations on mjx, warp and compiled."
-    )
+    iterations: SolverIterations = Field(None, ge=3, le=100, description=SOLVER_ITERATIONS)
+    ls_iterations: SolverIterations = Field(None, ge=4, le=100, description=LINE_SEARCH_ITERATIONS)
 
     @model_validator(mode="after")
     def _stands(self) -> Self:
         terminates = self.terminate_when_unhealthy
         check_survives_its_start(STANDING_HEIGHT_M, self.healthy_z_range, terminates=terminates)
         return self
+
+
+def _under(options: RodentOptions) -> Mapping[str, Any]:
+    """The fields of the row that these options change."""
+    hidden = 2 if options.exclude_current_positions_from_observation else 0
+    return {"observation_size": 1260 - hidden, "cannot_run": lacks_solver(options)}
 
 
 INFO = EnvironmentInfo(
@@ -53,6 +61,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("back", "side", "side_alt", "top", "egocentric"),
     options=RodentOptions,
+    vary=_under,
     on_a_cpu=(Rule("compiled", 16, "Measured on two cores: 6.3 k training steps/s, 1.8 k by native."),),
     on_a_gpu=(
         Rule("warp", 1, "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),
