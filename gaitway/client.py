@@ -281,15 +281,22 @@ class Client:
         *,
         options: Mapping[str, Any] | None = None,
         camera: str | int | None = None,
+        show: Sequence[str] = (),
         size: tuple[int, int] = (640, 480),
         timeout: float = 120.0,
     ) -> Mapping[str | int, Path]:
         """The environment as an episode begins: a PNG in `folder` (by default here) from each camera.
 
-        camera: only this one. size: width and height in pixels. Raises Rejected for an unknown option or
-        camera, and WaitTimeout after `timeout` seconds without a worker that renders it.
+        camera: only this one. show: what is drawn besides the body, as in a job's `video.show`. size: width
+        and height in pixels. Raises Rejected for an unknown option or camera, and WaitTimeout after `timeout`
+        seconds without a worker that renders it.
         """
-        asked: dict[str, Any] = {"options": json.dumps(options or {}), "width": size[0], "height": size[1]}
+        asked: dict[str, Any] = {
+            "options": json.dumps(options or {}),
+            "show": list(show),
+            "width": size[0],
+            "height": size[1],
+        }
         path = f"/environments/{quote(environment)}/preview"
         if camera is None:
             found = PreviewView.model_validate_json(self._drawn(path, asked, timeout).content)

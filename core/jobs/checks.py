@@ -25,7 +25,7 @@ from core.jobs.spec import (
 )
 from core.jobs.store import JobStore
 from core.physics.availability import check_physics, share_states
-from core.rendering.camera import check_cameras, check_width, model_camera
+from core.rendering.camera import check_cameras, model_camera
 from core.user_models.record import Description
 from core.user_models.store import ModelStore
 
@@ -41,7 +41,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     info, _ = chosen(spec.environment, store)
     check_physics(spec.physics, info.cannot_run)
     _check_num_envs(spec, info)
-    _check_cameras(spec, info)
+    _check_video(spec, info)
     _check_gpus(spec)
     match spec:
         case TrainSpec():
@@ -61,14 +61,21 @@ def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[Environment
     return info, options
 
 
-def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
-    if spec.video is None:
+def _check_video(spec: JobSpec, info: EnvironmentInfo) -> None:
+    video = spec.video
+    if video is None:
         return
-    if spec.video.cameras is None:
-        model_camera(spec.video.camera, info.cameras)
+    if video.cameras is None:
+        model_camera(video.camera, info.cameras)
     else:
-        check_cameras(spec.video.cameras, info.cameras)
-        check_width(spec.video.width, len(spec.video.cameras))
+        check_cameras(video.cameras, info.cameras)
+    video.layout.check()
+    if isinstance(spec, RolloutSpec) and video.episodes > spec.num_episodes:
+        detail = (
+            f"The video shows {video.episodes} episodes, but the rollout makes {spec.num_episodes}: raise "
+            "num_episodes, or show fewer."
+        )
+        raise Rejected(detail, [Problem("/video/episodes", detail), Problem("/num_episodes", detail)])
 
 
 def _check_num_envs(spec: JobSpec, info: EnvironmentInfo) -> None:
