@@ -9,6 +9,7 @@ from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
+from core.environments.mjcf.slices import mjcf_slices
 from core.errors import EnvironmentNotFound, JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.needs import DEVICES, kind_of, least_memory
@@ -57,7 +58,7 @@ def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[Environment
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
     if isinstance(options, MjcfOptions):
-        info = _row_of(info, own_model(options, store))
+        info = _row_of(info, options, own_model(options, store))
     return info, options
 
 
@@ -98,12 +99,15 @@ def _check_gpus(spec: JobSpec) -> None:
         raise Rejected(problems[0].detail, problems)
 
 
-def _row_of(info: EnvironmentInfo, description: Description) -> EnvironmentInfo:
+def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Description) -> EnvironmentInfo:
     """The catalog's row, with the values that depend on the model."""
     has = description.inventory
+    spaces = mjcf_slices(options, has)
     return replace(
         info,
+        observation_size=spaces.observation_size,
         action_size=has.sizes.nu,
+        slices=lambda _: spaces,
         cameras=tuple(has.cameras),
         cannot_run=engines_that_cannot(description),
     )

@@ -1,11 +1,15 @@
 """The rodent's row in the catalog."""
 
+from functools import cache
 from typing import Self
 
 from pydantic import Field, model_validator
 
+from core.environments.bodies import body
+from core.environments.body_slices import CINERT, CVEL, controls, qfrc_actuator, qpos, qvel, rows
 from core.environments.info import EnvironmentInfo
 from core.environments.options import Range, RunnerOptions, check_survives_its_start
+from core.environments.spaces import Spaces, in_order
 from core.physics.availability import Rule
 
 STANDING_HEIGHT_M = 0.047
@@ -41,6 +45,19 @@ class RodentOptions(RunnerOptions):
         return self
 
 
+@cache
+def _slices(hides_x_and_y: bool) -> Spaces:
+    own = body("rodent")
+    seen = [
+        *qpos(own, range(2) if hides_x_and_y else ()),
+        *qvel(own),
+        rows("cinert", own.bodies, CINERT, "kg m², kg m, kg"),
+        rows("cvel", own.bodies, CVEL, "rad/s, m/s"),
+        *qfrc_actuator(own),
+    ]
+    return Spaces(in_order(seen), in_order(controls(own)))
+
+
 INFO = EnvironmentInfo(
     id="rodent",
     description="dm_control's rat: 67 joints and 38 actuators, rewarded for running in +x and staying up.",
@@ -53,6 +70,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("back", "side", "side_alt", "top", "egocentric"),
     options=RodentOptions,
+    slices=lambda options: _slices(options.exclude_current_positions_from_observation),
     on_a_cpu=(Rule("compiled", 16, "Measured on two cores: 6.3 k training steps/s, 1.8 k by native."),),
     on_a_gpu=(
         Rule("warp", 1, "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),
