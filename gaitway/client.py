@@ -274,7 +274,7 @@ class Client:
 
     # Previews
 
-    def preview(
+    def preview(  # noqa: PLR0913 # A request's options.
         self,
         environment: str,
         folder: str | Path | None = None,
@@ -318,6 +318,15 @@ class Client:
         """The environments that a job may name. family: only `gaitway`, `playground` or `brax`."""
         query = f"?family={quote(family)}" if family else ""
         return self._items(f"/environments{query}", EnvironmentView)
+
+    def environment(self, environment: str, options: Mapping[str, Any] | None = None) -> EnvironmentView:
+        """One environment under these options: what it is shown and does, and what a job gets by default.
+
+        Raises Rejected for an unknown option.
+        """
+        asked = {"options": json.dumps(options)} if options else None
+        answer = self._transport.request("GET", f"/environments/{quote(environment)}", params=asked)
+        return EnvironmentView.model_validate_json(answer.content)
 
     def workers(self) -> Sequence[WorkerView]:
         """The workers that have sent a heartbeat lately."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 TABLE = Path(__file__).parent / "bodies.json"
 JointType = Literal["free", "ball", "slide", "hinge"]
@@ -33,5 +33,5 @@ def body(name: str) -> Body:
 
 
 @cache
-def _table() -> dict[str, dict[str, dict[str, JointType]]]:
+def _table() -> dict[str, Any]:
     return json.loads(TABLE.read_text())

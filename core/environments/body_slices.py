@@ -62,7 +62,9 @@ def _position(joint: str, kind: JointType) -> list[_Number]:
 def _degrees_of_freedom(body: Body, along: str, about: str, letters: tuple[str, str]) -> list[_Number]:
     """Those of all joints; along, about: the units. letters: before the axes of free and ball joints."""
     return [
-        number for joint, kind in body.joints.items() for number in _freedom(joint, kind, along, about, letters)
+        number
+        for joint, kind in body.joints.items()
+        for number in _freedom(joint, kind, along, about, letters)
     ]
 
 

@@ -1,4 +1,4 @@
-"""The numbers of an observation and of an action by name. The API reads them: nothing numerical is imported."""
+"""The numbers of an observation and of an action by name; the API reads them, so no NumPy here."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

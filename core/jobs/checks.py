@@ -107,7 +107,7 @@ def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Descriptio
         info,
         observation_size=spaces.observation_size,
         action_size=has.sizes.nu,
-        slices=lambda _: spaces,
+        slices=lambda chosen: mjcf_slices(chosen, has),
         cameras=tuple(has.cameras),
         cannot_run=engines_that_cannot(description),
     )

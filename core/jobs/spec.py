@@ -99,8 +99,8 @@ class VideoSpec(Strict):
         default=1,
         ge=1,
         le=64,
-        description="Episodes shown at the same time, one below the other, more than four in a grid; one that "
-        "has ended stands still, darkened. With 1, episodes follow one another.",
+        description="Episodes shown at the same time, one below the other, more than four in a grid; one "
+        "that has ended stands still, darkened. With 1, episodes follow one another.",
     )
     show: list[Overlay] = Field(
         default=[],

@@ -61,8 +61,8 @@ class Layout:
             return
         width, height = next(self._smaller(), (_SMALLEST_PIXELS, _SMALLEST_PIXELS))
         detail = (
-            f"{_counted(self.num_cameras, 'camera')} and {_counted(self.num_episodes, 'episode')} in pictures "
-            f"of {self.width} × {self.height} pixels make a video of {self.whole_width} × "
+            f"{_counted(self.num_cameras, 'camera')} and {_counted(self.num_episodes, 'episode')} in "
+            f"pictures of {self.width} × {self.height} pixels make a video of {self.whole_width} × "
             f"{self.whole_height}; it may have {MOST_PIXELS} × {MOST_PIXELS}. Pictures of {width} × {height} "
             "would fit."
         )

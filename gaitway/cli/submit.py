@@ -66,19 +66,12 @@ def submit(  # noqa: PLR0913 # A command line's options.
     of_video = {"video.cameras": cameras, "video.episodes": episodes, "video.show": show}
     if no_video:
         _leave_out_the_video(spec, of_video)
-    _put_given(
-        spec, {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, **of_video}
-    )
+    _put_given(spec, {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, **of_video})
     if label:
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
     for text in assignments or ():
         assigned(spec, text)
-    if isinstance(spec.get("algorithm"), dict):
-        kind = spec["algorithm"].setdefault("kind", "ppo")
-        if num_timesteps is not None and kind in _LENGTHS:
-            raise wrong_usage(
-                f"{kind} has no num_timesteps; say how long it learns by --set, e.g. --set {_LENGTHS[kind]}."
-            )
+    _name_the_algorithm(spec, num_timesteps)
     client = client_of(context)
     job = client.submit(spec)
     if watch:
@@ -95,6 +88,17 @@ def assigned(spec: dict[str, Any], text: str) -> None:
     """Set a field from `a.b.c=VALUE`; a VALUE that is JSON is read as JSON."""
     path, value = _assignment(text)
     put(spec, path, _value(value))
+
+
+def _name_the_algorithm(spec: dict[str, Any], num_timesteps: int | None) -> None:
+    """Fill in the kind of an algorithm that is an object without one."""
+    if not isinstance(spec.get("algorithm"), dict):
+        return
+    kind = spec["algorithm"].setdefault("kind", "ppo")
+    if num_timesteps is not None and kind in _LENGTHS:
+        raise wrong_usage(
+            f"{kind} has no num_timesteps; say how long it learns by --set, e.g. --set {_LENGTHS[kind]}."
+        )
 
 
 def _put_given(spec: dict[str, Any], fields: Mapping[str, Any]) -> None:

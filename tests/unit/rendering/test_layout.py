@@ -39,7 +39,9 @@ def test_no_two_pictures_overlap_and_none_reaches_beyond_the_whole(num_episodes:
 def test_a_video_that_would_be_too_large_is_refused_with_a_size_that_fits() -> None:
     # 3 · 1276 + 2 · 4 = 3836, and 1278 would make 3842.
     Layout(1276, 480, 3).check()
-    with pytest.raises(Rejected, match="1 episode in pictures of 1278 × 480 pixels make a video of 3842 × 480") as wide:
+    with pytest.raises(
+        Rejected, match="1 episode in pictures of 1278 × 480 pixels make a video of 3842 × 480"
+    ) as wide:
         Layout(1278, 480, 3).check()
     assert "Pictures of 1276 × 480 would fit." in wide.value.detail
     assert [one.pointer for one in wide.value.problems] == ["/video/width", "/video/height", "/video/cameras"]
@@ -50,7 +52,9 @@ def test_a_video_that_would_be_too_large_is_refused_with_a_size_that_fits() -> N
     assert high.value.problems[-1].pointer == "/video/episodes"
 
 
-@pytest.mark.parametrize("layout", [Layout(3840, 2160, 16, 64), Layout(64, 3840, 1, 3), Layout(1920, 1080, 2, 5)])
+@pytest.mark.parametrize(
+    "layout", [Layout(3840, 2160, 16, 64), Layout(64, 3840, 1, 3), Layout(1920, 1080, 2, 5)]
+)
 def test_the_size_that_is_said_to_fit_does(layout: Layout) -> None:
     with pytest.raises(Rejected) as refusal:
         layout.check()
