@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from core.algorithms.catalog import ALGORITHMS, environment_options, resolve, tuned
 from core.environments.info import Device, EnvironmentInfo
+from core.environments.spaces import Slice
 from core.errors import Rejected
 from core.jobs.job import Artifact, ArtifactRole, Job, Progress, UnreadableJob
 from core.jobs.spec import SentSpec
@@ -210,8 +211,12 @@ class EnvironmentDetails(EnvironmentView):
 
     defaults: every hyperparameter of a job that sets none, by algorithm and device. An algorithm that needs
     more than its defaults on this environment is left out.
+    observation, action: their numbers in order, with units and bounds; empty where they depend on a model
+    that the options do not name.
     """
 
+    observation: Sequence[Slice]
+    action: Sequence[Slice]
     defaults: Mapping[str, Mapping[Device, Mapping[str, Any]]]
 
     @classmethod
@@ -219,6 +224,8 @@ class EnvironmentDetails(EnvironmentView):
         shown = EnvironmentView.of(info)
         return cls(
             **{name: getattr(shown, name) for name in EnvironmentView.model_fields},
+            observation=info.spaces.observation,
+            action=info.spaces.action,
             defaults=_by_algorithm_and_device(lambda kind, device: _defaults(kind, info, device)),
         )
 

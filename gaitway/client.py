@@ -274,22 +274,29 @@ class Client:
 
     # Previews
 
-    def preview(
+    def preview(  # noqa: PLR0913 # A request's options.
         self,
         environment: str,
         folder: str | Path | None = None,
         *,
         options: Mapping[str, Any] | None = None,
         camera: str | int | None = None,
+        show: Sequence[str] = (),
         size: tuple[int, int] = (640, 480),
         timeout: float = 120.0,
     ) -> Mapping[str | int, Path]:
         """The environment as an episode begins: a PNG in `folder` (by default here) from each camera.
 
-        camera: only this one. size: width and height in pixels. Raises Rejected for an unknown option or
-        camera, and WaitTimeout after `timeout` seconds without a worker that renders it.
+        camera: only this one. show: what is drawn besides the body, as in a job's `video.show`. size: width
+        and height in pixels. Raises Rejected for an unknown option or camera, and WaitTimeout after `timeout`
+        seconds without a worker that renders it.
         """
-        asked: dict[str, Any] = {"options": json.dumps(options or {}), "width": size[0], "height": size[1]}
+        asked: dict[str, Any] = {
+            "options": json.dumps(options or {}),
+            "show": list(show),
+            "width": size[0],
+            "height": size[1],
+        }
         path = f"/environments/{quote(environment)}/preview"
         if camera is None:
             found = PreviewView.model_validate_json(self._drawn(path, asked, timeout).content)
@@ -311,6 +318,15 @@ class Client:
         """The environments that a job may name. family: only `gaitway`, `playground` or `brax`."""
         query = f"?family={quote(family)}" if family else ""
         return self._items(f"/environments{query}", EnvironmentView)
+
+    def environment(self, environment: str, options: Mapping[str, Any] | None = None) -> EnvironmentView:
+        """One environment under these options: what it is shown and does, and what a job gets by default.
+
+        Raises Rejected for an unknown option.
+        """
+        asked = {"options": json.dumps(options)} if options else None
+        answer = self._transport.request("GET", f"/environments/{quote(environment)}", params=asked)
+        return EnvironmentView.model_validate_json(answer.content)
 
     def workers(self) -> Sequence[WorkerView]:
         """The workers that have sent a heartbeat lately."""

@@ -151,14 +151,34 @@ class MetricsRow(View):
     values: dict[str, float | None] = Field(default_factory=dict[str, float | None])
 
 
+class SliceView(View):
+    """Numbers of an observation or an action, from `start` on. components: their names, where known.
+
+    low, high: bounds of an observation's; what -1 and 1 of an action's set.
+    """
+
+    name: str
+    start: int
+    size: int
+    unit: str | None = None
+    low: float | None = None
+    high: float | None = None
+    components: tuple[str, ...] = ()
+
+
 class EnvironmentView(BaseModel):
-    """An environment of the catalog; other members that the service sends are kept as attributes."""
+    """An environment of the catalog; other members that the service sends are kept as attributes.
+
+    observation, action: their numbers in order; in a list of environments they are left out.
+    """
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
     id: str
     description: str = ""
     family: str = ""
+    observation: tuple[SliceView, ...] = ()
+    action: tuple[SliceView, ...] = ()
 
 
 class ModelView(View):

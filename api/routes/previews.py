@@ -35,6 +35,7 @@ from core.jobs.spec import EnvironmentSpec
 from core.previews import library
 from core.previews.record import Preview, PreviewRequest, Still
 from core.rendering.camera import camera_choices, model_camera
+from core.rendering.overlays import Overlay
 
 router = APIRouter(tags=["catalog"])
 
@@ -46,7 +47,7 @@ _MAX_STILLS = 32
 
 
 class PreviewParameters(Parameters):
-    """The environment that the stills show, and the camera."""
+    """The environment that the stills show, the camera, and what is drawn besides the body."""
 
     options: str = Field(
         "{}",
@@ -59,6 +60,12 @@ class PreviewParameters(Parameters):
         max_length=200,
         description="`track`, or a camera of the model by name or number; the answer is then its PNG.",
         examples=["track"],
+    )
+    show: list[Overlay] = Field(
+        [],
+        max_length=4,
+        description="Drawn besides the body, as in a job's `video.show`; several times for several.",
+        examples=[["joints"]],
     )
     width: int = Field(640, ge=16, le=1920, description="Pixels.")
     height: int = Field(480, ge=16, le=1920, description="Pixels.")
@@ -88,7 +95,7 @@ class PreviewView(View):
         said = asked.model_dump(exclude_unset=True, exclude={"camera"})
 
         def href(**also: object) -> str:
-            query = urlencode({**said, **also})
+            query = urlencode({**said, **also}, doseq=True)
             return f"{here}?{query}" if query else here
 
         return cls(
@@ -164,6 +171,7 @@ def _wanted(
         options=options.model_dump(mode="json"),
         model=model_of(environment),
         cameras=shown if camera is None or camera in shown else [camera],
+        show=asked.show,
         width=asked.width,
         height=asked.height,
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from core.documents import Strict
+from core.environments.spaces import Slice, Spaces
 from core.physics.availability import EngineName, Rule
 
 Device = Literal["cpu", "gpu"]
@@ -55,7 +56,8 @@ class EnvironmentInfo:
     package: what it imports that a worker may lack, by its import name.
     own_physics: what steps it if no engine does; its model cannot be randomized.
     vary: the fields above that some options change, by name; the row itself has their values under the
-    default options. chosen: the options that the row describes; None: the default ones.
+    default options. slices: the numbers of an observation and an action under these options; None where they
+    are not known. chosen: the options that the row describes; None: the default ones.
     """
 
     id: str
@@ -78,6 +80,7 @@ class EnvironmentInfo:
     package: str | None = None
     own_physics: str = ""
     vary: Callable[[Any], Mapping[str, Any]] | None = None
+    slices: Callable[[Any], Spaces] | None = None
     chosen: Strict | None = None
 
     @property
@@ -91,7 +94,16 @@ class EnvironmentInfo:
 
     def under(self, options: Strict) -> "EnvironmentInfo":
         """The row under these options, which must be its own."""
-        return replace(self, chosen=options, **(self.vary(options) if self.vary else {}))
+        row = replace(self, chosen=options, **(self.vary(options) if self.vary else {}))
+        return replace(row, observation_size=row.spaces.observation_size) if row.slices else row
+
+    @property
+    def spaces(self) -> Spaces:
+        """The numbers of an observation and of an action; without names where these are not known."""
+        if self.slices is not None:
+            return self.slices(self.option_values)
+        sizes = {"observation": self.observation_size, "action": self.action_size}
+        return Spaces(**{name: (Slice(name, 0, size),) if size else () for name, size in sizes.items()})
 
     @property
     def option_values(self) -> Strict:

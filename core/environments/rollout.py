@@ -1,7 +1,8 @@
 """Running a policy in an environment, and recording its episodes."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import jax
@@ -127,16 +128,32 @@ def initial_positions(
     return np.asarray(state.physics.qpos, np.float64), None if target is None else np.asarray(target, float)
 
 
-def footage(roller: Roller, parameters: Any, key: jax.Array, *, dt: float, seconds: float) -> list[Episode]:
-    """What a video of `seconds` shows: an episode, and the next ones where it ends early."""
-    left = max(1, round(seconds / dt))
-    shown: list[Episode] = []
-    for episode in roller.episodes(parameters, key, num_steps=left, num_episodes=None):
-        shown.append(cut(episode, left))
-        left -= shown[-1].num_steps
-        if left <= 0:
+def footage(
+    roller: Roller, parameters: Any, key: jax.Array, *, dt: float, seconds: float, num_at_once: int = 1
+) -> list[Episode]:
+    """What a video of `seconds` shows: one episode and, where it ends early, the next ones; or several at
+    the same time, `num_at_once`."""
+    most = max(1, round(seconds / dt))
+    number = None if num_at_once == 1 else num_at_once
+    return filmed(
+        roller.episodes(parameters, key, num_steps=most, num_episodes=number),
+        dt=dt,
+        seconds=seconds,
+        num_at_once=num_at_once,
+    )
+
+
+def filmed(episodes: Iterable[Episode], *, dt: float, seconds: float, num_at_once: int = 1) -> list[Episode]:
+    """Those of the episodes that a video of `seconds` has time for, cut where it ends; see `footage`."""
+    most = max(1, round(seconds / dt))
+    if num_at_once > 1:
+        return [cut(episode, most) for episode in islice(episodes, num_at_once)]
+    chosen: list[Episode] = []
+    for episode in episodes:
+        chosen.append(cut(episode, most - sum(one.num_steps for one in chosen)))
+        if sum(one.num_steps for one in chosen) >= most:
             break
-    return shown
+    return chosen
 
 
 def cut(episode: Episode, num_steps: int) -> Episode:

@@ -9,6 +9,7 @@ from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
+from core.environments.mjcf.slices import mjcf_slices
 from core.errors import EnvironmentNotFound, JobNotFound, JobUnreadable, Problem, Rejected
 from core.jobs.job import Artifact, Job
 from core.jobs.needs import DEVICES, kind_of, least_memory
@@ -25,7 +26,7 @@ from core.jobs.spec import (
 )
 from core.jobs.store import JobStore
 from core.physics.availability import check_physics, share_states
-from core.rendering.camera import check_cameras, check_width, model_camera
+from core.rendering.camera import check_cameras, model_camera
 from core.user_models.record import Description
 from core.user_models.store import ModelStore
 
@@ -41,7 +42,7 @@ def check(spec: JobSpec, store: JobStore) -> None:
     info, _ = chosen(spec.environment, store)
     check_physics(spec.physics, info.cannot_run)
     _check_num_envs(spec, info)
-    _check_cameras(spec, info)
+    _check_video(spec, info)
     _check_gpus(spec)
     match spec:
         case TrainSpec():
@@ -57,18 +58,25 @@ def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[Environment
     except EnvironmentNotFound as error:
         raise Rejected(error.detail, [Problem("/environment", error.detail)]) from None
     if isinstance(options, MjcfOptions):
-        info = _row_of(info, own_model(options, store))
+        info = _row_of(info, options, own_model(options, store))
     return info, options
 
 
-def _check_cameras(spec: JobSpec, info: EnvironmentInfo) -> None:
-    if spec.video is None:
+def _check_video(spec: JobSpec, info: EnvironmentInfo) -> None:
+    video = spec.video
+    if video is None:
         return
-    if spec.video.cameras is None:
-        model_camera(spec.video.camera, info.cameras)
+    if video.cameras is None:
+        model_camera(video.camera, info.cameras)
     else:
-        check_cameras(spec.video.cameras, info.cameras)
-        check_width(spec.video.width, len(spec.video.cameras))
+        check_cameras(video.cameras, info.cameras)
+    video.layout.check()
+    if isinstance(spec, RolloutSpec) and video.episodes > spec.num_episodes:
+        detail = (
+            f"The video shows {video.episodes} episodes, but the rollout makes {spec.num_episodes}: raise "
+            "num_episodes, or show fewer."
+        )
+        raise Rejected(detail, [Problem("/video/episodes", detail), Problem("/num_episodes", detail)])
 
 
 def _check_num_envs(spec: JobSpec, info: EnvironmentInfo) -> None:
@@ -91,12 +99,15 @@ def _check_gpus(spec: JobSpec) -> None:
         raise Rejected(problems[0].detail, problems)
 
 
-def _row_of(info: EnvironmentInfo, description: Description) -> EnvironmentInfo:
+def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Description) -> EnvironmentInfo:
     """The catalog's row, with the values that depend on the model."""
     has = description.inventory
+    spaces = mjcf_slices(options, has)
     return replace(
         info,
+        observation_size=spaces.observation_size,
         action_size=has.sizes.nu,
+        slices=lambda chosen: mjcf_slices(chosen, has),
         cameras=tuple(has.cameras),
         cannot_run=engines_that_cannot(description),
     )

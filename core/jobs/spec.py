@@ -18,6 +18,8 @@ from core.algorithms.catalog import ALGORITHMS, DEFAULT_ALGORITHM, AlgorithmSpec
 from core.documents import Strict
 from core.environments.randomization import Randomizations
 from core.physics.availability import PhysicsChoice
+from core.rendering.layout import Layout
+from core.rendering.overlays import Overlay
 
 JobId = Annotated[str, Field(pattern=r"^[0-9a-f]{12}-[0-9a-f]{10}$", examples=["019aa3c2f0b1-5be0c1d2e3"])]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
@@ -82,7 +84,7 @@ class CheckpointsSpec(Strict):
 
 
 class VideoSpec(Strict):
-    """The cameras, size and length of the job's videos."""
+    """What the job's videos show, their size and their length."""
 
     camera: str | int = Field(
         default="track", description="`track`, or a camera of the model by name or number."
@@ -93,8 +95,21 @@ class VideoSpec(Strict):
         max_length=16,
         description="Several cameras, side by side from the left, instead of `camera`.",
     )
-    width: PixelCount = Field(default=640, description="Width of each camera's picture, in pixels.")
-    height: PixelCount = Field(default=480, description="Height in pixels.")
+    episodes: int = Field(
+        default=1,
+        ge=1,
+        le=64,
+        description="Episodes shown at the same time, one below the other, more than four in a grid; one "
+        "that has ended stands still, darkened. With 1, episodes follow one another.",
+    )
+    show: list[Overlay] = Field(
+        default=[],
+        max_length=4,
+        description="Drawn besides the body: its `joints`, its points of contact (`contacts`), the "
+        "`centre_of_mass`; `transparent`: one sees through the body.",
+    )
+    width: PixelCount = Field(default=640, description="Width of each picture, in pixels.")
+    height: PixelCount = Field(default=480, description="Height of each picture, in pixels.")
     fps: int = Field(default=30, ge=1, le=120)
     seconds: float = Field(default=10.0, gt=0, le=600)
     every_checkpoint: bool = Field(
@@ -111,6 +126,11 @@ class VideoSpec(Strict):
     def shown(self) -> list[str | int]:
         """The cameras, from the left."""
         return [self.camera] if self.cameras is None else self.cameras
+
+    @property
+    def layout(self) -> Layout:
+        """Where each picture stands."""
+        return Layout(self.width, self.height, len(self.shown), self.episodes)
 
 
 class ResourcesSpec(Strict):

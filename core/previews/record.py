@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pydantic import JsonValue
 
 from core.documents import Stored
+from core.rendering.overlays import Overlay
 from core.rendering.request import RenderFailure
 
 # Raise it with every change of how a scene looks, so that no outdated still is shown.
@@ -17,13 +18,14 @@ class PreviewRequest(Stored):
     """An environment as an episode begins, seen by these cameras: everything that a still depends on.
 
     options: all of them, defaults filled in. model: the id of the user's own model that they name.
-    width, height: pixels.
+    show: what is drawn besides the body. width, height: pixels.
     """
 
     environment: str
     options: dict[str, JsonValue]
     model: str | None = None
     cameras: list[str | int]
+    show: list[Overlay] = []
     width: int
     height: int
 

@@ -5,10 +5,6 @@ from collections.abc import Sequence
 from core.errors import Problem, Rejected
 
 TRACK = "track"
-# The gap between two pictures side by side; even, as widths are.
-GAP_PIXELS = 4
-# The widest H.264 that players can be expected to accept.
-WIDEST_PIXELS = 3840
 
 
 def camera_choices(cameras: Sequence[str]) -> list[str | int]:
@@ -32,23 +28,6 @@ def check_cameras(
             detail = f"The camera {camera!r} is already listed{same}; each is shown once."
             raise Rejected(detail, [Problem(at, detail)])
         seen[number] = camera
-
-
-def check_width(width: int, num_cameras: int) -> None:
-    """Raises Rejected if pictures of this width, side by side, make the video too wide."""
-    whole = width_of(width, num_cameras)
-    if whole > WIDEST_PIXELS:
-        fits = (WIDEST_PIXELS + GAP_PIXELS) // num_cameras - GAP_PIXELS
-        detail = (
-            f"{num_cameras} cameras of {width} pixels each make a video {whole} pixels wide; it may have "
-            f"{WIDEST_PIXELS}. A width of {fits - fits % 2} would fit."
-        )
-        raise Rejected(detail, [Problem("/video/width", detail), Problem("/video/cameras", detail)])
-
-
-def width_of(width: int, num_cameras: int) -> int:
-    """The video's width in pixels for `num_cameras` pictures, each `width` wide."""
-    return num_cameras * width + (num_cameras - 1) * GAP_PIXELS
 
 
 def model_camera(camera: str | int, cameras: Sequence[str], pointer: str = "/video/camera") -> int | None:

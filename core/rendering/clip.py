@@ -1,17 +1,19 @@
 """A video and its poster from episodes of motion."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 
-from core.rendering.camera import check_cameras, model_camera, width_of
+from core.rendering.camera import check_cameras, model_camera
+from core.rendering.layout import Layout
 from core.rendering.mp4 import CODEC, Mp4Writer, write_png
+from core.rendering.picture_grid import Moment, PictureGrid
 from core.rendering.request import RenderRequest, RenderResult
 from core.rendering.scene import following_view
-from core.rendering.side_by_side import SideBySide
-from core.rendering.timeline import Motion, shots, smoothed
+from core.rendering.timeline import Motion, Shot, shots, smoothed
 
 # Long enough that steps do not shake the camera, and short enough for it to keep up.
 _CAMERA_SPREAD_S = 0.4
@@ -41,32 +43,59 @@ def draw(
     check_cameras(request.cameras, names)
     cameras = [model_camera(camera, names) for camera in request.cameras]
     view = following_view(model, motions[0].qpos[0], request.tracked_body)
-    size = {"width": request.width, "height": request.height}
-    whole = {"width": width_of(request.width, len(cameras)), "height": request.height}
-    sequence = list(shots(model, motions, fps=request.fps, seconds=request.seconds))
-    num_frames = sum(len(shot.qpos) for shot in sequence)
-    drawn = 0
+    num_at_once = min(request.episodes, len(motions))
+    layout = Layout(request.width, request.height, len(cameras), num_at_once)
+    size = {"width": layout.whole_width, "height": layout.whole_height}
     with (
-        SideBySide(model, view, cameras, [str(camera) for camera in request.cameras], **size) as renderer,
-        Mp4Writer(request.video, **whole, fps=request.fps) as video,
+        PictureGrid(
+            model, view, cameras, [_called(camera, names) for camera in request.cameras], layout, request.show
+        ) as grid,
+        Mp4Writer(request.video, **size, fps=request.fps) as video,
     ):
-        for shot in sequence:
-            path = smoothed(renderer.path(shot.qpos), fps=request.fps, spread_s=_CAMERA_SPREAD_S)
-            for row, (qpos, look_at) in enumerate(zip(shot.qpos, path, strict=True)):
-                frame = renderer.frame(qpos, look_at, None if shot.target is None else shot.target[row])
-                video.write(frame)
-                if drawn == num_frames // 2:
-                    write_png(request.poster, frame)
-                drawn += 1
-        gl_renderer = renderer.gl_renderer
+        panes = [_moments(grid, model, motions[first::num_at_once], request) for first in range(num_at_once)]
+        num_frames = max(map(len, panes))
+        for number in range(num_frames):
+            frame = grid.frame([_at(pane, number) for pane in panes])
+            video.write(frame)
+            if number == num_frames // 2:
+                write_png(request.poster, frame)
+        gl_renderer = grid.gl_renderer
     return RenderResult(
         gl_backend=gl_backend,
         gl_renderer=gl_renderer,
         cameras=request.cameras,
+        show=request.show,
         frames=num_frames,
         seconds=num_frames / request.fps,
-        **whole,
+        **size,
         fps=request.fps,
         codec=CODEC,
         wall_s=time.perf_counter() - started,
     )
+
+
+def _called(camera: str | int, names: Sequence[str]) -> str:
+    """What a picture says of its camera; one without a name has its number."""
+    return camera if isinstance(camera, str) else names[camera] or f"camera {camera}"
+
+
+def _moments(
+    grid: PictureGrid, model: mujoco.MjModel, motions: Sequence[Motion], request: RenderRequest
+) -> list[Moment]:
+    """What is shown in one place: these episodes one after another, a moment for each frame."""
+    return [
+        moment
+        for shot in shots(model, motions, fps=request.fps, seconds=request.seconds)
+        for moment in _of_shot(grid, shot, request.fps)
+    ]
+
+
+def _of_shot(grid: PictureGrid, shot: Shot, fps: int) -> Iterator[Moment]:
+    path = smoothed(grid.path(shot.qpos), fps=fps, spread_s=_CAMERA_SPREAD_S)
+    for row, (qpos, look_at) in enumerate(zip(shot.qpos, path, strict=True)):
+        yield Moment(qpos, look_at, None if shot.target is None else shot.target[row])
+
+
+def _at(pane: Sequence[Moment], number: int) -> Moment:
+    """A frame's moment; after the last one, that one."""
+    return pane[number] if number < len(pane) else replace(pane[-1], has_ended=True)

@@ -1,5 +1,6 @@
 """Pictures of a model's positions, by `mujoco.Renderer`. MUJOCO_GL must be set before this is imported."""
 
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -9,21 +10,47 @@ from numpy.typing import NDArray
 
 from core.rendering import floor
 from core.rendering.gl import context_works
+from core.rendering.overlays import Overlay
 from core.rendering.scene import TARGET_BODY, Floats, View, prepare, quality_of
 
 # The colour behind models without a sky.
 _BACKDROP = np.array([0.62, 0.74, 0.87, 1.0], dtype=np.float32)
 
 
+_FLAGS: dict[Overlay, mujoco.mjtVisFlag] = {
+    "joints": mujoco.mjtVisFlag.mjVIS_JOINT,
+    "contacts": mujoco.mjtVisFlag.mjVIS_CONTACTPOINT,
+    "centre_of_mass": mujoco.mjtVisFlag.mjVIS_COM,
+    "transparent": mujoco.mjtVisFlag.mjVIS_TRANSPARENT,
+}
+
+
+def drawing_options(show: Sequence[Overlay]) -> mujoco.MjvOption:
+    """MuJoCo's options for what is drawn besides the body; of joints all, whatever group they are in."""
+    options = mujoco.MjvOption()
+    for overlay in show:
+        options.flags[_FLAGS[overlay]] = 1
+    options.jointgroup[:] = 1
+    return options
+
+
 class MujocoRenderer:
     """Draws one model; holds a GL context until `close`.
 
-    camera: the number of a camera of the model, or None for the one that follows the body.
+    camera: the number of a camera of the model, or None for the one that follows the body. show: what is
+    drawn besides the body.
     The model is changed (light, colours, buffer sizes): pass a copy.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, view: View, *, camera: int | None, width: int, height: int
+        self,
+        model: mujoco.MjModel,
+        view: View,
+        *,
+        camera: int | None,
+        width: int,
+        height: int,
+        show: Sequence[Overlay] = (),
     ) -> None:
         self._gl_renderer = context_works()
         prepare(model, view, quality_of(self._gl_renderer), width=width, height=height)
@@ -33,6 +60,8 @@ class MujocoRenderer:
         self._data = mujoco.MjData(model)
         self._view = view
         self._camera = camera
+        self._options = drawing_options(show)
+        self._finds_contacts = "contacts" in show
         self._renderer = mujoco.Renderer(model, height, width, max_geom=10_000)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         self._has_sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX in model.tex_type
@@ -55,7 +84,7 @@ class MujocoRenderer:
         self._place(qpos)
         target = self.target() if look_at is None else look_at
         eye: Any = self._follow(target) if self._camera is None else self._camera
-        self._renderer.update_scene(self._data, eye)
+        self._renderer.update_scene(self._data, eye, self._options)
         scene = self._renderer.scene
         for light in range(scene.nlight):
             if scene.lights[light].type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
@@ -104,6 +133,8 @@ class MujocoRenderer:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         mujoco.mj_tendon(self._model, self._data)
+        if self._finds_contacts:
+            mujoco.mj_collision(self._model, self._data)
 
     def _follow(self, target: Floats) -> mujoco.MjvCamera:
         camera = mujoco.MjvCamera()

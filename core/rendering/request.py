@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 from core.documents import Stored
+from core.rendering.overlays import Overlay
 
 FailureReason = Literal["no_gl", "bad_request", "crashed", "timeout"]
 
@@ -13,7 +14,8 @@ class RenderRequest(Stored):
 
     trajectory: a file of `core.environments.trajectory`. model: the compiled model (.mjb) or its XML.
     tracked_body: number of the body that the camera `track` follows. cameras: side by side, from the left.
-    width, height: pixels of each camera's picture, both even. seconds: the longest that the video may be.
+    show: what is drawn besides the body. episodes: how many are shown at the same time; 1: one after another.
+    width, height: pixels of each picture, both even. seconds: the longest that the video may be.
     poster: a PNG of the frame in the middle.
     """
 
@@ -23,6 +25,8 @@ class RenderRequest(Stored):
     video: Path
     poster: Path
     cameras: list[str | int] = ["track"]
+    show: list[Overlay] = []
+    episodes: int = 1
     width: int = 640
     height: int = 480
     fps: int = 30
@@ -38,6 +42,7 @@ class RenderResult(Stored):
     gl_backend: str
     gl_renderer: str
     cameras: list[str | int]
+    show: list[Overlay] = []
     frames: int
     seconds: float
     width: int

@@ -20,6 +20,8 @@ _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader")
 _FLOOR_COLOURS = (floor.DARK, floor.LIGHT)
 # Translucent, so that a body that has reached it is still seen. Its size is a share of the body's.
 _TARGET_COLOUR, _TARGET_SHARE = (0.86, 0.24, 0.18, 0.7), 0.07
+# Sizes of what is drawn besides the body, as shares of the body's: long enough to stick out of it.
+_JOINT_LENGTH, _JOINT_WIDTH, _CONTACT_WIDTH, _CONTACT_HEIGHT, _CENTRE = 0.3, 0.03, 0.07, 0.015, 0.06
 _SKY_COLOURS = ((0.80, 0.88, 0.96), (0.36, 0.54, 0.78))
 
 
@@ -83,6 +85,7 @@ def prepare(model: mujoco.MjModel, view: View, quality: Quality, *, width: int, 
     # The shadow map covers the body's surroundings, not the whole floor: few pixels, sharp edges. If it were
     # much narrower, the floor in the foreground would shadow itself in specks.
     model.vis.map.shadowclip = 5.0 * view.radius / model.stat.extent
+    _size_overlays(model, view.radius)
     _light(model)
     _recolour(model)
     _mark_target(model, _TARGET_SHARE * view.radius)
@@ -111,6 +114,17 @@ def _radius(model: mujoco.MjModel, data: mujoco.MjData, root: int, centre: Float
         return float(model.stat.extent)
     reach = np.linalg.norm(data.geom_xpos[own] - centre, axis=1) + model.geom_rbound[own]
     return float(reach.max())
+
+
+def _size_overlays(model: mujoco.MjModel, radius: float) -> None:
+    """MuJoCo sizes them by the model's mean size, in which a large arena or tiny parts weigh as well: make
+    them no smaller than shares of the body."""
+    scale, unit = model.vis.scale, radius / model.stat.meansize
+    scale.jointlength = max(scale.jointlength, _JOINT_LENGTH * unit)
+    scale.jointwidth = max(scale.jointwidth, _JOINT_WIDTH * unit)
+    scale.contactwidth = max(scale.contactwidth, _CONTACT_WIDTH * unit)
+    scale.contactheight = max(scale.contactheight, _CONTACT_HEIGHT * unit)
+    scale.com = max(scale.com, _CENTRE * unit)
 
 
 def _light(model: mujoco.MjModel) -> None:

@@ -1,23 +1,53 @@
-"""`gaitway environments`: lists the environments that a job may name."""
+"""`gaitway environments`: lists the environments that a job may name, or shows one."""
 
 from collections import Counter
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from gaitway.cli.common import AsJson, client_of, print_json
+from gaitway.cli.errors import wrong_usage
+from gaitway.cli.submit import assigned
+from gaitway.client import Client
+from gaitway.views import EnvironmentView, SliceView
+
+_MOST_NAMES = 4
 
 
 def environments(
     context: typer.Context,
+    environment: Annotated[
+        str | None, typer.Argument(help="Only this one, with the numbers of its observation and action.")
+    ] = None,
+    options: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="OPTION=VALUE", help="An option of it, e.g. walker=rodent."),
+    ] = None,
     family: Annotated[
         str | None,
         typer.Option(help="`gaitway`, or a package with environments: playground, brax."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the environments that a job may name; --family lists those of another package."""
-    found = client_of(context).environments()
+    """List the environments that a job may name, or show one; --family lists those of another package."""
+    client = client_of(context)
+    if environment is None and options:
+        raise wrong_usage("--set is for one environment: name it (`gaitway environments corridor --set …`).")
+    if environment is None:
+        _list(client, family, as_json)
+        return
+    given: dict[str, Any] = {}
+    for text in options or ():
+        assigned(given, text)
+    found = client.environment(environment, given)
+    if as_json:
+        print_json(found)
+    else:
+        _show(found)
+
+
+def _list(client: Client, family: str | None, as_json: bool) -> None:
+    found = client.environments()
     shown = [one for one in found if one.family == (family or "gaitway")]
     if as_json:
         print_json(shown)
@@ -30,3 +60,31 @@ def environments(
             print(f"and {number} of {name}: --family {name}")
     elif not shown:
         print(f"There are no environments of {family}.")
+
+
+def _show(found: EnvironmentView) -> None:
+    print(f"{found.id}  {found.description}")
+    print(f"\nobservation: {_count(found.observation)}")
+    for one in found.observation:
+        print(_row(one))
+    print(f"\naction: {_count(found.action)} in [-1, 1]; the range is what these ends set")
+    for one in found.action:
+        print(_row(one))
+
+
+def _count(slices: tuple[SliceView, ...]) -> str:
+    return f"{sum(one.size for one in slices)} numbers"
+
+
+def _row(one: SliceView) -> str:
+    """Where the slice is, its unit and bounds, and the first of its names."""
+    bounded = (one.low, one.high) != (None, None)
+    bounds = f"{_bound(one.low, '-∞')} to {_bound(one.high, '∞')}" if bounded else ""
+    names = [name for name in one.components[:_MOST_NAMES] if name != one.name]
+    more = ", …" if len(one.components) > _MOST_NAMES else ""
+    place = f"{one.start:>5}  {one.size:>4}"
+    return f"{place}  {one.name}  {one.unit or ''}  {bounds}  {', '.join(names)}{more}".rstrip()
+
+
+def _bound(value: float | None, none: str) -> str:
+    return none if value is None else f"{value:g}"

@@ -8,7 +8,7 @@ import typer
 
 from gaitway.cli.common import AsJson, client_of, print_json
 from gaitway.cli.errors import wrong_usage
-from gaitway.cli.submit import assigned
+from gaitway.cli.submit import Show, assigned
 
 
 def preview(  # noqa: PLR0913 # A command line's options.
@@ -24,6 +24,7 @@ def preview(  # noqa: PLR0913 # A command line's options.
         ),
     ] = None,
     camera: Annotated[str | None, typer.Option(help="Only this camera; by default all.")] = None,
+    show: Show = None,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="In pixels.")] = "640x480",
     as_json: AsJson = False,
 ) -> None:
@@ -39,6 +40,7 @@ def preview(  # noqa: PLR0913 # A command line's options.
         output,
         options=given,
         camera=camera,
+        show=show or (),
         size=(int(pixels[1]), int(pixels[2])),
     )
     if as_json:

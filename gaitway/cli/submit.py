@@ -25,6 +25,11 @@ Assignments = Annotated[
     ),
 ]
 
+Show = Annotated[
+    list[str] | None,
+    typer.Option(help="joints, contacts, centre_of_mass or transparent: drawn besides the body."),
+]
+
 
 def submit(  # noqa: PLR0913 # A command line's options.
     context: typer.Context,
@@ -40,6 +45,11 @@ def submit(  # noqa: PLR0913 # A command line's options.
     camera: Annotated[
         list[str] | None, typer.Option(help="`track` or one of the model's; several are shown side by side.")
     ] = None,
+    episodes: Annotated[
+        int | None, typer.Option(help="Episodes that the video shows at the same time.")
+    ] = None,
+    show: Show = None,
+    no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
     assignments: Assignments = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay and show the progress.")] = False,
     as_json: AsJson = False,
@@ -53,18 +63,15 @@ def submit(  # noqa: PLR0913 # A command line's options.
             "Name an environment (`gaitway submit ant`), or a file with a job (`--file job.json`)."
         )
     cameras = [_value(one) for one in camera or ()]
-    fields = {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, "video.cameras": cameras}
-    _put_given(spec, fields)
+    of_video = {"video.cameras": cameras, "video.episodes": episodes, "video.show": show}
+    if no_video:
+        _leave_out_the_video(spec, of_video)
+    _put_given(spec, {"seed": seed, "name": name, "algorithm.num_timesteps": num_timesteps, **of_video})
     if label:
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
     for text in assignments or ():
         assigned(spec, text)
-    if isinstance(spec.get("algorithm"), dict):
-        kind = spec["algorithm"].setdefault("kind", "ppo")
-        if num_timesteps is not None and kind in _LENGTHS:
-            raise wrong_usage(
-                f"{kind} has no num_timesteps; say how long it learns by --set, e.g. --set {_LENGTHS[kind]}."
-            )
+    _name_the_algorithm(spec, num_timesteps)
     client = client_of(context)
     job = client.submit(spec)
     if watch:
@@ -83,10 +90,28 @@ def assigned(spec: dict[str, Any], text: str) -> None:
     put(spec, path, _value(value))
 
 
+def _name_the_algorithm(spec: dict[str, Any], num_timesteps: int | None) -> None:
+    """Fill in the kind of an algorithm that is an object without one."""
+    if not isinstance(spec.get("algorithm"), dict):
+        return
+    kind = spec["algorithm"].setdefault("kind", "ppo")
+    if num_timesteps is not None and kind in _LENGTHS:
+        raise wrong_usage(
+            f"{kind} has no num_timesteps; say how long it learns by --set, e.g. --set {_LENGTHS[kind]}."
+        )
+
+
 def _put_given(spec: dict[str, Any], fields: Mapping[str, Any]) -> None:
     for path, value in fields.items():
         if value not in (None, []):
             put(spec, path, value)
+
+
+def _leave_out_the_video(spec: dict[str, Any], of_video: Mapping[str, Any]) -> None:
+    said = [path.removeprefix("video.") for path, value in of_video.items() if value not in (None, [])]
+    if said:
+        raise wrong_usage(f"--no-video leaves nothing for {', '.join(said)} to say; leave one of them out.")
+    spec["video"] = None
 
 
 def put(spec: dict[str, Any], path: str, value: Any) -> None:

@@ -102,7 +102,12 @@ def test_an_environment_of_another_package_has_stills_under_its_whole_id(
 
 
 def test_options_and_size_make_other_stills_with_addresses_that_keep_them(stack: Stack) -> None:
-    asked = {"options": '{"walker": "rodent"}', "width": 320, "height": 200}
+    asked = {
+        "options": '{"walker": "rodent"}',
+        "show": ["joints", "contacts"],
+        "width": 320,
+        "height": 200,
+    }
     with drawing_worker(stack) as drawn:
         document = stack.http.get("/environments/corridor/preview", params=asked).json()
         assert stack.http.get(document["stills"][-1]["href"]).content == b"walker/egocentric"
@@ -111,6 +116,8 @@ def test_options_and_size_make_other_stills_with_addresses_that_keep_them(stack:
     assert by_number.content == b"walker/egocentric"
     (wanted,) = drawn
     assert (wanted.width, wanted.height, wanted.options["walker"]) == (320, 200, "rodent")
+    assert wanted.show == ["joints", "contacts"]
+    assert "show=joints&show=contacts" in document["stills"][0]["href"]
     assert wanted.cameras == document["cameras"] == [
         "track", "walker/back", "walker/side", "walker/side_alt", "walker/top", "walker/egocentric"
     ]  # fmt: skip

@@ -51,6 +51,27 @@ def test_an_environment_tells_what_a_job_may_say_about_it(stack: Stack) -> None:
     assert ant["tuned"]["ppo"]["cpu"]["num_envs"] == 256
 
 
+def test_an_environment_names_the_numbers_of_its_observation_and_action(stack: Stack) -> None:
+    ant = stack.http.get("/environments/ant").json()
+    # The height, a quaternion and eight angles; velocities along three axes, about three, and of the joints.
+    assert [(one["name"], one["start"], one["size"], one["unit"]) for one in ant["observation"]] == [
+        ("qpos", 0, 1, "m"),
+        ("qpos", 1, 4, "1"),
+        ("qpos", 5, 8, "rad"),
+        ("qvel", 13, 3, "m/s"),
+        ("qvel", 16, 11, "rad/s"),
+    ]
+    first = ant["action"][0]
+    assert (first["name"], first["low"], first["high"]) == ("hip_4", -1.0, 1.0)
+    shown = {"options": '{"exclude_current_positions_from_observation": false}'}
+    whole = stack.http.get("/environments/ant", params=shown).json()
+    assert whole["observation"][0]["components"] == ["root x", "root y", "root z"]
+    assert whole["observation_size"] == 29
+    # They would make the list long.
+    assert "observation" not in stack.http.get("/environments").json()["items"][0]
+    assert stack.http.get("/environments/mjcf").json()["observation"] == []
+
+
 def test_an_environment_is_shown_under_the_options_that_a_job_would_give(stack: Stack) -> None:
     star = "/environments/brittle_star"
     plain, steered = (
@@ -111,6 +132,18 @@ def test_the_environments_of_a_package_are_listed_by_themselves(stack: Stack) ->
     assert {item["family"] for item in listed} == {"playground"}
     cheetah = stack.http.get("/environments/playground/CheetahRun").json()
     assert cheetah.pop("defaults")["ppo"]["gpu"]["num_envs"] == 2048
+    assert cheetah.pop("observation") == [
+        {
+            "name": "observation",
+            "start": 0,
+            "size": 17,
+            "unit": None,
+            "low": None,
+            "high": None,
+            "components": [],
+        }
+    ]
+    assert cheetah.pop("action")[0]["size"] == 6
     assert cheetah in listed
     assert (cheetah["observation_size"], cheetah["tuned"]["ppo"]["gpu"]["num_envs"]) == (17, 2048)
     assert stack.http.get("/environments/brax%2Fant").json()["options"]["properties"]["backend"]

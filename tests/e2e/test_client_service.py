@@ -122,6 +122,26 @@ def test_the_cli_submits_what_its_options_say(stack: Stack, client: Client) -> N
     assert spec["video"] == {"cameras": ["track", 0]}
 
 
+def test_the_cli_says_what_a_video_shows_or_that_there_is_none(stack: Stack, client: Client) -> None:
+    shown = gaitway(
+        stack, "submit", "ant", "--episodes", "4", "--show", "joints", "--show", "contacts", "--json"
+    )
+    without = gaitway(stack, "submit", "ant", "--no-video", "--json")
+    first, second = (client.get(json.loads(done.stdout)["id"]).spec for done in (shown, without))
+    assert first["video"] == {"episodes": 4, "show": ["joints", "contacts"]}
+    assert second["video"] is None
+
+
+def test_the_cli_shows_the_numbers_of_one_environment(stack: Stack) -> None:
+    done = gaitway(stack, "environments", "corridor", "--set", "num_next_obstacles=1")
+    assert done.exit_code == 0, done.output
+    assert "observation: 30 numbers" in done.stdout  # 27 of the ant, and three of the obstacle
+    assert "   27     1  obstacle_1  m  -∞ to 10  begins ahead\n" in done.stdout
+    assert "    0     1  walker/front_left_hip  1  -1 to 1\n" in done.stdout
+    star = json.loads(gaitway(stack, "environments", "brittle_star", "--json").stdout)
+    assert star["observation"][0]["name"] == "joint_position"
+
+
 def test_the_cli_submits_a_job_of_another_algorithm(stack: Stack, client: Client) -> None:
     options = ("--num-timesteps", "1000000", "--set", "algorithm.kind=sac", "--set", "algorithm.n_step=1")
     done = gaitway(stack, "submit", "ant", *options, "--json")
@@ -152,6 +172,8 @@ def test_the_cli_reads_a_job_from_a_file_and_from_stdin(stack: Stack, client: Cl
         ["submit"],
         ["submit", "ant", "--set", "nonsense"],
         ["submit", "ant", "--num-timesteps", "1000", "--set", "algorithm.kind=q_learning"],
+        ["submit", "ant", "--no-video", "--episodes", "2"],
+        ["environments", "--set", "walker=rodent"],
         ["submit", "ant", "--seed", "-1"],
         ["submit", "--file", "/nowhere/job.json"],
         ["submit", "ant", "--set", "seed.x=1", "--seed", "1"],

@@ -24,7 +24,8 @@ def request(environment: str = "ant", **changes: object) -> PreviewRequest:
 
 def test_a_request_is_known_by_everything_that_its_stills_depend_on() -> None:
     others = [request("hopper"), request(width=65), request(options={"a": 1}), request(cameras=["track"])]
-    assert len({one.id for one in [request(), request(), *others]}) == 5
+    others.append(request(show=["joints"]))
+    assert len({one.id for one in [request(), request(), *others]}) == 6
 
 
 def test_the_newest_that_was_drawn_is_found() -> None:

@@ -38,5 +38,6 @@ def draw(request: PreviewRequest, folder: Path) -> None:
             camera=model_camera(camera, names),
             width=request.width,
             height=request.height,
+            show=request.show,
         ) as renderer:
             write_png(folder / f"{number}.png", renderer.frame(qpos, target=target))

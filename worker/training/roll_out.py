@@ -1,7 +1,6 @@
 """A rollout job: episodes of a policy, their trajectory, a summary, a video."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +13,7 @@ from core.environments.rollout import (
     ParametricPolicy,
     Roller,
     constant_policy,
-    cut,
+    filmed,
     random_policy,
     trajectory_of,
     zero_policy,
@@ -60,7 +59,13 @@ def roll_out(
         _report(summary, events)
         if spec.video is not None:
             film = VideoRecorder(spec, spec.video, built, policy, events)
-            film.show("video", _first_seconds(episodes, spec.video.seconds, built.environment.dt), None)
+            of_video = filmed(
+                episodes,
+                dt=built.environment.dt,
+                seconds=spec.video.seconds,
+                num_at_once=spec.video.episodes,
+            )
+            film.show("video", of_video, None)
     return len(episodes) < spec.num_episodes
 
 
@@ -116,14 +121,3 @@ def _report(summary: dict[str, Any], events: EventWriter) -> None:
     }
     events.send(Measured(step=steps, values=values))
     events.send(Advanced(step=steps, total=steps, eta_s=0.0, metrics=values))
-
-
-def _first_seconds(episodes: Sequence[Episode], seconds: float, dt: float) -> list[Episode]:
-    """The episodes for which the video has time; the last one is cut."""
-    left, shown = max(1, round(seconds / dt)), list[Episode]()
-    for episode in episodes:
-        if left <= 0:
-            break
-        shown.append(cut(episode, left))
-        left -= shown[-1].num_steps
-    return shown

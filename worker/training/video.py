@@ -42,9 +42,14 @@ class VideoRecorder:
 
         Also keeps what it shows: as numbers, `trajectory….npz`, and from above, `path….png`.
         """
-        key = jax.random.PRNGKey(self.spec.seed)
-        seconds = self.video.seconds
-        episodes = footage(self._roller, parameters, key, dt=self.built.environment.dt, seconds=seconds)
+        episodes = footage(
+            self._roller,
+            parameters,
+            jax.random.PRNGKey(self.spec.seed),
+            dt=self.built.environment.dt,
+            seconds=self.video.seconds,
+            num_at_once=self.video.episodes,
+        )
         chosen = self.spec.environment
         shown = trajectory_of(
             self.built.environment, episodes, environment=chosen.model_dump(), seed=self.spec.seed
@@ -82,9 +87,9 @@ class VideoRecorder:
                 video=spool / f"{name}.mp4",
                 poster=spool / f"{name}.png",
                 cameras=video.shown,
-                **video.model_dump(include={"width", "height", "fps", "seconds"}),
+                **video.model_dump(include={"show", "episodes", "width", "height", "fps", "seconds"}),
             )
-            num_pictures = video.fps * video.seconds * len(video.shown)
+            num_pictures = video.fps * video.seconds * len(video.shown) * video.episodes
             return render(request, timeout_s=_START_UP_S + _SECONDS_PER_FRAME * num_pictures)
         except OSError as error:
             if not is_full(error):
@@ -93,4 +98,4 @@ class VideoRecorder:
 
     @cached_property
     def _roller(self) -> Roller:
-        return Roller(self.built.environment, self.policy)
+        return Roller(self.built.environment, self.policy, num_envs=self.video.episodes)

@@ -12,6 +12,7 @@ from core.environments.brittle_star.options import (
     UndirectedOptions,
     observed,
 )
+from core.environments.brittle_star.slices import star_slices
 from core.environments.info import EnvironmentInfo, FiniteSpace, FiniteViews
 from core.physics.availability import EngineName, Rule, beyond_compiled
 
@@ -123,6 +124,7 @@ def _row(id: str, task: str, description: str, options: type[Options]) -> Enviro
         ),
         options=options,
         vary=_under,
+        slices=star_slices,
         **_under(options.model_validate({})),
     )
 

@@ -9,11 +9,11 @@ import mujoco
 
 from core.environments import rewards
 from core.environments.environment import State
+from core.environments.locomotion.planar_slices import MAX_OBSERVED_SPEED
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 
 _NUM_SUBSTEPS = 4
-_MAX_OBSERVED_SPEED = 10.0
 
 
 class PlanarOptions(Protocol):
@@ -100,7 +100,7 @@ class PlanarWalker(MujocoEnv):
 
     def _observe(self, physics: PhysicsState) -> jax.Array:
         positions = physics.qpos.at[1].set(self._height(physics))
-        velocities = jnp.clip(physics.qvel, -_MAX_OBSERVED_SPEED, _MAX_OBSERVED_SPEED)
+        velocities = jnp.clip(physics.qvel, -MAX_OBSERVED_SPEED, MAX_OBSERVED_SPEED)
         return jnp.concatenate([positions[self._num_hidden :], velocities])
 
 

@@ -98,6 +98,19 @@ def test_the_catalogs_row_is_true(case: Case) -> None:
     assert info.cameras == tuple(name for name in names if name)
 
 
+def test_an_episodes_observations_keep_the_bounds_that_the_row_gives(case: Case) -> None:
+    state, bounded = (
+        fresh(case),
+        [one for one in case.info.spaces.observation if (one.low, one.high) != (None, None)],
+    )
+    for number in range(30):
+        for one in bounded:
+            values = np.asarray(state.obs[:, one.start : one.start + one.size])
+            assert one.low is None or values.min() >= one.low - 1e-5, one.name
+            assert one.high is None or values.max() <= one.high + 1e-5, one.name
+        state = case.step(state, some_actions(case, number))
+
+
 def test_a_step_keeps_the_states_form(case: Case) -> None:
     before = fresh(case)
     after = case.step(before, some_actions(case))

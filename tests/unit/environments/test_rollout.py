@@ -14,6 +14,7 @@ from core.environments.rollout import (
     Roller,
     constant_policy,
     cut,
+    filmed,
     footage,
     initial_positions,
     random_policy,
@@ -129,6 +130,17 @@ def test_footage_goes_on_with_another_episode_and_stops_on_time() -> None:
     shown = footage(roller, None, KEY, dt=1.0, seconds=5.0)
     assert [episode.num_steps for episode in shown] == [2, 2, 1]
     assert [episode.terminated for episode in shown] == [True, True, False]
+
+
+def test_footage_of_several_at_once_is_one_episode_of_each_and_those_a_rollout_makes() -> None:
+    roller = Roller(probes.delayed_reward(), lambda _, observation, key: jnp.zeros(1), num_envs=3)
+    shown = footage(roller, None, KEY, dt=1.0, seconds=5.0, num_at_once=3)
+    assert [episode.num_steps for episode in shown] == [2, 2, 2]
+    of_a_rollout = rollout(probes.endless(), zero_policy(1), key=KEY, num_steps=9, num_episodes=4).episodes
+    first = filmed(of_a_rollout, dt=1.0, seconds=5.0, num_at_once=2)
+    assert [episode.num_steps for episode in first] == [5, 5]
+    np.testing.assert_array_equal(first[1].qpos, of_a_rollout[1].qpos[:6])
+    assert len(filmed(of_a_rollout[:1], dt=1.0, seconds=5.0, num_at_once=2)) == 1
 
 
 def test_a_cut_episode_keeps_one_state_more_than_actions() -> None:

@@ -117,6 +117,49 @@ def test_episodes_follow_one_another_up_to_the_length_asked_for(tmp_path: Path) 
     assert render(request, timeout_s=60.0).frames == 12
 
 
+def test_episodes_at_once_are_below_each_other_and_one_that_has_ended_stands_still_and_dark(
+    films: dict[str, Film], tmp_path: Path
+) -> None:
+    request = ball_request(tmp_path, rolling_ball(0.5), rolling_ball(1.0, speed=0.0), episodes=2, seconds=3.0)
+    result = render(request, timeout_s=60.0)
+    # 120 + 4 + 120; as long as the longer episode.
+    assert (result.width, result.height, result.frames) == (160, 244, 10)
+    first, *_, last = decoded(tmp_path / "video.mp4")
+    alone = films["track"].frames[0]
+    # Right of the words each is what is seen of it alone, as closely as H.264 keeps it.
+    for top in (0, 124):
+        assert np.abs(first[top : top + 120, 110:].astype(int) - alone[:, 110:]).mean() < 6
+    assert last[:120].mean() == pytest.approx(first[:120].mean() / 2, rel=0.15)
+    assert last[124:].mean() == pytest.approx(first[124:].mean(), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("without", "also"),
+    [
+        ([], "transparent"),
+        # These are inside of the ball and below it.
+        (["transparent"], "contacts"),
+        (["transparent"], "centre_of_mass"),
+        (["transparent"], "joints"),
+    ],
+)
+def test_what_is_asked_for_is_drawn_besides_the_body(without: list[str], also: str, tmp_path: Path) -> None:
+    pictures: list[NDArray[np.int64]] = []
+    ball = rolling_ball(0.1, speed=0.0)
+    ball.qpos[:, 2] = 0.29  # A centimetre deep in the floor.
+    for number, show in enumerate((without, [*without, also])):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        request = ball_request(folder, ball, show=show)
+        assert render(request, timeout_s=60.0).show == show
+        pictures.append(decoded(folder / "poster.png")[0].astype(int))
+    # More than a few pixels look different, and all of them near the ball, in the middle of the picture.
+    rows, columns = np.argwhere(np.abs(pictures[1] - pictures[0]).max(axis=-1) > 30).T
+    assert len(rows) > 5
+    assert 10 < rows.min() <= rows.max() < 110
+    assert 30 < columns.min() <= columns.max() < 130
+
+
 def test_an_unknown_camera_is_refused_with_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(RenderingFailed, match="known are track, fixed") as failure:
         render(ball_request(tmp_path, rolling_ball(0.1), cameras=["nose"]), timeout_s=60.0)

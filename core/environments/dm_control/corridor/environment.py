@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.dm_control.corridor.info import CorridorOptions
+from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
@@ -17,7 +17,6 @@ from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsStat
 _DERIVED = ("subtree_com", "xpos")
 # The top of the ground; a trunk below it is in a gap.
 _GROUND_M = 0.0
-_SIGHT_M = 10.0
 
 
 def make(options: CorridorOptions, build_engine: EngineBuilder) -> "Corridor":
@@ -105,10 +104,10 @@ class Corridor(MujocoEnv):
 
     def _ahead(self, at: jax.Array, number: int) -> jax.Array:
         """[3 number]: for each next gap or wall, how far ahead of `at` [x, y] it begins and ends, and how far
-        to the left the middle of the way past it is. Distances are capped at _SIGHT_M."""
+        to the left the middle of the way past it is. Distances are capped at SIGHT_M."""
         nothing = jnp.tile(jnp.array([jnp.inf, jnp.inf, 0.0]), (number, 1))
         first = self._num_behind(at[0]).astype(jnp.int32)
         rows = jax.lax.dynamic_slice(jnp.concatenate([self._obstacles, nothing]), (first, 0), (number, 3))
-        ahead = jnp.minimum(rows[:, :2] - at[0], _SIGHT_M)
-        left = jnp.where(ahead[:, :1] < _SIGHT_M, rows[:, 2:] - at[1], 0.0)
+        ahead = jnp.minimum(rows[:, :2] - at[0], SIGHT_M)
+        left = jnp.where(ahead[:, :1] < SIGHT_M, rows[:, 2:] - at[1], 0.0)
         return jnp.concatenate([ahead, left], axis=1).ravel()

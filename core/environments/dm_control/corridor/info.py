@@ -6,6 +6,8 @@ from typing import Annotated, Any, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from core.documents import Strict
+from core.environments.bodies import body
+from core.environments.body_slices import controls, qpos, qvel
 from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker
 from core.environments.info import EnvironmentInfo
 from core.environments.options import (
@@ -15,12 +17,15 @@ from core.environments.options import (
     check_survives_its_start,
     lacks_solver,
 )
+from core.environments.spaces import Spaces, in_order, named
 from core.physics.availability import EngineName, Rule
 
 # The length of dm_control's first platform, and the space it leaves before the first wall, in metres.
 FIRST_PLATFORM_M = 6.0
 _BEFORE_THE_FIRST_WALL_M = 2.0
 _MAX_OBSTACLES = 200
+# How far ahead the observation reaches.
+SIGHT_M = 10.0
 
 
 _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."
@@ -177,6 +182,21 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
     }
 
 
+def _slices(options: CorridorOptions) -> Spaces:
+    own = body(f"corridor/{options.walker}")
+    hidden = range(2) if options.exclude_current_positions_from_observation else ()
+    ahead = [
+        one
+        for number in range(1, options.num_next_obstacles + 1)
+        for one in (
+            named(f"obstacle_{number}", ("begins ahead",), "m", None, SIGHT_M),
+            named(f"obstacle_{number}", ("ends ahead",), "m", 0.0, SIGHT_M),
+            named(f"obstacle_{number}", ("way past it, to the left",), "m"),
+        )
+    ]
+    return Spaces(in_order([*qpos(own, hidden), *qvel(own), *ahead]), in_order(controls(own)))
+
+
 def _is_long(options: CorridorOptions) -> bool:
     """Whether the body compiles into 600,000 operations a substep and more."""
     return options.walker == "rodent" and options.arena != "empty"
@@ -200,5 +220,6 @@ INFO = EnvironmentInfo(
     package="dm_control",
     options=CorridorOptions,
     vary=_under,
+    slices=_slices,
     **_under(CorridorOptions.model_validate({})),
 )

@@ -1,10 +1,13 @@
 """The rodent's row in the catalog."""
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, Self
 
 from pydantic import Field, model_validator
 
+from core.environments.bodies import body
+from core.environments.body_slices import CINERT, CVEL, controls, qfrc_actuator, qpos, qvel, rows
 from core.environments.info import EnvironmentInfo
 from core.environments.options import (
     LINE_SEARCH_ITERATIONS,
@@ -15,6 +18,7 @@ from core.environments.options import (
     check_survives_its_start,
     lacks_solver,
 )
+from core.environments.spaces import Spaces, in_order
 from core.physics.availability import Rule
 
 STANDING_HEIGHT_M = 0.047
@@ -45,8 +49,20 @@ class RodentOptions(RunnerOptions):
 
 def _under(options: RodentOptions) -> Mapping[str, Any]:
     """The fields of the row that these options change."""
-    hidden = 2 if options.exclude_current_positions_from_observation else 0
-    return {"observation_size": 1260 - hidden, "cannot_run": lacks_solver(options)}
+    return {"cannot_run": lacks_solver(options)}
+
+
+@cache
+def _slices(hides_x_and_y: bool) -> Spaces:
+    own = body("rodent")
+    seen = [
+        *qpos(own, range(2) if hides_x_and_y else ()),
+        *qvel(own),
+        rows("cinert", own.bodies, CINERT, "kg m², kg m, kg"),
+        rows("cvel", own.bodies, CVEL, "rad/s, m/s"),
+        *qfrc_actuator(own),
+    ]
+    return Spaces(in_order(seen), in_order(controls(own)))
 
 
 INFO = EnvironmentInfo(
@@ -62,6 +78,7 @@ INFO = EnvironmentInfo(
     cameras=("back", "side", "side_alt", "top", "egocentric"),
     options=RodentOptions,
     vary=_under,
+    slices=lambda options: _slices(options.exclude_current_positions_from_observation),
     on_a_cpu=(Rule("compiled", 16, "Measured on two cores: 6.3 k training steps/s, 1.8 k by native."),),
     on_a_gpu=(
         Rule("warp", 1, "Measured on an H200: 133 k control steps/s of physics, 21 k by mjx."),

@@ -5,8 +5,11 @@ from typing import Literal
 from pydantic import Field
 
 from core.documents import Strict
+from core.environments.bodies import body
+from core.environments.body_slices import controls, qpos, qvel
 from core.environments.info import EnvironmentInfo
 from core.environments.options import NoiseScale, Range, Weight
+from core.environments.spaces import Spaces, in_order
 from core.physics.availability import Rule
 
 
@@ -24,6 +27,12 @@ class AntOptions(Strict):
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
 
 
+def _slices(options: AntOptions) -> Spaces:
+    own = body("ant")
+    hidden = range(2) if options.exclude_current_positions_from_observation else ()
+    return Spaces(in_order([*qpos(own, hidden), *qvel(own)]), in_order(controls(own)))
+
+
 INFO = EnvironmentInfo(
     id="ant",
     description="A four-legged body with eight motors, rewarded for running in +x and staying up.",
@@ -35,6 +44,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=AntOptions,
+    slices=_slices,
     on_a_cpu=(
         Rule("compiled", 1, "Measured on two cores: physics 24 × that of native; 1.8 × for one environment."),
     ),

@@ -3,8 +3,11 @@
 from pydantic import Field
 
 from core.documents import Strict
+from core.environments.bodies import body
+from core.environments.body_slices import controls, qpos, qvel
 from core.environments.info import EnvironmentInfo
 from core.environments.options import NoiseScale, Weight
+from core.environments.spaces import Spaces, in_order
 from core.physics.availability import Rule
 
 
@@ -15,6 +18,12 @@ class HalfCheetahOptions(Strict):
     ctrl_cost_weight: Weight = Field(0.1, description="Cost of an action: this times its squared norm.")
     reset_noise_scale: NoiseScale = Field(0.1, description="Noise on the initial positions and velocities.")
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x.")
+
+
+def _slices(options: HalfCheetahOptions) -> Spaces:
+    own = body("half_cheetah")
+    hidden = range(1) if options.exclude_current_positions_from_observation else ()
+    return Spaces(in_order([*qpos(own, hidden), *qvel(own)]), in_order(controls(own)))
 
 
 INFO = EnvironmentInfo(
@@ -28,6 +37,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=HalfCheetahOptions,
+    slices=_slices,
     on_a_cpu=(
         Rule("compiled", 1, "Measured on two cores: physics 11 × that of native; 1.7 × for one environment."),
     ),

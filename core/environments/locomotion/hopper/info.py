@@ -4,6 +4,7 @@ from pydantic import Field
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
+from core.environments.locomotion.planar_slices import planar_slices
 from core.environments.options import NoiseScale, OpenRange, Range, Weight
 from core.physics.availability import Rule
 
@@ -35,6 +36,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=HopperOptions,
+    slices=lambda options: planar_slices("hopper", options.exclude_current_positions_from_observation),
     on_a_cpu=(
         Rule("compiled", 1, "Measured on two cores: physics 12 × that of native; 1.8 × for one environment."),
     ),

@@ -1,7 +1,22 @@
 """The reacher's row in the catalog."""
 
-from core.environments.info import EnvironmentInfo
+from core.environments.bodies import body
+from core.environments.body_slices import controls
+from core.environments.info import EnvironmentInfo, NoOptions
+from core.environments.spaces import Spaces, in_order, named
 from core.physics.availability import Rule
+
+
+def _slices(_: NoOptions) -> Spaces:
+    seen = [
+        named("cosine", ("joint0", "joint1"), "1", -1.0, 1.0),
+        named("sine", ("joint0", "joint1"), "1", -1.0, 1.0),
+        named("target_position", ("x", "y"), "m"),
+        named("tip_velocity", ("x", "y"), "m/s"),
+        named("target_to_tip", ("x", "y", "z"), "m"),
+    ]
+    return Spaces(in_order(seen), in_order(controls(body("reacher"))))
+
 
 INFO = EnvironmentInfo(
     id="reacher",
@@ -12,5 +27,6 @@ INFO = EnvironmentInfo(
     dt=0.02,
     episode_length=1000,
     tracked_body="body0",
+    slices=_slices,
     on_a_gpu=(Rule("warp", 1024, "Measured on an H200: 921 k training steps/s, 306 k by mjx."),),
 )

@@ -4,6 +4,7 @@ from pydantic import Field
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
+from core.environments.locomotion.planar_slices import planar_slices
 from core.environments.options import NoiseScale, Range, Weight
 from core.physics.availability import Rule
 
@@ -32,6 +33,7 @@ INFO = EnvironmentInfo(
     tracked_body="torso",
     cameras=("track",),
     options=Walker2dOptions,
+    slices=lambda options: planar_slices("walker2d", options.exclude_current_positions_from_observation),
     on_a_cpu=(
         Rule("compiled", 1, "Measured on two cores: physics 10 × that of native; 1.7 × for one environment."),
     ),

@@ -1,0 +1,50 @@
+"""Makes the table of our environments' bodies: `python -m core.environments.describe_bodies`."""
+
+import json
+from typing import Any
+
+import mujoco
+
+from core.environments.bodies import TABLE
+from core.environments.catalog import make, resolve
+from core.environments.dm_control.corridor.walkers import WALKERS
+from core.environments.mjcf.describe import inventory
+from core.physics.choose import engine_builder
+
+_OBSERVES_BODIES = ("humanoid", "rodent")
+_PLAIN = ("ant", "half_cheetah", "hopper", "walker2d", "reacher", "inverted_pendulum", *_OBSERVES_BODIES)
+
+
+def table() -> dict[str, Any]:
+    """The parts of each body; the bodies' names only where an observation has rows of them."""
+    found = {name: described(_model(name)) for name in _PLAIN}
+    for walker in WALKERS:
+        found[f"corridor/{walker}"] = described(_model("corridor", walker=walker))
+    return {
+        name: parts if name in _OBSERVES_BODIES else {**parts, "bodies": []} for name, parts in found.items()
+    }
+
+
+def described(model: mujoco.MjModel) -> dict[str, Any]:
+    """The parts of one model, as `core.environments.bodies.Body` has them."""
+    parts = inventory(model)
+    return {
+        "joints": {joint.name: joint.type for joint in parts.joints},
+        "controls": {
+            actuator.name or _joint_of(model, number): actuator.control_range
+            for number, actuator in enumerate(parts.actuators)
+        },
+        "bodies": [name for name in parts.bodies if name != "world"],
+    }
+
+
+def _joint_of(model: mujoco.MjModel, actuator: int) -> str:
+    return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
+
+
+def _model(environment: str, **options: str) -> mujoco.MjModel:
+    return make(*resolve(environment, options), engine_builder("native")).model
+
+
+if __name__ == "__main__":
+    TABLE.write_text(json.dumps(table(), indent=1) + "\n")

@@ -1,0 +1,6 @@
+"""What a picture may show besides the body; the API reads the names, so nothing numerical is imported."""
+
+from typing import Literal
+
+# MuJoCo's flags of these names: joints, points of contact, the centre of mass, bodies one can see through.
+Overlay = Literal["joints", "contacts", "centre_of_mass", "transparent"]
