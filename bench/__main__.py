@@ -36,6 +36,7 @@ LONG = {
     "recovery": "bench.service.recovery",
     "soak": "bench.service.soak",
     "memory": "bench.cpu.memory",
+    "egocentric": "bench.cpu.egocentric",
 }
 ON_A_GPU = {
     "gpu_engines": "bench.gpu.engines",

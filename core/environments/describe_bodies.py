@@ -7,6 +7,8 @@ import mujoco
 
 from core.environments.bodies import TABLE
 from core.environments.catalog import make, resolve
+from core.environments.dm_control.corridor.info import CorridorOptions
+from core.environments.dm_control.corridor.model import corridor_model
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.mjcf.describe import inventory
 from core.physics.choose import engine_builder
@@ -18,11 +20,14 @@ _PLAIN = ("ant", "half_cheetah", "hopper", "walker2d", "reacher", "inverted_pend
 def table() -> dict[str, Any]:
     """The parts of each body; the bodies' names only where an observation has rows of them."""
     found = {name: described(_model(name)) for name in _PLAIN}
-    for walker in WALKERS:
-        found[f"corridor/{walker}"] = described(_model("corridor", walker=walker))
-    return {
-        name: parts if name in _OBSERVES_BODIES else {**parts, "bodies": []} for name, parts in found.items()
-    }
+    for name in set(_PLAIN) - set(_OBSERVES_BODIES):
+        found[name]["bodies"] = []
+    for name, walker in WALKERS.items():
+        # Its environment would look for its body in the table.
+        parts = described(corridor_model(CorridorOptions(walker=name)))
+        trunk = parts["bodies"].index(walker.trunk)
+        found[f"corridor/{name}"] = {**parts, "bodies": parts["bodies"][trunk : trunk + walker.num_bodies]}
+    return found
 
 
 def described(model: mujoco.MjModel) -> dict[str, Any]:
@@ -42,8 +47,8 @@ def _joint_of(model: mujoco.MjModel, actuator: int) -> str:
     return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
 
 
-def _model(environment: str, **options: str) -> mujoco.MjModel:
-    return make(*resolve(environment, options), engine_builder("native")).model
+def _model(environment: str) -> mujoco.MjModel:
+    return make(*resolve(environment, {}), engine_builder("native")).model
 
 
 if __name__ == "__main__":

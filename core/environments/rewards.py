@@ -42,6 +42,15 @@ def velocity_tracking(moving: Float[Array, "2"], wanted: Float[Array, "2"], tole
     return jnp.exp(-jnp.sum(jnp.square(moving - wanted)) / tolerance**2)
 
 
+def linear_tolerance(value: Scalar, target: float | Scalar, margin: float | Scalar) -> Scalar:
+    """max(0, 1 − |x − x*| / m): 1 at the target x*, 0 where it is the margin m > 0 or more away. Returns [].
+
+    value x, target, margin: [] in one unit. Source: dm_control's `rewards.tolerance` with both bounds at the
+    target and a linear sigmoid that is 0 at the margin, as its `RunThroughCorridor` calls it.
+    """
+    return jnp.maximum(0.0, 1.0 - jnp.abs(value - target) / margin)
+
+
 def upright(rotation: Float[Array, "3 3"], axis: Float[Array, "3"]) -> Scalar:
     """(R a)_z, the cosine of the axis' angle to the vertical. rotation R: [3, 3]; axis a of length 1: [3]."""
     return jnp.dot(rotation[2], axis)

@@ -210,6 +210,11 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/physics",
             "2000 constraint rows",
         ),
+        (corridor(walker="fruitfly"), "/environment/options/walker", "dm_control measures it in centimetres"),
+        (corridor(walker="rolling_ball") | {"physics": "compiled"}, "/physics", "a cylinder and a box"),
+        (corridor(aesthetic="sunset"), "/environment/options/aesthetic", "'default' or 'outdoor_natural'"),
+        (corridor(observables=["mass"]), "/environment/options/observables/0", "'qfrc_actuator'"),
+        (corridor(walker="rodent", contact_termination=True), "/environment/options", "on its forearms"),
         (corridor(gap_length=[2, 1]), "/environment/options/gap_length", "low ≤ high"),
         (corridor(gap_length=[1, 50]), "/environment/options", "gap_length goes up to 50 m"),
         (

@@ -19,6 +19,10 @@ CHANGED: list[tuple[str, dict[str, Any]]] = [
         for walker in ("ant", "rodent", "humanoid")
         for arena in ("empty", "gaps", "walls")
     ),
+    ("corridor", {"walker": "humanoid_2019_torque", "arena": "empty"}),
+    *(("corridor", {"walker": "rolling_ball", "arena": arena}) for arena in ("empty", "gaps", "walls")),
+    ("corridor", {"contact_termination": True, "observables": ["cinert", "cvel", "qfrc_actuator"]}),
+    ("corridor", {"walker": "humanoid", "arena": "walls", "contact_termination": True}),
     ("corridor", {"walker": "rodent", "solver": "cg"}),
     ("rodent", {"solver": "cg"}),
     ("brittle_star", {"walls": "contacts"}),

@@ -1,13 +1,15 @@
 """A walker that learns to run down a corridor. Rewards as in the tutorial notebook."""
 
 from collections.abc import Mapping
+from functools import reduce
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 
 from core.environments import rewards
-from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions
+from core.environments.dm_control.corridor import observables, termination
+from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
 from core.environments.dm_control.corridor.model import corridor_model, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
@@ -38,19 +40,23 @@ class Corridor(MujocoEnv):
         accelerated = SolverSettings.of_job(
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
+        walker = WALKERS[options.walker]
+        read = (*_DERIVED, *observables.in_order(options.observables), *termination.derived_fields(options))
         hidden = 2 if options.exclude_current_positions_from_observation else 0
         super().__init__(
             model,
-            build_engine(model, options.n_frames, _DERIVED, accelerated=accelerated),
+            build_engine(model, options.n_frames, tuple(dict.fromkeys(read)), accelerated=accelerated),
             num_substeps=options.n_frames,
-            observation_size=model.nq - hidden + model.nv + 3 * options.num_next_obstacles,
-            tracked_body=WALKERS[options.walker].trunk,
+            observation_size=spaces(options).observation_size,
+            tracked_body=walker.trunk,
         )
         self.episode_length = options.episode_length
         # Noise must not push it into the ground, which would throw it up.
         self.initial_qpos = self.initial_qpos.at[2].add(options.reset_noise_scale)
         self._options = options
         self._num_hidden = hidden
+        self._bodies = slice(self.tracked_body, self.tracked_body + walker.num_bodies)
+        self._endings = termination.Endings(model, options)
         self._obstacles = jnp.reshape(jnp.asarray(obstacles(model), jnp.float32), (-1, 3))
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
@@ -71,6 +77,7 @@ class Corridor(MujocoEnv):
         healthy = rewards.height_range(height, options.healthy_range)
         survives, ended = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
         fell = jnp.where(height < _GROUND_M, 1.0, 0.0)
+        endings = self._endings(physics)
         return self.stepped(
             physics,
             self._observe(physics),
@@ -79,16 +86,26 @@ class Corridor(MujocoEnv):
                 "distance_reward": options.distance_reward_weight * velocity[0] * self.dt,
                 "reward_alive": options.healthy_reward * survives,
                 "reward_quadctrl": -options.ctrl_cost_weight * rewards.control_cost(action),
+                **self._target_velocity_reward(velocity[0]),
             },
-            done=jnp.maximum(fell, ended),
+            done=reduce(jnp.maximum, endings.values(), jnp.maximum(fell, ended)),
             metrics={
                 "height": height,
                 **travel(new, velocity),
                 "obstacles_passed": self._num_behind(new[0]) - self._num_behind(old[0]),
                 "fell": jnp.maximum(fell, 1.0 - healthy),
+                **endings,
             },
             info=info,
         )
+
+    def _target_velocity_reward(self, speed: jax.Array) -> Mapping[str, jax.Array]:
+        """dm_control's reward for a speed [] in +x, where the options ask for it."""
+        target = self._options.target_velocity
+        if target is None:
+            return {}
+        worth = rewards.linear_tolerance(speed, target, margin=target)
+        return {"reward_target_velocity": self._options.target_velocity_weight * worth}
 
     def _centre_of_mass(self, physics: PhysicsState) -> jax.Array:
         """[3], in metres, of the trunk's subtree: the walker, without the arena."""
@@ -100,7 +117,8 @@ class Corridor(MujocoEnv):
 
     def _observe(self, physics: PhysicsState) -> jax.Array:
         seen = self._ahead(physics.qpos[:2], self._options.num_next_obstacles)
-        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel, seen])
+        fields = observables.values(self._options.observables, physics, self._bodies)
+        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel, *fields, seen])
 
     def _ahead(self, at: jax.Array, number: int) -> jax.Array:
         """[3 number]: for each next gap or wall, how far ahead of `at` [x, y] it begins and ends, and how far

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from core.documents import Strict
 from core.environments.bodies import body
 from core.environments.body_slices import controls, qpos, qvel
-from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker
+from core.environments.dm_control.corridor import observables
+from core.environments.dm_control.corridor.task_options import TaskOptions, check_stands_on_its_feet
+from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker, check_is_offered
 from core.environments.info import EnvironmentInfo
 from core.environments.options import (
     Range,
@@ -18,7 +20,7 @@ from core.environments.options import (
     lacks_solver,
 )
 from core.environments.spaces import Spaces, in_order, named
-from core.physics.availability import EngineName, Rule
+from core.physics.availability import EngineName, Rule, beyond_compiled
 
 # The length of dm_control's first platform, and the space it leaves before the first wall, in metres.
 FIRST_PLATFORM_M = 6.0
@@ -60,7 +62,9 @@ Drawn = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_not_
 class _Place(Strict):
     """The walker and its arena."""
 
-    walker: Walker = Field("ant", description="`humanoid` is dm_control's CMU humanoid (2020).")
+    walker: Annotated[Walker, BeforeValidator(check_is_offered)] = Field(
+        "ant", description="One of dm_control's; `humanoid` is its CMU humanoid (2020)."
+    )
     arena: Arena = Field("gaps", description="Platforms with gaps, walls from both sides, or neither.")
     corridor_length: float = Field(40.0, ge=8, le=400, description="Metres.")
     corridor_width: float = Field(5.0, gt=0, le=50, description="Metres.")
@@ -77,7 +81,7 @@ class _Place(Strict):
     )
 
 
-class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's fields come first.
+class CorridorOptions(TaskOptions, RunnerOptions, _Place):  # In the schema, the last one's fields come first.
     """The walker, its arena, its reward and the physics."""
 
     distance_reward_weight: Weight = Field(5.0, description="Reward for each metre in +x.")
@@ -125,6 +129,7 @@ class CorridorOptions(RunnerOptions, _Place):  # In the schema, the last one's f
             raise ValueError(
                 f"start_x = {self.start_x:g} m leaves no room to stand: at most {most:g} m fits here"
             )
+        check_stands_on_its_feet(self, self.walker)
         height, terminates = WALKERS[self.walker].standing_height, self.terminate_when_unhealthy
         check_survives_its_start(height, self.healthy_range, terminates=terminates)
         return self
@@ -165,12 +170,8 @@ def _check_number(number: float, what: str) -> None:
 def _under(options: CorridorOptions) -> Mapping[str, Any]:
     """The fields of the row that these options change."""
     walker = WALKERS[options.walker]
-    hidden = 2 if options.exclude_current_positions_from_observation else 0
     return {
-        "observation_size": walker.num_positions
-        - hidden
-        + walker.num_velocities
-        + 3 * options.num_next_obstacles,
+        "observation_size": spaces(options).observation_size,
         "action_size": walker.num_actuators,
         "dt": options.timestep * options.n_frames,
         "episode_length": options.episode_length,
@@ -182,7 +183,8 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
     }
 
 
-def _slices(options: CorridorOptions) -> Spaces:
+def spaces(options: CorridorOptions) -> Spaces:
+    """The numbers of an observation and of an action under these options."""
     own = body(f"corridor/{options.walker}")
     hidden = range(2) if options.exclude_current_positions_from_observation else ()
     ahead = [
@@ -194,7 +196,8 @@ def _slices(options: CorridorOptions) -> Spaces:
             named(f"obstacle_{number}", ("way past it, to the left",), "m"),
         )
     ]
-    return Spaces(in_order([*qpos(own, hidden), *qvel(own), *ahead]), in_order(controls(own)))
+    seen = [*qpos(own, hidden), *qvel(own), *observables.slices(options.observables, own), *ahead]
+    return Spaces(in_order(seen), in_order(controls(own)))
 
 
 def _is_long(options: CorridorOptions) -> bool:
@@ -209,17 +212,27 @@ def _cannot_run(options: CorridorOptions) -> Mapping[EngineName, str]:
             f"MJX has no contacts between ellipsoids and boxes: the {options.walker} has ellipsoids, and "
             f"the arena {options.arena!r} has boxes. Choose native or warp, or the arena 'empty'."
         )
+    if WALKERS[options.walker].has_cylinders and options.arena != "empty":
+        box = "start_floor" if options.arena == "gaps" else "wall_0"
+        cannot["compiled"] = beyond_compiled(
+            f"its geoms 'walker/head' and {box!r} can touch: a cylinder and a box"
+        )
+        cannot["mjx"] = (
+            f"MJX has no contacts between cylinders and boxes: the head of the {options.walker} is a "
+            f"cylinder, and the arena {options.arena!r} has boxes. Choose native or warp, or the arena "
+            "'empty'."
+        )
     return cannot
 
 
 INFO = EnvironmentInfo(
     id="corridor",
-    description="dm_control's ant, rodent or humanoid, rewarded for running in +x in a corridor with gaps or "
-    "walls.",
+    description="dm_control's ant, rodent, humanoids or balls, rewarded for running in +x in a corridor "
+    "with gaps or walls.",
     factory="core.environments.dm_control.corridor.environment:make",
     package="dm_control",
     options=CorridorOptions,
     vary=_under,
-    slices=_slices,
+    slices=spaces,
     **_under(CorridorOptions.model_validate({})),
 )

@@ -7,15 +7,15 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from core.environments.dm_control.corridor.aesthetics import HIDDEN, draw
 from core.environments.dm_control.corridor.compose import composed
 from core.environments.dm_control.corridor.info import CorridorOptions
+from core.environments.dm_control.corridor.termination import add_contact_sensors
 from core.environments.dm_control.corridor.walkers import WALKERS
 
 _SETTLING_S = 3.0
 # The extent that a picture shows, in metres: the walker's surroundings, not forty metres of corridor.
 _EXTENT_M = 4.0
-# A group that is not drawn: the rodent's skin shows the body, and its geoms would stick out of it.
-_HIDDEN = 3
 # Platforms that are nearer than this touch each other.
 _SEAM_M = 1e-6
 # Bits of contype (arena) and conaffinity (walker): all parts touch the ground, only the trunk the sides.
@@ -45,11 +45,14 @@ def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
         _filter(geom, info.trunk)
     if options.arena == "gaps":
         _mend_the_ground(spec, options)
-    _pave(spec, squares_per_m=2.0 if info.reach > 0.5 else 10.0)
+    draw(spec, options.aesthetic, squares_per_m=2.0 if info.reach > 0.5 else 10.0)
     _light(spec, info.trunk)
+    if options.contact_termination:
+        add_contact_sensors(spec, options, ground=_GROUND, sides=_SIDES)
     if any(skin.name for skin in spec.skins):
+        # The rodent's skin shows the body, and its geoms would stick out of it.
         for geom in spec.body("walker/").find_all("geom"):
-            geom.group = _HIDDEN
+            geom.group = HIDDEN
     spec.add_numeric(name="max_contact_points", data=[_CONTACT_POINTS], size=1)
     spec.add_numeric(name="max_geom_pairs", data=[_GEOM_PAIRS], size=1)
     spec.add_numeric(name="init_qpos", data=_start(spec.compile(), upright, settles=info.settles), size=0)
@@ -88,39 +91,19 @@ def _filter(geom: mujoco.MjsGeom, trunk: str) -> None:
     if geom.parent.name.startswith("walker/"):
         geom.contype, geom.conaffinity = 0, _GROUND | (_SIDES if geom.parent.name == trunk else 0)
     else:
-        upright = geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom.group == _HIDDEN
+        upright = geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom.group == HIDDEN
         geom.contype, geom.conaffinity = (_SIDES if upright else _GROUND), 0
 
 
 def _mend_the_ground(spec: mujoco.MjSpec, options: CorridorOptions) -> None:
     """Remove the plane ten metres below the gaps, which nothing reaches, and the hole after the platforms."""
     for geom in list(spec.worldbody.geoms):
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom.group != _HIDDEN:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom.group != HIDDEN:
             spec.delete(geom)
     last = max(spec.body("ground").geoms, key=lambda geom: float(geom.pos[0]))
     begin = float(last.pos[0] - last.size[0])
     end = max(float(last.pos[0] + last.size[0]), options.corridor_length + 2.0)
     last.pos[0], last.size[0] = (begin + end) / 2, (end - begin) / 2
-
-
-def _pave(spec: mujoco.MjSpec, *, squares_per_m: float) -> None:
-    """Draw squares on the ground, so that a picture shows the walker's speed."""
-    spec.add_texture(
-        name="ground",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.2, 0.2, 0.2],
-        rgb2=[0.8, 0.8, 0.8],
-        width=100,
-        height=100,
-    )
-    repeats = squares_per_m / 2
-    material = spec.add_material(name="ground", texrepeat=[repeats, repeats], texuniform=True)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
-    for geom in spec.geoms:
-        is_ground = geom.parent.name == "ground"
-        if is_ground or (geom.parent.name == "world" and geom.group != _HIDDEN):
-            geom.material, geom.rgba = "ground", [1, 1, 1, 1]
 
 
 def _light(spec: mujoco.MjSpec, trunk: str) -> None:
@@ -132,7 +115,9 @@ def _light(spec: mujoco.MjSpec, trunk: str) -> None:
 def _start(model: mujoco.MjModel, upright: list[float], *, settles: bool) -> list[float]:
     """Positions [nq]: upright on the ground, and settled there if the walker stands without control."""
     data = mujoco.MjData(model)
-    data.qpos[:7] = upright
+    # A ball with a head slides along the axes and turns about z; it has no free joint.
+    is_free = model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+    data.qpos[: 7 if is_free else 3] = upright[: 7 if is_free else 3]
     if settles:
         mujoco.mj_step(model, data, round(_SETTLING_S / model.opt.timestep))
         data.qpos[:2] = upright[:2]

@@ -320,7 +320,7 @@ def test_a_walker_that_lies_is_not_healthy() -> None:
         ({"platform_length": [0, 0.1], "gap_length": [0, 0]}, "platform_length must be above 0"),
         ({"platform_length": [0.05, 0.1], "gap_length": [0, 0.1]}, "680 platforms; at most 200 are allowed"),
         ({"start_x": 6.0}, "start_x = 6 m leaves no room to stand"),
-        ({"walker": "dog"}, "walker: Input should be 'ant', 'rodent' or 'humanoid'"),
+        ({"walker": "cat"}, "walker: Input should be 'ant', 'rodent', 'humanoid',"),
         ({"arena": "maze"}, "arena: Input should be 'empty', 'gaps' or 'walls'"),
         ({"gap": 1}, "gap: there is no such option"),
     ],

@@ -1,0 +1,134 @@
+"""The table of walkers against dm_control: all that it has are offered, or refused with a reason."""
+
+from collections.abc import Iterator
+from importlib import import_module
+from inspect import isabstract
+from pkgutil import iter_modules
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from core.environments import catalog
+from core.environments.dm_control.corridor.info import CorridorOptions
+from core.environments.dm_control.corridor.model import corridor_model
+from core.environments.dm_control.corridor.walkers import NOT_OFFERED, WALKERS, Walker
+from core.environments.dm_control.dm_control_import import without_a_display
+from core.errors import Rejected
+from core.physics.model import initial_qpos
+
+# The classes that no corridor has, by the names under which they are refused. "dog" is no class.
+REFUSED = {"FruitFly": "fruitfly", "BoxHead": "box_head", "Humanoid": "soccer_humanoid"}
+
+
+def module(name: str) -> Any:
+    with without_a_display():
+        return import_module(f"dm_control.locomotion.{name}")
+
+
+def walker_classes() -> Iterator[type[Any]]:
+    """Every walker of dm_control's that is not abstract, each where it is defined."""
+    base = module("walkers.base").Walker
+    for folder in ("walkers", "soccer"):
+        for found in iter_modules(module(folder).__path__):
+            if found.ispkg or found.name.endswith("_test"):
+                continue
+            home = module(f"{folder}.{found.name}")
+            for one in vars(home).values():
+                is_walker = isinstance(one, type) and issubclass(one, base) and not isabstract(one)
+                if is_walker and one.__module__ == home.__name__:
+                    yield one
+
+
+def made(walker: Walker) -> Any:
+    home, _, name = WALKERS[walker].source.removeprefix("dm_control.locomotion.").partition(":")
+    return getattr(module(home), name)()
+
+
+def test_every_walker_of_dm_control_is_offered_or_refused_by_name() -> None:
+    offered = {info.source.partition(":")[2] for info in WALKERS.values()}
+    assert {one.__name__ for one in walker_classes()} == offered | set(REFUSED)
+    assert set(NOT_OFFERED) == {*REFUSED.values(), "dog"}
+
+
+def test_the_walkers_that_are_not_offered_are_what_their_reasons_say() -> None:
+    fly = module("walkers.fruitfly_v2").FruitFly().mjcf_model
+    # In cm/s², and every 0.1 ms.
+    assert fly.option.gravity[2] == -981
+    assert fly.option.timestep == 1e-4
+    soccer = module("soccer.humanoid").Humanoid
+    assert soccer.__bases__ == (module("walkers.cmu_humanoid").CMUHumanoidPositionControlled,)
+    head, ball = (
+        made_.mjcf_model.find_all("joint")
+        for made_ in (module("soccer.boxhead").BoxHead(), made("jumping_ball"))
+    )
+    assert [joint.name for joint in head] == [joint.name for joint in ball]
+
+
+@pytest.mark.parametrize("walker", sorted(NOT_OFFERED))
+def test_a_walker_that_is_not_offered_is_refused_with_its_reason(walker: str) -> None:
+    with pytest.raises(Rejected) as refused:
+        catalog.parse_options(catalog.find("corridor"), {"walker": walker})
+    assert NOT_OFFERED[walker] in refused.value.detail
+    assert "rolling_ball" in refused.value.detail
+    assert refused.value.problems[0].pointer.endswith("/walker")
+
+
+@pytest.mark.parametrize("walker", list(WALKERS))
+def test_a_row_is_what_dm_control_composes(walker: Walker) -> None:
+    info, theirs = WALKERS[walker], made(walker)
+    model = corridor_model(CorridorOptions(walker=walker, arena="empty", corridor_length=10))
+    assert (model.nq, model.nv, model.nu) == (info.num_positions, info.num_velocities, info.num_actuators)
+    assert info.cameras == tuple(model.camera(number).name for number in range(model.ncam))
+    trunk = model.body(info.trunk).id
+    # Bodies come in the order of a depth-first search, and the walker is the last part of the world.
+    assert model.nbody - trunk == info.num_bodies
+    assert (model.body_rootid[trunk:] == model.body_rootid[trunk]).all()
+    assert info.trunk == f"walker/{theirs.root_body.name}"
+    assert {f"walker/{part.name}" for part in theirs.end_effectors} == set(info.end_effectors)
+    assert _foot_geoms(model, info.feet) == {f"walker/{geom.name}" for geom in theirs.ground_contact_geoms}
+
+
+@pytest.mark.parametrize("walker", list(WALKERS))
+def test_it_begins_where_the_table_says_and_is_healthy_there(walker: Walker) -> None:
+    info = WALKERS[walker]
+    model = corridor_model(CorridorOptions(walker=walker, arena="empty", corridor_length=10))
+    data = mujoco.MjData(model)
+    data.qpos[:] = initial_qpos(model)
+    mujoco.mj_forward(model, data)
+    assert data.body(info.trunk).xpos[2] == pytest.approx(info.standing_height, abs=0.005)
+    assert data.qpos[0] == pytest.approx(5.0)
+    if info.settles:
+        mujoco.mj_step(model, data, 250)
+        assert data.body(info.trunk).xpos[2] == pytest.approx(info.standing_height, abs=0.01)
+    else:
+        # It falls within 3 s, and what lies is not healthy.
+        mujoco.mj_step(model, data, 1500)
+        assert data.body(info.trunk).xpos[2] < 0.2 < info.healthy_z_range[0]
+
+
+@pytest.mark.parametrize(
+    ("walker", "least", "most"), [("jumping_ball", 0.9, 2.0), ("rolling_ball", 0.59, 0.61)]
+)
+def test_one_ball_jumps_and_both_roll_forward(walker: Walker, least: float, most: float) -> None:
+    model = corridor_model(CorridorOptions(walker=walker, arena="empty"))
+    data = mujoco.MjData(model)
+    data.qpos[:] = initial_qpos(model)
+    # Its actuator turns it backwards; the kick lifts it by 0.4 m of its slide, and throws it higher.
+    data.actuator("walker/roll").ctrl[:] = -1.0
+    highest = 0.0
+    for number in range(1000):
+        if walker == "jumping_ball":
+            data.actuator("walker/kick").ctrl[:] = number // 250 % 2
+        mujoco.mj_step(model, data)
+        highest = max(highest, float(data.body("walker/head_body").xpos[2]))
+    assert data.qpos[0] > 6.0
+    assert least < highest < most
+
+
+def _foot_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> set[str]:
+    carried = np.zeros(model.nbody, bool)
+    for body in range(model.nbody):
+        carried[body] = model.body(body).name in feet or (body > 0 and carried[model.body_parentid[body]])
+    return {model.geom(geom).name for geom in range(model.ngeom) if carried[model.geom_bodyid[geom]]}
