@@ -38,7 +38,7 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ("reacher", {}),
     ("inverted_pendulum", {}),
     ("rodent", {}),
-    ("corridor", {"num_next_obstacles": 2}),
+    ("corridor", {"num_next_obstacles": 2, "observables": ["cinert", "cvel", "qfrc_actuator"]}),
     ("brittle_star", {"num_segments_per_arm": 2}),
     ("brittle_star", {"num_segments_per_arm": 1, "control": "cpg", "num_arms": 4}),
     (
@@ -56,6 +56,7 @@ MORE_CASES: list[tuple[str, dict[str, Any]]] = [
     ("rodent", {"exclude_current_positions_from_observation": True}),
     ("corridor", {"walker": "rodent", "arena": "empty", **ALL}),
     ("corridor", {"walker": "humanoid", "arena": "walls", "num_next_obstacles": 1}),
+    ("corridor", {"walker": "jumping_ball", "arena": "empty", "observables": ["cvel"], **ALL}),
     (
         "brittle_star",
         {"num_segments_per_arm": 1, "observables": ["segment_contact", "xy_distance_to_target"]},
