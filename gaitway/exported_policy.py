@@ -53,7 +53,9 @@ class Policy:
             observation = observation[contract["name"]]
         seen = np.asarray(observation, np.float32)
         if seen.shape[-1:] != (contract["size"],):
-            raise ValueError(f"The observation has the shape {seen.shape}, and not [..., {contract['size']}].")
+            raise ValueError(
+                f"The observation has the shape {seen.shape}, and not [..., {contract['size']}]."
+            )
         return seen
 
 
@@ -102,7 +104,9 @@ _ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = {
     "elu": _elu,
     "gelu": _gelu,
     "leaky_relu": lambda x: np.where(x > 0, x, 0.01 * x),
-    "selu": lambda x: 1.0507009873554805 * np.where(x > 0, x, 1.6732632423543772 * np.expm1(np.minimum(x, 0))),
+    "selu": lambda x: (
+        1.0507009873554805 * np.where(x > 0, x, 1.6732632423543772 * np.expm1(np.minimum(x, 0)))
+    ),
     "sigmoid": _sigmoid,
     "softplus": _softplus,
 }

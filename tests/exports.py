@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
-import onnxruntime
+import pytest
 from numpy.typing import NDArray
 
 from core.algorithms.export.contract import Origin, contract
@@ -29,8 +29,8 @@ ORIGIN = Origin("ppo", "ant", {"gravity": 9.81}, step_s=0.05, trained_steps=3)
 
 
 def policy_file(settings: PPOSpec | SACSpec, seen: Any, action_size: int) -> bytes:
-    """The file of a policy whose network is random and whose normaliser knows these observations [N, size], or
-    several by name."""
+    """The file of a policy whose network is random and whose normaliser knows these observations: [N, size],
+    or several by name."""
     by_name = seen if isinstance(seen, dict) else {"state": seen}
     config = PolicyConfig.of(settings.model_dump())
     own = by_name[config.policy_obs_key]
@@ -70,6 +70,7 @@ def numpy_answers(content: bytes, observations: Any) -> Numbers:
 
 
 def onnx_answers(content: bytes, observations: Numbers) -> Numbers:
+    onnxruntime = pytest.importorskip("onnxruntime", reason="ONNX Runtime has no wheel for this Python")
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     [answers] = session.run(["action"], {"observation": observations})
     return np.asarray(answers)

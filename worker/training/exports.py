@@ -23,7 +23,9 @@ def keep_exports(
     """
     if ALGORITHMS[algorithm].no_export is not None:
         return
-    from core.algorithms.export.onnx_file import onnx_file  # Its import takes 0.3 s, which no start waits for.
+    from core.algorithms.export.onnx_file import (
+        onnx_file,
+    )  # Its import takes 0.3 s, which no start waits for.
 
     origin = Origin(
         algorithm=algorithm,

@@ -1,4 +1,4 @@
-"""What the numbers of an exported policy mean: which observation it takes, which action it gives, how often."""
+"""What an exported policy's numbers mean: which observation it takes, which action it gives, how often."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -50,7 +50,9 @@ def onnx_file(network: Network, about: Mapping[str, Any]) -> bytes:
     graph = _Graph()
     values = _normalized(graph, network)
     for number, layer in enumerate(network.layers[:-1]):
-        values = ACTIVATIONS[network.activation](graph, _dense(graph, values, number, layer.kernel, layer.bias))
+        values = ACTIVATIONS[network.activation](
+            graph, _dense(graph, values, number, layer.kernel, layer.bias)
+        )
     last, half = network.layers[-1], network.action_size  # The other half is the noise's scale.
     location = _dense(graph, values, len(network.layers) - 1, last.kernel[:, :half], last.bias[:half])
     graph.add("Tanh", location, output="action")

@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from tests.exports import (
     Numbers,
     assert_acts_as_in_jax,
     files,
+    jax_answers,
     numpy_answers,
     onnx_answers,
     policy_file,
@@ -149,7 +151,7 @@ def test_the_loader_needs_numpy_alone(tmp_path: Path) -> None:
     shutil.copy(exported_policy.__file__, tmp_path / "policy_loader.py")
     (tmp_path / "policy.npz").write_bytes(files(of_one_layer())[0])
     program = (
-        "import sys, numpy.random; sys.path.insert(0, '.'); before = {n.partition('.')[0] for n in sys.modules}\n"
+        "import sys, numpy.random\nsys.path.insert(0, '.')\nbefore = {n.partition('.')[0] for n in sys.modules}\n"
         "import policy_loader; print(policy_loader.load('policy.npz')([9.0])[0])\n"
         "new = {n.partition('.')[0] for n in sys.modules} - before - sys.stdlib_module_names\n"
         "assert new == {'policy_loader'}, new"
@@ -158,6 +160,20 @@ def test_the_loader_needs_numpy_alone(tmp_path: Path) -> None:
         [sys.executable, "-I", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert float(done.stdout) == pytest.approx(math.tanh(1.3))
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_the_programs_of_the_page_run(tmp_path: Path, number: int) -> None:
+    pytest.importorskip("onnxruntime")
+    seen, content = some(5), policy_file(settings(), some(5), 2)
+    for name, body in zip(("policy.npz", "policy.onnx"), files(network_of(content)), strict=True):
+        (tmp_path / name).write_bytes(body)
+    shown = {"episode_0/observation": seen, "episode_0/action": jax_answers("ppo", content, seen[:-1])}
+    np.savez(tmp_path / "trajectory.npz", **shown)
+    page = (Path(__file__).parents[3] / "docs" / "export.md").read_text()
+    programs = [text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "trajectory" in text]
+    assert len(programs) == 3
+    subprocess.run([sys.executable, "-W", "error", "-c", programs[number]], cwd=tmp_path, check=True)
 
 
 @pytest.mark.parametrize("about", [None, '{"format": "gaitway-policy", "version": 2}', '{"format": "other"}'])
@@ -190,4 +206,3 @@ def test_a_network_that_no_onnx_file_holds_is_refused() -> None:
     network = Network(zeros, zeros, None, (layer,), "relu", "state", 1)
     with pytest.raises(NotExportable, match="an ONNX file holds 2 GiB"):
         onnx_file(network, {})
-
