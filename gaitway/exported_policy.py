@@ -9,11 +9,11 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
-Array = np.ndarray[Any, np.dtype[np.float32]]
+Array = np.ndarray[Any, np.dtype[Any]]
 
 _FORMAT, _VERSION = "gaitway-policy", 1
 _LEAST_DEVIATION = 0.001
@@ -50,7 +50,7 @@ class Policy:
     def _seen(self, observation: Any) -> Array:
         contract = self.about["observation"]
         if isinstance(observation, Mapping):
-            observation = observation[contract["name"]]
+            return self._seen(cast("Mapping[str, Any]", observation)[contract["name"]])
         seen = np.asarray(observation, np.float32)
         if seen.shape[-1:] != (contract["size"],):
             raise ValueError(
@@ -62,7 +62,7 @@ class Policy:
 def load(path: str | os.PathLike[str] | BinaryIO) -> Policy:
     """The policy in a file that `gaitway export --format numpy` fetched. Raises ValueError for others."""
     with np.load(path, allow_pickle=False) as file:
-        about = json.loads(str(file["about"])) if "about" in file.files else {}
+        about: Any = json.loads(str(file["about"])) if "about" in file.files else {}
         if (about.get("format"), about.get("version")) != (_FORMAT, _VERSION):
             raise ValueError(f"This is not a {_FORMAT} of version {_VERSION}.")
         network = about["network"]

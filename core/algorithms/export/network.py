@@ -1,5 +1,6 @@
 """What a policy file holds, as the numbers of one network."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,8 +63,9 @@ def network_of(policy_file: bytes) -> Network:
     """
     params = read_policy(policy_file)
     config = params.config
-    mean, std = params.normalizer.mean, params.normalizer.std
-    if isinstance(mean, dict):
+    mean: Any = params.normalizer.mean
+    std: Any = params.normalizer.std
+    if isinstance(mean, Mapping):
         mean, std = mean[config.policy_obs_key], std[config.policy_obs_key]
     return Network(
         mean=_float32(mean),

@@ -151,7 +151,8 @@ def test_the_loader_needs_numpy_alone(tmp_path: Path) -> None:
     shutil.copy(exported_policy.__file__, tmp_path / "policy_loader.py")
     (tmp_path / "policy.npz").write_bytes(files(of_one_layer())[0])
     program = (
-        "import sys, numpy.random\nsys.path.insert(0, '.')\nbefore = {n.partition('.')[0] for n in sys.modules}\n"
+        "import sys, numpy.random\nsys.path.insert(0, '.')\n"
+        "before = {n.partition('.')[0] for n in sys.modules}\n"
         "import policy_loader; print(policy_loader.load('policy.npz')([9.0])[0])\n"
         "new = {n.partition('.')[0] for n in sys.modules} - before - sys.stdlib_module_names\n"
         "assert new == {'policy_loader'}, new"
