@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 from urllib.parse import quote
 
 import httpx
@@ -234,6 +234,25 @@ class Client:
             path = download(self._transport, artifact, Path(folder) / "policy")
             algorithm = job.spec.get("algorithm", {}).get("kind", "ppo")
             return policy.load(path, algorithm, is_checkpoint=final is None, deterministic=deterministic)
+
+    def export_policy(
+        self,
+        job_id: str,
+        format: Literal["numpy", "onnx"],
+        path: str | Path | None = None,
+        *,
+        on_bytes: OnBytes | None = None,
+    ) -> Path:
+        """Download the final policy for programs without this package, to `path` (docs/export.md).
+
+        format: `numpy`, `policy.npz`, which `gaitway.exported_policy` reads with NumPy alone; or `onnx`,
+        `policy.onnx` for any ONNX runtime. Raises NotReady until the job has ended, and Rejected for the
+        tables of Q-learning.
+        """
+        href = f"{_path(job_id, 'policy')}?format={quote(format)}"
+        names = {"numpy": "policy.npz", "onnx": "policy.onnx"}
+        artifact = self._announced(job_id, lambda job: job.artifact(names.get(format, "")), href)
+        return download(self._transport, artifact, _target(artifact, path), on_bytes)
 
     # Users' own models
 

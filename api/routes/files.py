@@ -1,7 +1,7 @@
 """A job's files: videos, checkpoints, everything else."""
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import Field
@@ -10,15 +10,19 @@ from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import file_response, responses
 from api.problems import refusals
 from api.views import ArtifactView, Listing
+from core.algorithms.catalog import ALGORITHMS
 from core.errors import (
     ArtifactNotFound,
     ArtifactNotReady,
     JobNotFound,
     JobUnreadable,
     NotFound,
+    Problem,
     RecordsUnavailable,
+    Rejected,
 )
 from core.jobs.job import Artifact, ArtifactRole, Job
+from core.jobs.spec import TrainSpec
 
 router = APIRouter(tags=["files"])
 
@@ -36,6 +40,16 @@ class Picture(Parameters):
 
 
 Asked = Annotated[Picture, Query()]
+
+
+class PolicyFile(Parameters):
+    """Selects the form of a policy."""
+
+    format: Literal["numpy", "onnx"] | None = Field(
+        None,
+        description="For programs elsewhere: `numpy` needs NumPy alone, `onnx` any ONNX runtime. Without it, "
+        "the algorithm's own file, which `client.load_policy` reads, and for PPO and SAC Brax.",
+    )
 
 
 def _file_route(path: str, media_type: str) -> Callable[[Callable[..., Response]], Callable[..., Response]]:
@@ -79,6 +93,14 @@ def read_poster(
     return file_response(request, _picture(service.store.get(job_id), "poster", asked), service.objects)
 
 
+@_file_route("/jobs/{job_id}/policy", "application/octet-stream")
+def read_policy(
+    job_id: JobId, asked: Annotated[PolicyFile, Query()], service: ServiceDep, request: Request
+) -> Response:
+    """The trained policy: in its algorithm's own file, or for programs without this project."""
+    return file_response(request, _policy(service.store.get(job_id), asked.format), service.objects)
+
+
 @_file_route("/jobs/{job_id}/checkpoints/{step}", "application/octet-stream")
 def read_checkpoint(
     job_id: JobId,
@@ -117,6 +139,45 @@ def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
         raise _absence(job, f"{role}{step}{camera}", role)
     # One without a step was made at the job's end.
     return max(found, key=lambda artifact: float("inf") if artifact.step is None else artifact.step)
+
+
+# By the format that a client asks for.
+_EXPORTS = {"numpy": "policy.npz", "onnx": "policy.onnx"}
+
+
+def _policy(job: Job, form: Literal["numpy", "onnx"] | None) -> Artifact:
+    if not isinstance(job.spec, TrainSpec):
+        detail = f"Job {job.id} is a rollout, which trains no policy."
+        raise ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)
+    own = job.newest("policy")
+    if form is None:
+        if own is None:
+            raise _absence(job, "policy", "policy")
+        return own
+    _check_exportable(job.spec, form)
+    name = _EXPORTS[form]
+    found = next((artifact for artifact in job.artifacts if artifact.name == name), None)
+    if found is None and own is not None and job.status.is_final:
+        detail = (
+            f"Job {job.id} has a policy and no {name}: either its events say why, or a version that wrote "
+            "none has trained it. Without `format` you get the policy's own file."
+        )
+        raise ArtifactNotFound(
+            detail, job=job.id, job_status=job.status, artifacts=[own.name], reason=job.reason
+        )
+    if found is None:
+        raise _absence(job, name, "policy")
+    return found
+
+
+def _check_exportable(spec: TrainSpec, form: str) -> None:
+    kind = spec.algorithm.algorithm()
+    if why := ALGORITHMS[kind].no_export:
+        detail = (
+            f"There is no policy of {kind} as {form}: {why}. Without `format` you get the policy's own file, "
+            "which `client.load_policy` reads."
+        )
+        raise Rejected(detail, [Problem("/format", detail)])
 
 
 def _absence(job: Job, wanted: str, role: ArtifactRole | None = None) -> NotFound:

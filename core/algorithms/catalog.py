@@ -57,8 +57,9 @@ class AlgorithmInfo:
     tuned: the values that fit an environment on a device, all others unset; a field `episode_length` gets the
     environment's without it. refusal: why resolved values do not go together, or not with an environment;
     None where they do. least_memory: what a run under resolved values certainly needs on each of its devices.
-    environment_options: options of the environment of this id that the tuned values are made for. A row may
-    leave these four out.
+    environment_options: options of the environment of this id that the tuned values are made for.
+    no_export: why its policies are not written for programs elsewhere; None where they are, which needs the
+    file of `core.algorithms.policy_file`. A row may leave these five out.
     """
 
     spec: type[BaseSpec]
@@ -68,6 +69,7 @@ class AlgorithmInfo:
     refusal: Callable[[Any, EnvironmentInfo, Device], Rejected | None] = lambda *_: None
     least_memory: Callable[[Any, EnvironmentInfo, int], Memory] = lambda *_: Memory([])
     environment_options: Callable[[Any, str], Mapping[str, Any]] = lambda *_: {}
+    no_export: str | None = "this version writes them in one form alone"
 
 
 ALGORITHMS: dict[str, AlgorithmInfo] = {
@@ -80,6 +82,7 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             ppo_tuned.tuned,
             ppo_checks.refusal,
             ppo_memory.least_memory,
+            no_export=None,
         ),
         AlgorithmInfo(
             DQNSpec,
@@ -98,6 +101,7 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             q_learning_checks.refusal,
             q_learning_memory.least_memory,
             q_learning_tuned.environment_options,
+            "it is a table and no network. The artifact `tables.npz` of an ended job is that table",
         ),
         AlgorithmInfo(
             SACSpec,
@@ -106,6 +110,7 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             sac_tuned.tuned,
             sac_checks.refusal,
             sac_memory.least_memory,
+            no_export=None,
         ),
     )
 }

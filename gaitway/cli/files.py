@@ -1,8 +1,8 @@
-"""`gaitway video`, `download`: fetch a job's files."""
+"""`gaitway video`, `export`, `download`: fetch a job's files."""
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -28,6 +28,24 @@ def video(
     full_id = job_id(client, job)
     target = output or Path(f"{full_id}{'' if step is None else f'-{step}'}.mp4")
     _told(_with_bar(lambda on_bytes: client.video(full_id, target, step, on_bytes=on_bytes)), as_json)
+
+
+def export(
+    context: typer.Context,
+    job: JobName,
+    format: Annotated[
+        Literal["onnx", "numpy"],
+        typer.Option(help="onnx: for any ONNX runtime; numpy: for NumPy alone (docs/export.md)."),
+    ] = "onnx",
+    output: Output = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fetch a trained policy for programs without Gaitway and JAX."""
+    client = client_of(context)
+    full_id = job_id(client, job)
+    _told(
+        _with_bar(lambda on_bytes: client.export_policy(full_id, format, output, on_bytes=on_bytes)), as_json
+    )
 
 
 def download(

@@ -42,6 +42,7 @@ for command in (
     jobs.cancel,
     jobs.delete,
     files.video,
+    files.export,
     files.download,
     preview.preview,
 ):

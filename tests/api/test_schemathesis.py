@@ -74,4 +74,6 @@ def _end(attempt: Attempt) -> None:
     attempt.keep(
         "500000.msgpack", b"state", role="checkpoint", media_type="application/octet-stream", step=500_000
     )
+    attempt.keep("policy", b"own", role="policy", media_type="application/octet-stream", step=500_000)
+    attempt.keep("policy.onnx", b"graph", role="export", media_type="application/octet-stream", step=500_000)
     attempt.end()

@@ -259,6 +259,24 @@ def test_a_client_waits_for_its_stills_while_workers_are_busy(
         assert client.preview("hopper", tmp_path)["track"].read_bytes() == b"track"
 
 
+def test_a_policy_is_exported_by_client_and_cli(stack: Stack, client: Client, tmp_path: Path) -> None:
+    attempt = Attempt(stack, job())
+    with pytest.raises(NotReady, match=r"has no policy.onnx yet"):
+        client.export_policy(attempt.id, "onnx", tmp_path)
+    attempt.keep("policy", b"own", role="policy")
+    for name in ("policy.npz", "policy.onnx"):
+        attempt.keep(name, name.encode(), role="export")
+    attempt.end()
+    fetched = client.export_policy(attempt.id, "onnx", tmp_path)
+    assert (fetched.name, fetched.read_bytes()) == ("policy.onnx", b"policy.onnx")
+    target = tmp_path / "walk.npz"
+    done = gaitway(stack, "export", "last", "--format", "numpy", "-o", str(target))
+    assert (done.exit_code, target.read_bytes()) == (0, b"policy.npz")
+    with pytest.raises(Rejected, match="'numpy' or 'onnx'"):
+        client.export_policy(attempt.id, "tflite", tmp_path)  # pyright: ignore[reportArgumentType]
+    assert gaitway(stack, "export", "last", "--format", "tflite").exit_code == 2
+
+
 def test_the_cli_fetches_files_and_cancels(stack: Stack, tmp_path: Path) -> None:
     attempt = Attempt(stack, job())
     attempt.keep("video.mp4")

@@ -16,10 +16,12 @@ import pytest
 from core.algorithms.policy import load_policy
 from core.algorithms.ppo.policy import make_inference
 from core.environments import trajectory
+from gaitway import exported_policy
 from gaitway.client import Client
-from gaitway.errors import NotFound
+from gaitway.errors import NotFound, Rejected
 from gaitway.views import Event, JobView
 from tests.e2e.installed import Installed
+from tests.exports import onnx_answers
 
 # Updates of 64 × 10 = 640 steps; some ten seconds of training, so that it can be disturbed in the middle.
 SMALL: dict[str, Any] = {
@@ -82,7 +84,10 @@ SMALL_DQN: dict[str, Any] = {
 }
 
 # What a training job keeps in any case.
-KEPT = {"checkpoint", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory", "video"}
+KEPT = {
+    *("checkpoint", "export", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory"),
+    "video",
+}
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +133,21 @@ def test_a_job_goes_from_post_to_its_video(client: Client, undisturbed: JobView,
         assert sum(1 for _ in container.decode(stream)) == 30
     assert {a.role for a in undisturbed.artifacts} == KEPT
     assert [a.step for a in client.checkpoints(undisturbed.id)] == [51_200 * i for i in range(1, 6)]
+
+
+def test_its_policy_acts_elsewhere_as_it_does_here(
+    client: Client, undisturbed: JobView, tmp_path: Path
+) -> None:
+    seen = np.random.default_rng(0).normal(0, 0.3, (1000, 4)).astype(np.float32)
+    expected = client.load_policy(undisturbed.id)(seen)
+    act = exported_policy.load(client.export_policy(undisturbed.id, "numpy", tmp_path))
+    np.testing.assert_allclose(act(seen), expected, rtol=0, atol=1e-5)
+    graph = client.export_policy(undisturbed.id, "onnx", tmp_path).read_bytes()
+    np.testing.assert_allclose(onnx_answers(graph, seen), expected, rtol=0, atol=1e-5)
+    assert act.about["environment"] == {"id": "inverted_pendulum", "options": {}}
+    assert act.about["trained_steps"] == undisturbed.progress.step
+    # Two steps of 0.04 s.
+    assert (act.about["action"]["held_steps"], act.about["action"]["held_s"]) == (1, 0.04)
 
 
 def test_the_video_is_served_in_parts(client: Client, undisturbed: JobView) -> None:
@@ -240,7 +260,9 @@ def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) 
     assert job.succeeded, job.message
     assert (job.progress.step, job.progress.total) == (4000, 4000)
     assert job.progress.metrics["training/episodes"] == 80
-    assert {a.role for a in job.artifacts} == KEPT | {"tables"}
+    assert {a.role for a in job.artifacts} == KEPT - {"export"} | {"tables"}
+    with pytest.raises(Rejected, match=r"`tables.npz` of an ended job is that table"):
+        client.export_policy(job.id, "onnx", tmp_path)
     assert job.artifact("q_table.png") is not None
     assert job.attempts[0].details["hyperparameters"]["state_discretizer"]["kind"] == "observation_grid"
     assert len(client.checkpoints(job.id)) == 5

@@ -16,6 +16,7 @@ from core.jobs.spec import TrainSpec, VideoSpec
 from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
+from worker.training.exports import keep_exports
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
 from worker.training.stopping import StopRequest
@@ -30,7 +31,8 @@ def train(
 ) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 
-    Keeps a checkpoint; and, unless the job continues elsewhere, its policy and the video that it asks for.
+    Keeps a checkpoint; and, unless the job continues elsewhere, its policy, also for programs elsewhere, and
+    the video that it asks for.
     """
     settings = resolve(spec.algorithm, built.info, built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
@@ -55,7 +57,9 @@ def train(
         raise
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
-        events.keep("policy", run.policy(), "policy", "application/octet-stream", step=run.step)
+        policy = run.policy()
+        events.keep("policy", policy, "policy", "application/octet-stream", step=run.step)
+        keep_exports(policy, settings.algorithm(), run.step, built, events)
         with _tables(run, spec, events):
             if videos:
                 videos.take("video")

@@ -1,0 +1,71 @@
+"""What an exported policy's numbers mean: which observation it takes, which action it gives, how often."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from core.algorithms.export.network import Network
+
+FORMAT, VERSION = "gaitway-policy", 1
+
+# Slices in their order, which cover the whole: name, start, size, unit, and others such as low and high.
+Parts = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a policy comes from.
+
+    options: all of the environment's. step_s: seconds of one environment step. trained_steps: environment
+    steps that the policy has learnt from. The parts: none where the environment does not name them.
+    """
+
+    algorithm: str
+    environment: str
+    options: Mapping[str, Any]
+    step_s: float
+    trained_steps: int
+    observation_parts: Parts = ()
+    action_parts: Parts = ()
+
+
+def contract(network: Network, origin: Origin) -> dict[str, Any]:
+    """The contract as a JSON document (docs/export.md). Where no parts have names, the whole is one."""
+    observation, action = network.observation_size, network.action_size
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "algorithm": origin.algorithm,
+        "environment": {"id": origin.environment, "options": dict(origin.options)},
+        "trained_steps": origin.trained_steps,
+        "observation": {
+            "name": network.observation_name,
+            "size": observation,
+            "dtype": "float32",
+            "parts": [*origin.observation_parts] or [_whole(network.observation_name, observation)],
+        },
+        "action": {
+            "size": action,
+            "dtype": "float32",
+            "low": -1.0,
+            "high": 1.0,
+            "parts": [*origin.action_parts] or [_whole("action", action)],
+            "held_steps": network.action_repeat,
+            "held_s": round(network.action_repeat * origin.step_s, 9),
+        },
+        "network": {
+            "num_layers": len(network.layers),
+            "activation": network.activation,
+            "normalized_max_abs": network.max_abs,
+        },
+    }
+
+
+def as_text(about: Mapping[str, Any]) -> str:
+    """Equal contracts give equal text."""
+    return json.dumps(about, sort_keys=True, ensure_ascii=False)
+
+
+def _whole(name: str, size: int) -> dict[str, Any]:
+    return {"name": name, "start": 0, "size": size, "unit": None}

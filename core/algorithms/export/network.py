@@ -1,0 +1,91 @@
+"""What a policy file holds, as the numbers of one network."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.algorithms.policy_file import read_policy
+
+Numbers = NDArray[np.float32]
+
+
+class NotExportable(Exception):
+    """The message says what the exported files cannot express."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """kernel: [inputs, outputs]; bias: [outputs]."""
+
+    kernel: Numbers
+    bias: Numbers
+
+
+@dataclass(frozen=True)
+class Network:
+    """observation ↦ tanh(location), where the last layer gives location and scale, one after the other.
+
+    mean, std: of observations, [observation_size]. max_abs: bound on the normalised observation; None: none.
+    layers: an activation follows each but the last, whose outputs are 2 × action_size. observation_name:
+    which one the policy sees, where an environment has several by name. action_repeat: environment steps for
+    which an action is held.
+    """
+
+    mean: Numbers
+    std: Numbers
+    max_abs: float | None
+    layers: tuple[Layer, ...]
+    activation: str
+    observation_name: str
+    action_repeat: int
+
+    @property
+    def observation_size(self) -> int:
+        return len(self.mean)
+
+    @property
+    def action_size(self) -> int:
+        return len(self.layers[-1].bias) // 2
+
+    @property
+    def size_bytes(self) -> int:
+        """Of its numbers."""
+        return sum(layer.kernel.nbytes + layer.bias.nbytes for layer in self.layers)
+
+
+def network_of(policy_file: bytes) -> Network:
+    """The network in a policy file of PPO or SAC.
+
+    Raises JobFailed where the file is damaged, and NotExportable for a network with other parts than these.
+    """
+    params = read_policy(policy_file)
+    config = params.config
+    mean: Any = params.normalizer.mean
+    std: Any = params.normalizer.std
+    if isinstance(mean, Mapping):
+        mean, std = mean[config.policy_obs_key], std[config.policy_obs_key]
+    return Network(
+        mean=_float32(mean),
+        std=_float32(std),
+        max_abs=config.normalize_observations_max_abs_value,
+        layers=_layers(params.policy["params"]),
+        activation=config.activation,
+        observation_name=config.policy_obs_key,
+        action_repeat=config.action_repeat,
+    )
+
+
+def _layers(parts: Any) -> tuple[Layer, ...]:
+    names = [f"hidden_{i}" for i in range(len(parts))]
+    unknown = {name for name in parts if name not in names}
+    unknown |= {name for name in names if parts.get(name, {}).keys() != {"kernel", "bias"}}
+    if unknown:
+        raise NotExportable(f"its network has parts that exports do not know: {', '.join(sorted(unknown))}")
+    return tuple(Layer(_float32(parts[name]["kernel"]), _float32(parts[name]["bias"])) for name in names)
+
+
+def _float32(values: Any) -> Numbers:
+    return np.asarray(values, np.float32)

@@ -1,0 +1,130 @@
+"""Writes `policy.onnx`: the policy without its noise as a graph of standard operations.
+
+Written with ONNX's own library; decision 15 says why no exporter traces it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+
+from core.algorithms.export.contract import as_text
+from core.algorithms.export.network import Network, NotExportable
+
+# Of 2021: what runtimes of phones and robots read, too.
+_OPSET, _IR_VERSION = 15, 8
+# A file of Protocol Buffers holds 2 GiB.
+_MOST_BYTES = 2**31 - 2**20
+
+
+class _Graph:
+    """Nodes and constants, gathered in the order of evaluation; values are known by their names."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def constant(self, name: str, value: NDArray[np.float32] | float) -> str:
+        self.constants.append(numpy_helper.from_array(np.asarray(value, np.float32), name))
+        return name
+
+    def add(self, operation: str, *inputs: str, output: str = "", **attributes: Any) -> str:
+        """The name of the operation's output."""
+        name = output or f"{operation.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operation, inputs, [name], name=name, **attributes))
+        return name
+
+
+def onnx_file(network: Network, about: Mapping[str, Any]) -> bytes:
+    """`observation` [batch, observation_size] ↦ `action` [batch, action_size], both float32.
+
+    The contract is the metadata `about`, as JSON text. Equal networks give equal bytes.
+    Raises NotExportable where the network does not fit into a file.
+    """
+    if network.size_bytes > _MOST_BYTES:
+        raise NotExportable(f"its network has {network.size_bytes:,} bytes, and an ONNX file holds 2 GiB")
+    graph = _Graph()
+    values = _normalized(graph, network)
+    for number, layer in enumerate(network.layers[:-1]):
+        values = ACTIVATIONS[network.activation](
+            graph, _dense(graph, values, number, layer.kernel, layer.bias)
+        )
+    last, half = network.layers[-1], network.action_size  # The other half is the noise's scale.
+    location = _dense(graph, values, len(network.layers) - 1, last.kernel[:, :half], last.bias[:half])
+    graph.add("Tanh", location, output="action")
+    made = helper.make_graph(
+        graph.nodes,
+        "policy",
+        [_array("observation", network.observation_size)],
+        [_array("action", network.action_size)],
+        graph.constants,
+    )
+    model = helper.make_model(
+        made,
+        producer_name="gaitway",
+        opset_imports=[helper.make_opsetid("", _OPSET)],
+        ir_version=_IR_VERSION,
+    )
+    helper.set_model_props(model, {"about": as_text(about)})
+    onnx.checker.check_model(model, full_check=True)
+    return model.SerializeToString(deterministic=True)
+
+
+def _array(name: str, size: int) -> Any:
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
+
+
+def _normalized(graph: _Graph, network: Network) -> str:
+    centred = graph.add("Sub", "observation", graph.constant("observation_mean", network.mean))
+    deviations = graph.add("Div", centred, graph.constant("observation_std", network.std))
+    if network.max_abs is None:
+        return deviations
+    bounds = (graph.constant("least", -network.max_abs), graph.constant("most", network.max_abs))
+    return graph.add("Clip", deviations, *bounds)
+
+
+def _dense(
+    graph: _Graph, values: str, number: int, kernel: NDArray[np.float32], bias: NDArray[np.float32]
+) -> str:
+    weights = (graph.constant(f"kernel_{number}", kernel), graph.constant(f"bias_{number}", bias))
+    return graph.add("Gemm", values, *weights)
+
+
+def _one(operation: str, **attributes: Any) -> Callable[[_Graph, str], str]:
+    """An activation that is a single operation."""
+    return lambda graph, x: graph.add(operation, x, **attributes)
+
+
+def _swish(graph: _Graph, x: str) -> str:
+    return graph.add("Mul", x, graph.add("Sigmoid", x))
+
+
+def _gelu(graph: _Graph, x: str) -> str:
+    """x/2 · (1 + tanh(√(2/π) (x + 0.044715 x³))), as `jax.nn.gelu` has it unless it is told otherwise."""
+
+    def number(value: float) -> str:
+        return graph.constant(f"number_{len(graph.constants)}", value)
+
+    cube = graph.add("Mul", x, graph.add("Mul", x, x))
+    inner = graph.add("Add", x, graph.add("Mul", cube, number(0.044715)))
+    bent = graph.add("Tanh", graph.add("Mul", inner, number(math.sqrt(2 / math.pi))))
+    share = graph.add("Mul", graph.add("Add", bent, number(1.0)), number(0.5))
+    return graph.add("Mul", x, share)
+
+
+# By Brax's names. The attributes are the values that `jax.nn` has.
+ACTIVATIONS: Mapping[str, Callable[[_Graph, str], str]] = {
+    "swish": _swish,
+    "relu": _one("Relu"),
+    "tanh": _one("Tanh"),
+    "elu": _one("Elu", alpha=1.0),
+    "gelu": _gelu,
+    "leaky_relu": _one("LeakyRelu", alpha=0.01),
+    "selu": _one("Selu", alpha=1.6732632423543772848170429916717, gamma=1.0507009873554804934193349852946),
+    "sigmoid": _one("Sigmoid"),
+    "softplus": _one("Softplus"),
+}

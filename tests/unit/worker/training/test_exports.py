@@ -1,0 +1,63 @@
+"""What a training hands over for programs elsewhere."""
+
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.algorithms.policy_file import read_policy, write_policy
+from core.algorithms.ppo.spec import PPOSpec
+from core.environments import catalog
+from gaitway import exported_policy
+from tests.exports import numpy_answers, onnx_answers, policy_file
+from tests.probes import endless
+from worker.training.built_environment import BuiltEnvironment
+from worker.training.event_writer import EventWriter
+from worker.training.exports import keep_exports
+
+SEEN = np.random.default_rng(0).normal(0, 3, (20, 5)).astype(np.float32)
+
+
+def handed_over(spool: Path, policy: bytes, algorithm: str = "ppo") -> list[dict[str, Any]]:
+    """The messages that follow this policy of the corridor's ant at step 640."""
+    read, write = os.pipe()
+    events = EventWriter(spool, write)
+    info, _ = catalog.resolve("corridor", {"walker": "ant"})
+    built = BuiltEnvironment(info, endless(), "cpu", "cpu", "native", "asked for")
+    keep_exports(policy, algorithm, 640, built, events)
+    events._pipe.close()
+    with os.fdopen(read, "rb") as pipe:
+        return [json.loads(line) for line in pipe]
+
+
+def test_a_network_is_kept_in_two_forms_with_its_contract(tmp_path: Path) -> None:
+    policy = policy_file(PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]}), SEEN, 2)
+    said = handed_over(tmp_path, policy)
+    assert [(message["name"], message["role"], message["step"]) for message in said] == [
+        ("policy.npz", "export", 640),
+        ("policy.onnx", "export", 640),
+    ]
+    for_numpy, for_onnx = (tmp_path.joinpath(message["path"]).read_bytes() for message in said)
+    np.testing.assert_allclose(numpy_answers(for_numpy, SEEN), onnx_answers(for_onnx, SEEN), atol=1e-5)
+    about = exported_policy.load(io.BytesIO(for_numpy)).about
+    assert (about["algorithm"], about["trained_steps"]) == ("ppo", 640)
+    # All options, also those that a job leaves out.
+    info, options = catalog.resolve("corridor", {"walker": "ant"})
+    assert about["environment"] == {"id": info.id, "options": options.model_dump(mode="json")}
+    assert about["action"]["held_s"] == endless().dt
+
+
+def test_a_table_is_left_to_its_own_file(tmp_path: Path) -> None:
+    assert handed_over(tmp_path, b"a table", "q_learning") == []
+
+
+def test_a_policy_that_cannot_be_written_is_a_note(tmp_path: Path) -> None:
+    params = read_policy(policy_file(PPOSpec(), SEEN, 2))
+    params.policy["params"]["LayerNorm_0"] = {"scale": np.ones(8), "bias": np.zeros(8)}
+    said = handed_over(tmp_path, write_policy(params))
+    assert [message["type"] for message in said] == ["note", "note"]
+    assert "There is no policy.onnx" in said[1]["text"]
+    assert "LayerNorm_0" in said[1]["text"]
