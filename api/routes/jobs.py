@@ -55,7 +55,10 @@ class Listed(Parameters):
     status: JobStatus | None = None
     kind: JobKind | None = None
     environment: Text | None = Field(None, examples=["ant"])
-    name: Text | None = None
+    name: Text | None = Field(None, description="The whole name.")
+    search: Text | None = Field(
+        None, description="A part of the name or of the environment's id, in any case.", examples=["first"]
+    )
     label: list[Label] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
     cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
     limit: int = Field(50, ge=1, le=200)
@@ -66,6 +69,7 @@ class Listed(Parameters):
             kind=self.kind,
             environment=self.environment,
             name=self.name,
+            search=self.search or None,
             labels=dict(_label(text) for text in self.label),
         )
 
