@@ -11,7 +11,7 @@ export function value(number) {
   if (number === null || number === undefined) return "–";
   if (typeof number !== "number") return String(number);
   const size = Math.abs(number);
-  if (size !== 0 && (size < 1e-3 || size >= 1e6)) return number.toExponential(2);
+  if (size !== 0 && (size < 1e-3 || size >= 1e6)) return Number(number.toPrecision(3)).toExponential().replace("e+", "e");
   return String(Number(number.toPrecision(4)));
 }
 
