@@ -3,6 +3,6 @@
 import htm from "../vendor/htm.js";
 import { h, render } from "../vendor/preact.js";
 
-export { useCallback, useEffect, useLayoutEffect, useMemo, useRef, useState } from "../vendor/preact-hooks.js";
+export { useCallback, useEffect, useId, useLayoutEffect, useMemo, useRef, useState } from "../vendor/preact-hooks.js";
 export { render };
 export const html = htm.bind(h);

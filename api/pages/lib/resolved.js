@@ -9,7 +9,9 @@ import { filled, flat, schemas } from "./schemas.js";
  */
 export async function settingsOf(job) {
   const all = await schemas();
-  const environment = await get(`/environments/${environmentOf(job.spec)}`).catch(() => null);
+  const options = optionsOf(job.spec);
+  const query = Object.keys(options).length ? { options: JSON.stringify(options) } : {};
+  const environment = await get(`/environments/${environmentOf(job.spec)}`, query).catch(() => null);
   const isSent = new Set(flat(sentBy(job)).map(([path]) => path));
   return flat(whole(job, all, environment)).map(([path, value]) => ({
     path,

@@ -6,7 +6,7 @@ import { colour, useDark } from "../lib/theme.js";
 import uPlot from "../vendor/uplot.js";
 
 /**
- * @typedef {{label: string, xs: number[], ys: (number | null)[], colour: string, faint?: boolean, inLegend?: boolean}} Line
+ * @typedef {{label: string, xs: number[], ys: (number | null)[], colour: string, faint?: boolean, isDashed?: boolean}} Line
  * @param {{title: string, lines: Line[], x: "steps" | "time", log: boolean, range: number[] | null,
  *   onRange: (range: number[] | null) => void, height?: number, sync?: string}} chart
  *   range: the part of the x axis that is shown; dragging over the picture asks for another.
@@ -80,6 +80,7 @@ function options(latest, lines, { x, log, width, height }) {
         label: line.label,
         stroke: line.faint ? faded(colour(line.colour)) : colour(line.colour),
         width: line.faint ? 1 : 1.75,
+        dash: line.isDashed ? [8, 5] : undefined,
         points: { show: line.xs.length < 2 },
         value: (_, one) => value(one),
       })),

@@ -19,7 +19,7 @@ export function SpecificationTab({ job }) {
       ${!settings && !error && html`<${Loading} what="the defaults" />`}
       ${settings && html`
         <div class="tools"><label>Settings <input type="search" placeholder="part of a name" value=${part} onInput=${(event) => setPart(event.target.value)} /></label></div>
-        <div class="table" tabindex="0" role="region" aria-label="All settings"><table>
+        <div class="table tall" tabindex="0" role="region" aria-label="All settings"><table>
           <thead><tr><th>Setting</th><th>Value</th><th>From</th></tr></thead>
           <tbody>${rows.map(
             ({ path, value, origin }) => html`<tr key=${path}><td>${path}</td><td><code>${shown(value)}</code></td>
