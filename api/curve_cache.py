@@ -17,7 +17,7 @@ _MAX_VALUES = 2_700_000
 
 @dataclass
 class _Known:
-    """What was read of a job's feed. names: the metrics that were kept; None for all. last: the entry's number."""
+    """What was read of a feed. names: the metrics that were kept; None: all. last: an entry's number."""
 
     names: frozenset[str] | None = frozenset()
     last: int = 0
@@ -29,7 +29,7 @@ class _Known:
 
 
 class CurveCache:
-    """The curves of the jobs that were asked for last; feeds only grow, so the rest is read when it is due."""
+    """The curves of the jobs that were asked for last. Feeds only grow: only what came since is read."""
 
     def __init__(self, store: JobStore, objects: ObjectStore) -> None:
         self._store = store

@@ -13,7 +13,7 @@ from core.jobs.store import Entry
 
 @dataclass
 class Curve:
-    """One metric of a job: values over rising environment steps. times: seconds since 1970; nan: not finite."""
+    """One metric of a job: values over rising steps. times: seconds since 1970; nan: not finite."""
 
     steps: "array[int]" = field(default_factory=lambda: array("q"))
     times: "array[float]" = field(default_factory=lambda: array("d"))
@@ -40,11 +40,11 @@ class Curve:
 
 
 def extremes(values: Sequence[float], places: range, points: int) -> list[int]:
-    """At most `points` (4 or more) of these places, in order: the first, the last, and of each of equally long
-    parts between them the places of the least and the greatest value.
+    """At most `points` (4 or more) of these places, in order: the first, the last, and of each of equally
+    long parts between them the places of the least and the greatest value.
 
-    A line through them covers the same pixels as one through all values, if the picture has no more columns than
-    half of `points`. Values that are nan count only where a part has no others.
+    A line through them covers the same pixels as one through all values, if the picture has at most half of
+    `points` columns. Values that are nan count only where a part has no others.
     """
     if len(places) <= points:
         return list(places)

@@ -21,7 +21,7 @@ HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 async def event_stream(
     follower: Follower, kinds: Collection[str] = (), *, follow: bool = True
 ) -> AsyncIterator[bytes]:
-    """The entries of these kinds (none: of all), a comment in each silence, and the job's final status at the end.
+    """The entries of these kinds (none: of all), a comment in each silence, at the end the final status.
 
     Without `follow`, only the present entries.
     """

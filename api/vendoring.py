@@ -1,8 +1,8 @@
-"""Brings the page's libraries from the npm registry, as `api/pages/vendor/lock.json` names them: `./run vendor`.
+"""Brings the page's libraries from npm, as `api/pages/vendor/lock.json` names them: `./run vendor`.
 
-The files are committed, so that neither users nor images need the registry. The lock has, for each package, its
-version, licence and the sha512 of its archive (as npm states it); for each file, where it goes, the words that
-are replaced in it, and the sha512 of the result.
+The files are committed, so that neither users nor images need the registry. The lock has, for each package,
+its version, licence and the sha512 of its archive (as npm states it); for each file, where it goes, the words
+that are replaced in it, and the sha512 of the result.
 """
 
 import base64
@@ -21,7 +21,7 @@ LOCK = ROOT / "api" / "pages" / "vendor" / "lock.json"
 
 
 class VendoredFile(BaseModel):
-    """A file of a package. path: below this repository's root; replace: words and what stands for them there."""
+    """A file of a package. path: from the repository's root; replace: words, and what stands for them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -66,7 +66,7 @@ def sha512(content: bytes) -> str:
 
 
 def bring(package: Package) -> Package:
-    """Write the package's files; returns it with the digests that the lock leaves empty. Raises NotAsLocked."""
+    """Write the package's files; returns it with the digests that the lock lacks. Raises NotAsLocked."""
     with tempfile.TemporaryDirectory() as folder:
         archive = _fetch(package, Path(folder))
         integrity = _checked(package.name, archive.read_bytes(), package.integrity)
@@ -76,7 +76,14 @@ def bring(package: Package) -> Package:
 
 
 def _fetch(package: Package, folder: Path) -> Path:
-    command = ["npm", "pack", "--silent", "--pack-destination", str(folder), f"{package.name}@{package.version}"]
+    command = [
+        "npm",
+        "pack",
+        "--silent",
+        "--pack-destination",
+        str(folder),
+        f"{package.name}@{package.version}",
+    ]
     subprocess.run(command, check=True, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     [archive] = folder.glob("*.tgz")
     return archive
@@ -111,7 +118,7 @@ def main() -> int:
     try:
         lock = Lock(packages=[bring(package) for package in read_lock().packages])
     except NotAsLocked as error:
-        print(error, file=sys.stderr)
+        sys.stderr.write(f"{error}\n")
         return 1
     LOCK.write_text(json.dumps(lock.model_dump(exclude_defaults=True), indent=2) + "\n")
     return 0

@@ -34,8 +34,8 @@ class After(Parameters):
     response_class=StreamingResponse,
     responses={
         200: {
-            "description": "Events of the kinds status, progress, metrics, artifact, phase and note; the last one "
-            "is the job's final status. A comment is sent after every 15 seconds of silence.",
+            "description": "Events of the kinds status, progress, metrics, artifact, phase and note; the "
+            "last one is the job's final status. A comment is sent after every 15 seconds of silence.",
             "content": {sse.MEDIA_TYPE: {"example": _EXAMPLE}},
         },
         204: {"description": "The job has ended and all its events were seen: do not reconnect"},

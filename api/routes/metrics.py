@@ -51,8 +51,8 @@ class Measured(Parameters):
         None,
         ge=4,
         le=10_000,
-        description="For pictures: at most this many values of each metric, as JSON. The first, the last, and "
-        "the least and the greatest of each part between them are kept (min-max). Other than without it, a "
+        description="For pictures: at most this many values of each metric, as JSON. The first, the last, "
+        "and the least and the greatest of each part between them are kept (min-max). Unlike without it, a "
         "row then has only values that were kept, and an attempt that began again at a checkpoint replaces "
         "all that followed there. `next` is still the feed's end.",
     )
@@ -68,7 +68,9 @@ class Measured(Parameters):
 
     def check(self) -> None:
         """Refuse what would have no effect. Raises Rejected."""
-        needing = {"metric", "first_step", "last_step"} if self.points is None else {"after", "limit", "format"}
+        needing = (
+            {"metric", "first_step", "last_step"} if self.points is None else {"after", "limit", "format"}
+        )
         if wrong := sorted(needing & self.model_fields_set):
             rule = "needs `points`" if self.points is None else "does not go with `points`"
             problems = [Problem(f"/{name}", f"`{name}` {rule}.") for name in wrong]
@@ -85,8 +87,8 @@ def read_metrics(
 ) -> Metrics | Response:
     """All metrics of a job. Of a step that several attempts measured, the newest values.
 
-    JSON comes in pages. CSV has every row, unless `limit` is given. With `points`, JSON has all steps at once,
-    thinned for a picture.
+    JSON comes in pages. CSV has every row, unless `limit` is given. With `points`, JSON has all steps at
+    once, thinned for a picture.
     """
     asked.check()
     if asked.points is not None:

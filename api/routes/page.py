@@ -46,8 +46,8 @@ async def show_docs(request: Request) -> Response:
 async def show_file(version: str, path: str, request: Request) -> Response:
     """A file of the page. Its address changes with its content, so that browsers may keep it.
 
-    While processes of two versions run side by side, one may be asked for the other's files: it sends its own,
-    which browsers then do not keep.
+    While processes of two versions run side by side, one may be asked for the other's files: it sends its
+    own, which browsers then do not keep.
     """
     here = page_files()
     if path not in here.by_path:

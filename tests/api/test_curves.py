@@ -61,7 +61,9 @@ def test_an_attempt_that_begins_again_replaces_what_followed() -> None:
 def test_metrics_of_one_moment_share_a_row_and_others_do_not() -> None:
     curves = Curves()
     for step, values in [(5, {"a": 1.0, "b": 2.0}), (6, {"b": None})]:
-        entry = Entry(kind="metrics", time=datetime(2026, 1, 1, tzinfo=UTC), data={"step": step, "values": values})
+        entry = Entry(
+            kind="metrics", time=datetime(2026, 1, 1, tzinfo=UTC), data={"step": step, "values": values}
+        )
         curves.add(entry, None)
     rows = [(row.step, row.values) for row in curves.thinned(None, 4, None, None)]
     assert rows == [(5, {"a": 1.0, "b": 2.0}), (6, {"b": None})]

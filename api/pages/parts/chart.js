@@ -47,7 +47,7 @@ export function Chart(chart) {
   });
 
   return html`<figure class="chart" role="group" aria-label=${title}>
-    <h3>${title}</h3>
+    <h2>${title}</h2>
     ${isEmpty
       ? html`<p class="none">${log ? "No values above zero to show on a log axis." : "No values yet."}</p>`
       : html`<div ref=${place} role="img" aria-label=${summary(title, lines)}></div>`}

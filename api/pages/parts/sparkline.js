@@ -56,10 +56,14 @@ export function Sparkline({ job }) {
   }, []);
   const { step } = job.progress;
   useEffect(() => {
-    const due = isOver(job) || Date.now() - loaded.current.at > PAUSE_MS;
-    if (!isSeen || step === loaded.current.step || !due) return;
-    loaded.current = { step, at: Date.now() };
-    if (step) inTurn(() => returns(job).then(setPoints, () => (loaded.current.step = -1)));
+    if (!isSeen || !step || step === loaded.current.step) return undefined;
+    const load = () => {
+      loaded.current = { step, at: Date.now() };
+      inTurn(() => returns(job).then(setPoints, () => (loaded.current.step = -1)));
+    };
+    const wait = isOver(job) ? 0 : Math.max(0, loaded.current.at + PAUSE_MS - Date.now());
+    const timer = setTimeout(load, wait);
+    return () => clearTimeout(timer);
   }, [isSeen, step, job.status]);
   const last = lastReturn(job);
   return html`<div class="spark" ref=${place}>
