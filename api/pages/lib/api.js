@@ -19,11 +19,15 @@ export class Away extends Error {
   }
 }
 
-/** The answer to a request. Raises Problem, Away; AbortError where `signal` ended it. */
-export async function send(path, { method = "GET", body, type, signal } = {}) {
+/**
+ * The answer to a request. Raises Problem, Away; AbortError where `signal` ended it.
+ * maxAge: seconds; the answer may be one that another reader got in this time.
+ */
+export async function send(path, { method = "GET", body, type, signal, maxAge } = {}) {
   let answer;
+  const headers = { ...(type && { "Content-Type": type }), ...(maxAge && { "Cache-Control": `max-age=${maxAge}` }) };
   try {
-    answer = await fetch(path, { method, body, signal, headers: type ? { "Content-Type": type } : {} });
+    answer = await fetch(path, { method, body, signal, headers });
   } catch (error) {
     if (error.name === "AbortError") throw error;
     report(false);
@@ -35,8 +39,8 @@ export async function send(path, { method = "GET", body, type, signal } = {}) {
 }
 
 /** The JSON document at a path. query: an object or URLSearchParams; empty values are left out. */
-export async function get(path, query = {}, { signal } = {}) {
-  return (await send(withQuery(path, query), { signal })).json();
+export async function get(path, query = {}, { signal, maxAge } = {}) {
+  return (await send(withQuery(path, query), { signal, maxAge })).json();
 }
 
 /** The answer's document, or null if it has none. */

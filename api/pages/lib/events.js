@@ -23,9 +23,15 @@ export function follow(path, after, onEvent, onEnd) {
   let last = after;
   let source;
   let timer;
-  const stop = () => {
+  const pause = () => {
     clearTimeout(timer);
     source?.close();
+  };
+  // Browsers allow six connections to a service: pages that nobody sees leave them to others.
+  const onVisible = () => (document.hidden ? pause() : (pause(), open()));
+  const stop = () => {
+    document.removeEventListener("visibilitychange", onVisible);
+    pause();
   };
   const end = () => {
     stop();
@@ -40,7 +46,7 @@ export function follow(path, after, onEvent, onEnd) {
       const there = await fetch(path.replace(/\/events$/, "")).catch(() => null);
       report(there !== null);
       if (there?.status === 404 || (there?.ok && isFinal((await there.json()).status))) return end();
-      timer = setTimeout(open, PAUSE_MS);
+      if (!document.hidden) timer = setTimeout(open, PAUSE_MS);
     };
     for (const kind of KINDS) {
       source.addEventListener(kind, (event) => {
@@ -51,6 +57,7 @@ export function follow(path, after, onEvent, onEnd) {
       });
     }
   };
-  open();
+  document.addEventListener("visibilitychange", onVisible);
+  if (!document.hidden) open();
   return stop;
 }

@@ -26,7 +26,7 @@ export function Field(field) {
 const errorsAt = (errors, path) => errors.filter(({ pointer }) => pointer === `/${path.join("/")}`);
 
 // Of a long group, the fields after these are folded.
-const SHOWN = 8;
+const SHOWN = 10;
 
 /** Several fields; folded unless the document says something about them or has an error there. */
 function Group(field) {
@@ -34,7 +34,9 @@ function Group(field) {
   const said = at(document, path);
   const isOff = said === null || (said === undefined && isNullable && planned === null);
   const has = said !== undefined || errors.some(({ pointer }) => pointer.startsWith(`/${path.join("/")}`));
-  const names = Object.keys(schema.properties).filter((each) => schema.properties[each].const === undefined);
+  const first = field.first || [];
+  const known = Object.keys(schema.properties).filter((each) => schema.properties[each].const === undefined);
+  const names = [...first.filter((each) => known.includes(each)), ...known.filter((each) => !first.includes(each))];
   const draw = (each) => html`<${Field} key=${each} ...${{ all, document, set, errors }} path=${[...path, each]} schema=${schema.properties[each]} planned=${planned?.[each]} />`;
   const rest = names.slice(SHOWN);
   const isRestSaid = rest.some((each) => said?.[each] !== undefined || errors.some(({ pointer }) => pointer.startsWith(`/${[...path, each].join("/")}`)));
@@ -68,7 +70,7 @@ function Choice(field) {
     </select>
     ${schema.description && html`<p class="facts">${schema.description}</p>`}
     ${errorsAt(errors, path).map(({ detail }) => html`<p class="error">${detail}</p>`)}
-    ${forms[chosen] && html`<${Group} ...${{ all, document, set, errors, path, name }} schema=${resolve({ $ref: forms[chosen] }, all)} planned=${field.plannedFields?.(chosen)} isOpen />`}
+    ${forms[chosen] && html`<${Group} ...${{ all, document, set, errors, path, name }} schema=${resolve({ $ref: forms[chosen] }, all)} planned=${field.plannedFields?.(chosen)} first=${field.firstFields?.(chosen)} isOpen />`}
   </div>`;
 }
 

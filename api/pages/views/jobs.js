@@ -19,7 +19,7 @@ export default function Jobs({ query }) {
   const cursor = query.get("cursor");
   const picked = query.getAll("pick");
   const { data, error, again } = useLive(
-    (signal) => get("/jobs", { ...asked, cursor, limit: LIMIT }, { signal }),
+    (signal, isRepeated) => get("/jobs", { ...asked, cursor, limit: LIMIT }, { signal, maxAge: isRepeated ? 1 : 0 }),
     [JSON.stringify(asked), cursor],
     (page) => (page.items.some((job) => !isOver(job)) ? 2000 : 5000),
   );

@@ -3,6 +3,7 @@
 import { send } from "../../lib/api.js";
 import { html, useEffect, useLayoutEffect, useRef, useState } from "../../lib/html.js";
 import { isOver } from "../../lib/job.js";
+import { useVisible } from "../../lib/live.js";
 
 const MOST_LINES = 5000;
 const PAUSE_MS = 2000;
@@ -31,7 +32,9 @@ export function LogTab({ job }) {
   const [text, setText] = useState(null);
   const box = useRef();
   const isAtEnd = useRef(true);
+  const isVisible = useVisible(); // Out of sight, the connection is left to other pages.
   useEffect(() => {
+    if (!isVisible) return undefined;
     const control = new AbortController();
     let frame = 0;
     const show = (found) => {
@@ -43,7 +46,7 @@ export function LogTab({ job }) {
       control.abort();
       cancelAnimationFrame(frame);
     };
-  }, [job.id]);
+  }, [job.id, isVisible]);
   useLayoutEffect(() => {
     if (isAtEnd.current && box.current) box.current.scrollTop = box.current.scrollHeight;
   }, [text]);
