@@ -28,6 +28,7 @@ def create_app(settings: ApiSettings, *, store: JobStore, queue: JobQueue, objec
         version=version("gaitway"),
         description=_DESCRIPTION,
         redirect_slashes=False,
+        docs_url=None,  # `api.routes.page` serves it, without any network but this service.
         redoc_url=None,
     )
     app.state.service = Service(settings, store, queue, objects)

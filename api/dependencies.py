@@ -8,6 +8,8 @@ from anyio import CapacityLimiter
 from fastapi import Depends, Path, Request
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from api.curve_cache import CurveCache
+from api.recent import RecentAnswers
 from api.watching import JobWatcher
 from core.jobs import feeds
 from core.jobs.acknowledgements import Acknowledgements
@@ -27,6 +29,8 @@ class Service:
     stopping: true once the process has been asked to end; streams then close.
     watching: limits the threads that read for streams, which other requests do not share.
     watcher: tells streams when their job has changed.
+    curves: metrics for pictures.
+    lists: of jobs, as they were sent in the last moments.
     acknowledgements: of dispatches that the queue has received.
     num_uploads: models that are being received now.
     """
@@ -39,10 +43,13 @@ class Service:
     num_uploads: int = 0
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))
     watcher: JobWatcher = field(init=False)
+    curves: CurveCache = field(init=False)
+    lists: RecentAnswers = field(default_factory=RecentAnswers)
     acknowledgements: Acknowledgements = field(init=False)
 
     def __post_init__(self) -> None:
         self.watcher = JobWatcher(self.store)
+        self.curves = CurveCache(self.store, self.objects)
         self.acknowledgements = Acknowledgements(self.store.dispatched)
 
     def read_feed(

@@ -4,7 +4,7 @@ FastAPI's own `EventSourceResponse` does not fit: it sends 200 before the first 
 that reconnects after the end must get 204, which makes it stop.
 """
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Collection, Sequence
 
 from pydantic_core import to_json
 
@@ -18,13 +18,21 @@ MEDIA_TYPE = "text/event-stream"
 HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
 
-async def event_stream(follower: Follower) -> AsyncIterator[bytes]:
-    """Every entry, a comment in each silence, and the job's final status once at the end."""
+async def event_stream(
+    follower: Follower, kinds: Collection[str] = (), *, follow: bool = True
+) -> AsyncIterator[bytes]:
+    """The entries of these kinds (none: of all), a comment in each silence, at the end the final status.
+
+    Without `follow`, only the present entries.
+    """
     told = False
     yield b"retry: 2000\n\n"
-    async for page in follower.coming():
-        yield encoded(page) if page else b": still here\n\n"
+    async for page in follower.coming() if follow else follower.present():
         told = told or any(_is_the_end(entry) for entry in page)
+        wanted = [entry for entry in page if not kinds or entry.kind in kinds or _is_the_end(entry)]
+        yield encoded(wanted) if wanted else b": still here\n\n"
+    if not follow:
+        return
     if follower.status is not None and follower.status.is_final and not told:
         # A job of version 0.1 that was imported has a status, but no feed.
         yield encoded([_final(await follower.job())])

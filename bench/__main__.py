@@ -26,6 +26,7 @@ DEFAULT = {
     "faults": "bench.service.faults",
     "service": "bench.service.costs",
     "models": "bench.service.models",
+    "page": "bench.service.page",
     "video": "bench.cpu.video",
     "demo": "bench.service.demo",
 }

@@ -1,6 +1,6 @@
 """The routers, one file for each resource; add a new one here."""
 
-from api.routes import catalog, events, files, health, index, jobs, logs, metrics, models, previews, problems
+from api.routes import catalog, events, files, health, jobs, logs, metrics, models, page, previews, problems
 
 ROUTERS = (
     jobs.router,
@@ -13,5 +13,5 @@ ROUTERS = (
     catalog.router,
     health.router,
     problems.router,
-    index.router,
+    page.router,
 )

@@ -1,9 +1,10 @@
 """A job's events, live."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from anyio import to_thread
 from fastapi import APIRouter, Header, Query, Response
+from pydantic import Field
 from starlette.responses import StreamingResponse
 
 from api import sse
@@ -17,11 +18,15 @@ router = APIRouter(tags=["jobs"])
 
 _EXAMPLE = 'id: 7\nevent: status\ndata: {"time":"2026-11-20T09:00:00Z","data":{"status":"running"}}\n\n'
 
+EventKind = Literal["status", "progress", "metrics", "artifact", "phase", "note"]
+
 
 class After(Parameters):
     """after: the id of the last event seen; the header Last-Event-ID means the same and takes precedence."""
 
     after: EntryId = ""
+    kind: list[EventKind] = Field([], description="Only events of these kinds, and the end; repeatable.")
+    follow: bool = Field(True, description="false: only the events so far.")
 
 
 @router.get(
@@ -29,8 +34,8 @@ class After(Parameters):
     response_class=StreamingResponse,
     responses={
         200: {
-            "description": "Events of the kinds status, progress, metrics, artifact and phase; the last one "
-            "is the job's final status. A comment is sent after every 15 seconds of silence.",
+            "description": "Events of the kinds status, progress, metrics, artifact, phase and note; the "
+            "last one is the job's final status. A comment is sent after every 15 seconds of silence.",
             "content": {sse.MEDIA_TYPE: {"example": _EXAMPLE}},
         },
         204: {"description": "The job has ended and all its events were seen: do not reconnect"},
@@ -48,5 +53,5 @@ async def follow_events(
     job, has_more = await to_thread.run_sync(look, service, job_id, "events", after)
     if after and job.status.is_final and not has_more:
         return Response(status_code=204)
-    stream = sse.event_stream(Follower(service, job, "events", after))
+    stream = sse.event_stream(Follower(service, job, "events", after), asked.kind, follow=asked.follow)
     return StreamingResponse(stream, headers=sse.HEADERS, media_type=sse.MEDIA_TYPE)

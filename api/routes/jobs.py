@@ -4,12 +4,13 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
 
 from api.dependencies import JobId, Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.problems import refusals
+from api.recent import max_age_s
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
 from api.views import JobView, Listing, View
 from core.errors import (
@@ -55,7 +56,10 @@ class Listed(Parameters):
     status: JobStatus | None = None
     kind: JobKind | None = None
     environment: Text | None = Field(None, examples=["ant"])
-    name: Text | None = None
+    name: Text | None = Field(None, description="The whole name.")
+    search: Text | None = Field(
+        None, description="A part of the name or of the environment's id, in any case.", examples=["first"]
+    )
     label: list[Label] = Field([], max_length=64, description="`key:value` or `key=value`; repeatable.")
     cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
     limit: int = Field(50, ge=1, le=200)
@@ -66,6 +70,7 @@ class Listed(Parameters):
             kind=self.kind,
             environment=self.environment,
             name=self.name,
+            search=self.search or None,
             labels=dict(_label(text) for text in self.label),
         )
 
@@ -98,12 +103,24 @@ def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep) -> Res
 
 
 @router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))
-def list_jobs(listed: Annotated[Listed, Query()], service: ServiceDep) -> Response:
-    """Jobs, newest first."""
-    page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit)
-    workers = _workers(page.jobs, service)
-    views = [JobView.of(job, workers) for job in page.jobs]
-    return _answer(Listing[JobView](items=views, next=page.next_cursor))
+def list_jobs(
+    listed: Annotated[Listed, Query()],
+    service: ServiceDep,
+    cache_control: Annotated[str, Header(max_length=200)] = "",
+) -> Response:
+    """Jobs, newest first.
+
+    With `Cache-Control: max-age=N`, the answer may be the one that another client got in the last N seconds.
+    """
+    question, age_s = listed.model_dump_json(), max_age_s(cache_control)
+    found = service.lists.find(question, age_s) if age_s else None
+    if found is None:
+        page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit)
+        workers = _workers(page.jobs, service)
+        views = [JobView.of(job, workers) for job in page.jobs]
+        found = Listing[JobView](items=views, next=page.next_cursor).model_dump_json().encode()
+        service.lists.keep(question, found)
+    return Response(found, media_type="application/json")
 
 
 @router.get("/jobs/{job_id}", response_model=JobView, responses=refusals(JobNotFound, RecordsUnavailable))

@@ -13,8 +13,9 @@ from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
 from api.metrics_table import Overview, csv_lines
 from api.problems import refusals
 from api.views import Metrics
-from core.errors import JobNotFound, RecordsUnavailable, Rejected, StorageUnavailable
+from core.errors import JobNotFound, Problem, RecordsUnavailable, Rejected, StorageUnavailable
 from core.jobs import feeds
+from core.jobs.spec import Text
 from core.jobs.store import Entry, entry_number
 
 router = APIRouter(tags=["jobs"])
@@ -46,6 +47,34 @@ class Measured(Parameters):
     format: Literal["json", "csv"] | None = Field(
         None, description="Takes precedence over the header Accept."
     )
+    points: int | None = Field(
+        None,
+        ge=4,
+        le=10_000,
+        description="For pictures: at most this many values of each metric, as JSON. The first, the last, "
+        "and the least and the greatest of each part between them are kept (min-max). Unlike without it, a "
+        "row then has only values that were kept, and an attempt that began again at a checkpoint replaces "
+        "all that followed there. `next` is still the feed's end.",
+    )
+    metric: list[Text] = Field(
+        [], max_length=100, description="With `points`: only these metrics; repeatable.", examples=[[]]
+    )
+    first_step: int | None = Field(None, ge=0, le=10**18, description="With `points`: only from this step.")
+    last_step: int | None = Field(None, ge=0, le=10**18, description="With `points`: only up to this step.")
+
+    @property
+    def names(self) -> frozenset[str] | None:
+        return frozenset(self.metric) or None
+
+    def check(self) -> None:
+        """Refuse what would have no effect. Raises Rejected."""
+        needing = (
+            {"metric", "first_step", "last_step"} if self.points is None else {"after", "limit", "format"}
+        )
+        if wrong := sorted(needing & self.model_fields_set):
+            rule = "needs `points`" if self.points is None else "does not go with `points`"
+            problems = [Problem(f"/{name}", f"`{name}` {rule}.") for name in wrong]
+            raise Rejected(" ".join(problem.detail for problem in problems), problems)
 
 
 @router.get(
@@ -58,8 +87,12 @@ def read_metrics(
 ) -> Metrics | Response:
     """All metrics of a job. Of a step that several attempts measured, the newest values.
 
-    JSON comes in pages. CSV has every row, unless `limit` is given.
+    JSON comes in pages. CSV has every row, unless `limit` is given. With `points`, JSON has all steps at
+    once, thinned for a picture.
     """
+    asked.check()
+    if asked.points is not None:
+        return _thinned(job_id, asked, asked.points, service)
     wants_csv = asked.format == "csv" or (
         asked.format is None and _prefers_csv(request.headers.get("accept", ""))
     )
@@ -72,6 +105,12 @@ def read_metrics(
     entries = service.read_feed(job_id, "events", after=after, kind="metrics", limit=limit)
     rows = Overview.of(entries).newest(entries)
     return Metrics(rows=rows, next=entries[-1].id if entries else asked.after or None)
+
+
+def _thinned(job_id: str, asked: Measured, points: int, service: Service) -> Metrics:
+    with service.curves.curves(job_id, asked.names) as (curves, last):
+        rows = curves.thinned(asked.names, points, asked.first_step, asked.last_step)
+    return Metrics(rows=rows, next=str(last) if last else None)
 
 
 def _whole_table(job_id: str, after: int, service: Service) -> Response:

@@ -66,12 +66,16 @@ class WorkerInfo(Stored):
 
 
 class JobQuery(Stored):
-    """The filters of a listing; None matches any job. labels: every one must match."""
+    """The filters of a listing; None matches any job. labels: every one must match.
+
+    search: a part of the name or of the environment's id, in any case.
+    """
 
     status: JobStatus | None = None
     kind: JobKind | None = None
     environment: str | None = None
     name: str | None = None
+    search: str | None = None
     labels: dict[str, str] = Field(default_factory=dict)
 
 

@@ -113,10 +113,10 @@ def server() -> Iterator[tuple[FastAPI, int]]:
 
 
 @contextmanager
-def serving(app: FastAPI) -> Iterator[int]:
-    """The app under uvicorn in a thread; its port."""
+def serving(app: FastAPI, port: int = 0) -> Iterator[int]:
+    """The app under uvicorn in a thread; its port, by default a free one."""
     server = Server(app)
-    with listen("127.0.0.1", 0) as listener:
+    with listen("127.0.0.1", port) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         # The socket is listening already: a request that comes too early waits in its backlog.

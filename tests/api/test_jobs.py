@@ -157,6 +157,9 @@ def test_a_listing_goes_page_by_page_from_the_newest(stack: Stack) -> None:
         ("environment=ant", "ba"),
         ("environment=hopper", ""),
         ("name=b", "b"),
+        ("search=B", "b"),
+        ("search=AN", "ba"),
+        ("search=", "ba"),
         ("label=group:x", "ba"),
         ("label=group:x&label=seed:2", "b"),
         ("label=group%3Dx&label=seed%3D1", "a"),
@@ -353,3 +356,18 @@ def test_a_lone_submission_takes_little_time(stack: Stack) -> None:
     for _ in range(50):
         assert stack.http.post("/jobs", json=MINIMAL).status_code == 202
     assert (utc_now() - started).total_seconds() / 50 < 0.1  # ~6 ms here; a loaded machine gets patience.
+
+
+def test_who_takes_a_list_that_is_not_quite_new_may_get_another_readers(stack: Stack) -> None:
+    def seen(age: str) -> int:
+        return len(ids(stack.http.get("/jobs", headers={"Cache-Control": age})))
+
+    stack.http.post("/jobs", json=MINIMAL)
+    assert seen("") == 1
+    stack.store.add(job())
+    assert seen("max-age=100") == 1
+    assert seen("max-age=0") == 2
+    assert seen("no-cache") == 2
+    assert seen("max-age=100") == 2
+    # Another question has no answer yet.
+    assert len(ids(stack.http.get("/jobs?kind=train", headers={"Cache-Control": "max-age=100"}))) == 2

@@ -489,3 +489,22 @@ def test_an_outage_between_two_pages_is_waited_out_and_not_hammered(
 
     # One, and another where the watcher's first look, which wakes every reader, was still to come.
     assert anyio.run(follow) in (1, 2)
+
+
+def test_events_of_some_kinds_come_with_the_end_and_without_waiting_for_it(
+    stack: Stack, attempt: Attempt
+) -> None:
+    attempt.say("phase", name="compile", seconds=2.0)
+    attempt.say("metrics", step=0, values={"reward": 1.0})
+    here = f"/jobs/{attempt.id}/events"
+    asked = {"kind": ["phase", "note"], "follow": "false"}
+    with stack.http.stream("GET", here, params=asked) as answer:
+        found = [event.split("\n")[1] for event in answer.read().decode().split("\n\n") if "event:" in event]
+    assert found == ["event: phase"]
+    attempt.end()
+    with stack.http.stream("GET", here, params={"kind": "phase"}) as answer:
+        found = [event.split("\n")[1] for event in answer.read().decode().split("\n\n") if "event:" in event]
+    assert found == ["event: phase", "event: status"]
+    assert pointers(problem(stack.http.get(here, params={"kind": "phases"}), 422, "invalid-request")) == [
+        "/kind/0"
+    ]

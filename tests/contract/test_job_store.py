@@ -310,6 +310,11 @@ class TestListing:
             (JobQuery(environment="ant", labels={"arm": "b"}), [1]),
             (JobQuery(name="nobody"), []),
             (JobQuery(labels={"project": "VNL"}), []),
+            (JobQuery(search="ST STEP"), [0]),
+            (JobQuery(search="hop"), [3]),
+            (JobQuery(search="ant", labels={"arm": "b"}), [1]),
+            (JobQuery(search="first_steps"), []),  # `_` stands for itself.
+            (JobQuery(search="%"), []),
         ],
     )
     def test_filters(self, jobs: JobStore, query: JobQuery, expected: list[int]) -> None:

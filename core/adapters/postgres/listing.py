@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Subquery, Table, select
+from sqlalchemy import ColumnElement, Connection, Row, Subquery, Table, or_, select
 
 from core.adapters.postgres.tables import jobs
 from core.jobs.store import JobQuery
@@ -21,7 +21,7 @@ def newest(connection: Connection, query: JobQuery, before: str | None, limit: i
     them match, matches are rare, and all of them are collected from the indexes before they are sorted.
     """
     conditions = _conditions(query, jobs)
-    if len(conditions) > 1 or query.labels:
+    if len(conditions) > 1 or query.labels or query.search:
         found = connection.execute(_among_the_newest(query, before, limit)).all()
         if len(found) == limit or not _has_more(connection, before):
             return found
@@ -50,7 +50,12 @@ def _collected(query: JobQuery, before: str | None, limit: int) -> Any:
 def _conditions(query: JobQuery, table: Table | Subquery) -> list[ColumnElement[bool]]:
     wanted = [(name, getattr(query, name)) for name in _COLUMNS]
     found: list[ColumnElement[bool]] = [table.c[name] == value for name, value in wanted if value is not None]
-    return [*found, table.c.labels.contains(query.labels)] if query.labels else found
+    if query.labels:
+        found.append(table.c.labels.contains(query.labels))
+    if query.search:
+        texts = (table.c.name, table.c.environment)
+        found.append(or_(*(text.icontains(query.search, autoescape=True) for text in texts)))
+    return found
 
 
 def _below(before: str | None) -> list[ColumnElement[bool]]:

@@ -1,0 +1,82 @@
+"""Curves that were asked for lately, so that only new entries of a feed are read again."""
+
+from collections import OrderedDict
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from threading import Lock
+
+from api.curves import Curves
+from core.jobs import feeds
+from core.jobs.store import JobStore
+from core.storage.objects import ObjectStore
+
+# 24 bytes each: 64 MB.
+_MAX_VALUES = 2_700_000
+
+
+@dataclass
+class _Known:
+    """What was read of a feed. names: the metrics that were kept; None: all. last: an entry's number."""
+
+    names: frozenset[str] | None = frozenset()
+    last: int = 0
+    curves: Curves = field(default_factory=Curves)
+    lock: Lock = field(default_factory=Lock)
+
+    def has(self, names: frozenset[str] | None) -> bool:
+        return self.names is None or (names is not None and names <= self.names)
+
+
+class CurveCache:
+    """The curves of the jobs that were asked for last. Feeds only grow: only what came since is read."""
+
+    def __init__(self, store: JobStore, objects: ObjectStore) -> None:
+        self._store = store
+        self._objects = objects
+        self._known = OrderedDict[str, _Known]()
+        self._lock = Lock()
+
+    @contextmanager
+    def curves(self, job_id: str, names: frozenset[str] | None) -> Generator[tuple[Curves, int]]:
+        """The job's curves, at least those of these names (None: all), and the last entry's number.
+
+        They are the caller's alone within this context. Raises the errors of `feeds.read_page`.
+        """
+        with self._lock:
+            known = self._known.setdefault(job_id, _Known())
+            self._known.move_to_end(job_id)
+        with known.lock:
+            try:
+                self._read_on(job_id, known, names)
+            except BaseException:
+                self._forget(job_id)
+                raise
+            yield known.curves, known.last
+        self._make_room()
+
+    def _read_on(self, job_id: str, known: _Known, names: frozenset[str] | None) -> None:
+        """Read the entries that came since, or the whole feed if it has metrics that were not kept."""
+        if not known.has(names):
+            known.names = None if names is None or known.names is None else known.names | names
+            known.last, known.curves = 0, Curves()
+        store, objects = self._store, self._objects
+        for page in feeds.read_pages(job_id, "events", store=store, objects=objects, after=known.last):
+            for entry in page:
+                if entry.kind == "metrics":
+                    known.curves.add(entry, known.names)
+            if page:
+                known.last = int(page[-1].id)
+
+    def _forget(self, job_id: str) -> None:
+        with self._lock:
+            self._known.pop(job_id, None)
+
+    def _make_room(self) -> None:
+        """Forget the jobs that were asked for longest ago, but not the last one."""
+        with self._lock:
+            sizes = {job_id: known.curves.num_values for job_id, known in self._known.items()}
+            total = sum(sizes.values())
+            while total > _MAX_VALUES and len(self._known) > 1:
+                job_id, _ = self._known.popitem(last=False)
+                total -= sizes[job_id]

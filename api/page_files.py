@@ -1,0 +1,65 @@
+"""The page's files, read once: each with its media type, and compressed where that helps."""
+
+import gzip
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+
+_MEDIA_TYPES = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "json": "application/json",
+    "svg": "image/svg+xml",
+    "txt": "text/plain; charset=utf-8",
+}
+
+
+@dataclass(frozen=True)
+class PageFile:
+    """A file of the page. content: its bytes."""
+
+    content: bytes
+    media_type: str
+
+    @cached_property
+    def compressed(self) -> bytes:
+        """The content as gzip; made when the first browser asks for it."""
+        return gzip.compress(self.content, mtime=0)
+
+
+@dataclass(frozen=True)
+class PageFiles:
+    """All files by their path. version: changes with any of them; it is part of their addresses."""
+
+    version: str
+    by_path: Mapping[str, PageFile]
+
+
+@cache
+def page_files() -> PageFiles:
+    """The files below `api/pages`; in the HTML, `{version}` becomes the version."""
+    found = dict(_read(files("api") / "pages", ""))
+    version = hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest()[:12]
+    return PageFiles(
+        version,
+        {
+            path: PageFile(_with_version(path, content, version), _MEDIA_TYPES[path.rpartition(".")[2]])
+            for path, content in found.items()
+        },
+    )
+
+
+def _read(folder: Traversable, prefix: str) -> list[tuple[str, bytes]]:
+    found: list[tuple[str, bytes]] = []
+    for entry in folder.iterdir():
+        path = f"{prefix}{entry.name}"
+        found += _read(entry, f"{path}/") if entry.is_dir() else [(path, entry.read_bytes())]
+    return found
+
+
+def _with_version(path: str, content: bytes, version: str) -> bytes:
+    return content.replace(b"{version}", version.encode()) if path.endswith(".html") else content

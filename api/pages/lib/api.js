@@ -1,0 +1,64 @@
+/** The service's HTTP interface. Every refusal becomes a `Problem`; no answer becomes `Away`. */
+
+import { report } from "./connection.js";
+
+/** A refusal (RFC 9457). `errors`: [{pointer, detail}], the places that it names. */
+export class Problem extends Error {
+  constructor(status, document) {
+    super(document.detail || document.title || `The service answered with status ${status}.`);
+    this.status = status;
+    this.type = document.type || "";
+    this.errors = document.errors || [];
+  }
+}
+
+/** The service did not answer. */
+export class Away extends Error {
+  constructor() {
+    super("The service does not answer.");
+  }
+}
+
+/**
+ * The answer to a request. Raises Problem, Away; AbortError where `signal` ended it.
+ * maxAge: seconds; the answer may be one that another reader got in this time.
+ */
+export async function send(path, { method = "GET", body, type, signal, maxAge } = {}) {
+  let answer;
+  const headers = { ...(type && { "Content-Type": type }), ...(maxAge && { "Cache-Control": `max-age=${maxAge}` }) };
+  try {
+    answer = await fetch(path, { method, body, signal, headers });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    report(false);
+    throw new Away();
+  }
+  report(true);
+  if (answer.ok) return answer;
+  throw new Problem(answer.status, await answer.json().catch(() => ({})));
+}
+
+/** The JSON document at a path. query: an object or URLSearchParams; empty values are left out. */
+export async function get(path, query = {}, { signal, maxAge } = {}) {
+  return (await send(withQuery(path, query), { signal, maxAge })).json();
+}
+
+/** The answer's document, or null if it has none. */
+export async function post(path, document) {
+  const body = document === undefined ? undefined : JSON.stringify(document);
+  return (await send(path, { method: "POST", body, type: body && "application/json" })).json();
+}
+
+export const remove = (path) => send(path, { method: "DELETE" });
+
+/** A path with the query's values that are not empty; lists repeat their name. */
+export function withQuery(path, query) {
+  const pairs = query instanceof URLSearchParams ? [...query] : Object.entries(query);
+  const said = new URLSearchParams();
+  for (const [name, value] of pairs) {
+    for (const one of [value].flat()) {
+      if (one !== undefined && one !== null && one !== "") said.append(name, one);
+    }
+  }
+  return said.size ? `${path}?${said}` : path;
+}

@@ -1,0 +1,41 @@
+/** A job that is being written: a document that has only what was said. */
+
+import { get } from "./api.js";
+import { environmentOf, optionsOf, title } from "./job.js";
+
+/** The value at a path, or undefined. */
+export const at = (document, path) => path.reduce((part, name) => part?.[name], document);
+
+/** The document with a value at a path; undefined removes it, and what becomes empty by that. */
+export function put(document, [name, ...rest], value) {
+  const copy = { ...document };
+  if (rest.length) {
+    const inner = put(typeof copy[name] === "object" && copy[name] !== null ? copy[name] : {}, rest, value);
+    if (Object.keys(inner).length) copy[name] = inner;
+    else delete copy[name];
+  } else if (value === undefined) delete copy[name];
+  else copy[name] = value;
+  return copy;
+}
+
+/**
+ * The draft that an address asks for: `from` a job, a `fork` or a `roll` of a checkpoint (with `step`), or of an
+ * `environment` and a `model`.
+ */
+export async function fromAddress(query) {
+  const source = query.get("from") || query.get("fork") || query.get("roll");
+  if (!source) {
+    const environment = { id: query.get("environment") || "ant" };
+    if (query.get("model")) environment.options = { model: query.get("model") };
+    return { kind: "train", environment };
+  }
+  const job = await get(`/jobs/${encodeURIComponent(source)}`);
+  const environment = { id: environmentOf(job.spec) };
+  if (Object.keys(optionsOf(job.spec)).length) environment.options = optionsOf(job.spec);
+  const checkpoint = { job: job.id, step: Number(query.get("step")) };
+  if (query.get("roll")) {
+    return { kind: "rollout", name: `${title(job)}, rolled out`, environment, policy: { kind: "checkpoint", ...checkpoint } };
+  }
+  const draft = { ...job.spec, environment };
+  return query.get("fork") ? { ...draft, name: `${title(job)}, forked`, resume_from: checkpoint } : draft;
+}

@@ -1,0 +1,36 @@
+/** Facts about a job's document that several views show. */
+
+import { isFinal } from "./events.js";
+
+export const RETURNS = ["eval/episode_reward", "training/episode_reward"];
+
+/** The environment's id, which a specification gives bare or in an object. */
+export const environmentOf = (spec) =>
+  typeof spec.environment === "string" ? spec.environment : spec.environment?.id || "?";
+
+export const optionsOf = (spec) => (typeof spec.environment === "object" && spec.environment?.options) || {};
+
+/** The job's name, or what it does. */
+export const title = (job) => job.name || `${environmentOf(job.spec)}, ${job.kind}`;
+
+/** The algorithm's kind; none for a rollout. */
+export const algorithmOf = (job) => (job.kind === "train" ? job.spec.algorithm?.kind || "ppo" : null);
+
+export const isOver = (job) => isFinal(job.status);
+
+/** The newest file of a role, or the one of a step. */
+export function newest(job, role, step) {
+  const found = job.artifacts.filter((file) => file.role === role && (step === undefined || file.step === step));
+  // One without a step was made at the job's end.
+  return found.reduce((best, file) => (!best || (file.step ?? Infinity) >= (best.step ?? Infinity) ? file : best), null);
+}
+
+/** The last return that the job reported, or null. */
+export function lastReturn(job) {
+  for (const name of RETURNS) if (typeof job.progress.metrics[name] === "number") return job.progress.metrics[name];
+  return null;
+}
+
+/** What the newest attempt ran with; empty before it reported. */
+export const hyperparametersOf = (job) =>
+  job.attempts.findLast((attempt) => attempt.details.hyperparameters)?.details.hyperparameters || {};

@@ -1,0 +1,64 @@
+/** One job as it is now: its document, kept fresh by its events. */
+
+import { get } from "./api.js";
+import { follow } from "./events.js";
+import { useCallback, useEffect, useRef, useState } from "./html.js";
+import { isOver, RETURNS } from "./job.js";
+import { useLive } from "./live.js";
+
+const RELOAD_MS = 300; // Several files of one moment cost one request.
+
+/**
+ * @param {string} id
+ * @returns job, error, isGone (it was deleted while somebody looked), again,
+ *   onMetrics and onPhase: register a listener for what comes from now on; they return what unregisters it.
+ */
+export function useJob(id) {
+  const [job, setJob] = useState(null);
+  const [isGone, setGone] = useState(false);
+  const metrics = useRef(new Set());
+  const phases = useRef(new Set());
+  const timer = useRef();
+  // Of a queued job, no event says what it waits for; of an ended one, none says that it was deleted.
+  const { data, error, again } = useLive(
+    (signal) => get(`/jobs/${id}`, {}, { signal }),
+    [id],
+    (found) => (found.status === "queued" ? 3000 : 15_000),
+  );
+  useEffect(() => data && setJob(data), [data]);
+  useEffect(() => setGone(Boolean(job) && error?.status === 404), [error]);
+
+  const isGoing = Boolean(job) && !isOver(job);
+  useEffect(() => {
+    if (!isGoing) return undefined;
+    let stop = () => {};
+    let isWanted = true;
+    const soon = () => {
+      clearTimeout(timer.current);
+      timer.current = setTimeout(again, RELOAD_MS);
+    };
+    const hear = (kind, event, time) => {
+      if (kind === "progress") setJob((known) => known && { ...known, progress: event });
+      else if (kind === "metrics") metrics.current.forEach((listener) => listener({ ...event, time }));
+      else if (kind === "phase" || kind === "note") phases.current.forEach((listener) => listener({ kind, ...event, time }));
+      else soon();
+    };
+    // The end of the feed as it is now; the curves of the views are loaded after this.
+    const start = async () => {
+      const { next } = await get(`/jobs/${id}/metrics`, { points: 4, metric: RETURNS }).catch(() => ({ next: "" }));
+      if (isWanted) stop = follow(`/jobs/${id}/events`, next || "", hear, again);
+    };
+    start();
+    return () => {
+      isWanted = false;
+      stop();
+      clearTimeout(timer.current);
+    };
+  }, [id, isGoing]);
+
+  const register = (listeners) => (listener) => {
+    listeners.current.add(listener);
+    return () => listeners.current.delete(listener);
+  };
+  return { job, error, isGone, again, onMetrics: useCallback(register(metrics), []), onPhase: useCallback(register(phases), []) };
+}

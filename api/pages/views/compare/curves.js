@@ -1,0 +1,70 @@
+/** One metric of several jobs over each other, to export as a table or a picture. */
+
+import { get } from "../../lib/api.js";
+import { across, Curves as JobCurves, smooth } from "../../lib/curves.js";
+import { save, toCsv } from "../../lib/export.js";
+import { html, useRef, useState } from "../../lib/html.js";
+import { isOver, RETURNS } from "../../lib/job.js";
+import { useLive } from "../../lib/live.js";
+import { Chart, pictureOf } from "../../parts/chart.js";
+import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
+import { Failure } from "../../parts/states.js";
+import { change } from "../../lib/route.js";
+
+const POINTS = 400;
+const EXPORTED_POINTS = 10_000;
+
+export function Curves({ jobs, query }) {
+  const tools = toolsOf(query);
+  const names = [...new Set(jobs.flatMap((job) => Object.keys(job.progress.metrics)))].sort();
+  const metric = query.get("metric") || RETURNS.find((name) => names.includes(name)) || names[0] || RETURNS[0];
+  const isClose = tools.range && tools.x === "steps";
+  const range = isClose ? { first_step: tools.range[0], last_step: tools.range[1] } : {};
+  const { data, error, again } = useLive(
+    (signal) => Promise.all(jobs.map((job) => curveOf(job, metric, { points: POINTS, ...range }, signal))),
+    [jobs.map((job) => job.id).join(), metric, JSON.stringify(range)],
+    () => (jobs.some((job) => !isOver(job)) ? 4000 : 0),
+  );
+  const place = useRef();
+  const [isBusy, setBusy] = useState(false);
+  const exportCsv = async () => {
+    setBusy(true);
+    const curves = await Promise.all(jobs.map((job) => curveOf(job, metric, { points: EXPORTED_POINTS, ...range })));
+    save(`${fileName(metric)}.csv`, new Blob([toCsv(jobs.map((job, i) => [job, curves[i]]), metric)], { type: "text/csv" }));
+    setBusy(false);
+  };
+  const lines = (data || []).flatMap((curve, i) => (curve && jobs[i] ? [lineOf(jobs[i], curve, tools)] : []));
+  return html`<section class="card" aria-label="Curves">
+    <${CurveTools} tools=${tools}>
+      <label>Metric
+        <select value=${metric} onChange=${(event) => change({ metric: event.target.value }, true)}>
+          ${[...new Set([metric, ...names])].map((name) => html`<option value=${name}>${name}</option>`)}
+        </select>
+      </label>
+    <//>
+    ${error && html`<${Failure} error=${error} again=${again} />`}
+    <div ref=${place}>
+      <${Chart} title=${metric} lines=${lines} x=${tools.x} log=${tools.log} range=${tools.range} onRange=${setRange} height=${340} />
+    </div>
+    <p class="actions">
+      <button type="button" disabled=${isBusy || !lines.length} onClick=${exportCsv}>Export CSV</button>
+      <button type="button" disabled=${!lines.length} onClick=${async () => save(`${fileName(metric)}.png`, await pictureOf(place.current))}>Export PNG</button>
+      <span class="facts">The CSV has up to 10,000 values of each job; ${" "}<a href=${query.get("ids") && `#/jobs/${jobs[0].id}/curves`}>all rows</a> are on a job's own page.</span>
+    </p>
+  </section>`;
+}
+
+const fileName = (metric) => metric.replaceAll("/", "-");
+
+async function curveOf(job, metric, asked, signal) {
+  const { rows } = await get(job.links.metrics, { metric, ...asked }, { signal });
+  return new JobCurves(rows).byName.get(metric) || null;
+}
+
+const lineOf = (job, curve, tools) => ({
+  label: job.label,
+  colour: job.colour,
+  isDashed: job.isDashed,
+  xs: across(curve, tools.x, job.started_at || job.created_at),
+  ys: smooth(curve.values, tools.smoothing),
+});

@@ -1,0 +1,90 @@
+/** One job: its head, and the tab that the address names. */
+
+import { post, remove } from "../lib/api.js";
+import { duration, moment, seconds } from "../lib/format.js";
+import { html, useState } from "../lib/html.js";
+import { algorithmOf, environmentOf, isOver, title } from "../lib/job.js";
+import { useJob } from "../lib/live_job.js";
+import { go, href } from "../lib/route.js";
+import { Confirm } from "../parts/confirm.js";
+import { Empty, Failure, Loading } from "../parts/states.js";
+import { Labels, Progress, Status } from "../parts/status.js";
+import { CurvesTab } from "./job/curves.js";
+import { FilesTab } from "./job/files.js";
+import { LogTab } from "./job/log.js";
+import { OverviewTab } from "./job/overview.js";
+import { SpecificationTab } from "./job/specification.js";
+
+const TABS = {
+  overview: ["Overview", OverviewTab],
+  curves: ["Curves", CurvesTab],
+  log: ["Log", LogTab],
+  files: ["Files", FilesTab],
+  specification: ["Specification", SpecificationTab],
+};
+
+export default function JobView({ path: [id, tab = "overview"], query }) {
+  const live = useJob(id);
+  const { job, error, isGone, again } = live;
+  if (isGone) return html`<${Empty}><p>Somebody deleted this job.</p><p><a href="#/jobs">To the jobs</a></p><//>`;
+  if (!job && error) return html`<${Failure} error=${error} again=${again} /><p><a href="#/jobs">To the jobs</a></p>`;
+  if (!job) return html`<${Loading} what="the job" />`;
+  const Tab = (TABS[tab] || TABS.overview)[1];
+  return html`
+    <${Head} job=${job} again=${again} />
+    <nav class="tabs" aria-label="Parts of the job">
+      ${Object.entries(TABS).map(
+        ([name, [text]]) => html`<a href=${href(["jobs", id, name])} aria-current=${name === tab ? "page" : undefined}>${text}</a>`,
+      )}
+    </nav>
+    <${Tab} ...${live} query=${query} />
+  `;
+}
+
+function Head({ job, again }) {
+  const [problem, setProblem] = useState(null);
+  const act = (action) => async () => {
+    setProblem(null);
+    try {
+      await action();
+    } catch (error) {
+      setProblem(error);
+    }
+  };
+  const cancel = act(async () => (await post(job.links.cancel), again()));
+  const discard = act(async () => (await remove(job.links.self), go(["jobs"])));
+  const environment = environmentOf(job.spec);
+  return html`
+    <div class="title">
+      <h1>${title(job)}</h1>
+      <div class="actions">
+        <a class="button" href=${href(["submit"], { from: job.id })}>Run again</a>
+        ${!isOver(job) && html`<${Confirm} text="Cancel" question="Stop it, and keep its work so far?" onYes=${cancel} />`}
+        ${isOver(job) && html`<${Confirm} text="Delete" question="Delete the job and its files for good?" onYes=${discard} isDangerous />`}
+      </div>
+    </div>
+    <div class="about-job">
+      <${Status} job=${job} />
+      <span class="facts">${job.kind} · <a href=${href(["jobs"], { environment })}>${environment}</a>${algorithmOf(job) ? ` · ${algorithmOf(job)}` : ""} · ${job.id}</span>
+      <span class="facts"><time datetime=${job.created_at} title=${moment(job.created_at)}>${times(job)}</time></span>
+      <${Progress} job=${job} />
+    </div>
+    <${Labels} labels=${job.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
+    ${problem && html`<${Failure} error=${problem} />`}
+    <${Message} job=${job} />
+  `;
+}
+
+function Message({ job }) {
+  if (job.waiting_for) return html`<p class="message" role="status">It waits. ${job.waiting_for}</p>`;
+  if (job.not_before) return html`<p class="message" role="status">It is tried again at ${moment(job.not_before)}.</p>`;
+  if (!job.message || job.status === "succeeded") return null;
+  return html`<p class="message ${job.status}">${job.reason}: ${job.message}</p>`;
+}
+
+function times(job) {
+  if (!job.started_at) return `submitted ${moment(job.created_at)}`;
+  const waited = duration(seconds(job.created_at, job.started_at));
+  if (!job.finished_at) return `started ${moment(job.started_at)}, after ${waited} in the queue`;
+  return `ran ${duration(seconds(job.started_at, job.finished_at))}, after ${waited} in the queue; ended ${moment(job.finished_at)}`;
+}

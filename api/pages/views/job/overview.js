@@ -1,0 +1,109 @@
+/** The job at a glance: video, return, reward by term, costs, attempts. */
+
+import { duration, moment, seconds, value } from "../../lib/format.js";
+import { across, smooth, useCurves } from "../../lib/curves.js";
+import { html, useState } from "../../lib/html.js";
+import { RETURNS } from "../../lib/job.js";
+import { href } from "../../lib/route.js";
+import { Chart } from "../../parts/chart.js";
+import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
+import { Films } from "../../parts/films.js";
+import { Failure } from "../../parts/states.js";
+import { Costs } from "./costs.js";
+
+// Terms of the reward, as environments name them.
+const TERM = /^eval\/episode_((?:reward|cost)_.+|.+_(?:reward|cost))$/;
+
+export function OverviewTab({ job, query, onMetrics, onPhase }) {
+  return html`<div class="stack">
+    <div class="halves">
+      <section class="card" aria-label="Video"><${FilmsAndForks} job=${job} /></section>
+      ${job.kind === "train" && html`<section class="card" aria-label="Return"><${Return} job=${job} query=${query} onMetrics=${onMetrics} /></section>`}
+      <${Summary} job=${job} />
+    </div>
+    <div class="halves">
+      <${Terms} metrics=${job.progress.metrics} />
+      <${Costs} job=${job} onPhase=${onPhase} />
+    </div>
+    <${Attempts} job=${job} />
+  </div>`;
+}
+
+function FilmsAndForks({ job }) {
+  const [step, setStep] = useState(null);
+  const checkpoints = job.artifacts.filter((file) => file.role === "checkpoint").sort((a, b) => a.step - b.step);
+  const checkpoint = checkpoints.find((file) => file.step === step) || (step === null ? checkpoints.at(-1) : null);
+  return html`
+    <${Films} job=${job} onStep=${setStep} />
+    ${checkpoints.length > 0 &&
+    html`<p class="actions">
+      ${checkpoint
+        ? html`<a class="button" href=${href(["submit"], { fork: job.id, step: checkpoint.step })}>Fork from this checkpoint</a>
+            <a href=${href(["submit"], { roll: job.id, step: checkpoint.step })}>Roll it out</a>`
+        : html`<span class="facts">This video's checkpoint is no longer kept.</span>`}
+    </p>`}
+  `;
+}
+
+function Return({ job, query, onMetrics }) {
+  const tools = toolsOf(query);
+  const { curves, error, version } = useCurves(job, onMetrics, { points: 400, metric: RETURNS });
+  if (error) return html`<${Failure} error=${error} />`;
+  const lines = RETURNS.flatMap((name, i) => {
+    const curve = curves?.byName.get(name);
+    if (!curve) return [];
+    const xs = across(curve, tools.x, job.started_at || job.created_at);
+    const label = name.replace("/episode_reward", "");
+    return [{ label, xs, ys: smooth(curve.values, tools.smoothing), colour: `--curve-${i + 1}` }];
+  });
+  return html`<${Chart} title="Return" version=${version} lines=${lines} x=${tools.x} log=${tools.log} range=${tools.range} onRange=${setRange} height=${250} />
+    <${CurveTools} tools=${tools} />`;
+}
+
+/** What a rollout found. */
+function Summary({ job }) {
+  if (job.kind !== "rollout") return null;
+  const metrics = Object.entries(job.progress.metrics);
+  return html`<section class="card"><h2>Result</h2>
+    ${metrics.length
+      ? html`<dl class="facts-list">${metrics.map(([name, number]) => html`<dt>${name}</dt><dd>${value(number)}</dd>`)}</dl>`
+      : html`<p class="facts">Nothing measured yet.</p>`}
+  </section>`;
+}
+
+function Terms({ metrics }) {
+  const terms = Object.entries(metrics).filter(([name]) => TERM.test(name) && !name.endsWith("_std"));
+  if (!terms.length) return null;
+  const most = Math.max(...terms.map(([, number]) => Math.abs(number)), 1e-12);
+  return html`<section class="card"><h2>Reward by term</h2>
+    <ul class="bars">
+      ${terms.map(
+        ([name, number]) => html`<li key=${name}>
+          <span>${TERM.exec(name)[1]}</span>
+          <svg class="bar" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true">
+            <rect class=${number < 0 ? "minus" : ""} width=${(100 * Math.abs(number)) / most} height="8" />
+          </svg>
+          <span class="facts">${value(number)}</span>
+        </li>`,
+      )}
+    </ul>
+    <p class="facts">In an episode of the newest evaluation.</p>
+  </section>`;
+}
+
+function Attempts({ job }) {
+  if (!job.attempts.length) return null;
+  return html`<section class="card"><h2>Attempts</h2><div class="table" tabindex="0" role="region" aria-label="Attempts">
+    <table>
+      <thead><tr><th>#</th><th>Worker</th><th>Device</th><th>Engine</th><th>Started</th><th>Took</th><th>Ended because</th></tr></thead>
+      <tbody>${job.attempts.map(
+        (attempt) => html`<tr key=${attempt.number}>
+          <td>${attempt.number}</td><td>${attempt.worker}</td><td>${attempt.device || "–"}</td>
+          <td>${attempt.engine || "–"}</td><td>${moment(attempt.started_at)}</td>
+          <td>${duration(seconds(attempt.started_at, attempt.ended_at || Date.now()))}</td>
+          <td>${attempt.reason ? `${attempt.reason}: ${attempt.message || ""}` : "still running"}</td>
+        </tr>`,
+      )}</tbody>
+    </table>
+  </div></section>`;
+}

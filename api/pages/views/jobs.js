@@ -1,0 +1,151 @@
+/** All jobs, newest first: filters, search and labels in the address; some of them picked for comparison. */
+
+import { get } from "../lib/api.js";
+import { ago } from "../lib/format.js";
+import { html, useEffect, useRef, useState } from "../lib/html.js";
+import { algorithmOf, environmentOf, isOver, newest, title } from "../lib/job.js";
+import { useLive } from "../lib/live.js";
+import { change, href } from "../lib/route.js";
+import { Sparkline } from "../parts/sparkline.js";
+import { Empty, Failure, Loading } from "../parts/states.js";
+import { Labels, Progress, Status } from "../parts/status.js";
+
+const STATUSES = ["queued", "starting", "running", "cancelling", "succeeded", "failed", "cancelled"];
+const FILTERS = ["search", "status", "kind", "environment", "label"];
+const LIMIT = 25;
+
+export default function Jobs({ query }) {
+  const asked = Object.fromEntries(FILTERS.map((name) => [name, query.getAll(name)]));
+  const cursor = query.get("cursor");
+  const picked = query.getAll("pick");
+  const { data, error, again } = useLive(
+    (signal, isRepeated) => get("/jobs", { ...asked, cursor, limit: LIMIT }, { signal, maxAge: isRepeated ? 1 : 0 }),
+    [JSON.stringify(asked), cursor],
+    (page) => (page.items.some((job) => !isOver(job)) ? 2000 : 5000),
+  );
+  const isFiltered = Object.values(asked).some((values) => values.length);
+  return html`
+    <div class="title">
+      <h1>Jobs</h1>
+      <a class="button" href="#/submit">Submit a job</a>
+    </div>
+    <${Filters} asked=${asked} />
+    ${error && html`<${Failure} error=${error} again=${again} />`}
+    ${!data && !error && html`<${Loading} what="jobs" />`}
+    ${data && !data.items.length && html`<${Nothing} isFiltered=${isFiltered || cursor} />`}
+    ${data && data.items.length > 0 &&
+    html`<ul class="jobs" aria-label="Jobs">
+      ${data.items.map((job) => html`<${Row} key=${job.id} job=${job} picked=${picked} />`)}
+    </ul>`}
+    ${data && html`<${Pages} query=${query} next=${data.next} />`}
+    ${picked.length > 0 && html`<${Picked} ids=${picked} />`}
+  `;
+}
+
+function Filters({ asked }) {
+  const [search, setSearch] = useState(asked.search[0] || "");
+  const timer = useRef();
+  useEffect(() => () => clearTimeout(timer.current), []);
+  const set = (parts, quietly) => change({ ...parts, cursor: [] }, quietly);
+  const type = (event) => {
+    const text = event.target.value;
+    setSearch(text);
+    clearTimeout(timer.current);
+    timer.current = setTimeout(() => set({ search: text }, true), 250);
+  };
+  const addLabel = (event) => {
+    event.preventDefault();
+    const input = event.target.elements.label;
+    if (/^[\w.-]+[:=]/.test(input.value)) set({ label: [...asked.label, input.value.replace("=", ":")] });
+    input.value = "";
+  };
+  return html`<search class="filters">
+    <label>Search <input type="search" value=${search} onInput=${type} placeholder="name or environment" /></label>
+    <label>Status
+      <select value=${asked.status[0] || ""} onChange=${(event) => set({ status: event.target.value })}>
+        <option value="">any</option>
+        ${STATUSES.map((status) => html`<option value=${status}>${status}</option>`)}
+      </select>
+    </label>
+    <label>Kind
+      <select value=${asked.kind[0] || ""} onChange=${(event) => set({ kind: event.target.value })}>
+        <option value="">any</option><option value="train">train</option><option value="rollout">rollout</option>
+      </select>
+    </label>
+    <form onSubmit=${addLabel}>
+      <label>Label <input name="label" placeholder="key:value" pattern="[A-Za-z0-9_.\\-]+[:=].*" title="key:value" /></label>
+    </form>
+    ${["environment", "label"].flatMap((name) =>
+      asked[name].map(
+        (value) => html`<button type="button" class="label" aria-label="Remove the filter ${value}"
+          onClick=${() => set({ [name]: asked[name].filter((other) => other !== value) })}>${value} ×</button>`,
+      ),
+    )}
+  </search>`;
+}
+
+function Row({ job, picked }) {
+  const isPicked = picked.includes(job.id);
+  const pick = () => change({ pick: isPicked ? picked.filter((id) => id !== job.id) : [...picked, job.id] }, true);
+  const here = href(["jobs", job.id]);
+  const environment = environmentOf(job.spec);
+  return html`<li class="job">
+    <label class="pick"><input type="checkbox" checked=${isPicked} onChange=${pick} aria-label="Compare ${title(job)}" /></label>
+    <${Thumbnail} job=${job} to=${here} />
+    <div class="about">
+      <h2><a href=${here}>${title(job)}</a></h2>
+      <p class="facts">
+        <a href=${href(["jobs"], { environment })}>${environment}</a>
+        ${` · ${algorithmOf(job) || job.kind} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
+      </p>
+      <${Labels} labels=${job.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
+    </div>
+    <div class="how">
+      <${Status} job=${job} />
+      <${Progress} job=${job} />
+      <${Why} job=${job} />
+    </div>
+    <${Sparkline} job=${job} />
+  </li>`;
+}
+
+/** Why it waits, or why it did not succeed. */
+function Why({ job }) {
+  const text = job.waiting_for || (job.status !== "succeeded" && job.message);
+  return text ? html`<p class="facts why">${text}</p>` : null;
+}
+
+function Thumbnail({ job, to }) {
+  const poster = newest(job, "poster");
+  return html`<a class="thumbnail" href=${to} tabindex="-1" aria-hidden="true">
+    ${poster ? html`<img src=${poster.href} alt="" loading="lazy" />` : html`<span>${environmentOf(job.spec)}</span>`}
+  </a>`;
+}
+
+const Nothing = ({ isFiltered }) =>
+  html`<${Empty}>
+    ${isFiltered
+      ? html`<p>No job matches these filters.</p><p><a href="#/jobs">Show all jobs</a></p>`
+      : html`<p>No jobs yet.</p>
+          <p><a class="button" href="#/submit">Submit the first one</a></p>
+          <p>Or from a shell: <code>gaitway submit train --environment ant</code></p>`}
+  <//>`;
+
+function Pages({ query, next }) {
+  const at = (cursor) => {
+    const parts = new URLSearchParams(query);
+    parts.delete("cursor");
+    if (cursor) parts.set("cursor", cursor);
+    return href(["jobs"], parts);
+  };
+  return html`<nav class="pages" aria-label="Pages of jobs">
+    ${query.get("cursor") && html`<a href=${at(null)}>Newest</a>`} ${next && html`<a href=${at(next)} rel="next">Older jobs</a>`}
+  </nav>`;
+}
+
+const Picked = ({ ids }) =>
+  html`<div class="picked" role="status">
+    <span>${ids.length} picked</span>
+    <a class="button" href=${href(["compare"], { ids: ids.join(",") })}>Compare</a>
+    <button type="button" class="plain" onClick=${() => change({ pick: [] }, true)}>Clear</button>
+  </div>`;

@@ -1,0 +1,103 @@
+/** Models of users: upload one by dropping it, see what a worker found in it. */
+
+import { get, remove, send } from "../lib/api.js";
+import { ago, bytes, compact, duration, value } from "../lib/format.js";
+import { html, useRef, useState } from "../lib/html.js";
+import { useLive } from "../lib/live.js";
+import { href } from "../lib/route.js";
+import { Confirm } from "../parts/confirm.js";
+import { Empty, Failure, Loading } from "../parts/states.js";
+
+const LISTS = ["bodies", "joints", "actuators", "sensors", "cameras"];
+const isSettling = (model) => model.status === "validating" || (model.status === "ready" && !model.description?.complete);
+
+export default function Models() {
+  const { data, error, again } = useLive(
+    (signal) => get("/models", {}, { signal }),
+    [],
+    (found) => (found.items.some(isSettling) ? 1500 : 15_000),
+  );
+  return html`<div class="stack">
+    <h1>Models</h1>
+    <${Drop} onAdded=${again} />
+    ${error && html`<${Failure} error=${error} again=${again} />`}
+    ${!data && !error && html`<${Loading} what="models" />`}
+    ${data && !data.items.length && html`<${Empty}><p>No models yet. A model is a robot of your own, as MJCF or URDF.</p><//>`}
+    ${data && html`<div class="grid">${data.items.map((model) => html`<${Model} key=${model.id} model=${model} again=${again} />`)}</div>`}
+  </div>`;
+}
+
+function Drop({ onAdded }) {
+  const [state, setState] = useState({});
+  const [isOver, setOver] = useState(false);
+  const input = useRef();
+  const upload = async (file) => {
+    if (!file) return;
+    setState({ text: `Sending ${file.name} (${bytes(file.size)}); a worker reads it…` });
+    try {
+      const type = file.name.endsWith(".zip") ? "application/zip" : "application/xml";
+      const model = await (await send("/models", { method: "POST", body: file, type })).json();
+      setState({ text: model.status === "validating" ? `${file.name} waits for a worker to read it.` : `${file.name} is there.` });
+    } catch (error) {
+      setState({ error });
+    }
+    input.current.value = "";
+    onAdded();
+  };
+  const drop = (event) => {
+    event.preventDefault();
+    setOver(false);
+    upload(event.dataTransfer.files[0]);
+  };
+  return html`<section class="drop ${isOver ? "over" : ""}" aria-label="Upload a model"
+    onDragOver=${(event) => (event.preventDefault(), setOver(true))} onDragLeave=${() => setOver(false)} onDrop=${drop}>
+    <label class="field">Drop an MJCF or URDF file here, or a zip with its meshes; or choose one:
+      <input ref=${input} type="file" accept=".xml,.mjcf,.urdf,.zip" onChange=${(event) => upload(event.target.files[0])} />
+    </label>
+    <p role="status">${state.text || ""}</p>
+    ${state.error && html`<${Failure} error=${state.error} />`}
+  </section>`;
+}
+
+function Model({ model, again }) {
+  const [error, setError] = useState(null);
+  const { description: found } = model;
+  const discard = () => remove(model.links.self).then(again, setError);
+  return html`<section class="card stack">
+    <h2>${found ? found.inventory.root : model.id.slice(0, 19)}</h2>
+    <p class="facts"><span class="status ${model.status === "ready" ? "succeeded" : model.status === "refused" ? "failed" : ""}">${model.status}</span>
+      ${` · ${bytes(model.size)} · ${ago(model.created_at)}`}</p>
+    <p class="facts"><code>${model.id}</code></p>
+    ${model.message && html`<p class="error">${model.message}</p>`}
+    ${found && html`<${Contents} found=${found} />`}
+    ${error && html`<${Failure} error=${error} />`}
+    <p class="actions">
+      ${model.status === "ready" && html`<a class="button" href=${href(["submit"], { environment: "mjcf", model: model.id })}>Train it</a>`}
+      <${Confirm} text="Delete" question="Delete this model?" onYes=${discard} isDangerous />
+    </p>
+  </section>`;
+}
+
+/** What the worker found in it. */
+function Contents({ found }) {
+  const { inventory, engines, notes } = found;
+  const { nq, nv, nu } = inventory.sizes;
+  const able = Object.keys(engines).filter((name) => engines[name] === null);
+  const unable = Object.entries(engines).filter(([, reason]) => reason !== null);
+  return html`<dl class="facts-list">
+      <dt>Engines</dt><dd>${able.join(", ") || "none yet"}${found.complete ? "" : " (others are still tried)"}</dd>
+      ${unable.map(([name, reason]) => html`<dt>not ${name}</dt><dd>${reason}</dd>`)}
+      <dt>Root</dt><dd>${inventory.root}, ${inventory.travels ? "travels" : "stays in its place"}; ${value(inventory.initial_height)} m high, settles at ${value(found.settled_height)} m</dd>
+      <dt>Mass</dt><dd>${value(inventory.mass_kg)} kg</dd>
+      <dt>Sizes</dt><dd>nq ${nq}, nv ${nv}, nu ${nu}; steps of ${duration(inventory.timestep_s)}</dd>
+      <dt>Speed</dt><dd>${compact(found.physics_steps_per_second)} physics steps/s on one core</dd>
+      ${LISTS.map((kind) => html`<dt>${kind}</dt><dd><${Names} items=${inventory[kind]} /></dd>`)}
+    </dl>
+    ${notes.map((note) => html`<p class="facts">${note}</p>`)}`;
+}
+
+function Names({ items }) {
+  if (!items.length) return "none";
+  const names = items.map((item) => item.name ?? item).map((name) => name || "(without a name)").join(", ");
+  return names.length < 60 ? names : html`<details><summary>${items.length}</summary>${names}</details>`;
+}

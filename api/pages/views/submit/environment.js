@@ -1,0 +1,33 @@
+/** The environment and its options. */
+
+import { html } from "../../lib/html.js";
+import { Field } from "../../parts/field.js";
+import { Failure } from "../../parts/states.js";
+
+export function EnvironmentPart({ all, document, set, errors, environments, environment, problem }) {
+  const families = byFamily(environments);
+  const wrong = errors.filter(({ pointer }) => ["/environment", "/environment/id"].includes(pointer));
+  const choose = (event) => set(["environment"], { id: event.target.value });
+  const options = environment?.options;
+  // References in an environment's own schema lead into that schema.
+  const here = { ...all, ...(options?.$defs || {}) };
+  return html`<fieldset><legend>Environment</legend>
+    <div class="field wide">
+      <label for="environment">Environment</label>
+      <select id="environment" value=${document.environment.id} onChange=${choose} aria-invalid=${wrong.length ? "true" : undefined}>
+        ${[...families].map(([family, rows]) => html`<optgroup label=${family}>${rows.map((row) => html`<option value=${row.id}>${row.id}</option>`)}</optgroup>`)}
+      </select>
+      <p class="facts">${environment?.description || ""}</p>
+      ${wrong.map(({ detail }) => html`<p class="error">${detail}</p>`)}
+      ${problem && html`<${Failure} error=${problem} />`}
+    </div>
+    ${options && Object.keys(options.properties || {}).length > 0 &&
+    html`<${Field} all=${here} document=${document} set=${set} errors=${errors} path=${["environment", "options"]} schema=${options} planned=${{}} />`}
+  </fieldset>`;
+}
+
+function byFamily(environments) {
+  const found = new Map();
+  for (const one of environments) found.set(one.family, [...(found.get(one.family) || []), one]);
+  return found;
+}

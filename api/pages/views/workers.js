@@ -1,0 +1,73 @@
+/** Workers, and the queue: what waits, and why. */
+
+import { get } from "../lib/api.js";
+import { ago, bytes, moment } from "../lib/format.js";
+import { html } from "../lib/html.js";
+import { environmentOf, title } from "../lib/job.js";
+import { useLive } from "../lib/live.js";
+import { Empty, Failure, Loading } from "../parts/states.js";
+
+const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside" };
+
+export default function Workers() {
+  const { data, error, again } = useLive(load, [], 3000);
+  if (!data) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="workers" />`;
+  return html`<div class="stack">
+    <h1>Workers</h1>
+    ${error && html`<${Failure} error=${error} again=${again} />`}
+    ${!data.workers.length && html`<${Empty}>
+      <p>No worker is running, so jobs wait.</p>
+      <p>Start one with <code>python -m worker.main</code>, or the whole service with <code>./run up</code>.</p>
+    <//>`}
+    <div class="grid">${data.workers.map((worker) => html`<${Worker} key=${worker.name} worker=${worker} />`)}</div>
+    <${Queue} queued=${data.queued} workers=${data.workers} />
+  </div>`;
+}
+
+async function load(signal) {
+  const [workers, queued] = await Promise.all([
+    get("/workers", {}, { signal }),
+    get("/jobs", { status: "queued", limit: 100 }, { signal }),
+  ]);
+  return { workers: workers.items, queued };
+}
+
+const Worker = ({ worker }) => html`<section class="card">
+  <h2>${worker.name}</h2>
+  <dl class="facts-list">
+    <dt>State</dt><dd>${worker.job ? html`runs <a href="#/jobs/${worker.job}">${worker.job}</a>` : STATES[worker.state]}${worker.problem ? `: ${worker.problem}` : ""}</dd>
+    <dt>Device</dt><dd>${worker.device}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
+    <dt>Host</dt><dd>${worker.host}, process ${worker.pid}</dd>
+    <dt>Packages</dt><dd>${worker.packages?.join(", ") || "none beyond the needed"}</dd>
+    <dt>Since</dt><dd>${moment(worker.started_at)}; seen ${ago(worker.seen_at)}</dd>
+  </dl>
+</section>`;
+
+function Queue({ queued, workers }) {
+  const jobs = [...queued.items].reverse(); // The oldest is the next of its priority.
+  return html`<section class="card"><h2>Queue</h2>
+    ${!jobs.length && html`<p class="facts">Nothing waits.</p>`}
+    ${jobs.length > 0 && html`<div class="table" tabindex="0" role="region" aria-label="Queue"><table>
+      <thead><tr><th>Job</th><th>Priority</th><th>Needs</th><th>Waits since</th><th>Why</th></tr></thead>
+      <tbody>${jobs.map((job) => html`<tr key=${job.id}>
+        <td><a href="#/jobs/${job.id}">${title(job)}</a> <span class="facts">${environmentOf(job.spec)}</span></td>
+        <td>${job.spec.priority || "normal"}</td>
+        <td>${needs(job.spec.resources)}</td>
+        <td>${ago(job.created_at)}</td>
+        <td>${why(job, workers)}</td>
+      </tr>`)}</tbody>
+    </table></div>`}
+    ${queued.next && html`<p class="facts">The newest 100 are shown. <a href="#/jobs?status=queued">All queued jobs</a></p>`}
+  </section>`;
+}
+
+function needs(resources = {}) {
+  if (resources.gpus > 1) return `${resources.gpus} GPUs of one host`;
+  return { cpu: "a CPU", gpu: "a GPU" }[resources.accelerator] || "any device";
+}
+
+function why(job, workers) {
+  if (job.waiting_for) return job.waiting_for;
+  if (job.not_before && new Date(job.not_before) > Date.now()) return `The attempt before failed; it is tried again at ${moment(job.not_before)}.`;
+  return workers.every((worker) => worker.job) ? "Every worker that could run it is busy." : "Jobs before it come first.";
+}

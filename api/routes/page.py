@@ -1,0 +1,64 @@
+"""The web page, the HTTP interface's documentation, and the files that both are made of."""
+
+from fastapi import APIRouter, Request, Response
+
+from api.errors import RouteNotFound
+from api.page_files import PageFile, page_files
+
+router = APIRouter(include_in_schema=False)
+
+_CONTENT_SECURITY_POLICY = "; ".join(
+    [
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "connect-src 'self'",
+        "img-src 'self' data: blob:",
+        "media-src 'self'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    ]
+)
+_HEADERS = {
+    "Content-Security-Policy": _CONTENT_SECURITY_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Vary": "Accept-Encoding",
+}
+_CHECK_EACH_TIME = "no-cache"
+_KEEP = "public, max-age=31536000, immutable"
+
+
+@router.get("/")
+async def show_page(request: Request) -> Response:
+    """The page that people use."""
+    return _answer(request, page_files().by_path["index.html"], _CHECK_EACH_TIME)
+
+
+@router.get("/docs")
+async def show_docs(request: Request) -> Response:
+    """The HTTP interface, to read and to try."""
+    return _answer(request, page_files().by_path["docs.html"], _CHECK_EACH_TIME)
+
+
+@router.get("/pages/{version}/{path:path}")
+async def show_file(version: str, path: str, request: Request) -> Response:
+    """A file of the page. Its address changes with its content, so that browsers may keep it.
+
+    While processes of two versions run side by side, one may be asked for the other's files: it sends its
+    own, which browsers then do not keep.
+    """
+    here = page_files()
+    if path not in here.by_path:
+        raise RouteNotFound(f"The page has no file {path[:200]!r}.")
+    return _answer(request, here.by_path[path], _KEEP if version == here.version else _CHECK_EACH_TIME)
+
+
+def _answer(request: Request, file: PageFile, caching: str) -> Response:
+    headers = {**_HEADERS, "Cache-Control": caching}
+    if "gzip" in request.headers.get("accept-encoding", ""):
+        return Response(
+            file.compressed, headers={**headers, "Content-Encoding": "gzip"}, media_type=file.media_type
+        )
+    return Response(file.content, headers=headers, media_type=file.media_type)

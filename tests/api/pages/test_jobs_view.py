@@ -1,0 +1,133 @@
+"""The list of jobs."""
+
+import re
+
+from playwright.sync_api import Page, expect
+
+from core.jobs.job import Job, Progress
+from core.jobs.status import JobStatus
+from core.jobs.store import WorkerInfo
+from core.reasons import Reason
+from tests.api.conftest import NOON, Attempt, Stack, job
+from tests.api.pages.conftest import MakeTab, Tab
+
+
+def numbered(number: int, **spec: object) -> Job:
+    return job(f"{number:012x}-0000000000", **spec)
+
+
+def names(page: Page) -> list[str]:
+    return page.locator(".job h2").all_inner_texts()
+
+
+def test_nothing_yet_says_what_to_do(tab: Tab) -> None:
+    page = tab.open()
+    expect(page.get_by_text("No jobs yet.")).to_be_visible()
+    page.get_by_role("link", name="Submit the first one").click()
+    expect(page.get_by_role("heading", name="Submit a job")).to_be_visible()
+
+
+def test_a_running_job_shows_its_progress_its_return_and_what_comes(stack: Stack, tab: Tab) -> None:
+    attempt = Attempt(stack, job(name="first steps", labels={"project": "gaits"}))
+    page = tab.open()
+    row = page.get_by_role("listitem").filter(has_text="first steps")
+    expect(row.locator(".status")).to_have_text("running")
+    for step in (100, 200, 300):
+        attempt.say("metrics", step=step, values={"eval/episode_reward": step / 10})
+    progress = Progress(
+        step=300, total=1000, steps_per_second=100.0, eta_s=7.0, metrics={"eval/episode_reward": 30.0}
+    )
+    stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="p")
+    expect(row).to_contain_text("300 of 1K steps · 100/s · 7 s left")
+    expect(row).to_contain_text("return 30")
+    expect(row.get_by_role("img", name="Return, from 10 to 30")).to_be_visible()
+    attempt.end()
+    expect(row.locator(".status")).to_have_text("succeeded")
+
+
+def test_a_name_with_markup_is_text(stack: Stack, tab: Tab) -> None:
+    stack.store.add(numbered(1, name="<img src=x onerror=alert(1)><b>bold</b>"))
+    page = tab.open()
+    expect(page.locator(".job h2")).to_have_text("<img src=x onerror=alert(1)><b>bold</b>")
+
+
+def test_filters_stand_in_the_address_and_come_back_with_it(stack: Stack, tab: Tab) -> None:
+    stack.store.add(numbered(1, name="a walk", labels={"project": "gaits"}))
+    stack.store.add(numbered(2, name="a run", labels={"project": "gaits", "seed": "2"}))
+    stack.store.add(numbered(3, name="a swim"))
+    page = tab.open()
+    page.get_by_role("link", name="project: gaits").first.click()
+    expect(page.locator(".job")).to_have_count(2)
+    page.get_by_label("Search").fill("RUN")
+    expect(page.locator(".job")).to_have_count(1)
+    assert re.search(r"#/jobs\?.*label=project%3Agaits", page.url)
+    assert "search=RUN" in page.url
+    page.reload()
+    expect(page.locator(".job")).to_have_count(1)
+    assert names(page) == ["a run"]
+    page.get_by_role("combobox", name="Status").select_option("failed")
+    expect(page.get_by_text("No job matches these filters.")).to_be_visible()
+    page.go_back()
+    expect(page.locator(".job")).to_have_count(1)
+    page.get_by_role("button", name="Remove the filter project:gaits").click()
+    expect(page.locator(".job")).to_have_count(1)
+
+
+def test_older_jobs_are_a_page_away(stack: Stack, tab: Tab) -> None:
+    for number in range(30):
+        stack.store.add(numbered(number, name=f"job {number}"))
+    page = tab.open()
+    expect(page.locator(".job")).to_have_count(25)
+    page.get_by_role("link", name="Older jobs").click()
+    expect(page.locator(".job")).to_have_count(5)
+    assert names(page) == [f"job {number}" for number in (4, 3, 2, 1, 0)]
+    page.get_by_role("link", name="Newest").click()
+    expect(page.locator(".job")).to_have_count(25)
+
+
+def test_a_waiting_job_and_a_failed_one_say_why(stack: Stack, tab: Tab) -> None:
+    stack.store.add(numbered(1, name="waits"))
+    failed = Attempt(stack, numbered(2, name="fell"))
+    failed.end(JobStatus.FAILED, Reason.DIVERGED)
+    page = tab.open()
+    expect(page.get_by_role("listitem").filter(has_text="waits")).to_contain_text("no worker is running")
+    expect(page.get_by_role("listitem").filter(has_text="fell")).to_contain_text("It came to its end.")
+
+
+def test_the_list_can_be_walked_by_keyboard(stack: Stack, tab: Tab) -> None:
+    stack.store.add(numbered(1, name="first steps"))
+    page = tab.open()
+    expect(page.locator(".job")).to_have_count(1)
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("link", name="To the content")).to_be_focused()
+    page.keyboard.press("Enter")
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.textContent") == "first steps":
+            break
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("heading", name="first steps")).to_be_visible()
+
+
+def test_workers_and_the_queue_say_what_waits_and_why(stack: Stack, make_tab: MakeTab) -> None:
+    tab = make_tab()
+    page = tab.open("#/workers")
+    expect(page.get_by_text("No worker is running, so jobs wait.")).to_be_visible()
+    from datetime import timedelta
+
+    stack.store.announce(
+        WorkerInfo(
+            name="host:cpu",
+            host="host",
+            pid=1,
+            device="cpu",
+            queues=("gaitway-cpu-normal",),
+            started_at=NOON,
+            seen_at=NOON,
+        ),
+        timedelta(minutes=1),
+    )
+    stack.store.add(numbered(1, name="wants a GPU", resources={"accelerator": "gpu"}))
+    row = page.get_by_role("row").filter(has_text="wants a GPU")
+    expect(row).to_contain_text("No worker has exactly one GPU: the workers here have cpu.")
+    expect(page.get_by_role("heading", name="host:cpu")).to_be_visible()

@@ -1,0 +1,193 @@
+"""Comparing, submitting, models, the HTTP interface; and what all views must be."""
+
+import ast
+import csv
+import io
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.api.conftest import Attempt, Stack, job
+from tests.api.pages.conftest import MakeTab, Tab
+
+
+@pytest.fixture
+def pair(stack: Stack) -> list[Attempt]:
+    """Two jobs that differ in their seeds and learning rates."""
+    attempts = [
+        Attempt(
+            stack,
+            job(
+                f"{number:012x}-0000000000",
+                name=f"seed {number}",
+                seed=number,
+                algorithm={"kind": "ppo", "learning_rate": number / 1000},
+            ),
+        )
+        for number in (1, 2)
+    ]
+    for number, attempt in enumerate(attempts, 1):
+        for step in (100, 200):
+            attempt.say("metrics", step=step, values={"eval/episode_reward": float(step * number)})
+    return attempts
+
+
+def test_jobs_are_picked_and_compared(stack: Stack, tab: Tab, pair: list[Attempt]) -> None:
+    page = tab.open()
+    for name in ("seed 1", "seed 2"):
+        page.get_by_label(f"Compare {name}").check()
+    page.get_by_role("link", name="Compare", exact=True).click()
+    expect(page.get_by_role("heading", name="Compare 2 jobs")).to_be_visible()
+    expect(page.get_by_role("img", name="seed 1: last 200 at 200")).to_be_visible()
+    table = page.get_by_role("region", name="Settings that differ")
+    expect(table.get_by_role("row").filter(has_text="algorithm.learning_rate")).to_contain_text("0.001")
+    settings = [row.split("\t")[0] for row in table.inner_text().splitlines()]
+    assert [name for name in settings if "." in name or name == "seed"] == ["seed", "algorithm.learning_rate"]
+
+
+def test_what_is_compared_is_exported(tab: Tab, pair: list[Attempt], tmp_path: Path) -> None:
+    page = tab.open(f"#/compare?ids={pair[0].id},{pair[1].id}&metric=eval/episode_reward")
+    expect(page.get_by_role("img", name="seed 2: last 400 at 200")).to_be_visible()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Export CSV").click()
+    download.value.save_as(tmp_path / "curves.csv")
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "curves.csv").read_text())))
+    found = [(row["name"], row["step"], row["eval/episode_reward"]) for row in rows]
+    assert found == [
+        ("seed 1", "100", "100"),
+        ("seed 1", "200", "200"),
+        ("seed 2", "100", "200"),
+        ("seed 2", "200", "400"),
+    ]
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Export PNG").click()
+    download.value.save_as(tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_job_that_is_gone_does_not_hide_the_others(tab: Tab, pair: list[Attempt]) -> None:
+    page = tab.open(f"#/compare?ids={pair[0].id},0000000000ff-0000000000")
+    expect(page.get_by_text("Not there (any more): 0000000000ff-0000000000")).to_be_visible()
+    expect(page.get_by_role("heading", name="Compare 1 job")).to_be_visible()
+
+
+def test_a_form_from_the_schemas_submits_and_shows_refusals_in_place(stack: Stack, tab: Tab) -> None:
+    page = tab.open("#/submit")
+    page.get_by_label("Environment", exact=True).select_option("inverted_pendulum")
+    rate = page.get_by_label("learning rate", exact=True)
+    # What is tuned for the environment stands there in grey.
+    expect(page.get_by_label("num timesteps")).to_have_attribute("placeholder", "500000")
+    page.get_by_label("name", exact=True).fill("by hand")
+    page.get_by_label("labels", exact=True).fill('{"project": "balance"}')
+    page.get_by_label("num envs", exact=True).fill("-3")
+    page.get_by_role("button", name="Submit", exact=True).click()
+    expect(page.get_by_role("alert")).to_contain_text("/algorithm/num_envs")
+    expect(page.get_by_label("num envs", exact=True)).to_have_attribute("aria-invalid", "true")
+    assert rate.count() == 1
+    page.get_by_label("num envs", exact=True).fill("64")
+    expect(page.get_by_role("region", name="The submission as JSON")).to_contain_text('"num_envs": 64')
+    page.get_by_role("button", name="Submit", exact=True).click()
+    expect(page.get_by_role("heading", name="by hand")).to_be_visible()
+    [stored] = stack.http.get("/jobs").json()["items"]
+    assert stored["spec"] == {
+        "kind": "train",
+        "name": "by hand",
+        "labels": {"project": "balance"},
+        "environment": {"id": "inverted_pendulum"},
+        "algorithm": {"num_envs": 64},
+    }
+
+
+def test_the_same_submission_for_curl_and_for_python(stack: Stack, tab: Tab) -> None:
+    page = tab.open("#/submit?environment=ant")
+    page.get_by_label("name", exact=True).fill('it\'s "quoted"')
+    page.get_by_label("seed", exact=True).fill("7")
+    page.get_by_role("button", name="curl").click()
+    words = shlex.split(page.get_by_role("region", name="The submission as curl").inner_text())
+    expected = {"kind": "train", "environment": {"id": "ant"}, "name": 'it\'s "quoted"', "seed": 7}
+    assert json.loads(words[words.index("-d") + 1]) == expected
+    assert f"http://127.0.0.1:{stack.port}/jobs" in words
+    page.get_by_role("button", name="Python").click()
+    tree = ast.parse(page.get_by_role("region", name="The submission as Python").inner_text())
+    [call] = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "client.submit"
+    ]
+    assert ast.literal_eval(call.args[0]) == expected
+
+
+def test_a_job_is_run_again_as_it_was_sent(stack: Stack, tab: Tab, pair: list[Attempt]) -> None:
+    page = tab.open(f"#/jobs/{pair[1].id}")
+    page.get_by_role("link", name="Run again").click()
+    page.get_by_role("button", name="Submit", exact=True).click()
+    expect(page.get_by_role("heading", name="seed 2")).to_be_visible()
+    first, second = stack.http.get("/jobs?name=seed+2").json()["items"]
+    assert first["spec"] == second["spec"]
+
+
+def test_a_model_that_is_no_model_is_refused_with_the_services_words(tab: Tab) -> None:
+    page = tab.open("#/models")
+    expect(page.get_by_text("No models yet.")).to_be_visible()
+    page.get_by_label("Drop an MJCF or URDF file here").set_input_files(
+        {"name": "robot.zip", "mimeType": "application/zip", "buffer": b"<mujoco/>"}
+    )
+    expect(page.get_by_role("alert")).to_contain_text("not a zip")
+
+
+def test_the_http_interface_is_there_without_another_network(tab: Tab) -> None:
+    page = tab.open("docs")
+    expect(page.get_by_text("/jobs/{job_id}/cancel", exact=True)).to_be_visible()
+    page.get_by_role("button", name="GET /jobs List Jobs", exact=False).first.click()
+    expect(page.get_by_text("Jobs, newest first.").first).to_be_visible()
+
+
+VIEWS = [
+    "#/jobs",
+    "#/jobs/{id}",
+    "#/jobs/{id}/curves?smooth=0.5",
+    "#/jobs/{id}/log",
+    "#/jobs/{id}/files",
+    "#/jobs/{id}/specification",
+    "#/compare?ids={id},{other}",
+    "#/submit",
+    "#/models",
+    "#/workers",
+]
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (380, True)], ids=["desk", "phone"])
+def test_every_view_is_accessible_and_fits(
+    make_tab: MakeTab, pair: list[Attempt], width: int, dark: bool
+) -> None:
+    pair[0].keep("video-100.mp4", step=100)
+    pair[0].keep("checkpoint-100.msgpack", role="checkpoint", media_type="application/octet-stream", step=100)
+    tab = make_tab(width, dark)
+    for view in VIEWS:
+        page = tab.open("")
+        page = tab.open(view.format(id=pair[0].id, other=pair[1].id))
+        expect(page.locator("main h1")).to_be_visible()
+        expect(page.get_by_text("Loading")).to_have_count(0)
+        assert (view, tab.violations()) == (view, [])
+        assert (view, tab.overflow()) == (view, 0)
+        name = view.partition("?")[0].strip("#/").replace("/", "-").replace("{id}", "one")
+        tab.picture(f"{name}-{width}")
+
+
+def test_the_reader_chooses_light_or_dark(tab: Tab) -> None:
+    page = tab.open()
+    ground = "getComputedStyle(document.body).backgroundColor"
+    light = page.evaluate(ground)
+    page.get_by_role("button", name="Dark").click()
+    assert page.evaluate(ground) != light
+    page.reload()
+    expect(page.get_by_role("button", name="Light")).to_be_visible()
+    assert page.evaluate(ground) != light
+
+
+def test_an_address_of_nowhere_leads_back(tab: Tab) -> None:
+    page = tab.open("#/nowhere")
+    expect(page.get_by_text("There is no page “nowhere”.")).to_be_visible()

@@ -1,0 +1,140 @@
+"""Metrics thinned for pictures."""
+
+import math
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+
+from api import curve_cache
+from api.curves import Curve, Curves, extremes
+from core.jobs.store import Entry
+from tests.api.conftest import Attempt, Stack, job
+from tests.api.problems import pointers, problem
+
+
+@pytest.fixture
+def attempt(stack: Stack) -> Attempt:
+    return Attempt(stack, job())
+
+
+def test_few_values_stay_as_they_are() -> None:
+    assert extremes([3.0, 1.0, 2.0, 5.0], range(4), 4) == [0, 1, 2, 3]
+
+
+def test_each_part_keeps_its_least_and_its_greatest() -> None:
+    # 6 points of 10: the first, the last, and two of each half of the 8 between: places 1 to 4 and 5 to 8.
+    #         0    1    2    3    4    5    6    7    8    9
+    values = [0.0, 5.0, 9.0, 2.0, 4.0, 3.0, 3.0, 8.0, 1.0, 0.0]
+    # In 5 9 2 4 the greatest stands at 2, the least at 3; in 3 3 8 1 they stand at 7 and 8.
+    assert extremes(values, range(10), 6) == [0, 2, 3, 7, 8, 9]
+
+
+def test_a_part_of_one_value_keeps_it_once() -> None:
+    # 7 points leave two parts for the 6 values between: 1 1 1 and 4 6 5. In equal values the first counts.
+    assert extremes([0.0, 1.0, 1.0, 1.0, 4.0, 6.0, 5.0, 9.0], range(8), 7) == [0, 1, 4, 5, 7]
+
+
+def test_a_value_that_is_no_number_hides_no_other() -> None:
+    values = [0.0, math.nan, 2.0, 7.0, math.nan, math.nan, math.nan, 1.0]
+    # Parts nan 2 7 and nan nan nan: of the second one a place stays, so that the curve has a gap there.
+    assert extremes(values, range(8), 6) == [0, 2, 3, 4, 7]
+
+
+def test_a_range_of_steps_includes_both_ends() -> None:
+    curve = Curve()
+    for step in (0, 10, 20, 30):
+        curve.add(step, float(step), 0.0)
+    assert list(curve.between(10, 20)) == [1, 2]
+    assert list(curve.between(11, None)) == [2, 3]
+    assert list(curve.between(None, 9)) == [0]
+    assert list(curve.between(31, 5)) == []
+
+
+def test_an_attempt_that_begins_again_replaces_what_followed() -> None:
+    curve = Curve()
+    for step, value in [(0, 1.0), (10, 2.0), (20, 3.0), (10, 2.5)]:
+        curve.add(step, float(step), value)
+    assert (list(curve.steps), list(curve.values)) == ([0, 10], [1.0, 2.5])
+
+
+def test_metrics_of_one_moment_share_a_row_and_others_do_not() -> None:
+    curves = Curves()
+    for step, values in [(5, {"a": 1.0, "b": 2.0}), (6, {"b": None})]:
+        entry = Entry(
+            kind="metrics", time=datetime(2026, 1, 1, tzinfo=UTC), data={"step": step, "values": values}
+        )
+        curves.add(entry, None)
+    rows = [(row.step, row.values) for row in curves.thinned(None, 4, None, None)]
+    assert rows == [(5, {"a": 1.0, "b": 2.0}), (6, {"b": None})]
+
+
+def rows(stack: Stack, attempt: Attempt, **query: Any) -> list[dict[str, Any]]:
+    answer = stack.http.get(f"/jobs/{attempt.id}/metrics", params=query)
+    assert answer.status_code == 200, answer.text
+    return answer.json()["rows"]
+
+
+def test_a_long_run_comes_thinned_and_whole_where_one_looks_closely(stack: Stack, attempt: Attempt) -> None:
+    said = [{"step": step, "values": {"a": float(step % 100), "b": 0.0}} for step in range(1000)]
+    attempt.say_all("metrics", said)
+    found = rows(stack, attempt, points=10, metric="a")
+    # The first, the last, and two of each of four parts; each part has values from 0 to 99.
+    assert [row["step"] for row in (found[0], found[-1])] == [0, 999]
+    assert [row["values"]["a"] for row in found[1:-1]].count(99.0) == 4
+    assert all(set(row["values"]) == {"a"} for row in found)
+    assert len(found) == 10
+    close = rows(stack, attempt, points=10, metric="a", first_step=500, last_step=507)
+    assert [row["step"] for row in close] == list(range(500, 508))
+
+
+def test_new_values_join_those_that_were_read_before(stack: Stack, attempt: Attempt) -> None:
+    attempt.say("metrics", step=0, values={"a": 1.0})
+    assert len(rows(stack, attempt, points=4, metric="a")) == 1
+    attempt.say("metrics", step=10, values={"a": 2.0, "b": 3.0})
+    assert [row["values"] for row in rows(stack, attempt, points=4, metric="a")] == [{"a": 1.0}, {"a": 2.0}]
+    # Another metric was not kept at first, and is read from the beginning.
+    assert [row["values"] for row in rows(stack, attempt, points=4, metric="b")] == [{"b": 3.0}]
+    assert [row["values"] for row in rows(stack, attempt, points=4)] == [{"a": 1.0}, {"a": 2.0, "b": 3.0}]
+
+
+def test_next_of_a_thinned_answer_is_where_the_events_continue(stack: Stack, attempt: Attempt) -> None:
+    attempt.say("metrics", step=0, values={"a": 1.0})
+    here = f"/jobs/{attempt.id}/metrics"
+    after = stack.http.get(here, params={"points": 4}).json()["next"]
+    attempt.say("metrics", step=10, values={"a": 2.0})
+    assert [row["step"] for row in stack.http.get(here, params={"after": after}).json()["rows"]] == [10]
+
+
+def test_curves_that_find_no_room_are_read_again(
+    stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(curve_cache, "_MAX_VALUES", 1)
+    attempt.say_all("metrics", [{"step": step, "values": {"a": 1.0}} for step in range(3)])
+    for _ in range(2):
+        assert len(rows(stack, attempt, points=4)) == 3
+
+
+@pytest.mark.parametrize(
+    ("query", "pointer"),
+    [
+        ({"metric": "a"}, "/metric"),
+        ({"first_step": 1}, "/first_step"),
+        ({"points": 4, "format": "csv"}, "/format"),
+        ({"points": 4, "after": "3"}, "/after"),
+        ({"points": 3}, "/points"),
+    ],
+)
+def test_parameters_that_would_have_no_effect_are_refused(
+    stack: Stack, attempt: Attempt, query: dict[str, Any], pointer: str
+) -> None:
+    answer = stack.http.get(f"/jobs/{attempt.id}/metrics", params=query)
+    assert pointers(problem(answer, 422, "invalid-request")) == [pointer]
+
+
+def test_a_deleted_job_has_no_curves_any_more(stack: Stack, attempt: Attempt) -> None:
+    attempt.say("metrics", step=0, values={"a": 1.0})
+    assert rows(stack, attempt, points=4)
+    attempt.end()
+    assert stack.http.delete(f"/jobs/{attempt.id}").status_code == 204
+    problem(stack.http.get(f"/jobs/{attempt.id}/metrics?points=4"), 404, "job-not-found")
