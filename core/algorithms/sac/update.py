@@ -1,7 +1,7 @@
 """The state of a SAC run, and one update of it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
 
@@ -20,6 +20,7 @@ from core.algorithms.sac.networks import Networks, Params, make_networks
 from core.algorithms.sac.spec import SACSpec
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, fresh_states, start_episodes
+from core.environments.wrappers.curriculum import at_progress, progress_at, progress_metrics
 from core.environments.wrappers.vectorized import VectorEnv
 
 ADAM = optax.scale_by_adam()
@@ -85,7 +86,10 @@ class Learner:
             normalizer=init_normalizer(self.environment.observation_size),
             replay=replays.empty(settings.replay_rows, settings.num_envs, *sizes),
             episodes=start_episodes(
-                self._envs, env_key, settings.num_envs, keep_first=settings.returns_to_first_state
+                self._envs_at(self._progress(jnp.int32(0))),
+                env_key,
+                settings.num_envs,
+                keep_first=settings.returns_to_first_state
             ),
             key=key,
             eval_key=eval_key,
@@ -98,6 +102,7 @@ class Learner:
         """Act `unroll_length` times in each environment, and then learn from samples of all that is kept."""
         settings = self.settings
         act_key, learn_key, next_key, starts_key = jax.random.split(state.key, 4)
+        progress = self._progress(state.num_updates)
         policy = self.networks.acting(state.params.policy, self.normalize(state.normalizer))
         episodes, (transitions, outcome) = collect(
             self._envs,
@@ -105,7 +110,7 @@ class Learner:
             state.episodes,
             jax.random.split(act_key, settings.unroll_length),
             episode_length=settings.actions_per_episode,
-            starts=self._starts(starts_key),
+            starts=self._starts(starts_key, progress),
         )
         normalizer = state.normalizer
         if settings.normalize_observations:
@@ -131,6 +136,7 @@ class Learner:
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
+        metrics = metrics | progress_metrics(progress)
         return new, summarise(outcome) | metrics, _failure(transitions, outcome, metrics, params)
 
     @property
@@ -156,7 +162,14 @@ class Learner:
     def _envs(self) -> VectorEnv:
         return VectorEnv(self.environment)
 
-    def _starts(self, key: jax.Array) -> Starts | None:
+    def _progress(self, num_updates: jax.Array) -> jax.Array | None:
+        """Of the environment's curriculum, if it has one."""
+        return progress_at(self.environment, num_updates, self.settings.env_steps_per_update)
+
+    def _envs_at(self, progress: jax.Array | None) -> VectorEnv:
+        return replace(self._envs, environment=at_progress(self.environment, progress))
+
+    def _starts(self, key: jax.Array, progress: jax.Array | None) -> Starts | None:
         """Initial states of one update's episodes: drawn from its key, so that no state has to hold them."""
         settings = self.settings
         if settings.returns_to_first_state:
@@ -164,7 +177,7 @@ class Learner:
         pool_key, choose_key = jax.random.split(key)
         shape = (settings.unroll_length, settings.num_envs)
         return Starts(
-            pool=fresh_states(self._envs, pool_key, settings.reset_pool_size),
+            pool=fresh_states(self._envs_at(progress), pool_key, settings.reset_pool_size),
             chosen=jax.random.randint(choose_key, shape, 0, settings.reset_pool_size),
         )
 
