@@ -51,6 +51,7 @@ def draw(
         Mp4Writer(request.video, **whole, fps=request.fps) as video,
     ):
         for shot in sequence:
+            renderer.change_model(shot.model)
             path = smoothed(renderer.path(shot.qpos), fps=request.fps, spread_s=_CAMERA_SPREAD_S)
             for row, (qpos, look_at) in enumerate(zip(shot.qpos, path, strict=True)):
                 frame = renderer.frame(qpos, look_at, None if shot.target is None else shot.target[row])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.rendering.camera import GAP_PIXELS, width_of
-from core.rendering.frames import MujocoRenderer
+from core.rendering.frames import ModelFields, MujocoRenderer
 from core.rendering.label import label
 from core.rendering.scene import Floats, View
 
@@ -51,6 +51,11 @@ class SideBySide:
     def gl_renderer(self) -> str:
         """The name that the GL driver reports; `llvmpipe` means software."""
         return self._renderers[0].gl_renderer
+
+    def change_model(self, fields: ModelFields) -> None:
+        """See MujocoRenderer."""
+        for renderer in self._renderers:
+            renderer.change_model(fields)
 
     def path(self, qpos: Floats) -> Floats:
         """Where the body is [N, 3] at each of the positions [N, nq]."""

@@ -3,6 +3,7 @@
 from core.algorithms.memory import shown
 from core.algorithms.sac.memory import replay_bytes
 from core.algorithms.sac.spec import SACSpec
+from core.algorithms.starts import unreachable_curriculum
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
@@ -17,6 +18,7 @@ def refusal(settings: SACSpec, environment: EnvironmentInfo, device: Device) -> 
         or _too_few_rows(settings)
         or _never_learns(settings)
         or _too_large_for_a_checkpoint(settings, environment)
+        or unreachable_curriculum(settings.reset_pool_size, environment)
     )
 
 

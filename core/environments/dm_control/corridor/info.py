@@ -17,6 +17,7 @@ from core.physics.availability import EngineName, Rule
 FIRST_PLATFORM_M = 6.0
 _BEFORE_THE_FIRST_WALL_M = 2.0
 _MAX_OBSTACLES = 200
+_SEEDS = 2**32
 
 
 _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."
@@ -48,7 +49,7 @@ class _Place(Strict):
     wall_width: Drawn = Field((1.0, 2.0), description="`walls`: how far each wall reaches in, in metres.")
     wall_height: float = Field(2.0, gt=0, le=10, description="`walls`: their height, in metres.")
     arena_seed: int = Field(
-        123456, ge=0, lt=2**32, description="Seed of the lengths; the job's seed has no effect on them."
+        123456, ge=0, lt=_SEEDS, description="Seed of the lengths; the job's seed has no effect on them."
     )
     num_layouts: int = Field(
         1,
@@ -150,6 +151,8 @@ def _check_walls(options: CorridorOptions, needed: float) -> None:
 def _check_layouts(options: CorridorOptions) -> None:
     if options.arena == "empty" and (options.num_layouts > 1 or options.curriculum):
         raise ValueError("the arena 'empty' has nothing to lay out: num_layouts must be 1, and curriculum null")
+    if (last := options.arena_seed + options.num_layouts - 1) >= _SEEDS:
+        raise ValueError(f"the last layout would have the seed {last}; seeds are below {_SEEDS}")
     if options.curriculum is None:
         return
     first = options.curriculum.start.given
@@ -190,6 +193,7 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
         "tracked_body": walker.trunk,
         "cameras": walker.cameras,
         "info": ("layout",) if options.has_layouts else (),
+        "has_curriculum": options.curriculum is not None,
         "cannot_run": _cannot_run(options),
         "on_a_cpu": _RODENT_ON_A_CPU if _is_long(options) else _ON_A_CPU,
         "on_a_gpu": (*(_ANT_ON_A_GPU if options.walker == "ant" else ()), *_ON_A_GPU),
@@ -218,6 +222,7 @@ INFO = EnvironmentInfo(
     factory="core.environments.dm_control.corridor.environment:make",
     package="dm_control",
     options=CorridorOptions,
+    free_in_rollouts=tuple(name for name in _Place.model_fields if name != "walker"),
     vary=_under,
     **_under(CorridorOptions.model_validate({})),
 )
