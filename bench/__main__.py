@@ -35,6 +35,7 @@ LONG = {
     "recovery": "bench.service.recovery",
     "soak": "bench.service.soak",
     "memory": "bench.cpu.memory",
+    "layouts": "bench.cpu.layouts",
 }
 ON_A_GPU = {
     "gpu_engines": "bench.gpu.engines",
@@ -48,6 +49,7 @@ ON_A_GPU = {
     "gpu_bodies": "bench.gpu.bodies",
     "gpu_rodent": "bench.gpu.rodent",
     "gpu_corridor": "bench.gpu.corridor",
+    "gpu_layouts": "bench.gpu.layouts",
     "gpu_q_learning": "bench.gpu.q_learning",
     "gpu_profile": "bench.gpu.profile",
     "gpu_scaling": "bench.gpu.scaling",
