@@ -1,4 +1,4 @@
-"""The ant over gaps, trained in one corridor, in many, and in many by a curriculum; tried where it never was."""
+"""The ant over gaps, trained in one corridor, in many, and by a curriculum; tried where it never was."""
 
 from typing import Any
 
@@ -32,7 +32,14 @@ def measured(options: Options, name: str, device: Device) -> Result:
         given = {**given, "num_timesteps": _STEPS[device]}
     runs = Runs(name, options)
     runs.make(
-        Work(f"{trained}-{seed}", "bench.ours.train_layouts", request, timeout_s=1500, about_s=180, cache=trained)
+        Work(
+            f"{trained}-{seed}",
+            "bench.ours.train_layouts",
+            request,
+            timeout_s=1500,
+            about_s=180,
+            cache=trained,
+        )
         for seed in range(options.seeds or 1)
         for trained, request in _requests(device, given, options, seed).items()
     )
@@ -50,7 +57,9 @@ def measured(options: Options, name: str, device: Device) -> Result:
     )
 
 
-def _requests(device: Device, given: dict[str, Any], options: Options, seed: int) -> dict[str, dict[str, Any]]:
+def _requests(
+    device: Device, given: dict[str, Any], options: Options, seed: int
+) -> dict[str, dict[str, Any]]:
     """By what the ant is trained in."""
     budget = requests.resolved(device, "corridor", given).num_timesteps
     many = {**_SEES, "num_layouts": 2 if options.quick else _NUM_LAYOUTS}
@@ -101,11 +110,12 @@ def _table(done: dict[str, Run]) -> Table | None:
 
 
 def _notes(given: dict[str, Any]) -> list[str]:
+    longest = _EPISODE_STEPS * 0.01
     return [
-        f"{given['num_timesteps']:,} steps of PPO under the tuned settings; the ant is shown the next two gaps. "
-        f"`one`: the corridor of arena_seed 123456; `many`: {_NUM_LAYOUTS} layouts from there on; `curriculum`: "
-        "the same, with gaps that grow from 0 to 0.05 m to the options' 0.05 to 0.2 m over the first half. A "
-        "run's name ends with its seed.",
-        f"Each is tried in {_EPISODES} episodes of at most {_EPISODE_STEPS * 0.01:.0f} s, without noise, in its own "
-        f"layouts and in {_NUM_LAYOUTS} from arena_seed {_UNSEEN_SEED:,} on; a trial ends past the last gap.",
+        f"{given['num_timesteps']:,} steps of PPO under the tuned settings; the ant is shown the next two "
+        f"gaps. `one`: the corridor of arena_seed 123456; `many`: {_NUM_LAYOUTS} layouts from there on; "
+        "`curriculum`: the same, with gaps that grow from 0 to 0.05 m to the options' 0.05 to 0.2 m over the "
+        "first half. A run's name ends with its seed.",
+        f"Each is tried in {_EPISODES} episodes of at most {longest:.0f} s, without noise, in its own layouts "
+        f"and in {_NUM_LAYOUTS} from arena_seed {_UNSEEN_SEED:,} on; a trial ends past the last gap.",
     ]

@@ -14,8 +14,8 @@ from bench.measure.child import answer
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """training: [[steps, seconds of training until then], …]; rewards: none; curriculum: the progress at those
-    times, empty without one; tried: by the trial's name, see `_trial`; wall_s: all of it."""
+    """training: [[steps, seconds of training until then], …]; rewards: none; curriculum: the progress at
+    those times, empty without one; tried: by the trial's name, see `_trial`; wall_s: all of it."""
     from core.algorithms.catalog import resolve
     from core.algorithms.events import Progress
     from core.algorithms.policy import policy_from_checkpoint
@@ -46,8 +46,9 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _trial(policy: Any, environment: Any, *, num_episodes: int, num_steps: int) -> dict[str, float]:
-    """speed: in m/s, over all steps until an episode's end, or its last gap; passed: the share of episodes that
-    are past the last gap; way: the mean share of the way there; fell: the share that the environment ended."""
+    """speed: in m/s, over all steps until an episode's end, or its last gap; passed: the share of episodes
+    that are past the last gap; way: the mean share of the way there; fell: the share that the environment
+    ended."""
     import jax
     import jax.numpy as jnp
 
@@ -64,7 +65,9 @@ def _trial(policy: Any, environment: Any, *, num_episodes: int, num_steps: int) 
         return (state, going & (state.done == 0) & (sums["success"] == 0), sums), None
 
     def whole(keys: Any) -> Any:
-        nothing = dict.fromkeys(("x_velocity", "success", "way_passed", "steps", "fell"), jnp.zeros(num_episodes))
+        nothing = dict.fromkeys(
+            ("x_velocity", "success", "way_passed", "steps", "fell"), jnp.zeros(num_episodes)
+        )
         begin = (jax.vmap(env.reset)(keys), jnp.ones(num_episodes, bool), nothing)
         return jax.lax.scan(step, begin, length=num_steps)[0][2]
 

@@ -5,7 +5,7 @@ from core.errors import Problem, Rejected
 
 
 def unreachable_curriculum(reset_pool_size: int, environment: EnvironmentInfo) -> Rejected | None:
-    """Why a curriculum would change nothing: environments would begin where they first began, all the time."""
+    """Why a curriculum would change nothing: environments always return to their first states."""
     if reset_pool_size or not environment.has_curriculum:
         return None
     detail = (

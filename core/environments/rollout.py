@@ -85,7 +85,9 @@ class Roller:
     def _batch(self, parameters: Any, keys: jax.Array, num_steps: int, wanted: int) -> Iterator[Episode]:
         state: State = self._reset(keys)
         start = _observed(state)
-        arenas = {name: np.asarray(own) for name in ARENA if (own := state.physics.model.get(name)) is not None}
+        arenas = {
+            name: np.asarray(own) for name in ARENA if (own := state.physics.model.get(name)) is not None
+        }
         rows: list[_Row] = []
         running = np.ones(wanted, bool)
         taken = 0

@@ -230,6 +230,4 @@ def _free_options(spec: JobSpec) -> tuple[str, ...]:
 
 def _without(environment: EnvironmentSpec, free: Sequence[str]) -> tuple[str, dict[str, Any]]:
     """The environment's id, and its options without these."""
-    return environment.id, {
-        name: value for name, value in environment.options.items() if name not in free
-    }
+    return environment.id, {name: value for name, value in environment.options.items() if name not in free}

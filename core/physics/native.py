@@ -125,7 +125,9 @@ class _Batches:
 def _with_loose_geoms(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy of the model that has nothing which was computed from the places of its geoms."""
     loose = copy.copy(model)
-    loose.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)  # It looks at each body's tree of boxes.
+    loose.opt.disableflags |= int(
+        mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+    )  # It looks at each body's tree of boxes.
     loose.geom_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     return loose
 

@@ -1,4 +1,4 @@
-"""Geoms that never move, where each world has them: MuJoCo Warp places them once, where the model has them."""
+"""Geoms that never move, where each world has them: MuJoCo Warp places them once, where the model does."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ def _place(
     rotations: wp.array[wp.mat33],
     geom_pos: wp.array2d[wp.vec3],
     geom_xpos: wp.array2d[wp.vec3],
-):
+) -> None:
     world, index = wp.tid()
     geom = numbers[index]
     geom_xpos[world, geom] = origins[index] + rotations[index] @ geom_pos[world, geom]

@@ -53,11 +53,15 @@ SLOW_MJX = pytest.param("mjx", marks=[pytest.mark.slow, pytest.mark.timeout(300)
 
 
 def fields_of(models: list[mujoco.MjModel]) -> dict[str, Any]:
-    return {name: np.stack([np.asarray(getattr(one, name), np.float32) for one in models]) for name in GEOMETRY}
+    return {
+        name: np.stack([np.asarray(getattr(one, name), np.float32) for one in models]) for name in GEOMETRY
+    }
 
 
 @pytest.mark.parametrize("name", ["native", SLOW_MJX, "warp", "compiled"])
-def test_a_ball_moves_over_each_environments_own_boxes(name: EngineName, request: pytest.FixtureRequest) -> None:
+def test_a_ball_moves_over_each_environments_own_boxes(
+    name: EngineName, request: pytest.FixtureRequest
+) -> None:
     if name == "warp":
         request.getfixturevalue("warp_kernels")
     engine = engine_builder(name)(NOMINAL, NUM_SUBSTEPS, ("xpos",))
@@ -91,7 +95,11 @@ def _loose(model: mujoco.MjModel) -> mujoco.MjModel:
 @pytest.mark.parametrize(
     ("model", "derived", "sentence"),
     [
-        (mujoco.MjModel.from_xml_string(BODY.replace("box_spacing", "other")), (), "how far apart its boxes stay"),
+        (
+            mujoco.MjModel.from_xml_string(BODY.replace("box_spacing", "other")),
+            (),
+            "how far apart its boxes stay",
+        ),
         (NOMINAL, ("geom_xpos",), "geom_xpos is read"),
     ],
 )
@@ -100,4 +108,8 @@ def test_compiled_refuses_what_it_cannot_know(
 ) -> None:
     engine = engine_builder("compiled")(model, NUM_SUBSTEPS, derived)
     with pytest.raises(JobFailed, match=sentence):
-        engine.reset(jnp.asarray(QPOS), jnp.asarray(QVEL), {name: jnp.asarray(values[0]) for name, values in fields_of([NOMINAL]).items()})
+        engine.reset(
+            jnp.asarray(QPOS),
+            jnp.asarray(QVEL),
+            {name: jnp.asarray(values[0]) for name, values in fields_of([NOMINAL]).items()},
+        )

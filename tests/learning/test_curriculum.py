@@ -1,6 +1,8 @@
 """Curricula in training: which progress fresh starts have, and that runs stay what they are."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -8,8 +10,8 @@ import numpy as np
 import pytest
 
 from core.algorithms.catalog import resolve
-from core.algorithms.events import Progress
 from core.algorithms.checkpoint import kind_of
+from core.algorithms.events import Progress
 from core.algorithms.ppo.checkpoint import FORMAT as PPO_FORMAT
 from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.run import Run
@@ -23,11 +25,6 @@ from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run
 
-OF_SAC = pytest.param(sac_run, SAC_STEPS_PER_UPDATE, marks=pytest.mark.slow, id="sac")
-BOTH = pytest.mark.parametrize(
-    ("begin", "update"), [pytest.param(small_run, STEPS_PER_UPDATE, id="ppo"), OF_SAC]
-)
-
 
 def begun_at(checkpoint: bytes) -> set[float]:
     """The progress at which the environments' episodes began."""
@@ -36,36 +33,71 @@ def begun_at(checkpoint: bytes) -> set[float]:
     return set(np.asarray(state["info"]["begun_at"]).tolist())
 
 
-@BOTH
-def test_fresh_starts_follow_the_steps_without_a_compilation_and_after_a_resumption(
-    begin: Callable[..., Run[Any]], update: int
-) -> None:
-    # An episode ends with each update (PPO acts 16 times in one, SAC 4 times), and the next ones begin at the
-    # progress that the update had: n - 1 of the 4 updates that the curriculum takes.
-    length = 16 if begin is small_run else 4
+@dataclass(frozen=True)
+class Straight:
+    """Six updates of a run whose curriculum takes four. seen: after each, the metric and the progress at which
+    the episodes began; checkpoints: after each; compiled: how often, after the first update."""
+
+    begin: Callable[..., Run[Any]]
+    update: int
+    given: dict[str, Any]
+    seen: list[tuple[float, set[float]]]
+    checkpoints: list[bytes]
+    compiled: int
+
+
+@pytest.fixture(scope="module", params=["ppo", pytest.param("sac", marks=pytest.mark.slow)])
+def straight(request: pytest.FixtureRequest) -> Straight:
+    # An episode ends with each update: PPO acts 16 times in one, SAC 4 times.
+    begin, update, length = {
+        "ppo": (small_run, STEPS_PER_UPDATE, 16),
+        "sac": (sac_run, SAC_STEPS_PER_UPDATE, 4),
+    }[request.param]
     given = {"num_timesteps": 6 * update, "episode_length": length, "num_evals": 0, "epoch_s": 0.0}
     run = begin(probes.growing(4 * update), **given)
-    seen, compiled = list[tuple[float, set[float]]](), list[str]()
-    kept = list[bytes]()
-
-    def note(event: str, duration: float, **_: Any) -> None:
-        if event == "/jax/core/compile/backend_compile_duration" and seen:
-            compiled.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(note)
-    try:
+    seen, kept = list[tuple[float, set[float]]](), list[bytes]()
+    with compilations_heard() as compiled:
         for event in run.events():
             if isinstance(event, Progress):
                 kept.append(run.checkpoint())
                 seen.append((event.metrics["training/curriculum"], begun_at(kept[-1])))
-        assert not compiled
-        jax.jit(lambda x: x + len(seen))(np.float32(1))  # The listener would have heard one.
-        assert compiled
+            if len(seen) == 1:
+                compiled.clear()
+    return Straight(begin, update, given, seen, kept, len(compiled))
+
+
+@contextmanager
+def compilations_heard() -> Iterator[list[str]]:
+    """A list that grows by one with each compilation."""
+    heard = list[str]()
+
+    def note(event: str, duration: float, **_: Any) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            heard.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        yield heard
     finally:
         jax.monitoring.unregister_event_duration_listener(note)
-    assert seen == [(part, {part}) for part in (0.0, 0.25, 0.5, 0.75, 1.0, 1.0)]
-    resumed = begin(probes.growing(4 * update), resume=kept[2], **given)
-    assert checkpoints(resumed) == {6 * update: kept[-1]}
+
+
+def test_fresh_starts_have_the_progress_of_the_update_in_which_they_begin(straight: Straight) -> None:
+    # The n-th update's are at n - 1 of the 4 updates.
+    assert straight.seen == [(part, {part}) for part in (0.0, 0.25, 0.5, 0.75, 1.0, 1.0)]
+
+
+def test_nothing_is_compiled_while_it_grows(straight: Straight) -> None:
+    with compilations_heard() as heard:
+        jax.jit(lambda x: x + straight.update)(np.float32(1))
+    assert heard  # One would have been heard.
+    assert straight.compiled == 0
+
+
+def test_a_resumed_run_equals_an_uninterrupted_one(straight: Straight) -> None:
+    half = straight.checkpoints[2]
+    resumed = straight.begin(probes.growing(4 * straight.update), resume=half, **straight.given)
+    assert checkpoints(resumed) == {6 * straight.update: straight.checkpoints[-1]}
 
 
 def test_without_a_run_fresh_starts_are_those_of_the_end() -> None:

@@ -78,7 +78,10 @@ class Learner:
         params = init_params(self._networks(normalize=True), params_key)
         first = self._progress(jnp.int32(0))
         episodes = start_episodes(
-            self._envs_at(first), env_key, self.settings.num_envs, keep_first=self.settings.returns_to_first_state
+            self._envs_at(first),
+            env_key,
+            self.settings.num_envs,
+            keep_first=self.settings.returns_to_first_state,
         )
         if self.settings.random_initial_episode_length:
             length_key = jax.random.fold_in(seed_key, 4)  # a fifth, which leaves the other four as they are
@@ -181,7 +184,9 @@ class Learner:
         pool_key, choose_key = jax.random.split(key)
         shape = (settings.actions_per_update, settings.num_envs)
         return Starts(
-            pool=self.sharding.everywhere(fresh_states(self._envs_at(progress), pool_key, settings.reset_pool_size)),
+            pool=self.sharding.everywhere(
+                fresh_states(self._envs_at(progress), pool_key, settings.reset_pool_size)
+            ),
             chosen=self.sharding.split(
                 jax.random.randint(choose_key, shape, 0, settings.reset_pool_size), axis=1
             ),

@@ -89,7 +89,7 @@ class Learner:
                 self._envs_at(self._progress(jnp.int32(0))),
                 env_key,
                 settings.num_envs,
-                keep_first=settings.returns_to_first_state
+                keep_first=settings.returns_to_first_state,
             ),
             key=key,
             eval_key=eval_key,

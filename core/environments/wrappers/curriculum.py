@@ -1,7 +1,7 @@
 """Curricula: environments whose fresh starts depend on how far a run is.
 
-The progress is a number of the compiled program, so a run compiles once; it follows from the environment steps
-alone, so a run that resumes continues where it was.
+The progress is a number of the compiled program, so a run compiles once; it follows from the environment
+steps alone, so a run that resumes continues where it was.
 Source: Bengio et al., Curriculum Learning (2009).
 """
 

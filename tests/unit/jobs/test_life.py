@@ -337,7 +337,9 @@ def test_a_rollout_needs_a_job_with_a_checkpoint_in_the_same_environment(service
         roll_out("hopper")
 
 
-def test_a_rollout_may_lay_the_arena_out_anew_and_change_nothing_that_the_policy_sees(service: Service) -> None:
+def test_a_rollout_may_lay_the_arena_out_anew_and_change_nothing_that_the_policy_sees(
+    service: Service,
+) -> None:
     trained = {"id": "corridor", "options": {"arena_seed": 1, "num_layouts": 8, "num_next_obstacles": 2}}
     job = service.submit(environment=trained)
     claim = service.claim(job)

@@ -24,7 +24,9 @@ class OneCourse:
         self._obstacles = jnp.reshape(jnp.asarray(obstacles, jnp.float32), (-1, 3))
         self._start, self._finish = start_x, max((one.end for one in obstacles), default=end)
 
-    def draw(self, key: jax.Array, progress: jax.Array | float) -> tuple[ModelFields, Mapping[str, jax.Array]]:
+    def draw(
+        self, key: jax.Array, progress: jax.Array | float
+    ) -> tuple[ModelFields, Mapping[str, jax.Array]]:
         """Fields of the model and the entries of `State.info` for a fresh start with this key."""
         return {}, {}
 
@@ -38,7 +40,7 @@ class OneCourse:
 
 
 class ManyCourses:
-    """One of many layouts, for an episode. `draw` takes any layout of the level that the progress has reached."""
+    """One of many layouts, for an episode: any of the level that the progress has reached."""
 
     def __init__(self, layouts: Layouts, model: mujoco.MjModel, start_x: float, end: float) -> None:
         self._layouts, self._start = layouts, start_x
@@ -47,7 +49,9 @@ class ManyCourses:
         ends = np.where(np.isfinite(layouts.obstacles[:, :, 1]), layouts.obstacles[:, :, 1], 0.0).max(axis=1)
         self._finish = jnp.asarray(np.where(ends > 0, ends, end), jnp.float32)
 
-    def draw(self, key: jax.Array, progress: jax.Array | float) -> tuple[ModelFields, Mapping[str, jax.Array]]:
+    def draw(
+        self, key: jax.Array, progress: jax.Array | float
+    ) -> tuple[ModelFields, Mapping[str, jax.Array]]:
         number = jax.random.randint(jax.random.fold_in(key, _OF_LAYOUTS), (), 0, self._layouts.num_layouts)
         level = jnp.floor(jnp.clip(progress, 0.0, 1.0) * (self._layouts.num_levels - 1)).astype(jnp.int32)
         chosen = level * self._layouts.num_layouts + number

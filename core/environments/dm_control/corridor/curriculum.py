@@ -21,7 +21,7 @@ OF_ARENA: Mapping[str, tuple[str, ...]] = {
     "empty": (),
 }
 
-O = TypeVar("O", bound=Strict)
+Options = TypeVar("Options", bound=Strict)
 
 
 class Beginning(Strict):
@@ -58,7 +58,7 @@ def between(first: Any, last: Any, progress: float) -> Any:
     return first + (last - first) * progress
 
 
-def at_level(options: O, curriculum: Curriculum | None, level: int) -> O:
+def at_level(options: Options, curriculum: Curriculum | None, level: int) -> Options:
     """The options at one of NUM_LEVELS levels; unchanged without a curriculum."""
     if curriculum is None or level == NUM_LEVELS - 1:
         return options

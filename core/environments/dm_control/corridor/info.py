@@ -55,7 +55,7 @@ class _Place(Strict):
         1,
         ge=1,
         le=256,
-        description="From how many layouts each episode takes one; layout i has the lengths of arena_seed + i.",
+        description="How many layouts each episode takes one of; layout i has the lengths of arena_seed + i.",
     )
     curriculum: Curriculum | None = Field(
         None, description="Lengths that training begins with, on the way to those above."
@@ -150,7 +150,9 @@ def _check_walls(options: CorridorOptions, needed: float) -> None:
 
 def _check_layouts(options: CorridorOptions) -> None:
     if options.arena == "empty" and (options.num_layouts > 1 or options.curriculum):
-        raise ValueError("the arena 'empty' has nothing to lay out: num_layouts must be 1, and curriculum null")
+        raise ValueError(
+            "the arena 'empty' has nothing to lay out: num_layouts must be 1, and curriculum null"
+        )
     if (last := options.arena_seed + options.num_layouts - 1) >= _SEEDS:
         raise ValueError(f"the last layout would have the seed {last}; seeds are below {_SEEDS}")
     if options.curriculum is None:

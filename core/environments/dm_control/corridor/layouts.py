@@ -1,7 +1,7 @@
 """Many layouts of one corridor: the lengths of each, and the fields of the model that hold them.
 
-Layout i of `arena_seed` s has the lengths that dm_control draws from seed s + i. With a curriculum each layout
-has several levels: the same draws, between bounds that go from the curriculum's to the options' own.
+Layout i of `arena_seed` s has the lengths that dm_control draws from seed s + i. With a curriculum each
+layout has several levels: the same draws, between bounds that go from the curriculum's to the options' own.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -43,8 +43,8 @@ class Layouts:
     """Every layout at every level: first axis levels × layouts, a level's layouts side by side.
 
     boxes: [.., most, 2, 3], see `boxes_of`. obstacles: [.., most obstacles + 1, 3], each as `Obstacle`; those
-    that a layout does not have are infinitely far. largest: the options, with their seed, of a layout that has
-    all boxes.
+    that a layout does not have are infinitely far. largest: the options, with their seed, of a layout that
+    has all boxes.
     """
 
     num_layouts: int
@@ -78,7 +78,9 @@ def draw_layouts(options: CorridorOptions) -> Layouts:
     """All layouts of the options, at all levels if they have a curriculum."""
     num_levels = NUM_LEVELS if options.curriculum else 1
     chosen = [
-        at_level(options, options.curriculum, level).model_copy(update={"arena_seed": options.arena_seed + number})
+        at_level(options, options.curriculum, level).model_copy(
+            update={"arena_seed": options.arena_seed + number}
+        )
         for level in (range(num_levels) if options.curriculum else [NUM_LEVELS - 1])
         for number in range(options.num_layouts)
     ]
@@ -95,7 +97,7 @@ def draw_layouts(options: CorridorOptions) -> Layouts:
 
 
 def boxes_of(options: CorridorOptions, seed: int) -> Boxes:
-    """The platforms or walls of a layout [number, 2, 3]: place and size of each, as `geom_pos` and `geom_size`.
+    """The platforms or walls of a layout [number, 2, 3]: the `geom_pos` and `geom_size` of each.
 
     The lengths are dm_control's for this seed. The last platform reaches to the wall at the end.
     """

@@ -39,7 +39,8 @@ def own_boxes(fields: Fields) -> OwnBoxes | None:
     model = fields.model
     fixed = fixed_boxes(model)
     pos, size = (
-        tuple(bool(x) for x in np.ptp(values[fixed], axis=0) > 0) for values in (model.geom_pos, model.geom_size)
+        tuple(bool(x) for x in np.ptp(values[fixed], axis=0) > 0)
+        for values in (model.geom_pos, model.geom_size)
     )
     every = (True,) * 3
     return OwnBoxes(box_spacing(model), pos, size) if len(fixed) > 1 else OwnBoxes((), every, every)

@@ -1,4 +1,4 @@
-"""Many layouts of a corridor: what each is, which one an episode takes, and how the curriculum leads there."""
+"""Many layouts of a corridor: what each is, which one an episode takes, and how a curriculum leads there."""
 
 from dataclasses import replace
 from functools import cache
@@ -107,7 +107,9 @@ def _dropped(environment: Corridor, states: State, env: int, x: float) -> State:
 def test_metrics_say_how_much_of_the_way_is_behind() -> None:
     environment = built(num_layouts=3)
     state = jax.tree.map(lambda values: values[0], started(environment, 1))
-    last = obstacles(corridor_model(CorridorOptions(**SHORT, arena_seed=123456 + int(state.info["layout"]))))[-1]
+    last = obstacles(corridor_model(CorridorOptions(**SHORT, arena_seed=123456 + int(state.info["layout"]))))[
+        -1
+    ]
     totals = {"way_passed": 0.0, "success": 0.0}
     # From 5 m to half of the way, then past the last gap, and on. The step itself moves it by millimetres.
     for x in ((5 + last.end) / 2, last.end + 0.3, last.end + 0.5):
@@ -150,7 +152,11 @@ def test_a_rollout_keeps_the_arena_of_each_episode() -> None:
         environment, zero_policy(8), key=jax.random.key(1), num_steps=2, num_episodes=4
     ).episodes
     assert len({episode.arena["geom_pos"].tobytes() for episode in episodes}) > 1
-    assert not rollout(built(), zero_policy(8), key=jax.random.key(1), num_steps=1, num_episodes=1).episodes[0].arena
+    assert (
+        not rollout(built(), zero_policy(8), key=jax.random.key(1), num_steps=1, num_episodes=1)
+        .episodes[0]
+        .arena
+    )
 
 
 @pytest.mark.parametrize(
@@ -159,10 +165,22 @@ def test_a_rollout_keeps_the_arena_of_each_episode() -> None:
         ({"num_layouts": 0}, "num_layouts: Input should be greater than or equal to 1"),
         ({"num_layouts": 2, "arena_seed": 2**32 - 1}, "the last layout would have the seed 4294967296"),
         ({"arena": "empty", "num_layouts": 2}, "the arena 'empty' has nothing to lay out"),
-        ({"curriculum": {"start": {"gap_length": [-1, 0]}, "over_steps": 5}}, "gap_length: must not be negative"),
-        ({"curriculum": {"start": {"gap_length": [0.1, 0.2]}, "over_steps": 0}}, "over_steps: Input should be gr"),
-        ({"curriculum": {"start": {}, "over_steps": 5}}, "curriculum.start must have platform_length or gap_length"),
-        ({"curriculum": {"start": {"wall_gap": [1, 2]}, "over_steps": 5}}, "has wall_gap, which the arena 'gaps'"),
+        (
+            {"curriculum": {"start": {"gap_length": [-1, 0]}, "over_steps": 5}},
+            "gap_length: must not be negative",
+        ),
+        (
+            {"curriculum": {"start": {"gap_length": [0.1, 0.2]}, "over_steps": 0}},
+            "over_steps: Input should be gr",
+        ),
+        (
+            {"curriculum": {"start": {}, "over_steps": 5}},
+            "curriculum.start must have platform_length or gap_length",
+        ),
+        (
+            {"curriculum": {"start": {"wall_gap": [1, 2]}, "over_steps": 5}},
+            "has wall_gap, which the arena 'gaps'",
+        ),
         (
             {"curriculum": {"start": {"platform_length": [0, 1]}, "over_steps": 5}},
             "as the curriculum begins, platform_length must be above 0",
