@@ -38,6 +38,7 @@ LONG = {
     "soak": "bench.service.soak",
     "memory": "bench.cpu.memory",
     "egocentric": "bench.cpu.egocentric",
+    "layouts": "bench.cpu.layouts",
 }
 ON_A_GPU = {
     "gpu_engines": "bench.gpu.engines",
@@ -51,6 +52,7 @@ ON_A_GPU = {
     "gpu_bodies": "bench.gpu.bodies",
     "gpu_rodent": "bench.gpu.rodent",
     "gpu_corridor": "bench.gpu.corridor",
+    "gpu_layouts": "bench.gpu.layouts",
     "gpu_q_learning": "bench.gpu.q_learning",
     "gpu_profile": "bench.gpu.profile",
     "gpu_scaling": "bench.gpu.scaling",

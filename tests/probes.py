@@ -108,3 +108,25 @@ def exploding(after: int) -> Probe:
         shows_time=True,
         episode_length=10**6,
     )
+
+
+@dataclass(frozen=True)
+class GrowingProbe(Probe):
+    """No step ends it. `info["begun_at"]` is the progress of the curriculum at which its episode began."""
+
+    curriculum_steps: int = 1
+    progress: jax.Array | float = 1.0
+
+    def at_progress(self, progress: jax.Array) -> "GrowingProbe":
+        return replace(self, progress=progress)
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        begun_at = jnp.asarray(self.progress, jnp.float32)
+        return replace(super().reset(key, model), info={"begun_at": begun_at})
+
+
+def growing(curriculum_steps: int) -> GrowingProbe:
+    """A curriculum over this number of environment steps. The reward is the action."""
+    return GrowingProbe(
+        lambda obs, time, action: (action, jnp.zeros(())), random_sign=True, curriculum_steps=curriculum_steps
+    )

@@ -55,6 +55,8 @@ class EnvironmentInfo:
     cannot run it, and why.
     package: what it imports that a worker may lack, by its import name.
     own_physics: what steps it if no engine does; its model cannot be randomized.
+    has_curriculum: whether its fresh starts change while a run trains.
+    free_in_rollouts: options that a rollout may change from those that its policy was trained with.
     vary: the fields above that some options change, by name; the row itself has their values under the
     default options. slices: the numbers of an observation and an action under these options; None where they
     are not known. chosen: the options that the row describes; None: the default ones.
@@ -79,6 +81,8 @@ class EnvironmentInfo:
     cannot_run: Mapping[EngineName, str] = field(default_factory=dict[EngineName, str])
     package: str | None = None
     own_physics: str = ""
+    has_curriculum: bool = False
+    free_in_rollouts: tuple[str, ...] = ()
     vary: Callable[[Any], Mapping[str, Any]] | None = None
     slices: Callable[[Any], Spaces] | None = None
     chosen: Strict | None = None

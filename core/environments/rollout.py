@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.environments.environment import Environment, State
-from core.environments.trajectory import Episode, Trajectory, describe
+from core.environments.trajectory import ARENA, Episode, Trajectory, describe
 
 # (observation [observation_size], or several by name, key) -> action [action_size]
 Policy = Callable[[Any, jax.Array], jax.Array]
@@ -86,6 +86,9 @@ class Roller:
     def _batch(self, parameters: Any, keys: jax.Array, num_steps: int, wanted: int) -> Iterator[Episode]:
         state: State = self._reset(keys)
         start = _observed(state)
+        arenas = {
+            name: np.asarray(own) for name in ARENA if (own := state.physics.model.get(name)) is not None
+        }
         rows: list[_Row] = []
         running = np.ones(wanted, bool)
         taken = 0
@@ -102,7 +105,8 @@ class Roller:
             own = {name: values[:, env] for name, values in steps.items()}
             begin = {name: np.asarray(values)[env] for name, values in start.items()}
             measured = {name: values[:, env] for name, values in metrics.items()}
-            yield _episode(self._environment, begin, own, measured, num_steps)
+            episode = _episode(self._environment, begin, own, measured, num_steps)
+            yield replace(episode, arena={name: values[env] for name, values in arenas.items()})
 
 
 def rollout(

@@ -25,6 +25,12 @@ _ARRAYS = (
     ("reward", "[T]", "1", "what it got for that"),
 )
 _FIELDS = tuple(name for name, *_ in _ARRAYS)
+# Fields of the model that are kept where episodes differ in them: a picture shows them.
+ARENA = ("geom_pos", "geom_size")
+_OF_ARENA = (
+    ("arena/geom_pos", "[ngeom, 3]", "m", "where this episode's geoms are, each in the frame of its body"),
+    ("arena/geom_size", "[ngeom, 3]", "m", "their sizes, as in MuJoCo"),
+)
 # Only if the environment has one.
 _TARGET = ("target", "[T+1, 2 or 3]", "m", "where the tracked body should go, in the world")
 
@@ -32,6 +38,8 @@ _TARGET = ("target", "[T+1, 2 or 3]", "m", "where the tracked body should go, in
 @dataclass(frozen=True)
 class Episode:
     """One episode of T steps; arrays as `_ARRAYS` lists them, float32 but for `time`.
+
+    arena: `ARENA` [ngeom, 3], where episodes differ in the geoms of their arena.
 
     terminated: the environment ended it; otherwise it was cut off. metrics: [T] by name. target: see
     `_TARGET`; None if the environment has none.
@@ -47,6 +55,7 @@ class Episode:
     terminated: bool
     metrics: Mapping[str, NDArray[np.float32]] = field(default_factory=dict[str, Any])
     target: NDArray[np.float32] | None = None
+    arena: Mapping[str, NDArray[np.float32]] = field(default_factory=dict[str, Any])
 
     @property
     def num_steps(self) -> int:
@@ -102,6 +111,8 @@ def save(path: Path, trajectory: Trajectory) -> None:
     about: dict[str, Any] = {**trajectory.about, "num_episodes": len(trajectory.episodes)}
     if any(episode.target is not None for episode in trajectory.episodes):
         about["arrays"] = {**about["arrays"], **_described(_TARGET)}
+    if any(episode.arena for episode in trajectory.episodes):
+        about["arrays"] = {**about["arrays"], **_described(*_OF_ARENA)}
     contents: dict[str, Any] = {"about": np.array(json.dumps(about, sort_keys=True))}
     for number, episode in enumerate(trajectory.episodes):
         prefix = f"episode_{number}/"
@@ -109,6 +120,7 @@ def save(path: Path, trajectory: Trajectory) -> None:
         contents[prefix + "terminated"] = np.array(episode.terminated)
         if episode.target is not None:
             contents[prefix + "target"] = episode.target
+        contents |= {f"{prefix}arena/{name}": values for name, values in sorted(episode.arena.items())}
         contents |= {f"{prefix}metrics/{name}": values for name, values in sorted(episode.metrics.items())}
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -138,6 +150,7 @@ def _episode(file: Any, prefix: str) -> Episode:
         terminated=bool(file[prefix + "terminated"]),
         metrics={name.removeprefix(metrics): file[name] for name in file.files if name.startswith(metrics)},
         target=file[prefix + "target"] if prefix + "target" in file.files else None,
+        arena={name: file[place] for name in ARENA if (place := f"{prefix}arena/{name}") in file.files},
     )
 
 

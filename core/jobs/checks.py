@@ -1,7 +1,8 @@
 """Checks before a job is stored: each refusal names the place and the remedy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from core.algorithms.catalog import reported, resolve
 from core.algorithms.spec import BaseSpec, check_resumption
@@ -213,14 +214,13 @@ def source_checkpoint(
         source = get(job_id)
     except (JobNotFound, JobUnreadable) as error:
         raise Rejected(error.detail, [Problem(f"{pointer}/job", error.detail)]) from None
-    if (source.spec.environment.id, source.spec.environment.options) != (
-        spec.environment.id,
-        spec.environment.options,
-    ):
+    free = _free_options(spec)
+    if _without(source.spec.environment, free) != _without(spec.environment, free):
+        excepted = f" except in {', '.join(free)}" if free else ""
         detail = (
             f"Job {job_id} has the environment {source.spec.environment.id!r} with options "
             f"{source.spec.environment.options}, this one {spec.environment.id!r} with "
-            f"{spec.environment.options}; they must be the same."
+            f"{spec.environment.options}; they must be the same{excepted}."
         )
         raise Rejected(detail, [Problem(f"{pointer}/job", detail), Problem("/environment", detail)])
     checkpoint = source.newest("checkpoint", step)
@@ -231,3 +231,14 @@ def source_checkpoint(
         detail = f"Job {job_id} ({source.status}) has {wanted}{known}."
         raise Rejected(detail, [Problem(pointer if step is None else f"{pointer}/step", detail)])
     return checkpoint
+
+
+def _free_options(spec: JobSpec) -> tuple[str, ...]:
+    """The environment's options that need not be those of the job whose checkpoint it takes."""
+    info = catalog.ENVIRONMENTS.get(spec.environment.id) if isinstance(spec, RolloutSpec) else None
+    return info.free_in_rollouts if info else ()
+
+
+def _without(environment: EnvironmentSpec, free: Sequence[str]) -> tuple[str, dict[str, Any]]:
+    """The environment's id, and its options without these."""
+    return environment.id, {name: value for name, value in environment.options.items() if name not in free}

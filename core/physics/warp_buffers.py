@@ -15,6 +15,7 @@ from mujoco.mjx.third_party import mujoco_warp as mjw  # noqa: E402
 
 from core.physics.capacity import capacity, measure  # noqa: E402
 from core.physics.model import model_field  # noqa: E402
+from core.physics.warp_geoms import FixedGeoms  # noqa: E402
 from core.physics.warp_kernels import load_kernels  # noqa: E402
 from core.physics.warp_step import Substep  # noqa: E402
 
@@ -81,14 +82,20 @@ class WarpBuffers:
         room = capacity(self._demand, num_worlds)
         data = mjw.make_data(self._model, num_worlds, naconmax=room.naconmax, njmax=room.njmax)
         sizes = {name: np.size(model_field(self._model, name)) for name in own}
-        return _Batch(model, data, self._num_substeps, self._inputs | sizes, self._outputs, self._derived)
+        batch = _Batch(model, data, self._num_substeps, self._inputs | sizes, self._outputs, self._derived)
+        if "geom_pos" in own:
+            batch.fixed_geoms = FixedGeoms(self._model, data.qpos.device)
+        return batch
 
 
 class _Batch:
     """Buffers for one number of worlds, and the programs over them: on a GPU, each is one CUDA graph.
 
     A call copies into `given` and out of `after`, so the graphs stay valid whatever buffers JAX passes.
+    fixed_geoms: those that worlds have in other places; None: all have the model's.
     """
+
+    fixed_geoms: FixedGeoms | None = None
 
     def __init__(
         self,
@@ -154,6 +161,8 @@ class _Batch:
         self.data.overflow.zero_()
         for column, field in self._loads:
             wp.copy(field, column)
+        if self.fixed_geoms is not None:
+            self.fixed_geoms.place(self._model, self.data)
 
     def _store(self) -> None:
         for column, field in self._stores:

@@ -1,6 +1,6 @@
 """Pictures of a model's positions, by `mujoco.Renderer`. MUJOCO_GL must be set before this is imported."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -12,6 +12,8 @@ from core.rendering import floor
 from core.rendering.gl import context_works
 from core.rendering.overlays import Overlay
 from core.rendering.scene import TARGET_BODY, Floats, View, prepare, quality_of
+
+ModelFields = Mapping[str, NDArray[np.floating[Any]]]
 
 # The colour behind models without a sky.
 _BACKDROP = np.array([0.62, 0.74, 0.87, 1.0], dtype=np.float32)
@@ -96,6 +98,11 @@ class MujocoRenderer:
         if not self._has_sky:
             self._hang_backdrop(target)
         return self._renderer.render()
+
+    def change_model(self, fields: ModelFields) -> None:
+        """From here on, draw the model with these fields, which are named as in MuJoCo."""
+        for name, values in fields.items():
+            getattr(self._model, name)[:] = values
 
     def path(self, qpos: Floats) -> Floats:
         """Where the body is [N, 3] at each of the positions [N, nq]."""

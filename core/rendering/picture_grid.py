@@ -3,15 +3,15 @@
 import copy
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.rendering.frames import MujocoRenderer
+from core.rendering.frames import ModelFields, MujocoRenderer
 from core.rendering.label import label
 from core.rendering.layout import Layout
 from core.rendering.overlays import Overlay
@@ -24,7 +24,8 @@ _ENDED = 0.5
 
 @dataclass(frozen=True)
 class Moment:
-    """One moment of an episode. qpos: [nq]; look_at, target: as in MujocoRenderer.
+    """One moment of an episode. qpos: [nq]; look_at, target: as in MujocoRenderer. model: the fields of the
+    model that the episode has for itself.
 
     has_ended: the episode ended before, and this is its last state.
     """
@@ -32,6 +33,7 @@ class Moment:
     qpos: Floats
     look_at: Floats
     target: Floats | None = None
+    model: ModelFields = field(default_factory=dict[str, Any])
     has_ended: bool = False
 
 
@@ -85,6 +87,7 @@ class PictureGrid:
         whole[:] = _GAP_COLOUR
         for episode, moment in enumerate(moments):
             for camera, renderer in enumerate(self._renderers):
+                renderer.change_model(moment.model)
                 picture = renderer.frame(moment.qpos, moment.look_at, moment.target)
                 place = whole[layout.place(episode, camera)]
                 place[:] = picture * _ENDED if moment.has_ended else picture

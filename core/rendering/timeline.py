@@ -1,7 +1,8 @@
 """Turns the states of control steps into positions for each frame of a video in real time."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,11 +13,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Motion:
-    """One episode: time [T] in seconds, strictly rising, positions [T, nq], a target [T, 2 or 3] if any."""
+    """One episode: time [T] in seconds, strictly rising, positions [T, nq], a target [T, 2 or 3] if any, and
+    fields of the model that it has for itself."""
 
     time: Floats
     qpos: Floats
     target: Floats | None = None
+    model: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict[str, Any])
 
     @property
     def duration_s(self) -> float:
@@ -25,11 +28,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class Shot:
-    """The frames of one episode: positions [N, nq], a target [N, 2 or 3] if any. The picture cuts between
-    two shots."""
+    """The frames of one episode: positions [N, nq], a target [N, 2 or 3] if any, its own fields of the model.
+    The picture cuts between two shots."""
 
     qpos: Floats
     target: Floats | None = None
+    model: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict[str, Any])
 
 
 def shots(model: mujoco.MjModel, motions: Sequence[Motion], *, fps: int, seconds: float) -> Iterator[Shot]:
@@ -46,7 +50,7 @@ def shots(model: mujoco.MjModel, motions: Sequence[Motion], *, fps: int, seconds
     for index, motion in enumerate(motions):
         own = moments[owner == index] - starts[index] + motion.time[0]
         if own.size:
-            yield Shot(interpolate(model, motion, own), _held(motion, own))
+            yield Shot(interpolate(model, motion, own), _held(motion, own), motion.model)
 
 
 def _held(motion: Motion, moments: Floats) -> Floats | None:

@@ -15,7 +15,7 @@ from core.errors import JobFailed
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.engine import CONSTANTS, MODEL_FIELDS, Engine, PhysicsState
-from core.physics.model import model_field
+from core.physics.model import GEOMETRY, model_field
 
 NUM_SUBSTEPS, NUM_STEPS = 3, 10
 # A ball that slides on a floor, with an arm on which everything acts that a field below is about.
@@ -214,8 +214,8 @@ def test_one_field_alone_is_enough(bench: RandomizedEngine) -> None:
 
 
 def test_a_field_that_no_environment_can_have_to_itself_is_refused(bench: RandomizedEngine) -> None:
-    with pytest.raises(ValueError, match="geom_size"):
-        bench.engine.reset(jnp.asarray(QPOS), jnp.asarray(QVEL), {"geom_size": jnp.zeros(3)})
+    with pytest.raises(ValueError, match="geom_margin"):
+        bench.engine.reset(jnp.asarray(QPOS), jnp.asarray(QVEL), {"geom_margin": jnp.zeros(3)})
 
 
 def test_pendulums_of_different_mass_and_damping_swing_apart_on_mjx() -> None:
@@ -241,7 +241,8 @@ def test_pendulums_of_different_mass_and_damping_swing_apart_on_mjx() -> None:
 
 
 def test_every_field_is_tried_here() -> None:
-    assert {*CHANGES, *CONSTANTS} - {"nothing"} == set(MODEL_FIELDS)
+    # Those of boxes: tests/contract/test_own_boxes.py.
+    assert {*CHANGES, *CONSTANTS, *GEOMETRY} - {"nothing"} == set(MODEL_FIELDS)
 
 
 @pytest.mark.usefixtures("warp_kernels")

@@ -24,6 +24,8 @@ _COMPARED = ("params", "optimizer", "episodes", "key", "num_updates")
 def made(name: str, engine: str) -> Environment:
     if name == "probe":
         return probes.observed_action_reward()
+    if name == "growing":
+        return probes.growing(4 * STEPS_PER_UPDATE)
     info = catalog.find(name)
     return catalog.make(info, info.options(), engine_builder(engine))
 

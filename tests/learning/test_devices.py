@@ -15,6 +15,7 @@ from tests.compiling import compiling_quickly
     ("environment", "engine"),
     [
         ("probe", "none"),
+        pytest.param("growing", "none", marks=pytest.mark.slow),
         pytest.param("inverted_pendulum", "native", marks=pytest.mark.slow),
         pytest.param("inverted_pendulum", "mjx", marks=pytest.mark.slow),
     ],
@@ -22,7 +23,7 @@ from tests.compiling import compiling_quickly
 @pytest.mark.timeout(400)
 def test_eight_devices_learn_what_one_learns(environment: str, engine: str, tmp_path: Path) -> None:
     flags = "--xla_force_host_platform_device_count=8"
-    compiling = compiling_quickly(flags) if environment == "probe" else {"XLA_FLAGS": flags}
+    compiling = compiling_quickly(flags) if engine == "none" else {"XLA_FLAGS": flags}
     said = subprocess.run(
         [sys.executable, "-m", "tests.learning.on_devices", environment, engine, str(tmp_path)],
         env={**os.environ, **compiling, "JAX_PLATFORMS": "cpu"},

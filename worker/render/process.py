@@ -46,6 +46,7 @@ def _draw(request: RenderRequest) -> RenderResult:
             episode.time,
             episode.qpos.astype("float64"),
             None if episode.target is None else episode.target.astype("float64"),
+            episode.arena,
         )
         for episode in trajectory.load(request.trajectory).episodes
     ]

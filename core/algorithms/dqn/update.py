@@ -26,10 +26,12 @@ from core.algorithms.off_policy.acting import (
     first_experience,
     normalize,
     observation_size,
+    progress,
 )
 from core.environments.discretization import ActionSet
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes
+from core.environments.wrappers.curriculum import progress_metrics
 
 ADAM = optax.scale_by_adam()
 # Checked after each update, in the order in which one spoils the next.
@@ -120,7 +122,8 @@ class Learner:
         epsilon = self._epsilon(state, hyperparameters)
         policy = self.acting(state.params, state.normalizer, epsilon)
         before = Experience(state.normalizer, state.replay, state.episodes)
-        seen, acted = act(self.environment, self.settings, policy, before, act_key, starts_key)
+        at = progress(self.environment, self.settings, state.num_updates)
+        seen, acted = act(self.environment, self.settings, policy, before, act_key, starts_key, at)
         learn = partial(
             self._learn, seen.replay, normalize(self.settings, seen.normalizer), hyperparameters, learn_key
         )
@@ -141,7 +144,7 @@ class Learner:
             num_updates=state.num_updates + 1,
         )
         failed = failure(acted, [~jnp.isfinite(metrics["loss"]), any_not_finite(params)])
-        return new, summarise(acted.outcome) | metrics | {"epsilon": epsilon}, failed
+        return new, summarise(acted.outcome) | metrics | {"epsilon": epsilon} | progress_metrics(at), failed
 
     @property
     def network(self) -> QNetwork:

@@ -15,6 +15,7 @@ from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.spec import OffPolicySpec
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, fresh_states, start_episodes
+from core.environments.wrappers.curriculum import at_progress, progress_at
 from core.environments.wrappers.vectorized import VectorEnv
 
 
@@ -40,11 +41,12 @@ def first_experience(
 ) -> Experience:
     """Fresh episodes and an empty replay, whose rows keep this number of an action's numbers."""
     size = observation_size(environment, settings)
+    starting = at_progress(environment, progress(environment, settings, jnp.int32(0)))
     return Experience(
         normalizer=init_normalizer(size),
         replay=replays.empty(settings.replay_rows, settings.num_envs, size, numbers_per_action),
         episodes=start_episodes(
-            VectorEnv(environment), key, settings.num_envs, keep_first=settings.returns_to_first_state
+            VectorEnv(starting), key, settings.num_envs, keep_first=settings.returns_to_first_state
         ),
     )
 
@@ -56,16 +58,18 @@ def act(
     before: Experience,
     act_key: jax.Array,
     starts_key: jax.Array,
+    at: jax.Array | None,
 ) -> tuple[Experience, Acted]:
-    """Act `unroll_length` times in each environment. policy: its extras hold, as `action`, what is kept."""
-    envs = VectorEnv(environment)
+    """Act `unroll_length` times in each environment. policy: its extras hold, as `action`, what is kept.
+    at: the progress of the curriculum, if there is one."""
+    starting = VectorEnv(at_progress(environment, at))
     episodes, (transitions, outcome) = collect(
-        envs,
+        VectorEnv(environment),
         policy,
         before.episodes,
         jax.random.split(act_key, settings.unroll_length),
         episode_length=settings.actions_per_episode,
-        starts=_starts(envs, settings, starts_key),
+        starts=_starts(starting, settings, starts_key),
     )
     normalizer = before.normalizer
     if settings.normalize_observations:
@@ -75,6 +79,11 @@ def act(
     enough = replay.written >= -(-settings.min_replay_size // settings.num_envs)
     enough &= replay.written > settings.n_step
     return Experience(normalizer, replay, episodes), Acted(transitions, outcome, enough)
+
+
+def progress(environment: Environment, settings: OffPolicySpec, num_updates: jax.Array) -> jax.Array | None:
+    """Of the environment's curriculum after `num_updates` [] int32, from 0 to 1; None without one."""
+    return progress_at(environment, num_updates, settings.env_steps_per_update)
 
 
 def normalize(settings: OffPolicySpec, normalizer: RunningStatisticsState) -> Any:

@@ -1,8 +1,9 @@
-"""Whether a replay, an update and a run go together, for any off-policy algorithm."""
+"""Whether a replay, an update, a run and its starts go together, for any off-policy algorithm."""
 
 from core.algorithms.memory import shown
 from core.algorithms.off_policy.memory import replay_bytes
 from core.algorithms.off_policy.spec import OffPolicySpec
+from core.algorithms.starts import unreachable_curriculum
 from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 
@@ -18,6 +19,7 @@ def replay_refusal(
         _too_few_rows(settings)
         or _never_learns(settings)
         or _too_large_for_a_checkpoint(settings, environment, numbers_per_action)
+        or unreachable_curriculum(settings.reset_pool_size, environment)
     )
 
 

@@ -1,6 +1,7 @@
 """Which of PPO's hyperparameters go together: what Brax's assertions refuse, and what Brax does not check."""
 
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.starts import unreachable_curriculum
 from core.environments.info import Device, EnvironmentInfo
 from core.errors import Problem, Rejected
 
@@ -11,6 +12,7 @@ def refusal(settings: PPOSpec, environment: EnvironmentInfo, device: Device) -> 
         _uneven_batch(settings, device)
         or _crossed_learning_rates(settings)
         or _unknown_observation(settings, environment)
+        or unreachable_curriculum(settings.reset_pool_size, environment)
     )
 
 

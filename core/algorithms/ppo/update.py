@@ -1,6 +1,6 @@
 """The state of a PPO run, and one update of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import jax
@@ -34,6 +34,7 @@ from core.algorithms.ppo.spec import PPOSpec
 from core.algorithms.sharding import ONE_DEVICE, Sharding
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
+from core.environments.wrappers.curriculum import at_progress, progress_at, progress_metrics
 from core.environments.wrappers.vectorized import VectorEnv
 
 ADAM = optax.scale_by_adam()
@@ -75,8 +76,12 @@ class Learner:
         seed_key = jax.random.PRNGKey(seed)
         params_key, env_key, key, eval_key = jax.random.split(seed_key, 4)
         params = init_params(self._networks(normalize=True), params_key)
+        first = self._progress(jnp.int32(0))
         episodes = start_episodes(
-            self._envs, env_key, self.settings.num_envs, keep_first=self.settings.returns_to_first_state
+            self._envs_at(first),
+            env_key,
+            self.settings.num_envs,
+            keep_first=self.settings.returns_to_first_state,
         )
         if self.settings.random_initial_episode_length:
             length_key = jax.random.fold_in(seed_key, 4)  # a fifth, which leaves the other four as they are
@@ -98,6 +103,7 @@ class Learner:
         """Act, update the normaliser, pass over the batch `num_updates_per_batch` times: Brax's order."""
         settings = self.settings
         act_key, learn_key, next_key, starts_key = jax.random.split(state.key, 4)
+        progress = self._progress(state.num_updates)
         networks = self._networks(normalize=settings.normalize_observations)
         policy = make_inference_fn(networks, compute_value=self._values_are_kept)(
             (state.normalizer, state.params.policy, state.params.value)
@@ -108,7 +114,7 @@ class Learner:
             state.episodes,
             jax.random.split(act_key, settings.actions_per_update),
             episode_length=settings.actions_per_episode,
-            starts=self._starts(starts_key),
+            starts=self._starts(starts_key, progress),
         )
         learnt_from = transitions
         if settings.bootstrap_on_timeout:
@@ -141,11 +147,19 @@ class Learner:
         failure = find_failure(transitions, outcome, metrics, params)
         if settings.random_initial_episode_length:
             outcome = of_whole_episodes(outcome, self._actions_before(state))
+        metrics = metrics | progress_metrics(progress)
         return new, summarise(outcome) | metrics, failure
 
     @property
     def _envs(self) -> VectorEnv:
         return VectorEnv(self.environment, self.sharding.mesh)
+
+    def _progress(self, num_updates: jax.Array) -> jax.Array | None:
+        """Of the environment's curriculum, if it has one."""
+        return progress_at(self.environment, num_updates, self.settings.env_steps_per_update)
+
+    def _envs_at(self, progress: jax.Array | None) -> VectorEnv:
+        return replace(self._envs, environment=at_progress(self.environment, progress))
 
     @property
     def _adapts_to_kl(self) -> bool:
@@ -162,7 +176,7 @@ class Learner:
         enough = -(-self.settings.actions_per_episode // per_update)
         return jnp.minimum(state.num_updates, enough) * per_update
 
-    def _starts(self, key: jax.Array) -> Starts | None:
+    def _starts(self, key: jax.Array, progress: jax.Array | None) -> Starts | None:
         """Initial states of one update's episodes: drawn from its key, so that no state has to hold them."""
         settings = self.settings
         if settings.returns_to_first_state:
@@ -170,7 +184,9 @@ class Learner:
         pool_key, choose_key = jax.random.split(key)
         shape = (settings.actions_per_update, settings.num_envs)
         return Starts(
-            pool=self.sharding.everywhere(fresh_states(self._envs, pool_key, settings.reset_pool_size)),
+            pool=self.sharding.everywhere(
+                fresh_states(self._envs_at(progress), pool_key, settings.reset_pool_size)
+            ),
             chosen=self.sharding.split(
                 jax.random.randint(choose_key, shape, 0, settings.reset_pool_size), axis=1
             ),

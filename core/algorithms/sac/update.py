@@ -21,12 +21,14 @@ from core.algorithms.off_policy.acting import (
     first_experience,
     normalize,
     observation_size,
+    progress,
 )
 from core.algorithms.sac.losses import alpha_loss, critic_loss, policy_loss
 from core.algorithms.sac.networks import Networks, Params, make_networks
 from core.algorithms.sac.spec import SACSpec
 from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes
+from core.environments.wrappers.curriculum import progress_metrics
 
 ADAM = optax.scale_by_adam()
 # Checked after each update, in the order in which one spoils the next.
@@ -104,7 +106,8 @@ class Learner:
         act_key, learn_key, next_key, starts_key = jax.random.split(state.key, 4)
         policy = self.networks.acting(state.params.policy, self.normalize(state.normalizer))
         before = Experience(state.normalizer, state.replay, state.episodes)
-        seen, acted = act(self.environment, self.settings, policy, before, act_key, starts_key)
+        at = progress(self.environment, self.settings, state.num_updates)
+        seen, acted = act(self.environment, self.settings, policy, before, act_key, starts_key, at)
         learn = partial(self._learn, seen.replay, self.normalize(seen.normalizer), hyperparameters, learn_key)
         # The replay is read, not passed through: a conditional would copy it.
         learnt, metrics = jax.lax.cond(
@@ -124,7 +127,7 @@ class Learner:
         )
         of_losses = [~jnp.isfinite(metrics[name]) for name in _LOSSES]
         failed = failure(acted, [*of_losses, any_not_finite(params)])
-        return new, summarise(acted.outcome) | metrics, failed
+        return new, summarise(acted.outcome) | metrics | progress_metrics(at), failed
 
     @property
     def networks(self) -> Networks:

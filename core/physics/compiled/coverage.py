@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 import mujoco
 import numpy as np
 
+from core.physics.compiled.collisions.own_boxes import fixed_boxes, says_spacing
 from core.physics.compiled.collisions.table import COLLIDERS
 from core.physics.compiled.constraints.constraints import read_constraints
 from core.physics.compiled.constraints.pairs import Pair, read_pairs
@@ -14,6 +15,7 @@ from core.physics.compiled.named import named, where, word
 from core.physics.compiled.program.arithmetic import squared
 from core.physics.compiled.readings.derived import DERIVED_FIELDS
 from core.physics.compiled.readings.sensor_coverage import turn_several_axes, unread
+from core.physics.model import GEOMETRY
 
 _DISABLE, _ENABLE = mujoco.mjtDisableBit, mujoco.mjtEnableBit
 # Switches that the stages follow, and those that change nothing that they compute.
@@ -61,8 +63,12 @@ def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
     return next(unread(model), None) if "sensordata" in names else None
 
 
-def uncovered_own(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
-    """The first reason why environments cannot have these fields of the model for themselves."""
+def uncovered_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence[str] = ()) -> str | None:
+    """The first reason why environments cannot have these fields of the model for themselves, where these
+    derived fields are read."""
+    reads_geoms = sorted({"geom_xpos", "sensordata"}.intersection(derived))
+    if reads_geoms and (moved := sorted(set(GEOMETRY).intersection(names))):
+        return f"{moved[0]}: {reads_geoms[0]} is read, which has the geoms where the model has them"
     return next((reason for name in names for reason in _own(model, name)), None)
 
 
@@ -72,6 +78,8 @@ def _own(model: mujoco.MjModel, name: str) -> Iterator[str]:
         yield from (f"{name}: {reason}" for reason in where(model, "joint", rough, _CURVE, model.dof_jntid))
     if name in ("body_pos", "body_quat"):
         yield from (f"{name}: {reason}" for reason in _touched_where_they_are(model))
+    if name in GEOMETRY and len(fixed_boxes(model)) > 1 and not says_spacing(model):
+        yield f"{name}: the model does not say how far apart its boxes stay (`box_spacing`)"
     if name == "actuator_dynprm":
         exact = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT
         yield from (f"{name}: {reason}" for reason in where(model, "actuator", exact, "is an exact filter"))

@@ -44,7 +44,7 @@ class CompiledEngine:
 
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
         check_model_fields(model)
-        check_own(self._model, tuple(model))
+        check_own(self._model, tuple(model), self._derived)
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,
@@ -78,7 +78,7 @@ class CompiledEngine:
     def _call(self, move: _Move, own: tuple[str, ...]) -> tuple[Piece, _Call]:
         """The move, for environments that differ in these fields of the model."""
         if (move, own) not in self._calls:
-            check_own(self._model, own)
+            check_own(self._model, own, self._derived)
             piece = self._piece(move, own)
             self._calls[move, own] = piece, _on_this_device(piece)
         return self._calls[move, own]

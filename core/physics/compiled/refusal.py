@@ -15,9 +15,10 @@ def check_covered(model: mujoco.MjModel, derived: Sequence[str] = ()) -> None:
     _refuse(uncovered(model) or uncovered_fields(model, derived))
 
 
-def check_own(model: mujoco.MjModel, names: Sequence[str]) -> None:
-    """Raises JobFailed("bad_model") if environments cannot have these fields of the model for themselves."""
-    _refuse(uncovered_own(model, names))
+def check_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence[str] = ()) -> None:
+    """Raises JobFailed("bad_model") if environments cannot have these fields of the model for themselves,
+    where these derived fields are read."""
+    _refuse(uncovered_own(model, names, derived))
 
 
 def _refuse(reason: str | None) -> None:

@@ -16,6 +16,7 @@ from bench.measure.result import Options, Result
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
+    *("layouts", "gpu_layouts"),
     *("q_learning", "gpu_q_learning", "exercises", "compiled", "gate", "gpu_gate", "gpu_sac"),
 )
 SECONDS = {
@@ -40,6 +41,10 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
             "native": {"16": [20.0, 20.0], "1": [1.0, 2.0]},
         }
         return {"rates": rates, "began_at": 0.0, "process_s": 9.0}
+    if module == "bench.ours.train_layouts":
+        trial = {"speed": 2.0, "passed": 0.75, "way": 0.9, "fell": 0.25}
+        own = {"training": [(50, 0.9), (100, 1.0)], "rewards": [], "curriculum": [], "wall_s": 10.0}
+        return {**own, "tried": {"own": trial, "unseen": trial}, "began_at": 0.0, "process_s": 9.0}
     if module == "bench.peers.notebook_star":
         return {"control_steps_per_second": 2.0, "compile_s": 90.0, "began_at": 0.0, "process_s": 9.0}
     if module == "bench.ours.post_job":

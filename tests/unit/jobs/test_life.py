@@ -337,6 +337,30 @@ def test_a_rollout_needs_a_job_with_a_checkpoint_in_the_same_environment(service
         roll_out("hopper")
 
 
+def test_a_rollout_may_lay_the_arena_out_anew_and_change_nothing_that_the_policy_sees(
+    service: Service,
+) -> None:
+    trained = {"id": "corridor", "options": {"arena_seed": 1, "num_layouts": 8, "num_next_obstacles": 2}}
+    job = service.submit(environment=trained)
+    claim = service.claim(job)
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
+
+    def roll_out(kind: str = "rollout", **options: Any) -> Job:
+        environment = {"id": "corridor", "options": {"num_next_obstacles": 2, **options}}
+        source = "policy" if kind == "rollout" else "resume_from"
+        given = {"job": job.id} | ({"kind": "checkpoint"} if kind == "rollout" else {})
+        spec = JOB_SPEC.validate_python({"kind": kind, "environment": environment, source: given})
+        return submit(spec, store=service.store, queue=service.queue)
+
+    assert roll_out(arena_seed=99, num_layouts=2, gap_length=[0.1, 0.3]).spec.kind == "rollout"
+    with pytest.raises(Rejected, match="must be the same except in arena, corridor_length, "):
+        roll_out(num_next_obstacles=3)
+    with pytest.raises(Rejected, match="must be the same except"):
+        roll_out(walker="rodent")
+    with pytest.raises(Rejected, match=r"must be the same\."):
+        roll_out(kind="train", arena_seed=99)
+
+
 def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -> None:
     spec = JOB_SPEC.validate_python(
         {

@@ -232,3 +232,14 @@ def peak_bytes(request: RenderRequest, folder: Path) -> int:
     )
     unit = 1 if sys.platform == "darwin" else 1024
     return int(run_python(code, request, folder).stdout.splitlines()[-1]) * unit
+
+
+def test_each_episode_is_drawn_in_the_arena_that_it_had(tmp_path: Path) -> None:
+    # The ball is 0.3 m, and twice as large in the second episode, whose second begins with frame 10.
+    large = np.zeros((3, 3), np.float32)
+    large[:, 0] = [40, 0.15, 0.6]
+    large[0] = [40, 40, 1]
+    first, second = rolling_ball(1.0), replace(rolling_ball(1.0), arena={"geom_size": large})
+    render(ball_request(tmp_path, first, second), timeout_s=60.0)
+    sizes = [len(red(frame)) for frame in decoded(tmp_path / "video.mp4")]
+    assert min(sizes[10:]) > 2 * max(sizes[:10])

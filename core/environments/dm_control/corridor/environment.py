@@ -1,5 +1,6 @@
 """A walker that learns to run down a corridor. Rewards as in the tutorial notebook."""
 
+import copy
 from collections.abc import Mapping
 from functools import reduce
 from typing import ClassVar
@@ -9,8 +10,9 @@ import jax.numpy as jnp
 
 from core.environments import rewards
 from core.environments.dm_control.corridor import observables, termination
+from core.environments.dm_control.corridor.course import ManyCourses, OneCourse
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
-from core.environments.dm_control.corridor.model import corridor_model, obstacles
+from core.environments.dm_control.corridor.model import model_and_layouts, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
@@ -36,7 +38,7 @@ class Corridor(MujocoEnv):
     aliases: ClassVar[Mapping[str, str]] = {"reward_linvel": "forward_reward"}
 
     def __init__(self, options: CorridorOptions, build_engine: EngineBuilder) -> None:
-        model = corridor_model(options)
+        model, layouts = model_and_layouts(options)
         accelerated = SolverSettings.of_job(
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
@@ -57,11 +59,25 @@ class Corridor(MujocoEnv):
         self._num_hidden = hidden
         self._bodies = slice(self.tracked_body, self.tracked_body + walker.num_bodies)
         self._endings = termination.Endings(model, options)
-        self._obstacles = jnp.reshape(jnp.asarray(obstacles(model), jnp.float32), (-1, 3))
+        ends = options.start_x, options.corridor_length
+        self._course = ManyCourses(layouts, model, *ends) if layouts else OneCourse(obstacles(model), *ends)
+        self._progress: jax.Array | float = 1.0
+
+    @property
+    def curriculum_steps(self) -> int | None:
+        curriculum = self._options.curriculum
+        return None if curriculum is None else curriculum.over_steps
+
+    def at_progress(self, progress: jax.Array) -> "Corridor":
+        later = copy.copy(self)
+        later._progress = progress
+        return later
 
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
-        physics = noisy_start(self, key, model, self._options.reset_noise_scale, normal_velocity=False)
-        return initial(self._after(physics, physics, jnp.zeros(self.action_size), {}))
+        layout, info = self._course.draw(key, self._progress)
+        own = {**layout, **model}
+        physics = noisy_start(self, key, own, self._options.reset_noise_scale, normal_velocity=False)
+        return initial(self._after(physics, physics, jnp.zeros(self.action_size), info))
 
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
@@ -76,11 +92,12 @@ class Corridor(MujocoEnv):
         height = physics.derived["xpos"][self.tracked_body, 2]
         healthy = rewards.height_range(height, options.healthy_range)
         survives, ended = rewards.survival(healthy, terminates=options.terminate_when_unhealthy)
+        way_before, way_after = (self._course.passed(info, where[0]) for where in (old, new))
         fell = jnp.where(height < _GROUND_M, 1.0, 0.0)
         endings = self._endings(physics)
         return self.stepped(
             physics,
-            self._observe(physics),
+            self._observe(physics, info),
             rewards={
                 "forward_reward": options.forward_reward_weight * velocity[0],
                 "distance_reward": options.distance_reward_weight * velocity[0] * self.dt,
@@ -92,7 +109,9 @@ class Corridor(MujocoEnv):
             metrics={
                 "height": height,
                 **travel(new, velocity),
-                "obstacles_passed": self._num_behind(new[0]) - self._num_behind(old[0]),
+                "obstacles_passed": self._num_behind(info, new[0]) - self._num_behind(info, old[0]),
+                "way_passed": way_after - way_before,
+                "success": jnp.floor(way_after) - jnp.floor(way_before),
                 "fell": jnp.maximum(fell, 1.0 - healthy),
                 **endings,
             },
@@ -111,21 +130,22 @@ class Corridor(MujocoEnv):
         """[3], in metres, of the trunk's subtree: the walker, without the arena."""
         return physics.derived["subtree_com"][self.tracked_body]
 
-    def _num_behind(self, x: jax.Array) -> jax.Array:
+    def _num_behind(self, info: Mapping[str, jax.Array], x: jax.Array) -> jax.Array:
         """How many gaps or walls [] end behind x."""
-        return jnp.sum(x > self._obstacles[:, 1], dtype=jnp.float32)
+        return jnp.sum(x > self._course.obstacles(info)[:, 1], dtype=jnp.float32)
 
-    def _observe(self, physics: PhysicsState) -> jax.Array:
-        seen = self._ahead(physics.qpos[:2], self._options.num_next_obstacles)
+    def _observe(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> jax.Array:
+        seen = self._ahead(info, physics.qpos[:2], self._options.num_next_obstacles)
         fields = observables.values(self._options.observables, physics, self._bodies)
         return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel, *fields, seen])
 
-    def _ahead(self, at: jax.Array, number: int) -> jax.Array:
+    def _ahead(self, info: Mapping[str, jax.Array], at: jax.Array, number: int) -> jax.Array:
         """[3 number]: for each next gap or wall, how far ahead of `at` [x, y] it begins and ends, and how far
         to the left the middle of the way past it is. Distances are capped at SIGHT_M."""
         nothing = jnp.tile(jnp.array([jnp.inf, jnp.inf, 0.0]), (number, 1))
-        first = self._num_behind(at[0]).astype(jnp.int32)
-        rows = jax.lax.dynamic_slice(jnp.concatenate([self._obstacles, nothing]), (first, 0), (number, 3))
+        first = self._num_behind(info, at[0]).astype(jnp.int32)
+        known = jnp.concatenate([self._course.obstacles(info), nothing])
+        rows = jax.lax.dynamic_slice(known, (first, 0), (number, 3))
         ahead = jnp.minimum(rows[:, :2] - at[0], SIGHT_M)
         left = jnp.where(ahead[:, :1] < SIGHT_M, rows[:, 2:] - at[1], 0.0)
         return jnp.concatenate([ahead, left], axis=1).ravel()

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from core.documents import Strict
 from core.environments.bodies import body
 from core.environments.body_slices import controls, qpos, qvel
 from core.environments.dm_control.corridor import observables
+from core.environments.dm_control.corridor.curriculum import OF_ARENA, Curriculum
+from core.environments.dm_control.corridor.lengths import Drawn
 from core.environments.dm_control.corridor.task_options import TaskOptions, check_stands_on_its_feet
 from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker, check_is_offered
 from core.environments.info import EnvironmentInfo
@@ -28,6 +30,7 @@ _BEFORE_THE_FIRST_WALL_M = 2.0
 _MAX_OBSTACLES = 200
 # How far ahead the observation reaches.
 SIGHT_M = 10.0
+_SEEDS = 2**32
 
 
 _MANY_PAIRS = "Platforms make many pairs of geoms, and MJX checks every pair."
@@ -46,19 +49,6 @@ _RODENT_ON_A_CPU = (
 )
 
 
-def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
-    low, high = bounds
-    if low > high:
-        raise ValueError(f"[{low:g}, {high:g}] is not [low, high] with low ≤ high")
-    if low < 0:
-        raise ValueError(f"must not be negative, but [{low:g}, {high:g}] is")
-    return bounds
-
-
-Drawn = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_not_descending)]
-"""[low, high] in metres: each length is drawn uniformly between them."""
-
-
 class _Place(Strict):
     """The walker and its arena."""
 
@@ -74,7 +64,16 @@ class _Place(Strict):
     wall_width: Drawn = Field((1.0, 2.0), description="`walls`: how far each wall reaches in, in metres.")
     wall_height: float = Field(2.0, gt=0, le=10, description="`walls`: their height, in metres.")
     arena_seed: int = Field(
-        123456, ge=0, lt=2**32, description="Seed of the lengths; the job's seed has no effect on them."
+        123456, ge=0, lt=_SEEDS, description="Seed of the lengths; the job's seed has no effect on them."
+    )
+    num_layouts: int = Field(
+        1,
+        ge=1,
+        le=256,
+        description="How many layouts each episode takes one of; layout i has the lengths of arena_seed + i.",
+    )
+    curriculum: Curriculum | None = Field(
+        None, description="Lengths that training begins with, on the way to those above."
     )
     start_x: float = Field(
         5.0, ge=0, description="The walker's initial x, in metres; the first platform ends at 6 m."
@@ -106,6 +105,11 @@ class CorridorOptions(TaskOptions, RunnerOptions, _Place):  # In the schema, the
         """`healthy_z_range`, or a range that fits the walker if it is null."""
         return self.healthy_z_range or WALKERS[self.walker].healthy_z_range
 
+    @property
+    def has_layouts(self) -> bool:
+        """Whether episodes differ in their layout."""
+        return self.num_layouts > 1 or self.curriculum is not None
+
     @model_validator(mode="after")
     def _fits(self) -> Self:
         needed = 2 * WALKERS[self.walker].reach
@@ -130,6 +134,7 @@ class CorridorOptions(TaskOptions, RunnerOptions, _Place):  # In the schema, the
                 f"start_x = {self.start_x:g} m leaves no room to stand: at most {most:g} m fits here"
             )
         check_stands_on_its_feet(self, self.walker)
+        _check_layouts(self)
         height, terminates = WALKERS[self.walker].standing_height, self.terminate_when_unhealthy
         check_survives_its_start(height, self.healthy_range, terminates=terminates)
         return self
@@ -159,6 +164,30 @@ def _check_walls(options: CorridorOptions, needed: float) -> None:
     _check_number(options.corridor_length / options.wall_gap[0], "walls")
 
 
+def _check_layouts(options: CorridorOptions) -> None:
+    if options.arena == "empty" and (options.num_layouts > 1 or options.curriculum):
+        raise ValueError(
+            "the arena 'empty' has nothing to lay out: num_layouts must be 1, and curriculum null"
+        )
+    if (last := options.arena_seed + options.num_layouts - 1) >= _SEEDS:
+        raise ValueError(f"the last layout would have the seed {last}; seeds are below {_SEEDS}")
+    if options.curriculum is None:
+        return
+    first = options.curriculum.start.given
+    if unread := sorted(first.keys() - set(OF_ARENA[options.arena])):
+        raise ValueError(
+            f"curriculum.start has {unread[0]}, which the arena {options.arena!r} does not have; "
+            f"it has {', '.join(OF_ARENA[options.arena])}"
+        )
+    if not first:
+        raise ValueError(f"curriculum.start must have {' or '.join(OF_ARENA[options.arena])}")
+    try:
+        type(options).model_validate({**options.model_dump(), "curriculum": None, **first})
+    except ValidationError as error:
+        sentence = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise ValueError(f"as the curriculum begins, {sentence}") from None
+
+
 def _check_number(number: float, what: str) -> None:
     if number > _MAX_OBSTACLES:
         raise ValueError(
@@ -177,6 +206,8 @@ def _under(options: CorridorOptions) -> Mapping[str, Any]:
         "episode_length": options.episode_length,
         "tracked_body": walker.trunk,
         "cameras": walker.cameras,
+        "info": ("layout",) if options.has_layouts else (),
+        "has_curriculum": options.curriculum is not None,
         "cannot_run": _cannot_run(options),
         "on_a_cpu": _RODENT_ON_A_CPU if _is_long(options) else _ON_A_CPU,
         "on_a_gpu": (*(_ANT_ON_A_GPU if options.walker == "ant" else ()), *_ON_A_GPU),
@@ -232,6 +263,7 @@ INFO = EnvironmentInfo(
     factory="core.environments.dm_control.corridor.environment:make",
     package="dm_control",
     options=CorridorOptions,
+    free_in_rollouts=tuple(name for name in _Place.model_fields if name != "walker"),
     vary=_under,
     slices=spaces,
     **_under(CorridorOptions.model_validate({})),

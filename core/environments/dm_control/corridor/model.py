@@ -1,8 +1,6 @@
 """The composed corridor, without the parts that cost time."""
 
-from itertools import pairwise
-from math import copysign
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -10,26 +8,31 @@ import numpy as np
 from core.environments.dm_control.corridor.aesthetics import HIDDEN, draw
 from core.environments.dm_control.corridor.compose import composed
 from core.environments.dm_control.corridor.info import CorridorOptions
+from core.environments.dm_control.corridor.layouts import (
+    Layouts,
+    Obstacle,
+    draw_layouts,
+    is_box,
+    obstacles_among,
+)
 from core.environments.dm_control.corridor.termination import add_contact_sensors
 from core.environments.dm_control.corridor.walkers import WALKERS
 
 _SETTLING_S = 3.0
 # The extent that a picture shows, in metres: the walker's surroundings, not forty metres of corridor.
 _EXTENT_M = 4.0
-# Platforms that are nearer than this touch each other.
-_SEAM_M = 1e-6
 # Bits of contype (arena) and conaffinity (walker): all parts touch the ground, only the trunk the sides.
 _GROUND, _SIDES = 1, 2
 # The most that MJX solves for and checks, nearest first; the other engines need no such bound.
 _CONTACT_POINTS, _GEOM_PAIRS = 32, 64
 
 
-def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
+def corridor_model(options: CorridorOptions, spacing: Sequence[float] = ()) -> mujoco.MjModel:
     """The walker at the start of its corridor; the numeric `init_qpos` is how it stands there.
 
     The trunk and all limbs touch the ground, platforms and obstacles; the trunk alone touches the planes
     that bound the corridor; the walker does not touch itself. Friction cones are pyramidal, without noslip
-    iterations, which MJX and MuJoCo Warp do not have.
+    iterations, which MJX and MuJoCo Warp do not have. spacing: see `Layouts`, where there are several.
     """
     spec, upright = composed(options)
     info = WALKERS[options.walker]
@@ -55,33 +58,27 @@ def corridor_model(options: CorridorOptions) -> mujoco.MjModel:
             geom.group = HIDDEN
     spec.add_numeric(name="max_contact_points", data=[_CONTACT_POINTS], size=1)
     spec.add_numeric(name="max_geom_pairs", data=[_GEOM_PAIRS], size=1)
+    if spacing:
+        spec.add_numeric(name="box_spacing", data=list(spacing), size=len(spacing))
     spec.add_numeric(name="init_qpos", data=_start(spec.compile(), upright, settles=info.settles), size=0)
     return spec.compile()
 
 
-class Obstacle(NamedTuple):
-    """A gap or a wall. begin, end: its extent in x; y: the middle of the way past it, 0 for a gap; all in
-    metres."""
-
-    begin: float
-    end: float
-    y: float
+def model_and_layouts(options: CorridorOptions) -> tuple[mujoco.MjModel, Layouts | None]:
+    """The walker in a corridor with room for each of the layouts, and these; None: the model's own is the
+    only one."""
+    if not options.has_layouts:
+        return corridor_model(options), None
+    layouts = draw_layouts(options)
+    return corridor_model(layouts.largest, layouts.spacing), layouts
 
 
 def obstacles(model: mujoco.MjModel) -> list[Obstacle]:
     """The gaps or walls in the order of their ends; none in an empty corridor."""
-    geoms = [model.geom(index) for index in range(model.ngeom)]
-    extents = {g.name: (float(g.pos[0] - g.size[0]), float(g.pos[0] + g.size[0])) for g in geoms}
-    # A wall reaches 2 size[1] in from one side, so the middle of what it leaves is size[1] from the axis.
-    walls = [
-        Obstacle(*extents[g.name], -copysign(g.size[1], g.pos[1]))
-        for g in geoms
-        if g.name.startswith("wall_")
-    ]
-    floors = sorted(extent for name, extent in extents.items() if name.startswith(("start_floor", "floor_")))
-    # Between the first platform and the second there is no gap.
-    gaps = [Obstacle(end, begin, 0.0) for (_, end), (begin, _) in pairwise(floors) if begin - end > _SEAM_M]
-    return sorted(walls or gaps, key=lambda one: one.end)
+    geoms = [geom for geom in map(model.geom, range(model.ngeom)) if is_box(geom.name)]
+    arena = "walls" if geoms and geoms[0].name.startswith("wall_") else "gaps"
+    boxes = np.array([[geom.pos, geom.size] for geom in geoms], float).reshape(-1, 2, 3)
+    return obstacles_among(boxes, arena)
 
 
 def _filter(geom: mujoco.MjsGeom, trunk: str) -> None:

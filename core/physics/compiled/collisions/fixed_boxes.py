@@ -11,6 +11,7 @@ from operator import and_
 
 import mujoco
 
+from core.physics.compiled.collisions.own_boxes import OwnBoxes
 from core.physics.compiled.collisions.shapes import Geom, Placed
 from core.physics.compiled.constraints.pairs import Pair, Parameters
 from core.physics.compiled.program.arithmetic import (
@@ -52,11 +53,12 @@ Shape = Geom | Choice
 
 
 def merged(
-    pairs: Sequence[Pair], nominal: Sequence[Parameters], geoms: Sequence[Geom]
+    pairs: Sequence[Pair], nominal: Sequence[Parameters], geoms: Sequence[Geom], own: OwnBoxes | None
 ) -> list[tuple[Pair, Shape]]:
     """The pairs, each with its second geom; pairs of one geom with fixed boxes as few choices.
 
-    nominal: the pairs' parameters by the model's own numbers; those of a choice are the same.
+    nominal: the pairs' parameters by the model's own numbers; those of a choice are the same. own: see
+    `own_boxes`.
     """
     groups: dict[object, list[Pair]] = {}
     for place, (given, parameters) in enumerate(zip(pairs, nominal, strict=True)):
@@ -67,7 +69,7 @@ def merged(
         groups.setdefault(alike, []).append(pair)
     found = list[tuple[Pair, Shape]]()
     for group in groups.values():
-        for part in _apart(group, geoms) if len(group) > 1 else [group]:
+        for part in _apart(group, geoms, own) if len(group) > 1 else [group]:
             found.append((part[0], _choice(part, geoms) if len(part) > 1 else geoms[part[0].other]))
     return found
 
@@ -77,7 +79,7 @@ def near(choice: Choice, centre: Vector) -> Vector:
     here = rotate(transpose(choice.rotation), centre)
     boxes = list(zip(choice.centres, choice.sizes, strict=True))
     # Boxes that are apart differ in one direction at least.
-    varying = [k for k in range(3) if len({(middle[k], size[k]) for middle, size in boxes}) > 1]
+    varying = [k for k in range(3) if _differ([(middle[k], size[k]) for middle, size in boxes])]
     return [
         reduce(and_, (absolute(here[k] - middle[k]) < size[k] + choice.reach for k in varying))
         for middle, size in boxes[1:]
@@ -119,6 +121,11 @@ def _chosen(is_near: Vector, numbers: Sequence[Number]) -> Number:
     return found
 
 
+def _differ(numbers: Sequence[tuple[Number, Number]]) -> bool:
+    """Whether boxes differ along an axis, or may; numbers: place and size of each."""
+    return any(not isinstance(x, float) for pair in numbers for x in pair) or len(set(numbers)) > 1
+
+
 def _fixed_last(pair: Pair, geoms: Sequence[Geom]) -> Pair:
     """The pair, turned round if a box that never moves is the first of two: the order changes no row."""
     one, other = geoms[pair.one], geoms[pair.other]
@@ -141,8 +148,11 @@ def _choice(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> Choice:
     )
 
 
-def _apart(pairs: Sequence[Pair], geoms: Sequence[Geom]) -> list[list[Pair]]:
+def _apart(pairs: Sequence[Pair], geoms: Sequence[Geom], own: OwnBoxes | None) -> list[list[Pair]]:
     """The pairs in a few lists; in a list, the geom is never near two of the boxes."""
+    if own:
+        number = own.most_in_reach(_reach(pairs[0], geoms))
+        return [list(pairs[first::number]) for first in range(min(number, len(pairs)))]
     found = list[list[Pair]]()
     for pair in pairs:
         for part in found:

@@ -1,10 +1,12 @@
 """Geoms where they are, and points where they touch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
+from core.physics.compiled.collisions.own_boxes import OwnBoxes, fixed_boxes, own_boxes, own_numbers
+from core.physics.compiled.fields import Fields
 from core.physics.compiled.program.arithmetic import Matrix, Number, Vector, add, rotate, transpose
 from core.physics.compiled.smooth.kinematics import Poses
 
@@ -70,11 +72,15 @@ class Touch:
     along: Vector | None = None
 
 
-def read_geoms(model: mujoco.MjModel) -> tuple[Geom, ...]:
-    """The model's geoms."""
+def read_geoms(fields: Fields) -> tuple[Geom, ...]:
+    """The model's geoms; boxes that never move may be where an environment has them."""
+    model, own = fields.model, own_boxes(fields)
     at_rest = mujoco.MjData(model)
     mujoco.mj_kinematics(model, at_rest)
-    return tuple(_geom(model, number, at_rest) for number in range(model.ngeom))
+    geoms = [_geom(model, number, at_rest) for number in range(model.ngeom)]
+    for number in fixed_boxes(model) if own else ():
+        geoms[number] = _own_box(fields, own, geoms[number], at_rest)
+    return tuple(geoms)
 
 
 def placed(geom: Geom, at: Poses) -> Placed:
@@ -99,6 +105,17 @@ def _geom(model: mujoco.MjModel, number: int, at_rest: mujoco.MjData) -> Geom:
         rotation=[_rounded(row) for row in rotation.reshape(3, 3)],
         size=[float(x) for x in model.geom_size[number]],
         bound=float(model.geom_rbound[number]),
+    )
+
+
+def _own_box(fields: Fields, own: OwnBoxes, box: Geom, at_rest: mujoco.MjData) -> Geom:
+    body = int(fields.model.geom_bodyid[box.number])
+    to_world = [_rounded(row) for row in at_rest.xmat[body].reshape(3, 3)]
+    place = own_numbers(fields, "geom_pos", box.number, own.pos)
+    return replace(
+        box,
+        position=add(_rounded(at_rest.xpos[body]), rotate(to_world, place)),
+        size=own_numbers(fields, "geom_size", box.number, own.size),
     )
 
 

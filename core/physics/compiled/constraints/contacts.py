@@ -19,6 +19,7 @@ from core.physics.compiled.collisions.fixed_boxes import (
     merged,
     near,
 )
+from core.physics.compiled.collisions.own_boxes import own_boxes
 from core.physics.compiled.collisions.shapes import Geom, Placed, Touch, placed, read_geoms
 from core.physics.compiled.collisions.table import CHEAP, COLLIDERS
 from core.physics.compiled.constraints.body_rows import BodyGroup
@@ -86,7 +87,7 @@ class Contact:
 def read_contacts(fields: Fields) -> tuple[Contact, ...]:
     """All that can touch and move."""
     model = fields.model
-    geoms = read_geoms(model)
+    geoms = read_geoms(fields)
     pairs, nominal = read_pairs(fields), [pair.parameters for pair in read_pairs(Fields(model))]
     moves = [bool(geoms[pair.one].body or geoms[pair.other].body) for pair in pairs]
     pairs, nominal = list(compress(pairs, moves)), list(compress(nominal, moves))
@@ -99,7 +100,7 @@ def read_contacts(fields: Fields) -> tuple[Contact, ...]:
             is_elliptic=model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC,
             impratio=float(model.opt.impratio),
         )
-        for pair, other in merged(pairs, nominal, geoms)
+        for pair, other in merged(pairs, nominal, geoms, own_boxes(fields))
     )
 
 

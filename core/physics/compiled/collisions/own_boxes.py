@@ -1,0 +1,70 @@
+"""Boxes that never move, whose places and sizes differ between environments: arenas of many layouts.
+
+The program is written before the layouts are known. What must hold in all of them the model says: the numeric
+`box_spacing` has in place k - 1 the least free length, in m, between a box and the k-th after it in the order
+of their numbers, in any layout. Boxes differ only along the axes along which the model's own boxes differ.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from core.physics.compiled.fields import Fields
+from core.physics.compiled.program.arithmetic import Vector
+from core.physics.model import GEOMETRY
+
+_SPACING = "box_spacing"
+
+
+@dataclass(frozen=True)
+class OwnBoxes:
+    """spacing: see the module. pos, size: whether boxes differ along each axis, [3]."""
+
+    spacing: tuple[float, ...]
+    pos: tuple[bool, ...]
+    size: tuple[bool, ...]
+
+    def most_in_reach(self, reach: float) -> int:
+        """To how many boxes that follow each other a geom may be near at once. reach: see `Choice`."""
+        far_enough = [space > 2.0 * reach for space in self.spacing]
+        return [*far_enough, True].index(True) + 1
+
+
+def own_boxes(fields: Fields) -> OwnBoxes | None:
+    """None where all environments have the model's own. Raises ValueError where the model does not say what
+    must be known of them."""
+    if not set(GEOMETRY).intersection(fields.own):
+        return None
+    model = fields.model
+    fixed = fixed_boxes(model)
+    pos, size = (
+        tuple(bool(x) for x in np.ptp(values[fixed], axis=0) > 0)
+        for values in (model.geom_pos, model.geom_size)
+    )
+    every = (True,) * 3
+    return OwnBoxes(box_spacing(model), pos, size) if len(fixed) > 1 else OwnBoxes((), every, every)
+
+
+def own_numbers(fields: Fields, name: str, number: int, differs: tuple[bool, ...]) -> Vector:
+    """A box's place or size, [3] in m: an environment's own numbers along the axes that differ."""
+    nominal, own = Fields(fields.model).row(name, number), fields.row(name, number)
+    return [one if is_own else other for is_own, one, other in zip(differs, own, nominal, strict=True)]
+
+
+def fixed_boxes(model: mujoco.MjModel) -> np.ndarray:
+    """Their numbers, in order."""
+    is_fixed = model.body_weldid[model.geom_bodyid] == 0
+    return np.flatnonzero(is_fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX))
+
+
+def says_spacing(model: mujoco.MjModel) -> bool:
+    """Whether the model says how far apart its boxes stay."""
+    return any(model.numeric(index).name == _SPACING for index in range(model.nnumeric))
+
+
+def box_spacing(model: mujoco.MjModel) -> tuple[float, ...]:
+    """What the model says of it."""
+    if not says_spacing(model):
+        raise ValueError(f"The model has no numeric {_SPACING}.")
+    return tuple(float(x) for x in model.numeric(_SPACING).data)

@@ -1,0 +1,115 @@
+"""Environments whose boxes are elsewhere and of other sizes: one set of tests for all engines."""
+
+import copy
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from core.errors import JobFailed
+from core.physics.availability import EngineName
+from core.physics.choose import engine_builder
+from core.physics.model import GEOMETRY
+
+NUM_SUBSTEPS, NUM_STEPS = 5, 12
+# A ball over the first of three platforms, which stand on a body that is not at the origin, and is turned.
+BODY = """
+<mujoco>
+  <custom><numeric name="box_spacing" data="0.05 0.85"/></custom>
+  <option timestep="0.005" iterations="10" ls_iterations="10"/>
+  <worldbody>
+    <body name="ground" pos="0.2 0 -0.1" euler="0 0 180">
+      <geom type="box" pos="0 0 0" size="0.4 1 0.1"/>
+      <geom type="box" pos="-0.9 0 0" size="0.4 1 0.1"/>
+      <geom type="box" pos="-1.8 0 0" size="0.4 1 0.1"/>
+    </body>
+    <body name="ball" pos="0 0 0.1"><freejoint/><geom type="sphere" size="0.1"/></body>
+  </worldbody>
+</mujoco>
+"""
+NOMINAL = mujoco.MjModel.from_xml_string(BODY)
+QPOS = np.array([0.15, 0, 0.099, 1, 0, 0, 0], np.float32)
+QVEL = np.array([2.5, 0, 0, 0, 0, 0], np.float32)
+
+
+def other_boxes(begin: float, half: float, spacing: float) -> mujoco.MjModel:
+    """Three boxes of the half length `half` whose centres are `spacing` apart, the first at `begin`; in m, in
+    the ground's frame, whose x axis is the world's -x."""
+    model = copy.copy(NOMINAL)
+    for box in range(3):
+        model.geom_pos[box, 0], model.geom_size[box, 0] = begin - spacing * box, half
+        model.geom_rbound[box] = np.linalg.norm(model.geom_size[box])
+        model.geom_aabb[box, 3:] = model.geom_size[box]
+    return model
+
+
+# The model's own; all under the ball; an edge under it; nothing under it.
+MODELS = [NOMINAL, other_boxes(-0.3, 0.8, 2.0), other_boxes(0.3, 0.4, 1.5), other_boxes(0.8, 0.4, 2.0)]
+# MJX takes half a minute to compile a body with contacts.
+SLOW_MJX = pytest.param("mjx", marks=[pytest.mark.slow, pytest.mark.timeout(300)])
+
+
+def fields_of(models: list[mujoco.MjModel]) -> dict[str, Any]:
+    return {
+        name: np.stack([np.asarray(getattr(one, name), np.float32) for one in models]) for name in GEOMETRY
+    }
+
+
+@pytest.mark.parametrize("name", ["native", SLOW_MJX, "warp", "compiled"])
+def test_a_ball_moves_over_each_environments_own_boxes(
+    name: EngineName, request: pytest.FixtureRequest
+) -> None:
+    if name == "warp":
+        request.getfixturevalue("warp_kernels")
+    engine = engine_builder(name)(NOMINAL, NUM_SUBSTEPS, ("xpos",))
+    state = jax.jit(jax.vmap(engine.reset, (None, None, 0)))(QPOS, QVEL, fields_of(MODELS))
+    step = jax.jit(jax.vmap(engine.step, (0, None)))
+    for _ in range(NUM_STEPS):
+        state = step(state, jnp.zeros(0))
+    ends = [_plain(_loose(model)) for model in MODELS]
+    np.testing.assert_allclose(state.qpos, ends, atol=2e-5 if name == "native" else 2e-3)
+    # On its one platform; past an edge; after 0.3 s of free fall.
+    heights = np.array(ends)[:, 2]
+    assert heights[1] == pytest.approx(0.1, abs=0.01)
+    assert heights[3] == pytest.approx(0.1 - 9.81 * 0.3**2 / 2, abs=0.02)
+    assert heights[3] < heights[2] < 0.0
+
+
+def _plain(model: mujoco.MjModel) -> np.ndarray:
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = QPOS, QVEL
+    mujoco.mj_step(model, data, NUM_STEPS * NUM_SUBSTEPS)
+    return np.array(data.qpos)
+
+
+def _loose(model: mujoco.MjModel) -> mujoco.MjModel:
+    """What MuJoCo needs where fields are changed behind its compiler's back."""
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    model.geom_sameframe[:3] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    return model
+
+
+@pytest.mark.parametrize(
+    ("model", "derived", "sentence"),
+    [
+        (
+            mujoco.MjModel.from_xml_string(BODY.replace("box_spacing", "other")),
+            (),
+            "how far apart its boxes stay",
+        ),
+        (NOMINAL, ("geom_xpos",), "geom_xpos is read"),
+    ],
+)
+def test_compiled_refuses_what_it_cannot_know(
+    model: mujoco.MjModel, derived: tuple[str, ...], sentence: str
+) -> None:
+    engine = engine_builder("compiled")(model, NUM_SUBSTEPS, derived)
+    with pytest.raises(JobFailed, match=sentence):
+        engine.reset(
+            jnp.asarray(QPOS),
+            jnp.asarray(QVEL),
+            {name: jnp.asarray(values[0]) for name, values in fields_of([NOMINAL]).items()},
+        )
