@@ -12,7 +12,7 @@ import { Failure } from "../../parts/states.js";
 import { Costs } from "./costs.js";
 
 // Terms of the reward, as environments name them.
-const TERM = /^eval\/episode_((?:reward|cost)_.+|.+_(?:reward|cost))$/;
+const TERM = /^eval\/episode_((?:reward|cost)_.+)$/;
 
 export function OverviewTab({ job, query, onMetrics, onPhase }) {
   return html`<div class="stack">
