@@ -123,7 +123,7 @@ class Learner:
         policy = self.acting(state.params, state.normalizer, epsilon)
         before = Experience(state.normalizer, state.replay, state.episodes)
         at = progress(self.environment, self.settings, state.num_updates)
-        seen, acted = act(self.environment, self.settings, policy, before, act_key, starts_key, at)
+        seen, acted = act(self.environment, self.settings, policy, before, (act_key, starts_key), at)
         learn = partial(
             self._learn, seen.replay, normalize(self.settings, seen.normalizer), hyperparameters, learn_key
         )

@@ -56,12 +56,12 @@ def act(
     settings: OffPolicySpec,
     policy: Policy,
     before: Experience,
-    act_key: jax.Array,
-    starts_key: jax.Array,
+    keys: tuple[jax.Array, jax.Array],
     at: jax.Array | None,
 ) -> tuple[Experience, Acted]:
     """Act `unroll_length` times in each environment. policy: its extras hold, as `action`, what is kept.
-    at: the progress of the curriculum, if there is one."""
+    keys: for acting, and for fresh starts. at: the progress of the curriculum, if there is one."""
+    act_key, starts_key = keys
     starting = VectorEnv(at_progress(environment, at))
     episodes, (transitions, outcome) = collect(
         VectorEnv(environment),

@@ -107,7 +107,7 @@ class Learner:
         policy = self.networks.acting(state.params.policy, self.normalize(state.normalizer))
         before = Experience(state.normalizer, state.replay, state.episodes)
         at = progress(self.environment, self.settings, state.num_updates)
-        seen, acted = act(self.environment, self.settings, policy, before, act_key, starts_key, at)
+        seen, acted = act(self.environment, self.settings, policy, before, (act_key, starts_key), at)
         learn = partial(self._learn, seen.replay, self.normalize(seen.normalizer), hyperparameters, learn_key)
         # The replay is read, not passed through: a conditional would copy it.
         learnt, metrics = jax.lax.cond(
