@@ -92,6 +92,8 @@ ALGORITHMS: dict[str, AlgorithmInfo] = {
             dqn_checks.refusal,
             dqn_memory.least_memory,
             dqn_tuned.environment_options,
+            "its network values the choices of an action set, and only the environment turns these into "
+            "actions. `client.load_policy` gives the choices",
         ),
         AlgorithmInfo(
             QLearningSpec,

@@ -1,6 +1,7 @@
 """The policy of a training for programs elsewhere, as `policy.npz` and `policy.onnx`."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 from core.algorithms.catalog import ALGORITHMS
@@ -23,9 +24,8 @@ def keep_exports(
     """
     if ALGORITHMS[algorithm].no_export is not None:
         return
-    from core.algorithms.export.onnx_file import (
-        onnx_file,
-    )  # Its import takes 0.3 s, which no start waits for.
+    # Its import takes 0.3 s, which no start waits for.
+    from core.algorithms.export.onnx_file import onnx_file
 
     origin = Origin(
         algorithm=algorithm,
@@ -33,6 +33,8 @@ def keep_exports(
         options=built.info.option_values.model_dump(mode="json"),
         step_s=built.environment.dt,
         trained_steps=step,
+        observation_parts=[asdict(part) for part in built.info.spaces.observation],
+        action_parts=[asdict(part) for part in built.info.spaces.action],
     )
     writers: Mapping[str, tuple[_Writer, str]] = {
         "policy.npz": (numpy_file, "application/x-npz"),

@@ -43,14 +43,14 @@ def contract(network: Network, origin: Origin) -> dict[str, Any]:
             "name": network.observation_name,
             "size": observation,
             "dtype": "float32",
-            "parts": [*origin.observation_parts] or [_whole(network.observation_name, observation)],
+            "parts": _covering(origin.observation_parts, network.observation_name, observation),
         },
         "action": {
             "size": action,
             "dtype": "float32",
             "low": -1.0,
             "high": 1.0,
-            "parts": [*origin.action_parts] or [_whole("action", action)],
+            "parts": _covering(origin.action_parts, "action", action),
             "held_steps": network.action_repeat,
             "held_s": round(network.action_repeat * origin.step_s, 9),
         },
@@ -67,5 +67,8 @@ def as_text(about: Mapping[str, Any]) -> str:
     return json.dumps(about, sort_keys=True, ensure_ascii=False)
 
 
-def _whole(name: str, size: int) -> dict[str, Any]:
-    return {"name": name, "start": 0, "size": size, "unit": None}
+def _covering(parts: Parts, name: str, size: int) -> list[Mapping[str, Any]]:
+    """The parts, if they are those of this array; of an environment's several observations none are named."""
+    if sum(part["size"] for part in parts) == size:
+        return [*parts]
+    return [{"name": name, "start": 0, "size": size, "unit": None}]

@@ -50,6 +50,20 @@ def test_a_network_is_kept_in_two_forms_with_its_contract(tmp_path: Path) -> Non
     assert about["action"]["held_s"] == endless().dt
 
 
+def test_the_contract_names_the_numbers_as_the_catalog_does(tmp_path: Path) -> None:
+    policy = policy_file(PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]}), np.zeros((2, 27)), 8)
+    about = exported_policy.load(tmp_path / handed_over(tmp_path, policy)[0]["path"]).about
+    info, _ = catalog.resolve("corridor", {"walker": "ant"})
+    # The height, the trunk's rotation and eight joints; and an actuator for each of these.
+    assert [(part["name"], part["size"]) for part in about["observation"]["parts"][:3]] == [
+        ("qpos", 1),
+        ("qpos", 4),
+        ("qpos", 8),
+    ]
+    assert [part["name"] for part in about["action"]["parts"]] == [one.name for one in info.spaces.action]
+    assert len(info.spaces.action) == 8
+
+
 def test_a_table_is_left_to_its_own_file(tmp_path: Path) -> None:
     assert handed_over(tmp_path, b"a table", "q_learning") == []
 
