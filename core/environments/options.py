@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from core.documents import Strict
-from core.physics.availability import EngineName, beyond_compiled
+from core.physics.availability import NEWTON_ALONE, EngineName, beyond_compiled
 
 
 def _ascending(bounds: tuple[float, float | None]) -> tuple[float, float | None]:
@@ -53,9 +53,7 @@ def lacks_solver(options: RunnerOptions) -> Mapping[EngineName, str]:
     """The engines that lack the solver that these options name, and the sentence that refuses each."""
     if options.solver == "newton":
         return {}
-    return {
-        "compiled": beyond_compiled("its job asks for the solver 'cg', and 'compiled' has Newton's alone")
-    }
+    return {"compiled": beyond_compiled(NEWTON_ALONE)}
 
 
 def check_survives_its_start(height: float, healthy: tuple[float, float], *, terminates: bool) -> None:

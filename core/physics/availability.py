@@ -63,6 +63,10 @@ def beyond_compiled(reason: str) -> str:
     return f"The engine 'compiled' cannot run the model: {reason}. Choose another engine, or omit `physics`."
 
 
+NEWTON_ALONE = "its job asks for the solver 'cg', and 'compiled' has Newton's alone"
+"""Why the engine `compiled` cannot run a job that asks for conjugate gradients."""
+
+
 def check_physics(choice: PhysicsChoice, cannot_run: Mapping[EngineName, str] = NO_REFUSALS) -> None:
     """Raises Rejected if the engine that the job names cannot run the environment.
 

@@ -46,7 +46,9 @@ class _Builder:
             case "compiled":
                 check_installed("compiled")
                 from core.physics.compiled.engine import CompiledEngine
+                from core.physics.compiled.refusal import check_solver
 
+                check_solver(accelerated)
                 return CompiledEngine(with_enough_iterations(model, accelerated), num_substeps, derived)
             case _:
                 assert_never(self.name)

@@ -5,9 +5,16 @@ from collections.abc import Sequence
 import mujoco
 
 from core.errors import JobFailed
-from core.physics.availability import beyond_compiled
+from core.physics.availability import NEWTON_ALONE, beyond_compiled
 from core.physics.compiled.coverage import uncovered, uncovered_fields, uncovered_own
+from core.physics.engine import SolverSettings
 from core.reasons import Reason
+
+
+def check_solver(settings: SolverSettings | None) -> None:
+    """Raises JobFailed("bad_model") if the job itself asks for a solver that the stages lack."""
+    if settings is not None and "solver" in settings.asked and settings.solver != "newton":
+        _refuse(NEWTON_ALONE)
 
 
 def check_covered(model: mujoco.MjModel, derived: Sequence[str] = ()) -> None:

@@ -8,7 +8,7 @@ import pytest
 from core.environments import catalog
 from core.environments.randomization import FIELDS
 from core.errors import JobFailed
-from core.physics.compiled.refusal import check_covered, check_own
+from core.physics.compiled.refusal import check_covered, check_own, check_solver
 from core.physics.engine import CONSTANTS, Engine, SolverSettings
 from core.physics.model import with_solver
 
@@ -41,8 +41,10 @@ CHANGED: list[tuple[str, dict[str, Any]]] = [
 class Asked(Exception):
     """The model that an environment asks an engine for, and the fields that it reads."""
 
-    def __init__(self, model: mujoco.MjModel, derived: tuple[str, ...]) -> None:
-        self.model, self.derived = model, derived
+    def __init__(
+        self, model: mujoco.MjModel, derived: tuple[str, ...], settings: SolverSettings | None
+    ) -> None:
+        self.model, self.derived, self.settings = model, derived, settings
 
 
 class Asking:
@@ -58,7 +60,7 @@ class Asking:
         *,
         accelerated: SolverSettings | None = None,
     ) -> Engine:
-        raise Asked(with_solver(model, accelerated), derived)
+        raise Asked(with_solver(model, accelerated), derived, accelerated)
 
 
 def asked_for(environment: str, options: dict[str, Any]) -> Asked:
@@ -70,6 +72,7 @@ def asked_for(environment: str, options: dict[str, Any]) -> Asked:
 
 def refusal(asked: Asked) -> str | None:
     try:
+        check_solver(asked.settings)
         check_covered(asked.model, asked.derived)
     except JobFailed as failure:
         return failure.detail
