@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from bench.measure.cache import keep_compiled
 from bench.measure.child import answer
 
 # Far from the seeds of jobs.
@@ -30,7 +31,7 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder:
         told = _trained(spec, Path(folder), request["cache"])
         policy = (Path(folder) / "policy").read_bytes()
-    return told | (_shown(spec, policy, request["episodes"]) if request["episodes"] else {})
+    return told | (_shown(spec, policy, request) if request["episodes"] else {})
 
 
 def _trained(spec: Any, spool: Path, cache: str | None) -> dict[str, Any]:
@@ -77,7 +78,7 @@ def _trained(spec: Any, spool: Path, cache: str | None) -> dict[str, Any]:
     return told | {"steps_per_s": told["steps"] / told["training_s"]}
 
 
-def _shown(spec: Any, policy: bytes, num_episodes: int) -> dict[str, float]:
+def _shown(spec: Any, policy: bytes, request: dict[str, Any]) -> dict[str, float]:
     import jax
     import numpy as np
 
@@ -88,8 +89,10 @@ def _shown(spec: Any, policy: bytes, num_episodes: int) -> dict[str, float]:
     from core.physics.choose import engine_builder
 
     info, options = catalog.resolve(spec.environment.id, spec.environment.options)
+    num_episodes = request["episodes"]
     at_once = min(_AT_ONCE, num_episodes)
     engine = choose("auto", "cpu", at_once, info.on_a_cpu, info.cannot_run).name
+    keep_compiled({"cache": request["cache"], "engine": engine})
     environment = catalog.make(info, options, engine_builder(engine))
     trained = load_policy(policy, spec.algorithm.algorithm(), is_checkpoint=False)
     acting, act = trained.acting(environment)

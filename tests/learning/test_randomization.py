@@ -17,6 +17,8 @@ from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.physics.native import NativeEngine
 from tests import probes
+from tests.learning.dqn_runs import STEPS_PER_UPDATE as DQN_STEPS_PER_UPDATE
+from tests.learning.dqn_runs import dqn_run
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run
@@ -81,7 +83,13 @@ def test_without_a_pool_of_starts_an_environment_keeps_its_number_for_the_run() 
 
 
 @pytest.mark.parametrize(
-    ("begin", "update"), [(small_run, STEPS_PER_UPDATE), (sac_run, SAC_STEPS_PER_UPDATE)], ids=["ppo", "sac"]
+    ("begin", "update"),
+    [
+        (small_run, STEPS_PER_UPDATE),
+        (sac_run, SAC_STEPS_PER_UPDATE),
+        (dqn_run, DQN_STEPS_PER_UPDATE),
+    ],
+    ids=["ppo", "sac", "dqn"],
 )
 def test_a_resumed_run_equals_an_uninterrupted_one(begin: Callable[..., Run[Any]], update: int) -> None:
     half = 4 * update
