@@ -116,6 +116,6 @@ def _notes(given: dict[str, Any]) -> list[str]:
         f"gaps. `one`: the corridor of arena_seed 123456; `many`: {_NUM_LAYOUTS} layouts from there on; "
         "`curriculum`: the same, with gaps that grow from 0 to 0.05 m to the options' 0.05 to 0.2 m over the "
         "first half. A run's name ends with its seed.",
-        f"Each is tried in {_EPISODES} episodes of at most {longest:.0f} s, without noise, in its own layouts "
-        f"and in {_NUM_LAYOUTS} from arena_seed {_UNSEEN_SEED:,} on; a trial ends past the last gap.",
+        f"Each is tried in {_EPISODES} episodes of at most {longest:.0f} s, without noise, in its own "
+        f"layouts and in {_NUM_LAYOUTS} from arena_seed {_UNSEEN_SEED:,} on; a trial ends past the last gap.",
     ]

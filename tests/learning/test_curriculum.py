@@ -35,8 +35,8 @@ def begun_at(checkpoint: bytes) -> set[float]:
 
 @dataclass(frozen=True)
 class Straight:
-    """Six updates of a run whose curriculum takes four. seen: after each, the metric and the progress at which
-    the episodes began; checkpoints: after each; compiled: how often, after the first update."""
+    """Six updates of a run whose curriculum takes four. seen: after each, the metric and the progress at
+    which the episodes began; checkpoints: after each; compiled: how often, after the first update."""
 
     begin: Callable[..., Run[Any]]
     update: int
