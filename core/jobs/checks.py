@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from core.algorithms.catalog import reported, resolve
@@ -108,7 +109,7 @@ def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Descriptio
         info,
         observation_size=spaces.observation_size,
         action_size=has.sizes.nu,
-        slices=lambda chosen: mjcf_slices(chosen, has),
+        slices=partial(mjcf_slices, model=has),
         cameras=tuple(has.cameras),
         cannot_run=engines_that_cannot(description),
     )

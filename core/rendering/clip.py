@@ -7,7 +7,7 @@ from pathlib import Path
 
 import mujoco
 
-from core.rendering.camera import check_cameras, model_camera
+from core.rendering.camera import TRACK, check_cameras, model_camera
 from core.rendering.layout import Layout
 from core.rendering.mp4 import CODEC, Mp4Writer, write_png
 from core.rendering.picture_grid import Moment, PictureGrid
@@ -75,8 +75,10 @@ def draw(
 
 
 def _called(camera: str | int, names: Sequence[str]) -> str:
-    """What a picture says of its camera; one without a name has its number."""
-    return camera if isinstance(camera, str) else names[camera] or f"camera {camera}"
+    """What a picture says of its camera; by number if it has no name, or that of the one that is ours."""
+    if isinstance(camera, str):
+        return camera
+    return f"camera {camera}" if names[camera] in ("", TRACK) else names[camera]
 
 
 def _moments(

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from core.environments.bodies import Body
+from core.environments.bodies import Body, JointType
 from core.environments.body_slices import CINERT, CVEL, qfrc_actuator, qpos, qvel, rows
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.inventory import Inventory, Sensor
@@ -83,7 +83,9 @@ def _term(term: ObservationTerm, options: MjcfOptions, model: Inventory) -> Iter
 
 
 def _body(model: Inventory) -> Body:
-    joints = {joint.name or f"joint {number}": joint.type for number, joint in enumerate(model.joints)}
+    joints: dict[str, JointType] = {
+        joint.name or f"joint {number}": joint.type for number, joint in enumerate(model.joints)
+    }
     return Body(joints, {})
 
 
