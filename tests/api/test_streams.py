@@ -506,5 +506,5 @@ def test_events_of_some_kinds_come_with_the_end_and_without_waiting_for_it(
         found = [event.split("\n")[1] for event in answer.read().decode().split("\n\n") if "event:" in event]
     assert found == ["event: phase", "event: status"]
     assert pointers(problem(stack.http.get(here, params={"kind": "phases"}), 422, "invalid-request")) == [
-        "/kind/0"
+        "/kind"
     ]
