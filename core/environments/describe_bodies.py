@@ -24,7 +24,7 @@ def table() -> dict[str, Any]:
         found[name]["bodies"] = []
     for name, walker in WALKERS.items():
         # Its environment would look for its body in the table.
-        parts = described(corridor_model(CorridorOptions(walker=name)))
+        parts = described(corridor_model(CorridorOptions.model_validate({"walker": name})))
         trunk = parts["bodies"].index(walker.trunk)
         found[f"corridor/{name}"] = {**parts, "bodies": parts["bodies"][trunk : trunk + walker.num_bodies]}
     return found

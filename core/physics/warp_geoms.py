@@ -1,5 +1,9 @@
 """Geoms that never move, where each world has them: MuJoCo Warp places them once, where the model does."""
 
+# A kernel is Warp's language, which only looks like Python.
+# pyright: reportUntypedFunctionDecorator=false, reportAssignmentType=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false
+
 from typing import Any
 
 import mujoco
