@@ -4,14 +4,20 @@ import { send } from "../../lib/api.js";
 import { html, useEffect, useState } from "../../lib/html.js";
 
 const SETTLE_MS = 600;
+const PAUSE_MS = 2000;
 
-/** The preview's document once the stills are drawn. */
-async function drawn(path, signal) {
+/** The preview's document once the stills are drawn. tell: says meanwhile why there are none. */
+async function drawn(path, signal, tell) {
   for (;;) {
-    const answer = await send(path, { signal });
-    const document = await answer.json();
-    if (answer.status !== 202) return document;
-    await new Promise((resolve) => setTimeout(resolve, 1000 * Number(answer.headers.get("Retry-After") || 2)));
+    try {
+      const answer = await send(path, { signal });
+      if (answer.status !== 202) return await answer.json();
+      tell("A worker draws it…");
+    } catch (error) {
+      if (error.status !== 503) throw error; // No worker yet, or too much to draw: that passes.
+      tell(error.message);
+    }
+    await new Promise((resolve) => setTimeout(resolve, PAUSE_MS));
   }
 }
 
@@ -20,10 +26,11 @@ export function Body({ environment }) {
   const options = JSON.stringify(environment.options || {});
   useEffect(() => {
     const control = new AbortController();
-    setState({ isDrawing: true });
+    const tell = (text) => control.signal.aborted || setState({ text });
+    tell("A worker draws it…");
     const timer = setTimeout(() => {
       const query = new URLSearchParams({ options, width: 320, height: 240 });
-      drawn(`/environments/${environment.id}/preview?${query}`, control.signal).then(
+      drawn(`/environments/${environment.id}/preview?${query}`, control.signal, tell).then(
         (preview) => setState({ preview }),
         (error) => control.signal.aborted || setState({ error }),
       );
@@ -33,9 +40,9 @@ export function Body({ environment }) {
       control.abort();
     };
   }, [environment.id, options]);
-  const { preview, error, isDrawing } = state;
+  const { preview, error, text } = state;
   return html`<section class="card" aria-label="The body"><h2>${environment.id}</h2>
-    ${isDrawing && html`<p class="facts" role="status">A worker draws it…</p>`}
+    ${text && html`<p class="facts" role="status">${text}</p>`}
     ${error && html`<p class="facts">${error.message}</p>`}
     ${preview && html`<div class="stills">${preview.stills.map(
       (still) => html`<figure key=${still.href}><img src=${still.href} alt="${environment.id}, camera ${still.camera}" /><figcaption>${still.camera}</figcaption></figure>`,
