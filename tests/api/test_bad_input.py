@@ -127,7 +127,11 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         ),
         (dqn(state_discretizer={"kind": "arm_role"}), "/algorithm/state_discretizer", "is not a field here"),
         (dqn(epsilon={"decay_episodes": 5}), "/algorithm/epsilon/decay_episodes", "is not a field here"),
-        (dqn() | {"resources": {"gpus": 2}}, "/resources/gpus", "dqn runs on one device"),
+        (
+            dqn(action_set={"kind": "actions", "actions": [[1.0] * 8]}) | {"resources": {"gpus": 2}},
+            "/resources/gpus",
+            "dqn runs on one device",
+        ),
         (MINIMAL | {"enviroment": "ant"}, "/enviroment", "did you mean `environment`?"),
         (MINIMAL | {"a/b~c": 1}, "/a~1b~0c", "not a field here"),
         (MINIMAL | {"video": {"camera": "moon"}}, "/video/camera", "no camera 'moon'"),
