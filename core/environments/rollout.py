@@ -207,7 +207,9 @@ def _episode(
     """One environment's rows, cut where its episode ends; the steps after that are dropped."""
     ends = np.flatnonzero(steps["done"][:num_steps] > 0)
     length = int(ends[0]) + 1 if len(ends) else num_steps
-    states = {name: np.concatenate([first[None], steps[name][:length]]) for name, first in begin.items()}
+    states: dict[str, Any] = {
+        name: np.concatenate([first[None], steps[name][:length]]) for name, first in begin.items()
+    }
     return Episode(
         **states,
         time=np.arange(length + 1, dtype=np.float64) * environment.dt,

@@ -1,5 +1,9 @@
 """Geoms that never move, where each world has them: MuJoCo Warp places them once, where the model does."""
 
+# A kernel is read by Warp's compiler, which types it in its own way.
+# pyright: reportUntypedFunctionDecorator=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false
+
 from typing import Any
 
 import mujoco

@@ -5,7 +5,6 @@ steps alone, so a run that resumes continues where it was.
 Source: Bengio et al., Curriculum Learning (2009).
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Protocol, cast, runtime_checkable
 
@@ -52,6 +51,6 @@ def at_progress(environment: Environment, progress: jax.Array | None) -> Environ
     return cast("HasCurriculum", environment).at_progress(progress)
 
 
-def progress_metrics(progress: jax.Array | None) -> Mapping[str, jax.Array]:
+def progress_metrics(progress: jax.Array | None) -> dict[str, jax.Array]:
     """The metric of an update: `curriculum`, if there is one."""
     return {} if progress is None else {"curriculum": progress}

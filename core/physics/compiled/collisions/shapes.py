@@ -78,8 +78,9 @@ def read_geoms(fields: Fields) -> tuple[Geom, ...]:
     at_rest = mujoco.MjData(model)
     mujoco.mj_kinematics(model, at_rest)
     geoms = [_geom(model, number, at_rest) for number in range(model.ngeom)]
-    for number in fixed_boxes(model) if own else ():
-        geoms[number] = _own_box(fields, own, geoms[number], at_rest)
+    if own is not None:
+        for number in fixed_boxes(model):
+            geoms[number] = _own_box(fields, own, geoms[number], at_rest)
     return tuple(geoms)
 
 
