@@ -10,6 +10,8 @@ from core.jobs.spec import EnvironmentSpec
 from core.user_models.store import ModelStore
 
 OPTIONS_DESCRIPTION = "The environment's options, as a JSON object."
+# A character takes up to 12 in an address, and the server takes addresses of 64 KiB.
+MAX_OPTIONS_LENGTH = 5_000
 _OPTIONS: TypeAdapter[dict[str, JsonValue]] = TypeAdapter(dict[str, JsonValue])
 
 

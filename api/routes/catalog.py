@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query
 
 from api.dependencies import ServiceDep
-from api.options import OPTIONS_DESCRIPTION, info_under
+from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
 from api.problems import refusals
 from api.views import AlgorithmView, EnvironmentDetails, EnvironmentView, Listing
 from core.algorithms.catalog import ALGORITHMS
@@ -32,7 +32,7 @@ def list_environments(
 Options = Annotated[
     str | None,
     Query(
-        max_length=16_000,
+        max_length=MAX_OPTIONS_LENGTH,
         description=OPTIONS_DESCRIPTION + " The answer shows the environment under these options.",
         examples=["{}"],
     ),

@@ -13,7 +13,7 @@ from pydantic import Field, JsonValue
 
 from api.dependencies import Parameters, Service, ServiceDep
 from api.files import file_response
-from api.options import OPTIONS_DESCRIPTION, in_the_query, parse_options
+from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, in_the_query, parse_options
 from api.problems import refusals
 from api.views import View
 from core.environments import catalog
@@ -51,7 +51,7 @@ class PreviewParameters(Parameters):
 
     options: str = Field(
         "{}",
-        max_length=16_000,
+        max_length=MAX_OPTIONS_LENGTH,
         description=OPTIONS_DESCRIPTION,
         examples=['{"walker": "rodent"}'],
     )

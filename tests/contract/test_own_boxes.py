@@ -86,10 +86,11 @@ def _plain(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _loose(model: mujoco.MjModel) -> mujoco.MjModel:
-    """What MuJoCo needs where fields are changed behind its compiler's back."""
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
-    model.geom_sameframe[:3] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-    return model
+    """A copy with what MuJoCo needs where fields are changed behind its compiler's back."""
+    loose = copy.copy(model)
+    loose.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    loose.geom_sameframe[:3] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    return loose
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from core.physics.compiled.readings.derived import derived
 from core.physics.compiled.readings.scene import Scene
 from core.physics.compiled.substep import State, read_model, substep
 from core.physics.engine import MODEL_FIELDS
-from core.physics.model import model_field
+from core.physics.model import GEOMETRY, model_field
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
 from tests.unit.physics.compiled.test_contacts import BALL, ROD, at_random, meeting
 from tests.unit.physics.compiled.test_forces import (
@@ -27,7 +27,7 @@ from tests.unit.physics.compiled.test_forces import (
 )
 
 OF_CONSTRAINTS = ("body_invweight0", "dof_frictionloss", "dof_invweight0", "geom_friction", "geom_solref")
-UNUSED = ("actuator_acc0", "tendon_invweight0", *OF_CONSTRAINTS)
+UNUSED = ("actuator_acc0", "tendon_invweight0", *OF_CONSTRAINTS, *GEOMETRY)
 OWN = tuple(name for name in MODEL_FIELDS if name not in UNUSED)
 OF_MASSES = ("cinert", "cvel", "subtree_com", "xpos")
 STATE = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl")
