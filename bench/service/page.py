@@ -211,7 +211,8 @@ def _first_paints(browser: Browser, url: str) -> tuple[list[float], float]:
     found = list[tuple[float, float]]()
     for _ in range(5):
         page = browser.new_context().new_page()
-        page.goto(url, wait_until="networkidle")
+        page.goto(url)
+        page.locator(".job").first.wait_for()
         found.append(page.evaluate(_LOADED))
         page.context.close()
     return [paint for paint, _ in found], found[0][1]
