@@ -218,12 +218,12 @@ def test_every_engine_finds_the_contacts_that_native_finds(engine: EngineName, a
         environment = made(options, name)
         reset, step = jax.jit(jax.vmap(environment.reset)), jax.jit(jax.vmap(environment.step))
         state = reset(jax.random.split(jax.random.key(0), 8))
-        # Dropped onto its torso from a few heights, beside a side and not.
-        height, y = jnp.linspace(0.1, 0.6, 8), jnp.tile(jnp.array([0.0, 2.3]), 4)
+        # Its torso, a ball of 0.25 m whose middle is 0.52 m above its joint, 0.12 to 0.62 m above the
+        # ground, in the middle and beside a side.
+        height, y = jnp.linspace(-0.4, 0.1, 8), jnp.tile(jnp.array([0.0, 2.3]), 4)
         qpos = state.physics.qpos.at[:, 2].set(height).at[:, 1].set(y)
         state = replace(state, physics=replace(state.physics, qpos=qpos))
-        touched = [step(state, jnp.zeros((8, 8))).metrics["nonfoot_contact"] for _ in range(1)]
-        found.append(np.concatenate(touched).tolist())
+        found.append(step(state, jnp.zeros((8, 8))).metrics["nonfoot_contact"].tolist())
     assert found[0] == found[1]
     assert 0 < sum(found[0]) < len(found[0])
 
