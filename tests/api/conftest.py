@@ -115,7 +115,7 @@ def server() -> Iterator[tuple[FastAPI, int]]:
 @contextmanager
 def serving(app: FastAPI, port: int = 0) -> Iterator[int]:
     """The app under uvicorn in a thread; its port, by default a free one."""
-    server = Server(app)
+    app.state.server = server = Server(app)
     with listen("127.0.0.1", port) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
@@ -141,10 +141,13 @@ def stack(server: tuple[FastAPI, int], job_store: PostgresJobStore) -> Iterator[
         yield Stack(service, job_store, queue, objects, http, port)
     service.acknowledgements.flush()
     service.stopping = True  # Whatever stream a test has left open.
+    # A request that outlived its stores would return its connection to a pool that nobody closes any more.
+    requests = app.state.server.server_state.tasks
     until = time.monotonic() + 10
-    while service.watcher.is_looking and time.monotonic() < until:
+    while (service.watcher.is_looking or requests) and time.monotonic() < until:
         time.sleep(0.01)
     assert not service.watcher.is_looking
+    assert not requests
 
 
 @pytest.fixture
