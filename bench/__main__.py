@@ -29,6 +29,7 @@ DEFAULT = {
     "page": "bench.service.page",
     "video": "bench.cpu.video",
     "demo": "bench.service.demo",
+    "preparation": "bench.service.preparation",
 }
 # These run only by name.
 LONG = {

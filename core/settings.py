@@ -236,6 +236,12 @@ class WorkerSettings(StoreSettings):
         description="How much of this machine's memory a training may take before it is ended, e.g. 8GiB; "
         "by default that of the machine or container, less 5 % (at least 0.5 GiB).",
     )
+    prepare: str = Field(
+        "",
+        description="Environments, separated by commas, whose default training a worker without a job "
+        "compiles, once, so that the first such job starts as fast as the next. `gaitway up` and Docker "
+        "Compose say ant where this is not set; empty: none.",
+    )
     models: Confinement = Field(
         "confined",
         description="confined: a user's model is refused where the system cannot confine the process that "
@@ -248,6 +254,11 @@ class WorkerSettings(StoreSettings):
     wandb_base_url: str | None = Field(
         None, pattern=r"^https?://", description="A Weights & Biases server of your own: https://HOST."
     )
+
+    @property
+    def prepared(self) -> tuple[str, ...]:
+        """The environments that `prepare` names."""
+        return tuple(filter(None, map(str.strip, self.prepare.split(","))))
 
     @model_validator(mode="after")
     def _outlives_a_missed_beat(self) -> Self:

@@ -1,5 +1,6 @@
 """Real servers for the tests, one of each per process of the test run, empty for every test."""
 
+import os
 import secrets
 import signal
 from collections.abc import Iterator
@@ -35,7 +36,8 @@ pytest_plugins = ["tests.hypothesis_profiles"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Long tests run long enough to be compiled well."""
+    """Long tests run long enough to be compiled well; idle workers compile nothing beside the tests."""
+    os.environ.setdefault("GAITWAY_PREPARE", "")
     if "not slow" in config.option.markexpr:
         compile_quickly()
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

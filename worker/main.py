@@ -9,7 +9,9 @@ import secrets
 import signal
 import socket
 import time
+from collections.abc import Sequence
 from datetime import timedelta
+from math import inf
 from typing import Any
 
 import rq
@@ -22,13 +24,15 @@ from core.adapters.connect import connect_redis, job_store, object_store
 from core.adapters.rq.queue import job_of
 from core.adapters.startup import check_stores
 from core.configuration import read, stopping_if_misconfigured
-from core.errors import Unavailable
+from core.environments.catalog import find
+from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.jobs.job import utc_now
 from core.jobs.needs import packages_here
 from core.jobs.queue import queue_names
 from core.jobs.store import JobStore, WorkerInfo
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
+from core.variables import variable
 from worker.host import device_health, file_lock
 from worker.host.device import device_of, visible_gpus
 from worker.host.device_health import DeviceHealth
@@ -38,6 +42,7 @@ from worker.host.disk import check_folder
 from worker.host.health import show_life
 from worker.host.parent_death import PARENT, die_with_parent
 from worker.named_job import NamedJob
+from worker.preparation.idle import IdlePreparation
 from worker.supervision.left_attempts import record_left
 from worker.supervision.spool import SPOOLS, remove_left_over
 from worker.supervision.stall import is_stopped
@@ -50,6 +55,8 @@ _ANNOUNCE_EVERY_S = 10
 _PAUSE_S = 1.0
 # Between two checks of a device that is being tested.
 _POLL_S = 0.1
+# A worker that has waited this long for a job prepares for it.
+_IDLE_S = 4.0
 # How long the worker waits for a message before it checks whether it must shut down.
 _DEQUEUE_TIMEOUT_S = 5
 
@@ -67,6 +74,8 @@ class GaitwayWorker(rq.Worker):
         self._data_dir = settings.data_dir
         self._horse_is_stopped = False
         self._is_announcing = False
+        self._preparation = IdlePreparation(device, settings.prepared)
+        self._idle_since = inf
         name = f"{socket.gethostname()}:{device}:{secrets.token_hex(3)}"
         now = utc_now()
         self._info = WorkerInfo(
@@ -98,11 +107,18 @@ class GaitwayWorker(rq.Worker):
         self._clear_up()
         super().heartbeat(*args, **kwargs)
         self.announce()
+        if time.monotonic() - self._idle_since >= _IDLE_S:
+            self._preparation.go_on()
 
     def dequeue_job_and_maintain_ttl(self, *args: Any, **kwargs: Any) -> Any:
         """The next job, once the device works. Raises StopRequested if the worker must shut down."""
         self._wait_for_device()
-        return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
+        self._idle_since = time.monotonic()
+        try:
+            return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
+        finally:
+            self._idle_since = inf
+            self._preparation.stop()
 
     def _wait_for_device(self) -> None:
         shown, shown_at = "", 0.0
@@ -199,6 +215,15 @@ def health_of(device: str, settings: WorkerSettings) -> DeviceHealth:
     return DeviceHealth(device, settings.data_dir.absolute(), names, device_health.command_for(device))
 
 
+def check_prepared(environments: Sequence[str]) -> None:
+    """Raises Misconfigured for one that there is not."""
+    for environment in environments:
+        try:
+            find(environment)
+        except EnvironmentNotFound as error:
+            raise Misconfigured(f"{variable('prepare')}: {error.detail}") from None
+
+
 @stopping_if_misconfigured()
 def main() -> None:
     """Serve until a SIGTERM."""
@@ -213,6 +238,7 @@ def main() -> None:
     check_stores(settings)
     # Without a pool: a connection must not be shared with what is forked.
     store = job_store(settings, pool_size=0)
+    check_prepared(settings.prepared)
     worker = GaitwayWorker(settings, device, store)
     log.info("worker_started", worker=worker.name)
     try:

@@ -48,7 +48,8 @@ class _Member:
 class Stack:
     """Starts everything on entry, ends everything on exit. Use it from the main thread.
 
-    port: of the API on the loopback interface; by default 8000, or the next that is free.
+    port: of the API on the loopback interface; by default 8000, or the next that is free. prepare: what idle
+    workers compile where GAITWAY_PREPARE is not set.
     report: takes each sentence for the user. Raises ServerFailed where something does not start.
     """
 
@@ -58,10 +59,12 @@ class Stack:
         *,
         port: int | None = None,
         num_workers: int = 1,
+        prepare: str = "",
         report: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         self._wanted_port = port
         self._num_workers = num_workers
+        self._prepare = prepare
         self._report = report
         self._servers: list[_Member] = []
         self._modules: list[_Member] = []  # They need the servers, and end before them.
@@ -197,6 +200,7 @@ class Stack:
     def _environment(self) -> dict[str, str]:
         leaks = ("PYTHONPATH", "PYTHONHOME")
         return {
+            "GAITWAY_PREPARE": self._prepare,
             **{name: value for name, value in os.environ.items() if name not in leaks},
             "GAITWAY_DATA_DIR": str(self._folder),
             "GAITWAY_GRACE": f"PT{_GRACE_S}S",

@@ -9,6 +9,9 @@ from gaitway.service.embedded.interruption import Interrupted
 from gaitway.service.embedded.processes import ServerFailed
 from gaitway.service.embedded.stack import Stack
 
+# What most people try first.
+_PREPARED = "ant"
+
 
 def report(sentence: str) -> None:
     """One line for the user, at once."""
@@ -18,7 +21,7 @@ def report(sentence: str) -> None:
 def run_stack(data_dir: Path, *, port: int | None = None, num_workers: int = 1) -> int:
     """Serve until Ctrl-C, SIGTERM or SIGHUP; the exit status."""
     try:
-        with Stack(data_dir, port=port, num_workers=num_workers, report=report) as stack:
+        with Stack(data_dir, port=port, num_workers=num_workers, prepare=_PREPARED, report=report) as stack:
             print(f"Gaitway is at {stack.url}  (its interface: {stack.url}/docs)", flush=True)
             print(f"Data and logs are in {stack.data_dir}. Ctrl-C ends it.", flush=True)
             try:

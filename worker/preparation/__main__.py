@@ -1,0 +1,35 @@
+"""`python -m worker.preparation DEVICE SLOT…`: compile what GAITWAY_PREPARE names, once on this machine.
+
+A worker starts it while it has no job, and kills it when one comes.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+from core.adapters.connect import object_store
+from core.configuration import read
+from core.settings import WorkerSettings
+from core.telemetry import configure_logging
+from worker.host.device_lock import slots
+from worker.host.parent_death import die_with_parent
+from worker.preparation.programs import prepare
+
+# The service, and whoever works on this machine, go first.
+_NICENESS = 19
+
+
+def main() -> None:
+    die_with_parent()
+    os.nice(_NICENESS)
+    configure_logging("preparation")
+    device, names = sys.argv[1], sys.argv[2:]
+    settings = read(WorkerSettings)
+    locks = [Path(settings.data_dir, "locks", f"{name}.lock").absolute() for name in names]
+    with slots(locks, 0.0) as slot_fds:
+        for environment in settings.prepared:
+            prepare(environment, settings, object_store(settings), device, slot_fds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""Compiles an environment's default training before a job asks for it: by one short training.
+
+It has the programs of the whole one: how many steps it takes is an argument of them. What it trains goes.
+"""
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import IO
+
+import structlog
+
+from core.jobs.spec import TrainSpec
+from core.settings import WorkerSettings
+from core.storage.objects import ObjectStore
+from core.variables import variable
+from worker.compile_cache.fingerprint import fingerprint
+from worker.compile_cache.session import Caches
+from worker.host.child import TRAINING, environment, launch, tail
+from worker.protocol import Task
+from worker.supervision.spool import SPOOLS, spool
+
+log = structlog.get_logger()
+
+# In GAITWAY_DATA_DIR; holds a file for each environment that has been prepared here.
+PREPARED = "prepared"
+# Drawing is nothing that is compiled: as few and small pictures as there may be.
+_VIDEO = {"width": 64, "height": 64, "fps": 1}
+
+
+def prepare(
+    environment_id: str,
+    settings: WorkerSettings,
+    objects: ObjectStore,
+    device: str,
+    slot_fds: Sequence[int] = (),
+    command: Sequence[str] = TRAINING,
+) -> None:
+    """Compile it, unless that was done here before; a failure is logged, and tried again at the next start.
+
+    slot_fds: of the device's locks. command: the training's program.
+    """
+    folder = settings.data_dir.absolute()
+    done = (
+        folder / PREPARED / f"{environment_id.replace('/', '-')}-{version('gaitway')}-{fingerprint(device)}"
+    )
+    if done.exists():
+        return
+    own = folder / SPOOLS / f"prepare-{os.getpid()}"
+    with spool(own), tempfile.TemporaryFile() as said:
+        caches = Caches(objects, settings, device, own)
+        caches.open(environment_id.replace("/", "-"), _never)
+        (own / "task.json").write_text(_task(environment_id, device).model_dump_json())
+        variables = {**environment(device, folder, os.environ), variable("models"): settings.models}
+        pipes = (said.fileno(), *slot_fds)
+        child = launch(
+            [*command, str(own), str(said.fileno())], variables, stdout=subprocess.DEVNULL, cwd=own, fds=pipes
+        )
+        if status := child.wait():
+            log.warning("not_prepared", environment=environment_id, status=status, detail=_last_line(said))
+            return
+        caches.keep()
+        caches.close(_never)
+    done.parent.mkdir(exist_ok=True)
+    done.touch()
+    log.info("prepared", environment=environment_id)
+
+
+def _task(environment_id: str, device: str) -> Task:
+    document = {"environment": environment_id, "algorithm": {"num_timesteps": 1}, "video": _VIDEO}
+    return Task(job_id="preparation", attempt=1, spec=TrainSpec.model_validate(document), device=device)
+
+
+def _last_line(said: IO[bytes]) -> str:
+    return tail(said, 2**12).rstrip().rpartition("\n")[2]
+
+
+def _never() -> bool:
+    return False
