@@ -170,11 +170,18 @@ class Outbox:
 
     def _publish(self, message: FileReady, heard_at: datetime, write_id: str) -> None:
         path = self._spool / message.path
+        began = time.monotonic()
         published = [self._upload(message, path)]
+        seconds = time.monotonic() - began
         if message.role == "checkpoint":
             published.append(self._upload_metrics())
         _, dropped = self._claim.publish(tuple(published), self._keep_checkpoints)
-        said = {"name": message.name, "role": message.role, "step": message.step}
+        said = {
+            "name": message.name,
+            "role": message.role,
+            "step": message.step,
+            "upload_s": round(seconds, 4),
+        }
         self._record("events", [Entry(kind="artifact", time=heard_at, data=said)], write_id)
         path.unlink(missing_ok=True)
         self._remove_later(dropped)

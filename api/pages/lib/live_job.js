@@ -41,7 +41,10 @@ export function useJob(id) {
       if (kind === "progress") setJob((known) => known && { ...known, progress: event });
       else if (kind === "metrics") metrics.current.forEach((listener) => listener({ ...event, time }));
       else if (kind === "phase" || kind === "note") phases.current.forEach((listener) => listener({ kind, ...event, time }));
-      else soon();
+      else {
+        if (kind === "artifact") phases.current.forEach((listener) => listener({ kind, ...event, time }));
+        soon();
+      }
     };
     // The end of the feed as it is now; the curves of the views are loaded after this.
     const start = async () => {

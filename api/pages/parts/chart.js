@@ -6,7 +6,8 @@ import { colour, useDark } from "../lib/theme.js";
 import uPlot from "../vendor/uplot.js";
 
 /**
- * @typedef {{label: string, xs: number[], ys: (number | null)[], colour: string, faint?: boolean, isDashed?: boolean}} Line
+ * @typedef {{label: string, xs: number[], ys: (number | null)[], colour: string, faint?: boolean, isDashed?: boolean,
+ *   edge?: "upper" | "lower"}} Line edge: of a band; the upper one stands before the lower one, and between them it is filled.
  * @param {{title: string, lines: Line[], x: "steps" | "time", log: boolean, range: number[] | null,
  *   onRange: (range: number[] | null) => void, height?: number, sync?: string}} chart
  *   range: the part of the x axis that is shown; dragging over the picture asks for another.
@@ -33,7 +34,7 @@ export function Chart(chart) {
       made.destroy();
       plot.current = null;
     };
-  }, [isEmpty, dark, x, log, height, JSON.stringify(lines.map((line) => [line.label, line.colour, line.faint]))]);
+  }, [isEmpty, dark, x, log, height, JSON.stringify(lines.map((line) => [line.label, line.colour, line.faint, line.edge]))]);
 
   useEffect(() => {
     const made = plot.current;
@@ -79,12 +80,15 @@ function options(latest, lines, { x, log, width, height }) {
       ...lines.map((line) => ({
         label: line.label,
         stroke: line.faint ? faded(colour(line.colour)) : colour(line.colour),
-        width: line.faint ? 1 : 1.75,
+        width: line.edge ? 0 : line.faint ? 1 : 1.75,
         dash: line.isDashed ? [8, 5] : undefined,
-        points: { show: line.xs.length < 2 },
+        points: { show: line.xs.length < 2 && !line.edge },
         value: (_, one) => value(one),
       })),
     ],
+    bands: lines.flatMap((line, i) =>
+      line.edge === "upper" ? [{ series: [i + 1, i + 2], fill: faded(colour(line.colour), 0.2) }] : [],
+    ),
     legend: { show: lines.length <= 4 },
     cursor: {
       sync: latest.current.sync ? { key: latest.current.sync } : undefined,
@@ -105,11 +109,11 @@ function options(latest, lines, { x, log, width, height }) {
   };
 }
 
-const faded = (found) => found.replace(/^rgb\((.*)\)$/, "rgba($1, 0.35)");
+const faded = (found, share = 0.35) => found.replace(/^rgb\((.*)\)$/, `rgba($1, ${share})`);
 
 /** The picture in words, for readers who do not see it. */
 function summary(title, lines) {
-  const parts = lines.filter((line) => !line.faint).map(({ label, xs, ys }) => {
+  const parts = lines.filter((line) => !line.faint && !line.edge).map(({ label, xs, ys }) => {
     const found = ys.filter((y) => typeof y === "number");
     if (!found.length) return `${label}: no values`;
     const least = found.reduce((a, b) => Math.min(a, b));

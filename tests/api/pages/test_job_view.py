@@ -116,6 +116,9 @@ def test_phases_costs_and_terms_are_there(stack: Stack, tab: Tab, attempt: Attem
     expect(page.locator(".bars li").filter(has_text="compile")).to_contain_text("13 s")
     expect(page.locator(".bars li").filter(has_text="evaluate")).to_contain_text("2 s")
     expect(page.locator(".bars li").filter(has_text="reward_forward")).to_contain_text("3")
+    for name, seconds in (("policy", 1.5), ("video.mp4", 0.5)):
+        attempt.say("artifact", name=name, role="policy", step=100, upload_s=seconds)
+    expect(page.locator(".bars li").filter(has_text="upload")).to_contain_text("2 s")
     attempt.say("phase", name="first_update", seconds=3.0)
     expect(page.locator(".bars li").filter(has_text="first update")).to_contain_text("3 s")
 

@@ -48,6 +48,25 @@ def test_jobs_are_picked_and_compared(stack: Stack, tab: Tab, pair: list[Attempt
     assert [name for name in settings if "." in name or name == "seed"] == ["seed", "algorithm.learning_rate"]
 
 
+def test_seeds_of_one_setting_are_shown_as_a_band(stack: Stack, tab: Tab) -> None:
+    """Where only one seed has a value, another counts as straight between its own, and not beyond them."""
+    returns = {1: {100: 10.0, 300: 30.0}, 2: {100: 30.0, 200: 60.0, 300: 50.0}, 3: {100: 20.0}}
+    ids = list[str]()
+    for seed, values in returns.items():
+        attempt = Attempt(stack, job(f"{seed:012x}-0000000000", name=f"try {seed}", seed=seed))
+        for step, value in values.items():
+            attempt.say("metrics", step=step, values={"eval/episode_reward": value})
+        ids.append(attempt.id)
+    page = tab.open(f"#/compare?ids={','.join(ids)}")
+    page.get_by_label("Seeds as a band").check()
+    # 100: 10, 30, 20; 200: (10 + 30) / 2 and 60; 300: 30 and 50.
+    mean = "try 1 and 2 more seeds, mean: last 40 at 300, least 20, greatest 40"
+    expect(page.get_by_role("img", name=mean)).to_be_visible()
+    assert "seeds=band" in page.url
+    assert tab.violations() == []
+    tab.picture("compare-band")
+
+
 def test_what_is_compared_is_exported(tab: Tab, pair: list[Attempt], tmp_path: Path) -> None:
     page = tab.open(f"#/compare?ids={pair[0].id},{pair[1].id}&metric=eval/episode_reward")
     expect(page.get_by_role("img", name="seed 2: last 400 at 200")).to_be_visible()

@@ -7,6 +7,7 @@ import { html, useRef, useState } from "../../lib/html.js";
 import { isOver, RETURNS } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { Chart, pictureOf } from "../../parts/chart.js";
+import { band, bySetting } from "../../lib/seeds.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
 import { Failure } from "../../parts/states.js";
 import { change } from "../../lib/route.js";
@@ -33,7 +34,10 @@ export function Curves({ jobs, query }) {
     save(`${fileName(metric)}.csv`, new Blob([toCsv(jobs.map((job, i) => [job, curves[i]]), metric)], { type: "text/csv" }));
     setBusy(false);
   };
-  const lines = (data || []).flatMap((curve, i) => (curve && jobs[i] ? [lineOf(jobs[i], curve, tools)] : []));
+  const single = new Map(jobs.flatMap((job, i) => (data?.[i] ? [[job.id, lineOf(job, data[i], tools)]] : [])));
+  const groups = bySetting(jobs);
+  const hasSeeds = groups.length < jobs.length;
+  const lines = hasSeeds && query.get("seeds") === "band" ? groups.flatMap((group) => bandOf(group, single)) : [...single.values()];
   return html`<section class="card" aria-label="Curves">
     <${CurveTools} tools=${tools}>
       <label>Metric
@@ -41,6 +45,8 @@ export function Curves({ jobs, query }) {
           ${[...new Set([metric, ...names])].map((name) => html`<option value=${name}>${name}</option>`)}
         </select>
       </label>
+      ${hasSeeds && html`<label class="inline"><input type="checkbox" checked=${query.get("seeds") === "band"}
+        onChange=${(event) => change({ seeds: event.target.checked ? "band" : [] }, true)} /> Seeds as a band</label>`}
     <//>
     ${error && html`<${Failure} error=${error} again=${again} />`}
     <div ref=${place}>
@@ -68,3 +74,17 @@ const lineOf = (job, curve, tools) => ({
   xs: across(curve, tools.x, job.started_at || job.created_at),
   ys: smooth(curve.values, tools.smoothing),
 });
+
+/** The lines of jobs that differ only in their seed: the edges of their band, and the mean. */
+function bandOf(group, single) {
+  const own = group.flatMap((job) => (single.has(job.id) ? [single.get(job.id)] : []));
+  if (own.length < 2) return own;
+  const { xs, mean, least, greatest } = band(own);
+  const { colour, isDashed } = own[0];
+  const label = `${own[0].label} and ${own.length - 1} more ${own.length > 2 ? "seeds" : "seed"}, mean`;
+  return [
+    { label: `${label}: greatest`, xs, ys: greatest, colour, edge: "upper" },
+    { label: `${label}: least`, xs, ys: least, colour, edge: "lower" },
+    { label, xs, ys: mean, colour, isDashed },
+  ];
+}

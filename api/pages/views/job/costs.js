@@ -1,4 +1,4 @@
-/** Where the time went: what the start cost, and training, evaluation and drawing since. */
+/** Where the time went: what the start cost, and training, evaluation, drawing and uploads since. */
 
 import { send } from "../../lib/api.js";
 import { duration } from "../../lib/format.js";
@@ -20,7 +20,7 @@ export function Costs({ job, onPhase }) {
   const [events, setEvents] = useState([]);
   useEffect(() => {
     const stop = onPhase((event) => setEvents((known) => [...known, event]));
-    send(`${job.links.events}?kind=phase&kind=note&follow=false`)
+    send(`${job.links.events}?kind=phase&kind=note&kind=artifact&follow=false`)
       .then((answer) => answer.text())
       .then((text) => setEvents(parseEvents(text)), () => {});
     return stop;
@@ -53,5 +53,6 @@ function costsOf(job, events) {
   add("evaluate", metrics["eval/walltime"]);
   const films = job.artifacts.filter((file) => file.role === "video");
   add("draw videos (beside it)", films.reduce((sum, film) => sum + (film.metadata.wall_s || 0), 0));
+  add("upload (beside it)", events.reduce((sum, event) => sum + (event.upload_s || 0), 0));
   return [...spent];
 }

@@ -102,11 +102,13 @@ def test_what_is_said_before_a_file_is_stored_before_it(outbox: Outbox, claim: C
         outbox.put(FileReady(name=name, path=name, role="checkpoint", media_type="", step=step))
     outbox.put(Noted(text="The end."))
     assert outbox.close(30)
-    assert [entry.kind for entry in read(claim, "events")] == [
+    events = read(claim, "events")
+    assert [entry.kind for entry in events] == [
         *("metrics", "phase", "artifact"),
         *("metrics", "phase", "artifact"),
         "note",
     ]
+    assert all(0 < entry.data["upload_s"] < 30 for entry in events if entry.kind == "artifact")
     metrics = claim.store.get(claim.job_id).newest("metrics")
     assert metrics is not None
     assert len(claim.objects.get(metrics.key).splitlines()) == 2
