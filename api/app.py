@@ -23,6 +23,14 @@ Every refusal is `application/problem+json` (RFC 9457). Times are RFC 3339 in UT
 
 def create_app(settings: ApiSettings, *, store: JobStore, queue: JobQueue, objects: ObjectStore) -> FastAPI:
     """The service, built from these parts."""
+    app = interface()
+    app.state.service = Service(settings, store, queue, objects)
+    app.add_middleware(Correlation, origin_check=OriginCheck(settings.hosts))
+    return app
+
+
+def interface() -> FastAPI:
+    """Every route and its description; `create_app` adds what answers."""
     app = FastAPI(
         title="Gaitway",
         version=version("gaitway"),
@@ -31,10 +39,8 @@ def create_app(settings: ApiSettings, *, store: JobStore, queue: JobQueue, objec
         docs_url=None,  # `api.routes.page` serves it, without any network but this service.
         redoc_url=None,
     )
-    app.state.service = Service(settings, store, queue, objects)
     app.openapi = lambda: describe(app)
     problems.install(app)
-    app.add_middleware(Correlation, origin_check=OriginCheck(settings.hosts))
     for router in ROUTERS:
         app.include_router(router)
     return app
