@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,16 +19,17 @@ from numpy.typing import NDArray
 
 from core.physics.compiled.coverage import uncovered
 from core.physics.compiled.program.arithmetic import Vector
-from core.physics.compiled.substep import Model, Moved, State, read_model, substep
+from core.physics.compiled.substep import Model, State, read_model
 from tests.unit.physics.compiled.random_models import random_model
-from tests.unit.physics.compiled.test_substep import Arrays, converge, of_all
+from tests.unit.physics.compiled.recorded_substep import recorded
+from tests.unit.physics.compiled.test_substep import THOROUGH, Arrays, converge, of_all
 
 NUM_STATES, MOST = 8, 1e-9
 NUM_MODELS = 24
 # Almost all states converge within the first. Those that do not are solved again within C MuJoCo's own (see
 # `converge`). For all states these would take minutes in NumPy. A state that has converged stays where it is.
-FEW = {"iterations": 30, "line_search_iterations": 30}
-MANY = {"iterations": 100, "line_search_iterations": 50}
+FEW = THOROUGH | {"iterations": 30}
+MANY = THOROUGH | {"iterations": 100, "line_search_iterations": 50}
 
 
 def states(model: mujoco.MjModel) -> list[mujoco.MjData]:
@@ -70,7 +72,7 @@ def errors(ours: Vector, theirs: Arrays) -> NDArray[np.float64]:
     return apart / np.maximum(size, 1e-3)
 
 
-def largest_errors(moved: Moved, datas: list[mujoco.MjData]) -> NDArray[np.float64]:
+def largest_errors(moved: State, datas: list[mujoco.MjData]) -> NDArray[np.float64]:
     """Of each state, the largest of its vectors' errors."""
     fields = ("qacc", "qvel", "qpos", *(("act",) if datas[0].act.size else ()))
     return np.max([errors(getattr(moved, field), of_all(datas, field)) for field in fields], axis=0)
@@ -98,10 +100,11 @@ def compare(xml: str) -> Counter[str]:
     return Counter({"states": len(datas), "states with contacts": touching, "late states": late.size})
 
 
-def moved(ours: Model, begun: list[Arrays], chosen: NDArray[np.intp], limits: Mapping[str, int]) -> Moved:
+def moved(ours: Model, begun: list[Arrays], chosen: NDArray[np.intp], limits: Mapping[str, Any]) -> State:
     """Some of the states, one step later."""
-    *state, ctrl = ([x[chosen] for x in part] for part in begun)
-    return substep(replace(ours, solver=replace(ours.solver, **limits)), State(*state), ctrl)
+    *parts, ctrl = ([x[chosen] for x in part] for part in begun)
+    model, state = replace(ours, solver=replace(ours.solver, **limits)), State(*parts)
+    return recorded(model, state, ctrl)(state, ctrl)
 
 
 def test_random_models_are_refused_or_move_as_in_mujoco() -> None:
