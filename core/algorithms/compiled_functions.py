@@ -46,8 +46,7 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
         jax.jit(algorithm.evaluate).lower(algorithm.evaluated(state), state.eval_key, count),
     )
 
-    # Of LLVM: on two cores the ant's functions compile in two thirds of the time, to the same bits and speed.
-    options: Any = {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
+    options = compiler_options()
 
     def compile_all() -> CompiledFunctions[S]:
         with ThreadPoolExecutor() as pool:
@@ -55,6 +54,14 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
         return CompiledFunctions(init, epoch, algorithm.sharding.on_the_first(evaluate))
 
     return compile_all
+
+
+def compiler_options() -> Any:
+    """Of XLA: its default of LLVM takes half as long again for the ant's functions, on two cores, to the same
+    bits and speed. Where JAX is told to optimise little, it asks for less itself."""
+    if jax.default_backend() != "cpu" or jax.config.read("jax_disable_most_optimizations"):
+        return None
+    return {"xla_backend_optimization_level": 1}
 
 
 def place(algorithm: Algorithm[S], state: S) -> S:

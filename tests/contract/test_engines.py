@@ -295,9 +295,11 @@ def ant() -> mujoco.MjModel:
 
 BODIES = [name for name, info in catalog.BUILT_IN.items() if not info.takes_model]
 # Warp compiles kernels for some seconds, MJX its program for up to a minute, the rodent's for many; LLVM
-# takes some ten seconds for a star's programs, of which one is tried at any time, and more for the rodent's.
+# takes half a minute for a star's programs, of which a smaller one is tried at any time, and more for the
+# rodent's.
 COVERED = [body for body in BODIES if "compiled" not in catalog.BUILT_IN[body].cannot_run]
-LONG = [body for body in COVERED if body.startswith("brittle_star_") or body == "rodent"]
+LONG = [body for body in COVERED if body.startswith("brittle_star") or body == "rodent"]
+SMALL_STAR = {"num_arms": 3, "num_segments_per_arm": 2}
 FAST = [
     ("mjx", "ant"),
     *(("warp", body) for body in ("ant", "humanoid", "rodent")),
@@ -315,10 +317,18 @@ SLOW = [
 def test_the_engines_move_every_body_alike(
     name: EngineName, environment: str, request: pytest.FixtureRequest
 ) -> None:
-    # Under equal solver settings, converged, for ten control steps: long enough to land on the floor.
     if name == "warp":
         request.getfixturevalue("warp_kernels")
-    ends = [_end_of_a_walk(engine, environment) for engine in ("native", name)]
+    assert_moves_as_on_native(name, environment)
+
+
+def test_compiled_physics_moves_a_small_star_as_native_does() -> None:
+    assert_moves_as_on_native("compiled", "brittle_star", **SMALL_STAR)
+
+
+def assert_moves_as_on_native(name: EngineName, environment: str, **options: Any) -> None:
+    # Under equal solver settings, converged, for ten control steps: long enough to land on the floor.
+    ends = [_end_of_a_walk(engine, environment, options) for engine in ("native", name)]
     moved = np.abs(ends[0].qpos - ends[0].qpos[0]).max()
     assert moved > 0.05
     np.testing.assert_allclose(ends[1].qpos, ends[0].qpos, atol=2e-4)
@@ -327,7 +337,7 @@ def test_the_engines_move_every_body_alike(
         np.testing.assert_allclose(ends[1].derived[field], values, rtol=1e-3, atol=5e-3, err_msg=field)
 
 
-def _end_of_a_walk(name: EngineName, environment: str) -> PhysicsState:
+def _end_of_a_walk(name: EngineName, environment: str, options: dict[str, Any]) -> PhysicsState:
     """The environment's own model and fields on this engine, twice, under controls of their own."""
     made: list[tuple[Engine, mujoco.MjModel]] = []
 
@@ -342,8 +352,8 @@ def _end_of_a_walk(name: EngineName, environment: str) -> PhysicsState:
         made.append((engine_builder(name)(model, num_substeps, derived), model))
         return made[0][0]
 
-    info = catalog.find(environment)
-    catalog.make(info, info.options(), build)
+    info, parsed = catalog.resolve(environment, options)
+    catalog.make(info, parsed, build)
     engine, model = made[0]
     keys = jax.random.split(jax.random.key(3), 3)
     qpos = jnp.asarray(initial_qpos(model), jnp.float32) + 0.05 * jax.random.uniform(keys[0], (2, model.nq))

@@ -6,6 +6,8 @@ from pathlib import Path
 import jax
 import pytest
 
+from core.algorithms import compiled_functions
+
 
 @pytest.fixture(autouse=True, scope="session")
 def compiled_programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
@@ -17,3 +19,9 @@ def compiled_programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
     yield folder
     for name, value in zip(names, before, strict=True):
         jax.config.update(name, value)
+
+
+@pytest.fixture
+def compiled_for_longer_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where LLVM optimises nothing, SAC's hundreds of updates take longer than it takes to optimise them."""
+    monkeypatch.setattr(compiled_functions, "compiler_options", lambda: {"xla_backend_optimization_level": 1})

@@ -18,6 +18,8 @@ from tests import probes
 from tests.learning.runs import checkpoints, last_evaluation
 from tests.learning.sac_runs import STEPS_PER_UPDATE, sac_run, sac_settings
 
+pytestmark = pytest.mark.usefixtures("compiled_for_longer_runs")
+
 
 def value(run: Run[Any], observation: float, action: float = 0.0) -> float:
     """What both critics expect on average."""

@@ -84,51 +84,66 @@ def case_of(name: str) -> Case:
     return Case(given, datas, trained, converge(copy(trained), implicit_damping=False))
 
 
-@pytest.fixture(params=["ant", "humanoid"])
-def case(request: pytest.FixtureRequest) -> Case:
-    return case_of(request.param)
-
-
 def quantiles(errors: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.quantile(errors, QUANTILES)
 
 
-def condition(program: Program, given: dict[str, Arrays], field: str) -> NDArray[np.float64]:
-    """The relative change of the field by that of the inputs, each of which changes on its own."""
+@dataclass(frozen=True)
+class Computed:
+    """By field: machine code's numbers, those of double precision, and the quantiles of their condition.
+
+    The condition is the relative change of a field by that of the inputs, each of which changes on its own.
+    """
+
+    found: dict[str, Arrays]
+    exact: dict[str, Arrays]
+    condition: dict[str, NDArray[np.float64]]
+
+    def rounded(self, field: str) -> NDArray[np.float64]:
+        """What an error may be at each quantile."""
+        return ROUNDINGS * ROUNDING * np.maximum(1.0, self.condition[field])
+
+
+@cache
+def computed(name: str, *, is_converged: bool) -> Computed:
+    given = case_of(name).given
+    program = case_of(name).program(is_converged=is_converged)
     generator, change = np.random.default_rng(0), 1e-10
     disturbed = {
         name: [x + change * np.abs(x) * generator.uniform(-1.0, 1.0, size=len(x)) for x in values]
         for name, values in given.items()
     }
-    ends = [in_double(program, inputs, field) for inputs in (disturbed, given)]
-    return relative_of_each(*ends) / change
+    moved, exact = (in_double(program, inputs) for inputs in (disturbed, given))
+    changes = {field: quantiles(relative_of_each(moved[field], exact[field]) / change) for field in MOVED}
+    found = run(program, given)
+    return Computed({field: list(found[field]) for field in MOVED}, exact, changes)
 
 
-def in_double(program: Program, given: dict[str, Arrays], field: str) -> Arrays:
-    return [np.broadcast_to(x, NUM_STATES) for x in interpret(program, given)[field]]
+def in_double(program: Program, given: dict[str, Arrays]) -> dict[str, Arrays]:
+    found = interpret(program, given)
+    return {field: [np.broadcast_to(x, NUM_STATES) for x in found[field]] for field in MOVED}
 
 
 @pytest.mark.parametrize("is_converged", [True, False], ids=["converged", "as in training"])
-def test_single_precision_errs_as_rounded_inputs_would(case: Case, *, is_converged: bool) -> None:
-    program = case.program(is_converged=is_converged)
-    found = run(program, case.given)
+@pytest.mark.parametrize("name", ["ant", "humanoid"])
+def test_single_precision_errs_as_rounded_inputs_would(name: str, *, is_converged: bool) -> None:
+    one = computed(name, is_converged=is_converged)
     for field in MOVED:
-        errors = relative_of_each(list(found[field]), in_double(program, case.given, field))
-        at_most = ROUNDINGS * ROUNDING * np.maximum(1.0, quantiles(condition(program, case.given, field)))
-        np.testing.assert_array_less(quantiles(errors), at_most, err_msg=field)
+        errors = relative_of_each(one.found[field], one.exact[field])
+        np.testing.assert_array_less(quantiles(errors), one.rounded(field), err_msg=field)
 
 
-def test_training_s_settings_cost_no_more_accuracy_than_in_mujoco(case: Case) -> None:
+@pytest.mark.parametrize("name", ["ant", "humanoid"])
+def test_training_s_settings_cost_no_more_accuracy_than_in_mujoco(name: str) -> None:
     """Both against C MuJoCo converged. Our line search takes other steps, after which a state is nearer or
     farther: measured are 1.000 times MuJoCo's 99th percentile (ant), and 1.013 times (humanoid)."""
+    case, one = case_of(name), computed(name, is_converged=False)
     exact, theirs = case.of_mujoco(case.converged), case.of_mujoco(case.trained)
-    program = case.program(is_converged=False)
-    found = run(program, case.given)
     for field in MOVED:
-        ours, own = (relative_of_each(list(one[field]), exact[field]) for one in (found, theirs))
+        ours, own = (relative_of_each(moved[field], exact[field]) for moved in (one.found, theirs))
         # Where MuJoCo is exact after so few iterations, as in most states, rounding remains.
-        rounded = ROUNDINGS * ROUNDING * np.maximum(1.0, quantiles(condition(program, case.given, field)))
-        np.testing.assert_array_less(quantiles(ours), 1.05 * quantiles(own) + rounded, err_msg=field)
+        at_most = 1.05 * quantiles(own) + one.rounded(field)
+        np.testing.assert_array_less(quantiles(ours), at_most, err_msg=field)
 
 
 def test_damping_costs_no_accuracy_on_a_slippery_floor() -> None:

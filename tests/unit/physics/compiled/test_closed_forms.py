@@ -17,6 +17,7 @@ from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, control_step, read_model
 from tests.unit.physics.compiled.test_machine_code import run
+from tests.unit.physics.compiled.test_substep import THOROUGH
 
 Array = NDArray[np.floating]
 GRAVITY = 9.81
@@ -53,7 +54,7 @@ def moved(
     given: qpos, qvel and ctrl, where they are not those of the model at rest.
     """
     ours = read_model(model)
-    solver = replace(ours.solver, iterations=20, line_search_iterations=30, tolerance=precision.tolerance)
+    solver = replace(ours.solver, **THOROUGH, tolerance=precision.tolerance)
     num_envs = next(iter(given.values())).shape[1]
     at_rest = {"qpos": model.qpos0, "qvel": np.zeros(model.nv), "ctrl": np.zeros(model.nu)}
     begun = {name: np.repeat(x[:, None], num_envs, axis=1) for name, x in at_rest.items() if x.size} | given

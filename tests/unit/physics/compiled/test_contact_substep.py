@@ -10,9 +10,10 @@ import pytest
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.physics.compiled.coverage import uncovered
-from core.physics.compiled.substep import State, read_model, substep
+from core.physics.compiled.substep import State, read_model
+from tests.unit.physics.compiled.recorded_substep import recorded
 from tests.unit.physics.compiled.rows_of_mujoco import assert_same_rows
-from tests.unit.physics.compiled.test_substep import converge, of_all, relative
+from tests.unit.physics.compiled.test_substep import THOROUGH, converge, of_all, relative
 
 NUM_STATES, NUM_SUBSTEPS = 12, 20
 # A quadruped's trunk and two limbs that hit each other, on the ground and on a step.
@@ -170,12 +171,13 @@ def assert_moves_as_mujoco(
     model: mujoco.MjModel, datas: list[mujoco.MjData], num_substeps: int = NUM_SUBSTEPS
 ) -> None:
     ours = read_model(model)
-    ours = replace(ours, solver=replace(ours.solver, iterations=20, line_search_iterations=30))
+    ours = replace(ours, solver=replace(ours.solver, **THOROUGH))
     state = State(*(of_all(datas, field) for field in ("qpos", "qvel")), [], of_all(datas, "qacc_warmstart"))
     ctrl = of_all(datas, "ctrl")
+    step = recorded(ours, state, ctrl)
     assert sum(data.ncon > 0 for data in datas) > len(datas) / 4
     for number in range(1, num_substeps + 1):
-        state = substep(ours, state, ctrl)
+        state = step(state, ctrl)
         for data in datas:
             step_converged(model, data)
         if number == 1:

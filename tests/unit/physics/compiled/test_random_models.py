@@ -3,40 +3,37 @@
 The scale of an error is the length of the state's vector in MuJoCo, and 1e-3 at least, for states at rest.
 The solver minimises a cost that curves as M at least. So where rounding leaves a gradient g, the error of
 qacc is |M⁻¹ g| at most: the forces times 1e-16 times the condition of M, which is 1e5 at most here. Of a body
-at rest, where forces cancel, that is more of its qacc. The largest in 332 models was 8e-10 (qacc, of a body
-at rest; 3e-12 at the 90th percentile), and 1e-10 (qvel).
+at rest, where forces cancel, that is more of its qacc. The largest error of the first 360 models was 4e-11
+(and 2e-12 at the 90th percentile of models).
 """
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
-import pytest
-from hypothesis import HealthCheck, assume, given, seed
-from hypothesis import settings as searching
 from numpy.typing import NDArray
 
 from core.physics.compiled.coverage import uncovered
 from core.physics.compiled.program.arithmetic import Vector
-from core.physics.compiled.substep import State, read_model, substep
-from tests.unit.physics.compiled.random_models import models
-from tests.unit.physics.compiled.test_substep import Arrays, converge, of_all
+from core.physics.compiled.substep import Model, State, read_model
+from tests.unit.physics.compiled.random_models import random_model
+from tests.unit.physics.compiled.recorded_substep import recorded
+from tests.unit.physics.compiled.test_substep import THOROUGH, Arrays, converge, of_all
 
-NUM_STATES = 8
-# How many states are enough. Hypothesis draws constants of all loaded modules, too, so how many models of a
-# search are covered depends on the tests beside this one: the search goes on until these are there.
-LEAST, MOST_SEARCHES = {"refused": 2, "states": 100, "states with contacts": 40}, 10
-searched = searching(
-    max_examples=15,
-    database=None,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+NUM_STATES, MOST = 8, 1e-9
+NUM_MODELS = 24
+# Almost all states converge within the first. Those that do not are solved again within C MuJoCo's own (see
+# `converge`). For all states these would take minutes in NumPy. A state that has converged stays where it is.
+FEW = THOROUGH | {"iterations": 30}
+MANY = THOROUGH | {"iterations": 100, "line_search_iterations": 50}
 
 
 def states(model: mujoco.MjModel) -> list[mujoco.MjData]:
-    """At random, and up to 60 steps later."""
+    """At random, and up to 60 steps later; those alone of which the next step is determined."""
     generator, found = np.random.default_rng(0), list[mujoco.MjData]()
     for number in range(NUM_STATES):
         data = mujoco.MjData(model)
@@ -45,8 +42,8 @@ def states(model: mujoco.MjModel) -> list[mujoco.MjData]:
         data.act[:] = 0.3 * generator.normal(size=model.na)
         mujoco.mj_step(model, data, 20 * (number % 4))
         # A state that is past all bounds, MuJoCo puts back to the beginning.
-        assume(not any(warning.number for warning in data.warning))
-        assume(not has_contacts_without_a_normal(model, data))
+        if any(warning.number for warning in data.warning) or has_contacts_without_a_normal(model, data):
+            continue
         found.append(data)
     return found
 
@@ -68,38 +65,64 @@ def step_converged(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def errors(ours: Vector, theirs: Arrays) -> NDArray[np.float64]:
+    """Of each state."""
     expected = np.stack(theirs)
-    found = np.stack([np.broadcast_to(x, NUM_STATES) for x in ours])
+    found = np.stack([np.broadcast_to(x, expected.shape[1]) for x in ours])
     apart, size = (np.linalg.norm(x, axis=0) for x in (found - expected, expected))
     return apart / np.maximum(size, 1e-3)
 
 
-def test_a_random_model_is_refused_or_moves_as_in_mujoco() -> None:
+def largest_errors(moved: State, datas: list[mujoco.MjData]) -> NDArray[np.float64]:
+    """Of each state, the largest of its vectors' errors."""
+    fields = ("qacc", "qvel", "qpos", *(("act",) if datas[0].act.size else ()))
+    return np.max([errors(getattr(moved, field), of_all(datas, field)) for field in fields], axis=0)
+
+
+def compare(xml: str) -> Counter[str]:
+    """What was seen of a model, which is refused or moves as in MuJoCo."""
+    model = converge(mujoco.MjModel.from_xml_string(xml), implicit_damping=True)
+    if reason := uncovered(model):
+        assert reason.startswith("it")
+        return Counter({"refused": 1})
+    datas, ours = states(model), read_model(model)
+    if not datas:
+        return Counter()
+    begun = [of_all(datas, field) for field in ("qpos", "qvel", "act", "qacc_warmstart", "ctrl")]
+    # In C MuJoCo the solver's error in qvel is its error in qacc times the stiffness of contacts.
+    model.opt.tolerance = 0.0
+    for data in datas:
+        step_converged(model, data)
+    late = np.flatnonzero(largest_errors(moved(ours, begun, np.arange(len(datas)), FEW), datas) > MOST)
+    if late.size:
+        found = largest_errors(moved(ours, begun, late, MANY), [datas[number] for number in late])
+        assert found.max() < MOST, dict(zip(late, found, strict=True))
+    touching = sum(data.ncon > 0 for data in datas)
+    return Counter({"states": len(datas), "states with contacts": touching, "late states": late.size})
+
+
+def moved(ours: Model, begun: list[Arrays], chosen: NDArray[np.intp], limits: Mapping[str, Any]) -> State:
+    """Some of the states, one step later."""
+    *parts, ctrl = ([x[chosen] for x in part] for part in begun)
+    model, state = replace(ours, solver=replace(ours.solver, **limits)), State(*parts)
+    return recorded(model, state, ctrl)(state, ctrl)
+
+
+def test_random_models_are_refused_or_move_as_in_mujoco() -> None:
     seen = Counter[str]()
+    for seed in range(NUM_MODELS):
+        xml = random_model(seed)
+        try:
+            seen += compare(xml)
+        except Exception as error:
+            error.add_note(f"The model of seed {seed}: {xml}")
+            raise
+    assert seen["refused"] == 5
+    assert seen["states"] >= 150
+    assert seen["states with contacts"] >= 50
+    assert seen["late states"] == 0
 
-    def check(xml: str) -> None:
-        model = converge(mujoco.MjModel.from_xml_string(xml), implicit_damping=True)
-        if reason := uncovered(model):
-            seen["refused"] += 1
-            assert reason.startswith("it")
-            return
-        datas, ours = states(model), read_model(model)
-        ours = replace(ours, solver=replace(ours.solver, iterations=30, line_search_iterations=30))
-        fields = (of_all(datas, field) for field in ("qpos", "qvel", "act", "qacc_warmstart"))
-        moved = substep(ours, State(*fields), of_all(datas, "ctrl"))
-        # In C MuJoCo the solver's error in qvel is its error in qacc times the stiffness of contacts.
-        model.opt.tolerance = 0.0
-        for data in datas:
-            seen["states"] += 1
-            step_converged(model, data)
-            seen["states with contacts"] += data.ncon > 0
-        for field in ("qacc", "qvel", "qpos"):
-            assert errors(getattr(moved, field), of_all(datas, field)).max() < 1e-9, field
-        if model.na:
-            assert errors(moved.act, of_all(datas, "act")).max() < 1e-9
 
-    for number in range(MOST_SEARCHES):
-        seed(number)(searched(given(models())(check)))()
-        if all(seen[what] >= least for what, least in LEAST.items()):
-            return
-    pytest.fail(f"The searches found too little: {dict(seen)}.")
+def test_a_state_whose_line_search_is_long_moves_as_in_mujoco() -> None:
+    # There Newton's steps lead from each end of the line to just inside the other, 38 times, and where the
+    # search is cut off after 30, the cost is higher than before it.
+    assert compare((Path(__file__).parent / "long_line_search.xml").read_text())["late states"] == 1

@@ -1,0 +1,32 @@
+"""A substep in double precision, written down as a program once, and run with NumPy.
+
+The stages compute the same with NumPy (see `test_program.py`), but take several times as long: they compute
+constants again at each substep, and what they need twice, twice.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from core.physics.compiled.program.arithmetic import Vector
+from core.physics.compiled.program.interpret import interpret
+from core.physics.compiled.program.program import Program
+from core.physics.compiled.substep import Model, State, substep
+
+FIELDS = ("qpos", "qvel", "act", "qacc")
+
+
+def recorded(model: Model, state: State, ctrl: Vector) -> Callable[[State, Vector], State]:
+    """What `substep` does to states and controls of as many numbers as these, [environments] each."""
+    program, shape = Program(), np.shape(state.qpos[0])
+    symbols = {name: program.inputs(name, len(getattr(state, name))) for name in FIELDS}
+    moved = substep(model, State(**symbols), program.inputs("ctrl", len(ctrl)))
+    for name in FIELDS:
+        program.output(name, getattr(moved, name))
+
+    def step(state: State, ctrl: Vector) -> State:
+        given = {name: getattr(state, name) for name in FIELDS} | {"ctrl": ctrl}
+        found = interpret(program, given)
+        return State(**{name: [np.broadcast_to(x, shape) for x in found[name]] for name in FIELDS})
+
+    return step
