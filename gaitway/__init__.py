@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gaitway.async_client import AsyncClient
     from gaitway.client import Client
     from gaitway.errors import (
         ApiError,
@@ -19,12 +20,13 @@ if TYPE_CHECKING:
         Unreachable,
         WaitTimeout,
     )
-    from gaitway.transport import Retry
+    from gaitway.retry import Retry
     from gaitway.views import ArtifactView, Event, JobView, MetricsRow, Page, ProgressView
 
 __all__ = [
     "ApiError",
     "ArtifactView",
+    "AsyncClient",
     "Client",
     "Conflict",
     "DownloadFailed",
@@ -54,6 +56,7 @@ def __getattr__(name: str) -> object:
     """
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from gaitway import client, errors, transport, views
+    from gaitway import async_client, client, errors, retry, views
 
-    return next(getattr(home, name) for home in (client, errors, transport, views) if hasattr(home, name))
+    homes = (client, async_client, errors, retry, views)
+    return next(getattr(home, name) for home in homes if hasattr(home, name))

@@ -39,5 +39,8 @@ def _hyperparameters(job: Job, spec: TrainSpec, info: EnvironmentInfo | None) ->
         if used := attempt.details.get("hyperparameters"):
             return {"kind": spec.algorithm.algorithm(), **used}
     if info is None:
-        return {"kind": spec.algorithm.algorithm(), **spec.algorithm.model_dump(mode="json", exclude_unset=True)}
+        return {
+            "kind": spec.algorithm.algorithm(),
+            **spec.algorithm.model_dump(mode="json", exclude_unset=True),
+        }
     return resolve(spec.algorithm, info, DEVICES[spec.resources.kind][0]).model_dump(mode="json")

@@ -16,7 +16,9 @@ from core.jobs.store import JobStore
 from core.jobs.submission import completed
 
 NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
-OURS = [info.id for info in catalog.ENVIRONMENTS.values() if info.family == "gaitway" and not info.takes_model]
+OURS = [
+    info.id for info in catalog.ENVIRONMENTS.values() if info.family == "gaitway" and not info.takes_model
+]
 
 
 def job(attempts: tuple[Attempt, ...] = (), **spec: Any) -> Job:
