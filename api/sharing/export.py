@@ -27,10 +27,11 @@ _LEFT_OUT = ("metrics", "log", "tensorboard", "wandb")
 # What every training that ended well has.
 _EXPECTED = {"train": ("checkpoint", "policy", "video"), "rollout": ("trajectory", "video")}
 _README = (
-    "This is {what}, job {id} of a Gaitway service; contents.json lists all files with their SHA-256, and what "
-    "is missing and why.\n"
-    "To run it again on any service, from its first step: gaitway submit --file spec.json{model}. To continue "
-    'from its newest checkpoint, on a service that has the job: "resume_from": {{"job": "{id}"}} in spec.json.\n'
+    "This is {what}, job {id} of a Gaitway service; contents.json lists all files with their SHA-256, and "
+    "what is missing and why.\n"
+    "To run it again on any service, from its first step: gaitway submit --file spec.json{model}. To "
+    'continue from its newest checkpoint, on a service that has the job: "resume_from": {{"job": "{id}"}} '
+    "in spec.json.\n"
     "To look at it: metrics.csv, log.txt, files/video.mp4; a program elsewhere acts by files/policy.npz or "
     "files/policy.onnx.\n"
 )
