@@ -174,7 +174,7 @@ class Client:
     def show(self, job_id: str, *, every_s: float = 1.0) -> None:
         """Follow a job in a notebook: its status, curve and newest video stand below the cell until it ends.
 
-        every_s: seconds between two looks. Raises MissingExtra without IPython.
+        every_s: seconds between two looks. Raises MissingExtra outside a notebook.
         """
         self._transport.do(self._calls.show(job_id, every_s))
 

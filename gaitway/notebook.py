@@ -35,16 +35,18 @@ def job_html(job: "JobView", card: Card) -> str:
 class Display:
     """A place under a cell, whose content is replaced. video_seen: the hash of the video that it shows.
 
-    Raises MissingExtra without IPython.
+    Raises MissingExtra without IPython, and outside a notebook.
     """
 
     def __init__(self) -> None:
         try:
-            from IPython import display  # pyright: ignore[reportMissingImports] # In notebooks it is there.
+            from IPython import display, get_ipython
         except ImportError as error:
             raise MissingExtra(
                 "Showing a job live needs IPython, which notebooks have; elsewhere use `gaitway watch`."
             ) from error
+        if get_ipython() is None:
+            raise MissingExtra("A job is shown live in a notebook alone; elsewhere use `gaitway watch`.")
         self._ipython: Any = display
         self._places: dict[str, Any] = {}
         self.video_seen: str | None = None

@@ -27,12 +27,13 @@ _STYLE = """
 :root{color-scheme:light dark;--line:#d0d7de;--soft:#57606a}
 @media(prefers-color-scheme:dark){:root{--line:#3d444d;--soft:#9aa5b1}}
 body{font:15px/1.5 system-ui,sans-serif;max-width:64rem;margin:2rem auto;padding:0 1rem}
+body{overflow-wrap:anywhere}
 h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem}
 .soft{color:var(--soft)}video,svg{max-width:100%;height:auto}
 .halves{display:grid;gap:1rem;grid-template-columns:repeat(auto-fit,minmax(min(20rem,100%),1fr))}
 .table{overflow-x:auto}table{border-collapse:collapse;width:100%}
 td,th{text-align:left;padding:.2rem .6rem .2rem 0;border-bottom:1px solid var(--line);vertical-align:top}
-td{overflow-wrap:anywhere}pre{overflow:auto;max-height:24rem;border:1px solid var(--line);padding:.6rem}
+pre{overflow:auto;max-height:24rem;border:1px solid var(--line);padding:.6rem}
 """
 
 

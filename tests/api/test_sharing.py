@@ -9,6 +9,7 @@ import zipfile
 from base64 import b64decode
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from typing import Any
 from zipfile import ZipFile
 
@@ -44,7 +45,9 @@ def test_a_whole_job_is_in_its_zip_and_its_specification_runs_again(stack: Stack
     attempt.say("metrics", step=7, values={"eval/episode_reward": 2.5})
     attempt.print("hello")
     for step in (100, 200):
-        attempt.keep(f"checkpoint-{step}.ckpt", b"old" if step == 100 else ARTIFACT, role="checkpoint", step=step)
+        attempt.keep(
+            f"checkpoint-{step}.ckpt", b"old" if step == 100 else ARTIFACT, role="checkpoint", step=step
+        )
     attempt.keep("policy", b"policy", role="policy")
     attempt.keep("policy.npz", b"npz", role="export")
     attempt.keep("trajectory.npz", b"path", role="trajectory")
@@ -144,8 +147,7 @@ def test_a_zip_of_a_member_that_breaks_off_has_no_end() -> None:
 
     sent = bytearray()
     with pytest.raises(OSError, match="gone"):
-        for part in zip_stream([Member("half", broken())]):
-            sent += part
+        sent.extend(chain.from_iterable(zip_stream([Member("half", broken())])))
     with pytest.raises(zipfile.BadZipFile):
         ZipFile(io.BytesIO(sent))
 
@@ -169,7 +171,7 @@ def test_a_store_that_goes_away_in_the_middle_breaks_the_connection(
         stack.http.get(f"/jobs/{attempt.id}/export")
 
 
-@pytest.mark.parametrize("what", ["export", "report.html", "specification"])
+@pytest.mark.parametrize("what", ["export", "report.html", "specification", "curve"])
 def test_a_job_that_does_not_exist_is_a_404(stack: Stack, what: str) -> None:
     assert stack.http.get(f"/jobs/019aa3c2f0b1-5be0c1d2e3/{what}").status_code == 404
     with stack.away("store"):
