@@ -2,7 +2,7 @@
 
 import json
 import platform
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from itertools import chain
@@ -51,16 +51,17 @@ class _Contents:
 def export(job: Job, service: Service) -> Iterator[Member]:
     """The members, each read from the stores when it is sent. What is missing is named in `contents.json`.
 
-    Raises RecordsUnavailable and StorageUnavailable, some of them in mid-file.
+    Raises RecordsUnavailable and StorageUnavailable, before the first member or in the middle of a later one.
     """
     contents = _Contents()
     spec = filled_in(job, service.store)
+    overview = Overview.of(chain.from_iterable(_pages(job, service, "events")))
     yield _text("README.txt", _readme(job))
     yield _json("spec.json", spec)
     yield _json("job.json", JobView.of(job).model_dump(mode="json"))
     yield _json("versions.json", versions(job))
-    yield Member("metrics.csv", _csv(job, service))
-    yield Member("metrics.jsonl", _metrics_lines(job, service))
+    yield Member("metrics.csv", map(str.encode, csv_lines(_pages(job, service, "events"), overview)))
+    yield Member("metrics.jsonl", _json_lines(_pages(job, service, "events"), overview))
     yield Member("log.txt", _log(job, service))
     yield from _model(job, service, contents)
     if (source := job.spec.source) is not None:
@@ -92,16 +93,8 @@ def _readme(job: Job) -> str:
     return _README.format(id=job.id, what=what, model=model)
 
 
-def _csv(job: Job, service: Service) -> Iterator[bytes]:
-    """Reads the feed twice, as `GET /jobs/{id}/metrics` does."""
-    overview = Overview.of(chain.from_iterable(_pages(job, service, "events")))
-    for piece in csv_lines(_pages(job, service, "events"), overview):
-        yield piece.encode()
-
-
-def _metrics_lines(job: Job, service: Service) -> Iterator[bytes]:
-    overview = Overview.of(chain.from_iterable(_pages(job, service, "events")))
-    for page in _pages(job, service, "events"):
+def _json_lines(pages: Iterable[Sequence[Entry]], overview: Overview) -> Iterator[bytes]:
+    for page in pages:
         yield b"".join(row.model_dump_json().encode() + b"\n" for row in overview.newest(page))
 
 

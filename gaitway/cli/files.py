@@ -36,8 +36,8 @@ def export(
     format: Annotated[
         Literal["onnx", "numpy", "zip"],
         typer.Option(
-            help="onnx, numpy: the policy for any ONNX runtime, or for NumPy alone (docs/export.md). zip: all "
-            "that is needed to run the job again elsewhere (docs/sharing.md)."
+            help="onnx, numpy: the policy for any ONNX runtime, or for NumPy alone (docs/export.md). "
+            "zip: all that is needed to run the job again elsewhere (docs/sharing.md)."
         ),
     ] = "onnx",
     output: Output = None,
