@@ -1,5 +1,6 @@
 """Gaitway: send training jobs to a service, and fetch policies, metrics and videos."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ __all__ = [
     "Unreachable",
     "WaitTimeout",
 ]
+_HOMES = ("gaitway.errors", "gaitway.views", "gaitway.retry", "gaitway.client", "gaitway.async_client")
 
 
 def __getattr__(name: str) -> object:
@@ -56,7 +58,5 @@ def __getattr__(name: str) -> object:
     """
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from gaitway import async_client, client, errors, retry, views
-
-    homes = (client, async_client, errors, retry, views)
+    homes = map(import_module, _HOMES)  # One after the other: asynchronous programs alone need the last one.
     return next(getattr(home, name) for home in homes if hasattr(home, name))

@@ -8,12 +8,12 @@ from typing import Any, Literal, Self, overload
 import httpx
 
 from gaitway import policy
+from gaitway.async_transport import AsyncTransport
 from gaitway.calls import Calls, preview_query
 from gaitway.client import Client, address
 from gaitway.downloading import OnBytes
 from gaitway.notebook import Card
 from gaitway.retry import Retry
-from gaitway.transport import AsyncTransport
 from gaitway.views import (
     ArtifactView,
     EnvironmentView,
@@ -27,7 +27,7 @@ from gaitway.views import (
 
 
 class AsyncClient:
-    """`Client` for asyncio and trio: its methods, awaited.
+    """`Client` for asynchronous programs: its methods, awaited.
 
     `list`, `events` and `logs` are read with `async for`.
 

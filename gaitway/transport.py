@@ -1,12 +1,10 @@
-"""HTTP for the clients: takes the steps of calls, in this thread or in an event loop."""
+"""HTTP for `Client`: takes the steps of calls in the calling thread."""
 
 import time
-from collections.abc import AsyncGenerator, AsyncIterator, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-import anyio
-import anyio.to_thread
 import httpx
 
 from gaitway.errors import Unreachable, problem_of
@@ -15,7 +13,7 @@ from gaitway.steps import Call, Course, Feed, Found, Open, Read, Request, Run, S
 Result = TypeVar("Result")
 
 
-class _Address:
+class Address:
     """The service's address, and how long a request to it may take."""
 
     def __init__(self, base_url: str, timeout_s: float) -> None:
@@ -47,7 +45,7 @@ class _Address:
         )
 
 
-class Transport(_Address):
+class Transport(Address):
     """One connection pool to one service; takes steps in the calling thread."""
 
     def __init__(self, base_url: str, timeout_s: float, http: httpx.Client | None = None) -> None:
@@ -89,89 +87,24 @@ class Transport(_Address):
     def _take(self, step: Step, opened: "_Opened") -> Any:
         match step:
             case Send(request):
-                with _reachable(self.base_url):
+                with reachable(self.base_url):
                     return self._http.send(self.build(self._http, request))
             case Open(request):
                 opened.close()
-                with _reachable(self.base_url):
+                with reachable(self.base_url):
                     response = opened.response = self._http.send(self.build(self._http, request), stream=True)
-                    if _is_refusal(response):
+                    if is_refusal(response):
                         response.read()
                         raise problem_of(response)
                     return response
             case Read(raw):
-                with _reachable(self.base_url):
+                with reachable(self.base_url):
                     return opened.read(raw)
             case Sleep(seconds):
                 time.sleep(seconds)
                 return None
             case Run(function):
                 return function()
-
-
-class AsyncTransport(_Address):
-    """One connection pool to one service; awaits steps, under asyncio or trio."""
-
-    def __init__(self, base_url: str, timeout_s: float, http: httpx.AsyncClient | None = None) -> None:
-        super().__init__(base_url, timeout_s)
-        self._http = http or httpx.AsyncClient(**self.options)
-
-    async def close(self) -> None:
-        await self._http.aclose()
-
-    async def do(self, call: Call[Result]) -> Result:
-        """Take all steps of a call. Raises what the call raises."""
-        course = Course(call)
-        async for _ in self._items(course):
-            pass
-        return course.result
-
-    async def each(self, feed: Feed) -> AsyncGenerator[Any]:
-        """What a feed finds, as it finds it."""
-        async for item in self._items(Course(feed)):
-            yield item
-
-    async def _items(self, course: Course[Any]) -> AsyncGenerator[Any]:
-        opened = _AsyncOpened()
-        try:
-            while (step := course.step) is not None:
-                if isinstance(step, Found):
-                    yield step.item
-                    course.answer(None)
-                    continue
-                try:
-                    answer = await self._take(step, opened)
-                except Exception as error:
-                    course.fail(error)
-                else:
-                    course.answer(answer)
-        finally:
-            with anyio.CancelScope(shield=True):
-                await opened.close()
-            course.close()
-
-    async def _take(self, step: Step, opened: "_AsyncOpened") -> Any:
-        match step:
-            case Send(request):
-                with _reachable(self.base_url):
-                    return await self._http.send(self.build(self._http, request))
-            case Open(request):
-                await opened.close()
-                with _reachable(self.base_url):
-                    response = await self._http.send(self.build(self._http, request), stream=True)
-                    opened.response = response
-                    if _is_refusal(response):
-                        await response.aread()
-                        raise problem_of(response)
-                    return response
-            case Read(raw):
-                with _reachable(self.base_url):
-                    return await opened.read(raw)
-            case Sleep(seconds):
-                await anyio.sleep(seconds)
-                return None
-            case Run(function):
-                return await anyio.to_thread.run_sync(function)
 
 
 class _Opened:
@@ -193,31 +126,14 @@ class _Opened:
         self.response = self._pieces = None
 
 
-class _AsyncOpened:
-    """The same in an event loop."""
-
-    def __init__(self) -> None:
-        self.response: httpx.Response | None = None
-        self._pieces: AsyncIterator[bytes] | None = None
-
-    async def read(self, raw: bool) -> bytes | None:
-        assert self.response is not None  # noqa: S101
-        if self._pieces is None:
-            self._pieces = self.response.aiter_raw() if raw else self.response.aiter_bytes()
-        return await anext(self._pieces, None)
-
-    async def close(self) -> None:
-        if self.response is not None:
-            await self.response.aclose()
-        self.response = self._pieces = None
-
-
-def _is_refusal(response: httpx.Response) -> bool:
+def is_refusal(response: httpx.Response) -> bool:
+    """Whether it is a problem, whose body tells more."""
     return not response.is_success and response.status_code != 304
 
 
 @contextmanager
-def _reachable(url: str) -> Generator[None]:
+def reachable(url: str) -> Generator[None]:
+    """Raises Unreachable for whatever keeps an answer from coming."""
     try:
         yield
     except (httpx.TransportError, httpx.StreamError) as error:
