@@ -118,7 +118,12 @@ def _print_csv(ids: Sequence[str], facts: Rows, settings: Rows) -> None:
     writer = csv.writer(sys.stdout)
     writer.writerow(["", *ids])
     for rows in (facts, settings):
-        writer.writerows([name, *cells] for name, cells in rows.items())
+        writer.writerows([name, *map(_field, cells)] for name, cells in rows.items())
+
+
+def _field(cell: Cell) -> Cell:
+    """A name that a spreadsheet would run as a formula gets an apostrophe in front, as on the page."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
 
 
 def _print_table(compared: Sequence[Compared], facts: Rows, settings: Rows) -> None:

@@ -57,6 +57,12 @@ def test_the_table_and_the_csv_say_the_same(compared: Stack) -> None:
     assert ["best return", "9.0", ""] in rows
 
 
+def test_a_name_is_no_formula_in_a_spreadsheet(stack: Stack) -> None:
+    for one, name in zip(IDS, ("=1+1", "two"), strict=False):
+        stack.store.add(job(one, name=name))
+    assert "name,'=1+1,two" in gaitway(stack, "compare", *IDS[:2], "--csv").stdout
+
+
 def test_jobs_with_the_same_settings_are_said_to_be_so(stack: Stack) -> None:
     for one in IDS[:2]:
         stack.store.add(job(one))
