@@ -1,8 +1,10 @@
 """Gaitway: send training jobs to a service, and fetch policies, metrics and videos."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gaitway.async_client import AsyncClient
     from gaitway.client import Client
     from gaitway.errors import (
         ApiError,
@@ -19,12 +21,13 @@ if TYPE_CHECKING:
         Unreachable,
         WaitTimeout,
     )
-    from gaitway.transport import Retry
+    from gaitway.retry import Retry
     from gaitway.views import ArtifactView, Event, JobView, MetricsRow, Page, ProgressView
 
 __all__ = [
     "ApiError",
     "ArtifactView",
+    "AsyncClient",
     "Client",
     "Conflict",
     "DownloadFailed",
@@ -45,6 +48,7 @@ __all__ = [
     "Unreachable",
     "WaitTimeout",
 ]
+_HOMES = ("gaitway.errors", "gaitway.views", "gaitway.retry", "gaitway.client", "gaitway.async_client")
 
 
 def __getattr__(name: str) -> object:
@@ -54,6 +58,5 @@ def __getattr__(name: str) -> object:
     """
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from gaitway import client, errors, transport, views
-
-    return next(getattr(home, name) for home in (client, errors, transport, views) if hasattr(home, name))
+    homes = map(import_module, _HOMES)  # One after the other: asynchronous programs alone need the last one.
+    return next(getattr(home, name) for home in homes if hasattr(home, name))

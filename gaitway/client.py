@@ -1,24 +1,20 @@
 """The client of a Gaitway service."""
 
-import json
 import os
-import tempfile
-import time
-import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self, TypeVar
-from urllib.parse import quote
+from typing import Any, Literal, Self, overload
 
 import httpx
-from pydantic import BaseModel
 
 from gaitway import policy
-from gaitway.downloading import OnBytes, download
-from gaitway.errors import NotFound, Rejected, WaitTimeout
-from gaitway.following import follow_feed, follow_log
-from gaitway.transport import Retry, Transport
+from gaitway.calls import Calls, preview_query
+from gaitway.downloading import OnBytes
+from gaitway.errors import GaitwayError
+from gaitway.notebook import Card
+from gaitway.retry import Retry
+from gaitway.transport import Transport
 from gaitway.views import (
     ArtifactView,
     EnvironmentView,
@@ -27,14 +23,15 @@ from gaitway.views import (
     MetricsRow,
     ModelView,
     Page,
-    PreviewView,
     WorkerView,
 )
 
-AnyView = TypeVar("AnyView", bound=BaseModel)
-
-_POLL_S = 0.5
 DEFAULT_URL = "http://127.0.0.1:8000"
+
+
+def address(base_url: str | None) -> str:
+    """The service's address: the given one, that of GAITWAY_URL, or this machine's."""
+    return base_url or os.environ.get("GAITWAY_URL") or DEFAULT_URL
 
 
 class Client:
@@ -54,8 +51,9 @@ class Client:
         retry: Retry | None = None,
         http: httpx.Client | None = None,
     ) -> None:
-        url = base_url or os.environ.get("GAITWAY_URL") or DEFAULT_URL
-        self._transport = Transport(url, retry or Retry(), timeout_s, http)
+        url = address(base_url)
+        self._transport = Transport(url, timeout_s, http)
+        self._calls = Calls(self._transport.base_url, retry or Retry())
 
     @property
     def base_url(self) -> str:
@@ -87,62 +85,43 @@ class Client:
         only one job. idempotency_key: extends this to several calls; the same key with another
         specification raises Conflict.
         """
-        document = {"kind": "train", **(spec or {}), **fields}
-        headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
-        return self._job(self._transport.request("POST", "/jobs", json=document, headers=headers))
+        return self._transport.do(self._calls.submit(spec, idempotency_key, fields))
 
     def get(self, job_id: str) -> JobView:
         """The job as it is now."""
-        return self._job(self._transport.request("GET", _path(job_id)))
+        return self._transport.do(self._calls.get(job_id))
 
     def list(self, *, limit: int | None = None, **filters: Any) -> Iterator[JobView]:
         """Jobs, newest first, fetched page by page as needed; at most `limit`.
 
         filters: status, kind, environment, name, and labels (a dict, every one must match).
         """
-        cursor, left = None, limit
-        while left is None or left > 0:
-            page = self.page(cursor=cursor, limit=min(left or 100, 100), **filters)
-            yield from page.items
-            left = None if left is None else left - len(page)
-            cursor = page.next
-            if cursor is None:
-                return
+        return self._transport.each(self._calls.list(limit, filters))
 
     def page(self, *, cursor: str | None = None, limit: int = 50, **filters: Any) -> Page[JobView]:
         """One page of jobs, newest first; cursor: the `next` of an earlier page."""
-        labels: Mapping[str, str] = filters.pop("labels", None) or {}
-        named = {name: value for name, value in filters.items() if value is not None}
-        params = {**named, "label": [f"{name}={value}" for name, value in labels.items()], "limit": limit}
-        response = self._transport.request(
-            "GET", "/jobs", params=params | ({"cursor": cursor} if cursor else {})
-        )
-        return Page[JobView].model_validate_json(response.content)
+        return self._transport.do(self._calls.page(cursor, limit, filters))
 
     def cancel(self, job_id: str) -> JobView:
         """Ask a job to stop; its checkpoint, metrics and video up to then are kept.
 
         Raises Conflict where the job has ended.
         """
-        return self._job(self._transport.request("POST", _path(job_id, "cancel")))
+        return self._transport.do(self._calls.cancel(job_id))
 
     def delete(self, job_id: str) -> None:
         """Remove an ended job and its files. Raises Conflict while it runs."""
-        self._transport.request("DELETE", _path(job_id))
+        self._transport.do(self._calls.delete(job_id))
+
+    def specification(self, job_id: str) -> dict[str, Any]:
+        """The job's specification with all defaults filled in, which can be submitted again."""
+        return self._transport.do(self._calls.specification(job_id))
 
     # Following a job
 
     def wait(self, job_id: str, timeout: float | None = None) -> JobView:
         """The job once it has ended, however it ended. timeout: seconds; then it raises WaitTimeout."""
-        deadline = None if timeout is None else time.monotonic() + timeout
-        job = self.get(job_id)
-        if not job.is_final:
-            for _ in self._events(job_id, None, deadline):
-                pass
-            job = self.get(job_id)
-        if not job.is_final:
-            raise WaitTimeout(f"Job {job_id} is still {job.status} after {timeout:g} s; it continues.")
-        return job
+        return self._transport.do(self._calls.wait(job_id, timeout))
 
     def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
         """The job's events, live, until it ends.
@@ -151,41 +130,67 @@ class Client:
         after: the id of the last event seen; later ones follow. Broken connections are resumed
         without a gap or a repetition.
         """
-        return self._events(job_id, after, None)
+        return self._transport.each(self._calls.events(job_id, after))
 
-    def _events(self, job_id: str, after: str | None, deadline: float | None) -> Iterator[Event]:
-        def has_ended() -> bool:
-            return self.get(job_id).is_final
+    @overload
+    def metrics(
+        self, job_id: str, *, names: Sequence[str] = (), points: int | None = None
+    ) -> Sequence[MetricsRow]: ...
 
-        return follow_feed(self._transport, _path(job_id, "events"), has_ended, after, deadline)
+    @overload
+    def metrics(
+        self,
+        job_id: str,
+        *,
+        names: Sequence[str] = (),
+        points: int | None = None,
+        as_: Literal["pandas", "polars"],
+    ) -> Any: ...
 
-    def metrics(self, job_id: str) -> Sequence[MetricsRow]:
-        """All metrics so far, in the order of measurement."""
-        rows, after = list[MetricsRow](), ""
-        while True:
-            page = self._transport.request("GET", _path(job_id, "metrics"), params={"after": after}).json()
-            rows += [MetricsRow.model_validate(row) for row in page["rows"]]
-            if not page["rows"] or not page.get("next"):
-                return rows
-            after = page["next"]
+    def metrics(
+        self,
+        job_id: str,
+        *,
+        names: Sequence[str] = (),
+        points: int | None = None,
+        as_: Literal["rows", "pandas", "polars"] = "rows",
+    ) -> Any:
+        """All metrics so far, in the order of measurement.
+
+        names: only these metrics. points: for pictures, at most this many values of each, the least and the
+        greatest among them. as_: `pandas` or `polars` for a data frame with columns `step`, `time` and
+        each metric; raises MissingExtra where that package is not installed.
+        """
+        return self._transport.do(self._calls.metrics(job_id, names, points, as_))
 
     def logs(self, job_id: str, follow: bool = False) -> Iterator[str]:
         """The job's log, line by line; follow: also new lines, until the job ends."""
-        if not follow:
-            yield from self._transport.request("GET", _path(job_id, "logs")).text.splitlines()
-        else:
-            yield from follow_log(self._transport, _path(job_id, "logs"), lambda: self.get(job_id).is_final)
+        return self._transport.each(self._calls.logs(job_id, follow))
+
+    def curve(self, job_id: str, names: Sequence[str] = ()) -> str:
+        """A picture of metrics over steps, as SVG; by default of the return."""
+        return self._transport.do(self._calls.curve(job_id, names))
+
+    def show(self, job_id: str, *, every_s: float = 1.0) -> None:
+        """Follow a job in a notebook: its status, curve and newest video stand below the cell until it ends.
+
+        every_s: seconds between two looks. Raises MissingExtra outside a notebook.
+        """
+        self._transport.do(self._calls.show(job_id, every_s))
+
+    def card(self, job: JobView) -> Card:
+        """The pictures that a notebook shows of the job."""
+        return self._transport.do(self._calls.card(job))
 
     # Files
 
     def artifacts(self, job_id: str) -> Sequence[ArtifactView]:
         """All files of the job."""
-        return self._items(_path(job_id, "artifacts"), ArtifactView)
+        return self._transport.do(self._calls.artifacts(job_id))
 
     def checkpoints(self, job_id: str) -> Sequence[ArtifactView]:
         """The kept checkpoints, ordered by step."""
-        found = [artifact for artifact in self.artifacts(job_id) if artifact.role == "checkpoint"]
-        return sorted(found, key=lambda artifact: artifact.step or 0)
+        return self._transport.do(self._calls.checkpoints(job_id))
 
     def download(
         self, job_id: str, name: str, path: str | Path | None = None, *, on_bytes: OnBytes | None = None
@@ -194,9 +199,7 @@ class Client:
 
         A broken download is resumed, also by a later call. on_bytes: called with (bytes here, in all).
         """
-        href = _path(job_id, "artifacts", name)
-        artifact = self._announced(job_id, lambda job: job.artifact(name), href)
-        return download(self._transport, artifact, _target(artifact, path), on_bytes)
+        return self._transport.do(self._calls.download(job_id, name, path, on_bytes))
 
     def video(
         self,
@@ -207,11 +210,11 @@ class Client:
         on_bytes: OnBytes | None = None,
     ) -> Path:
         """Download the job's video as an MP4 to `path`; step: of this checkpoint, not the newest."""
-        return self._newest(job_id, "video", path, step, on_bytes)
+        return self._transport.do(self._calls.newest(job_id, "video", path, step, on_bytes))
 
     def poster(self, job_id: str, path: str | Path | None = None, step: int | None = None) -> Path:
         """Download a still of the video."""
-        return self._newest(job_id, "poster", path, step, None)
+        return self._transport.do(self._calls.newest(job_id, "poster", path, step, None))
 
     def load_policy(self, job_id: str, step: int | None = None, deterministic: bool = True) -> policy.Policy:
         """The trained policy as a jitted function: `act(observation, key=None)` on arrays [..., size].
@@ -223,17 +226,7 @@ class Client:
         policy that was trained with `action_repeat` once every `action_repeat` steps, and hold its action.
         Raises MissingExtra without the `policy` extra, and PolicyUnreadable.
         """
-        job = self.get(job_id)
-        final = job.newest("policy") if step is None else None
-        artifact = final or job.newest("checkpoint", step)
-        if artifact is None:
-            kept = ", ".join(str(found.step) for found in self.checkpoints(job_id)) or "none yet"
-            which = "policy" if step is None else f"checkpoint of step {step}"
-            raise NotFound(404, {"detail": f"Job {job_id} has no {which}; its checkpoints: {kept}."})
-        with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
-            path = download(self._transport, artifact, Path(folder) / "policy")
-            algorithm = job.spec.get("algorithm", {}).get("kind", "ppo")
-            return policy.load(path, algorithm, is_checkpoint=final is None, deterministic=deterministic)
+        return self._transport.do(self._calls.load_policy(job_id, step, deterministic))
 
     def export_policy(
         self,
@@ -249,10 +242,15 @@ class Client:
         `policy.onnx` for any ONNX runtime. Raises NotReady until the job has ended, and Rejected for the
         tables of Q-learning.
         """
-        href = f"{_path(job_id, 'policy')}?format={quote(format)}"
-        names = {"numpy": "policy.npz", "onnx": "policy.onnx"}
-        artifact = self._announced(job_id, lambda job: job.artifact(names.get(format, "")), href)
-        return download(self._transport, artifact, _target(artifact, path), on_bytes)
+        return self._transport.do(self._calls.export_policy(job_id, format, path, on_bytes))
+
+    def export(self, job_id: str, path: str | Path | None = None) -> Path:
+        """Download all that is needed to run the job again elsewhere, as a zip (docs/sharing.md)."""
+        return self._transport.do(self._calls.export(job_id, path))
+
+    def share(self, job_id: str, path: str | Path | None = None) -> Path:
+        """Download a report on the job: one HTML file with curves and video, which needs no network."""
+        return self._transport.do(self._calls.share(job_id, path))
 
     # Users' own models
 
@@ -262,34 +260,19 @@ class Client:
         The same file is the same model. Raises Rejected where it cannot be used, and WaitTimeout after
         `timeout` seconds without a worker that validates it.
         """
-        body = Path(path).read_bytes()
-        media_type = "application/zip" if body.startswith(b"PK") else "application/xml"
-        deadline = time.monotonic() + timeout
-        response = self._transport.request(
-            "POST", "/models", content=body, headers={"Content-Type": media_type}
-        )
-        model = ModelView.model_validate_json(response.content)
-        while model.status == "validating":
-            if time.monotonic() > deadline:
-                raise WaitTimeout(f"Model {model.id} is not validated after {timeout:g} s.")
-            time.sleep(_POLL_S)
-            model = self.model(model.id)
-        if model.status == "refused":
-            raise Rejected(422, {"detail": model.message, "type": "/problems/bad-model"})
-        return model
+        return self._transport.do(self._calls.add_model(path, timeout))
 
     def model(self, model_id: str) -> ModelView:
         """A model with its contents."""
-        response = self._transport.request("GET", f"/models/{quote(model_id, safe=':')}")
-        return ModelView.model_validate_json(response.content)
+        return self._transport.do(self._calls.model(model_id))
 
     def models(self) -> Sequence[ModelView]:
         """All models."""
-        return self._items("/models", ModelView)
+        return self._transport.do(self._calls.models())
 
     def delete_model(self, model_id: str) -> None:
         """Remove a model. Raises Conflict while an unfinished job needs it."""
-        self._transport.request("DELETE", f"/models/{quote(model_id, safe=':')}")
+        self._transport.do(self._calls.delete_model(model_id))
 
     # Previews
 
@@ -310,94 +293,37 @@ class Client:
         and height in pixels. Raises Rejected for an unknown option or camera, and WaitTimeout after `timeout`
         seconds without a worker that renders it.
         """
-        asked: dict[str, Any] = {
-            "options": json.dumps(options or {}),
-            "show": list(show),
-            "width": size[0],
-            "height": size[1],
-        }
-        path = f"/environments/{quote(environment)}/preview"
-        if camera is None:
-            found = PreviewView.model_validate_json(self._drawn(path, asked, timeout).content)
-            bodies = {
-                still.camera: self._transport.request("GET", still.href).content for still in found.stills
-            }
-        else:
-            bodies = {camera: self._drawn(path, {**asked, "camera": camera}, timeout).content}
-        target = Path(folder or ".")
-        target.mkdir(parents=True, exist_ok=True)
-        pictures = {seen: target / f"{environment}-{seen}.png".replace("/", "-") for seen in bodies}
-        for seen, file in pictures.items():
-            file.write_bytes(bodies[seen])
-        return pictures
+        asked = preview_query(options, show, size)
+        return self._transport.do(self._calls.preview(environment, folder, camera, asked, timeout))
 
     # The service
 
     def environments(self, family: str | None = None) -> Sequence[EnvironmentView]:
         """The environments that a job may name. family: only `gaitway`, `playground` or `brax`."""
-        query = f"?family={quote(family)}" if family else ""
-        return self._items(f"/environments{query}", EnvironmentView)
+        return self._transport.do(self._calls.environments(family))
 
     def environment(self, environment: str, options: Mapping[str, Any] | None = None) -> EnvironmentView:
         """One environment under these options: what it is shown and does, and what a job gets by default.
 
         Raises Rejected for an unknown option.
         """
-        asked = {"options": json.dumps(options)} if options else None
-        answer = self._transport.request("GET", f"/environments/{quote(environment)}", params=asked)
-        return EnvironmentView.model_validate_json(answer.content)
+        return self._transport.do(self._calls.environment(environment, options))
 
     def workers(self) -> Sequence[WorkerView]:
         """The workers that have sent a heartbeat lately."""
-        return self._items("/workers", WorkerView)
+        return self._transport.do(self._calls.workers())
 
     def health(self) -> Mapping[str, Any]:
         """The service's readiness. Raises Unavailable when a part of it is unavailable."""
-        return self._transport.request("GET", "/readyz").json()
-
-    def _job(self, response: httpx.Response) -> JobView:
-        return JobView.model_validate_json(response.content)
-
-    def _items(self, path: str, view: type[AnyView]) -> Sequence[AnyView]:
-        return [view.model_validate(item) for item in self._transport.request("GET", path).json()["items"]]
-
-    def _drawn(self, path: str, asked: Mapping[str, Any], timeout: float) -> httpx.Response:
-        """The answer once a worker has rendered."""
-        deadline = time.monotonic() + timeout
-        while (answer := self._transport.request("GET", path, params=asked)).status_code == 202:
-            if time.monotonic() > deadline:
-                raise WaitTimeout(
-                    f"No worker has rendered it after {timeout:g} s; all may be busy with jobs."
-                )
-            time.sleep(_POLL_S)
-        return answer
-
-    def _newest(
-        self, job_id: str, role: str, path: str | Path | None, step: int | None, on_bytes: OnBytes | None
-    ) -> Path:
-        href = _path(job_id, role) + ("" if step is None else f"?step={step}")
-        artifact = self._announced(job_id, lambda job: job.newest(role, step), href)
-        return download(self._transport, artifact, _target(artifact, path), on_bytes)
-
-    def _announced(
-        self, job_id: str, find: Callable[[JobView], ArtifactView | None], href: str
-    ) -> ArtifactView:
-        """The artifact that `find` finds in the job; or raises the service's refusal."""
-        artifact = find(self.get(job_id))
-        if artifact is None:
-            self._transport.request("GET", href, headers={"Range": "bytes=0-0"})
-            artifact = find(self.get(job_id))  # it has come in between
-        if artifact is None:
-            raise NotFound(404, {"detail": f"Job {job_id} does not list the file at {href}."})
-        return artifact
+        return self._transport.do(self._calls.health())
 
 
-def _path(job_id: str, *parts: str) -> str:
-    # Quoted, so that an id or a name with a slash or dots cannot become another address.
-    return "/".join(["/jobs", *(quote(part, safe="") for part in (job_id, *parts))])
-
-
-def _target(artifact: ArtifactView, path: str | Path | None) -> Path:
-    """Where the file goes: `path`, or inside it when it is a folder."""
-    chosen = Path(path) if path is not None else Path.cwd()
-    return chosen / PurePosixPath(artifact.name).name if chosen.is_dir() else chosen
+def card_of(job: JobView, service: str | None) -> Card:
+    """What a notebook shows of the job, fetched now; or why that could not be fetched."""
+    if service is None:
+        return Card()
+    try:
+        with Client(service, timeout_s=10.0, retry=Retry(attempts=1)) as client:
+            return client.card(job)
+    except GaitwayError as error:
+        return Card(problem=str(error))

@@ -1,7 +1,6 @@
 """Server-sent events, read line by line (WHATWG HTML, section 9.2.6)."""
 
 import re
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 _LINE_END = re.compile(rb"\r\n|\n|\r(?!$)")  # a CR at the very end may be half of a CRLF: wait for more
@@ -21,31 +20,40 @@ class Comment:
     """A line without data, which shows that the connection is alive."""
 
 
-def parse(lines: Iterable[str], last_id: str = "") -> Iterator[ServerSentEvent | Comment]:
-    """Events of a stream given as lines without their ends; one cut off by the stream's end is dropped."""
-    kind, data = "", list[str]()
-    for line in lines:
+class Parser:
+    """Makes events of a stream's lines; one cut off by the stream's end is dropped."""
+
+    def __init__(self, last_id: str = "") -> None:
+        self._last_id = last_id
+        self._kind = ""
+        self._data = list[str]()
+
+    def take(self, line: str) -> ServerSentEvent | Comment | None:
+        """What this line, without its end, completes."""
         if not line:
-            if data:
-                yield ServerSentEvent(kind or "message", "\n".join(data), last_id)
-            kind, data = "", []
-            continue
+            kind, data = self._kind or "message", self._data
+            self._kind, self._data = "", []
+            return ServerSentEvent(kind, "\n".join(data), self._last_id) if data else None
         name, _, value = line.partition(":")
         value = value.removeprefix(" ")
         if name == "":
-            yield Comment()
-        elif name == "event":
-            kind = value
+            return Comment()
+        if name == "event":
+            self._kind = value
         elif name == "data":
-            data.append(value)
+            self._data.append(value)
         elif name == "id" and "\0" not in value:
-            last_id = value
+            self._last_id = value
+        return None
 
 
-def lines(chunks: Iterable[bytes]) -> Iterator[str]:
-    """The lines of a UTF-8 stream; only CR, LF and CRLF end one (unlike `str.splitlines`)."""
-    rest = b""
-    for chunk in chunks:
-        *whole, rest = _LINE_END.split(rest + chunk)
-        for line in whole:
-            yield line.decode("utf-8", "replace")
+class Lines:
+    """Makes lines of a UTF-8 stream; only CR, LF and CRLF end one (unlike `str.splitlines`)."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def take(self, chunk: bytes) -> list[str]:
+        """The lines that these bytes complete."""
+        *whole, self._rest = _LINE_END.split(self._rest + chunk)
+        return [line.decode("utf-8", "replace") for line in whole]

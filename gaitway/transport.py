@@ -1,113 +1,139 @@
-"""HTTP for the client: problems become exceptions, temporary failures are retried."""
+"""HTTP for `Client`: takes the steps of calls in the calling thread."""
 
-import random
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import httpx
 
-from gaitway.errors import ApiError, Unavailable, Unreachable, problem_of
+from gaitway.errors import Unreachable, problem_of
+from gaitway.steps import Call, Course, Feed, Found, Open, Read, Request, Run, Send, Sleep, Step
 
-Params = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Retry:
-    """How a call is repeated. Waits double from `first_delay_s`; a Retry-After is respected.
-
-    patience_s: how long a follower (`wait`, `events`, `download`) waits for an unavailable service.
-    """
-
-    attempts: int = 4
-    first_delay_s: float = 0.2
-    max_delay_s: float = 10.0
-    patience_s: float = 120.0
-
-    def delay_s(self, failures: int, error: Exception | None = None) -> float:
-        """Seconds to wait after this many failures in a row."""
-        if isinstance(error, ApiError) and error.retry_after_s is not None:
-            return min(error.retry_after_s, self.max_delay_s)
-        # Jitter, so that many clients do not retry in step.
-        doubled_s = self.first_delay_s * 2 ** min(failures - 1, 20)
-        return min(doubled_s, self.max_delay_s) * random.uniform(0.75, 1.0)  # noqa: S311
+Result = TypeVar("Result")
 
 
-class Transport:
-    """One connection pool to one service. Every call it makes may be repeated safely."""
+class Address:
+    """The service's address, and how long a request to it may take."""
 
-    def __init__(
-        self, base_url: str, retry: Retry, timeout_s: float, http: httpx.Client | None = None
-    ) -> None:
+    def __init__(self, base_url: str, timeout_s: float) -> None:
         self.base_url = base_url.rstrip("/")
-        self.retry = retry
         self.timeout = httpx.Timeout(timeout_s, connect=min(timeout_s, 5.0))
-        # A proxy from the environment does not reach services on this machine.
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Of an httpx client. A proxy from the environment does not reach services on this machine."""
         is_here = httpx.URL(self.base_url).host in ("127.0.0.1", "localhost", "::1")
-        self._http = http or httpx.Client(
-            base_url=self.base_url, timeout=self.timeout, follow_redirects=True, trust_env=not is_here
+        return {
+            "base_url": self.base_url,
+            "timeout": self.timeout,
+            "follow_redirects": True,
+            "trust_env": not is_here,
+        }
+
+    def build(self, http: httpx.Client | httpx.AsyncClient, request: Request) -> httpx.Request:
+        seconds = self.timeout.as_dict()
+        timeout = httpx.Timeout(**{**seconds, "read": request.read_timeout_s or seconds["read"]})
+        return http.build_request(
+            request.method,
+            request.path,
+            params=request.params,
+            json=request.json,
+            content=request.content,
+            headers=request.headers,
+            timeout=timeout,
         )
+
+
+class Transport(Address):
+    """One connection pool to one service; takes steps in the calling thread."""
+
+    def __init__(self, base_url: str, timeout_s: float, http: httpx.Client | None = None) -> None:
+        super().__init__(base_url, timeout_s)
+        self._http = http or httpx.Client(**self.options)
 
     def close(self) -> None:
         self._http.close()
 
-    def request(
-        self,
-        method: str,
-        path: str,
-        *,
-        params: Params | None = None,
-        json: Any = None,
-        content: bytes | None = None,
-        headers: Mapping[str, str] | None = None,
-    ) -> httpx.Response:
-        """The whole answer. Raises ApiError, and Unreachable when no try got an answer."""
-        for failures in range(1, self.retry.attempts + 1):
-            try:
-                with _reachable(self.base_url):
-                    response = self._http.request(
-                        method, path, params=params, json=json, content=content, headers=headers
-                    )
-                # A retried DELETE may find that the first one has worked although its answer was lost.
-                if response.is_success or (
-                    method == "DELETE" and failures > 1 and response.status_code == 404
-                ):
-                    return response
-                raise problem_of(response)
-            except (Unreachable, Unavailable) as error:
-                if failures == self.retry.attempts:
-                    raise
-                time.sleep(self.retry.delay_s(failures, error))
-        raise AssertionError("a Retry needs at least one attempt")
+    def do(self, call: Call[Result]) -> Result:
+        """Take all steps of a call. Raises what the call raises."""
+        course = Course(call)
+        for _ in self._items(course):
+            pass
+        return course.result
 
-    @contextmanager
-    def stream(
-        self,
-        path: str,
-        *,
-        params: Params | None = None,
-        headers: Mapping[str, str] | None = None,
-        read_timeout_s: float | None = None,
-    ) -> Generator[httpx.Response]:
-        """One try at an answer, read as it arrives. Raises ApiError, and Unreachable, also in mid-body."""
-        seconds = self.timeout.as_dict()
-        timeout = httpx.Timeout(**{**seconds, "read": read_timeout_s or seconds["read"]})
-        request = self._http.build_request("GET", path, params=params, headers=headers, timeout=timeout)
-        with _reachable(self.base_url):
-            response = self._http.send(request, stream=True)
-            try:
-                if not response.is_success and response.status_code != 304:
-                    response.read()
-                    raise problem_of(response)
-                yield response
-            finally:
-                response.close()
+    def each(self, feed: Feed) -> Iterator[Any]:
+        """What a feed finds, as it finds it."""
+        yield from self._items(Course(feed))
+
+    def _items(self, course: Course[Any]) -> Iterator[Any]:
+        opened = _Opened()
+        try:
+            while (step := course.step) is not None:
+                if isinstance(step, Found):
+                    yield step.item
+                    course.answer(None)
+                    continue
+                try:
+                    answer = self._take(step, opened)
+                except Exception as error:
+                    course.fail(error)
+                else:
+                    course.answer(answer)
+        finally:
+            opened.close()
+            course.close()
+
+    def _take(self, step: Step, opened: "_Opened") -> Any:
+        match step:
+            case Send(request):
+                with reachable(self.base_url):
+                    return self._http.send(self.build(self._http, request))
+            case Open(request):
+                opened.close()
+                with reachable(self.base_url):
+                    response = opened.response = self._http.send(self.build(self._http, request), stream=True)
+                    if is_refusal(response):
+                        response.read()
+                        raise problem_of(response)
+                    return response
+            case Read(raw):
+                with reachable(self.base_url):
+                    return opened.read(raw)
+            case Sleep(seconds):
+                time.sleep(seconds)
+                return None
+            case Run(function):
+                return function()
+
+
+class _Opened:
+    """The answer that is being read, if there is one."""
+
+    def __init__(self) -> None:
+        self.response: httpx.Response | None = None
+        self._pieces: Iterator[bytes] | None = None
+
+    def read(self, raw: bool) -> bytes | None:
+        assert self.response is not None  # noqa: S101 # A call opens before it reads.
+        if self._pieces is None:
+            self._pieces = self.response.iter_raw() if raw else self.response.iter_bytes()
+        return next(self._pieces, None)
+
+    def close(self) -> None:
+        if self.response is not None:
+            self.response.close()
+        self.response = self._pieces = None
+
+
+def is_refusal(response: httpx.Response) -> bool:
+    """Whether it is a problem, whose body tells more."""
+    return not response.is_success and response.status_code != 304
 
 
 @contextmanager
-def _reachable(url: str) -> Generator[None]:
+def reachable(url: str) -> Generator[None]:
+    """Raises Unreachable for whatever keeps an answer from coming."""
     try:
         yield
     except (httpx.TransportError, httpx.StreamError) as error:

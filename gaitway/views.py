@@ -1,10 +1,10 @@
 """What the client returns. Unknown members are ignored: a newer service may send more."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from datetime import datetime
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 FINAL_STATUSES = frozenset({"succeeded", "failed", "cancelled"})
 
@@ -58,7 +58,10 @@ class AttemptView(View):
 
 
 class JobView(View):
-    """A job as it was when it was read; read it again for news."""
+    """A job as it was when it was read; read it again for news.
+
+    A notebook's cell that ends with it shows its status, its curve and its newest video; `show` follows it.
+    """
 
     id: str
     kind: str
@@ -77,6 +80,26 @@ class JobView(View):
     artifacts: tuple[ArtifactView, ...] = ()
     spec: dict[str, Any] = Field(default_factory=dict[str, Any])
     links: dict[str, Any] = Field(default_factory=dict[str, Any])
+    _service: str | None = PrivateAttr(None)
+
+    def of(self, service: str) -> Self:
+        """The same job, which knows the address of its service."""
+        job = self.model_copy()
+        job._service = service
+        return job
+
+    def show(self, *, every_s: float = 1.0) -> None:
+        """Follow it in a notebook, below the cell, until it ends; as `Client.show`."""
+        from gaitway.client import Client
+
+        with Client(self._service) as client:
+            client.show(self.id, every_s=every_s)
+
+    def _repr_html_(self) -> str:
+        from gaitway.client import card_of
+        from gaitway.notebook import job_html
+
+        return job_html(self, card_of(self, self._service))
 
     @property
     def is_final(self) -> bool:
@@ -149,6 +172,11 @@ class MetricsRow(View):
     step: int
     time: datetime | None = None
     values: dict[str, float | None] = Field(default_factory=dict[str, float | None])
+
+    def only(self, names: Collection[str]) -> Self:
+        """The row with these metrics alone; without names, with all."""
+        kept = {name: value for name, value in self.values.items() if name in names}
+        return self.model_copy(update={"values": kept}) if names else self
 
 
 class SliceView(View):

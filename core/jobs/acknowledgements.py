@@ -24,6 +24,7 @@ class Acknowledgements:
         self._write = write
         self._gathered: list[Dispatch] = []
         self._lock = Lock()
+        self._writing = Lock()
 
     def add(self, dispatch: Dispatch) -> None:
         with self._lock:
@@ -35,10 +36,11 @@ class Acknowledgements:
             timer.start()
 
     def flush(self) -> None:
-        """Write what has been gathered."""
-        with self._lock:
-            gathered, self._gathered = self._gathered, []
-        self._write_or_drop(gathered)
+        """Write what has been gathered; a write that is under way elsewhere has ended, too."""
+        with self._writing:
+            with self._lock:
+                gathered, self._gathered = self._gathered, []
+            self._write_or_drop(gathered)
 
     def add_at_once(self, dispatch: Dispatch) -> None:
         """Write this one now."""

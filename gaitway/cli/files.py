@@ -1,4 +1,4 @@
-"""`gaitway video`, `export`, `download`: fetch a job's files."""
+"""`gaitway video`, `export`, `share`, `download`: fetch a job's files, or all of it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -34,18 +34,30 @@ def export(
     context: typer.Context,
     job: JobName,
     format: Annotated[
-        Literal["onnx", "numpy"],
-        typer.Option(help="onnx: for any ONNX runtime; numpy: for NumPy alone (docs/export.md)."),
+        Literal["onnx", "numpy", "zip"],
+        typer.Option(
+            help="onnx, numpy: the policy for any ONNX runtime, or for NumPy alone (docs/export.md). "
+            "zip: all that is needed to run the job again elsewhere (docs/sharing.md)."
+        ),
     ] = "onnx",
     output: Output = None,
     as_json: AsJson = False,
 ) -> None:
-    """Fetch a trained policy for programs without Gaitway and JAX."""
+    """Fetch a trained policy for programs without Gaitway and JAX, or the whole job as a zip."""
     client = client_of(context)
     full_id = job_id(client, job)
+    if format == "zip":
+        _told(client.export(full_id, output), as_json)
+        return
     _told(
         _with_bar(lambda on_bytes: client.export_policy(full_id, format, output, on_bytes=on_bytes)), as_json
     )
+
+
+def share(context: typer.Context, job: JobName, output: Output = None, as_json: AsJson = False) -> None:
+    """Fetch a report on a job to send to others: one HTML file with curves and video."""
+    client = client_of(context)
+    _told(client.share(job_id(client, job), output), as_json)
 
 
 def download(

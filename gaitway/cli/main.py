@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli import environments, files, jobs, models, preview, service, submit, watch
+from gaitway.cli import compare, environments, files, jobs, models, preview, service, submit, watch
 from gaitway.cli.errors import Group
 from gaitway.client import Client
 
@@ -39,10 +39,12 @@ for command in (
     jobs.show,
     watch.watch,
     watch.logs,
+    compare.compare,
     jobs.cancel,
     jobs.delete,
     files.video,
     files.export,
+    files.share,
     files.download,
     preview.preview,
 ):

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from gaitway.cli.sparkline import History, sparkline
 from gaitway.views import Event, JobView
 
 _RETURN = ("eval/episode_reward", "training/episode_reward")
@@ -16,7 +17,7 @@ _SPEED = ("eval/forward_speed", "training/forward_speed")
 
 
 class JobProgress:
-    """Shows steps, steps/s, return, forward speed, elapsed time and ETA from events and jobs.
+    """Shows steps, steps/s, return and its curve, forward speed, elapsed time and ETA from events and jobs.
 
     It also shows episodes, where the algorithm's budget counts these.
     every_s: seconds between two plain lines. Use it as a context manager.
@@ -29,6 +30,7 @@ class JobProgress:
         self.steps_per_second: float | None = None
         self.eta_s: float | None = None
         self.metrics: dict[str, float] = {}
+        self._returns = {name: History() for name in _RETURN}
         self._console = console or Console()
         self._every_s = every_s
         self._told_at = float("-inf")
@@ -70,12 +72,22 @@ class JobProgress:
         if self.steps_per_second:
             parts.append(f"{self.steps_per_second:,.0f} steps/s")
         if (reward := self._first(_RETURN)) is not None:
-            parts.append(f"return {reward:,.1f}")
+            parts.append(f"return {reward:,.1f} {self._curve}".rstrip())
         if (speed := self._first(_SPEED)) is not None:
             parts.append(f"{speed:.2f} m/s")
         if self.eta_s is not None and self.step < self.total:
             parts.append(f"ETA {duration(self.eta_s)}")
         return " · ".join(parts)
+
+    @property
+    def _curve(self) -> str:
+        """The return so far in one line of characters; empty where the terminal has none of these."""
+        if not self._console.encoding.startswith("utf"):
+            return ""
+        for history in self._returns.values():
+            if len(history.values) > 1:
+                return sparkline(history.values)
+        return ""
 
     def _first(self, names: tuple[str, ...]) -> float | None:
         return next((self.metrics[name] for name in names if name in self.metrics), None)
@@ -93,6 +105,7 @@ class JobProgress:
             self._take_progress(event.data)
         elif event.kind == "metrics":
             self._take_metrics(event.data.get("values") or {})
+            self._take_returns(event.data)
         elif event.kind == "note":
             self._console.print(Text(str(event.data.get("text", "")), style="yellow"))
         return event.kind == "status"
@@ -106,6 +119,11 @@ class JobProgress:
 
     def _take_metrics(self, values: Mapping[str, float | None]) -> None:
         self.metrics.update({name: value for name, value in values.items() if value is not None})
+
+    def _take_returns(self, data: Mapping[str, Any]) -> None:
+        values: Mapping[str, float | None] = data.get("values") or {}
+        for name, history in self._returns.items():
+            history.add(int(data.get("step") or 0), values.get(name))
 
     def _show(self, *, is_news: bool) -> None:
         if self._console.is_terminal:

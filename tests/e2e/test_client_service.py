@@ -4,6 +4,7 @@ import json
 import threading
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import pytest
 from typer.testing import CliRunner, Result
@@ -251,7 +252,7 @@ def test_a_client_waits_for_its_stills_while_workers_are_busy(
     stack: Stack, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("api.routes.previews._TIMEOUT_S", 0.0)
-    monkeypatch.setattr("gaitway.client._POLL_S", 0.01)
+    monkeypatch.setattr("gaitway.calls._POLL_S", 0.01)
     announced(stack)
     with pytest.raises(WaitTimeout, match="No worker has rendered it"):
         client.preview("hopper", tmp_path, timeout=0.0)
@@ -275,6 +276,21 @@ def test_a_policy_is_exported_by_client_and_cli(stack: Stack, client: Client, tm
     with pytest.raises(Rejected, match="'numpy' or 'onnx'"):
         client.export_policy(attempt.id, "tflite", tmp_path)  # pyright: ignore[reportArgumentType]
     assert gaitway(stack, "export", "last", "--format", "tflite").exit_code == 2
+
+
+def test_the_cli_shares_and_exports_a_job(stack: Stack, tmp_path: Path) -> None:
+    attempt = Attempt(stack, job(name="first steps"))
+    page, archive = tmp_path / "run.html", tmp_path / "run.zip"
+    assert gaitway(stack, "share", "last", "-o", str(page)).exit_code == 0
+    assert "first steps" in page.read_text()
+    assert gaitway(stack, "export", "last", "--format", "zip", "-o", str(archive)).exit_code == 0
+    with ZipFile(archive) as opened:
+        spec = opened.extract("spec.json", tmp_path)
+    # What the zip's own README says.
+    again = gaitway(stack, "submit", "--file", spec)
+    assert again.exit_code == 0, again.output
+    assert again.stdout.strip() != attempt.id
+    assert gaitway(stack, "share", "019aa3c2f0b9-5be0c1d2e9").exit_code == 1
 
 
 def test_the_cli_fetches_files_and_cancels(stack: Stack, tmp_path: Path) -> None:

@@ -2,8 +2,10 @@
 
 import os
 import platform
+import subprocess
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -53,10 +55,28 @@ class BuiltEnvironment:
                 "engine_reason": self.engine_reason,
                 "host": platform.node(),
                 "python": platform.python_version(),
+                "commit": _commit(),
                 "versions": versions,
                 **details,
             },
         )
+
+
+def _commit() -> str | None:
+    """The commit of this code, with `-dirty` after changes; None outside a clone."""
+    command = [
+        "git",
+        "-C",
+        str(Path(__file__).parent),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=40",
+        "--exclude=*",
+    ]
+    with suppress(OSError, subprocess.SubprocessError):
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
+    return None
 
 
 def build_environment(task: Task) -> BuiltEnvironment:

@@ -10,8 +10,8 @@ import httpx
 from core.errors import GaitwayError
 from gaitway import errors
 from gaitway.client import Client
+from gaitway.retry import Retry
 from gaitway.service.doctor.check import Check
-from gaitway.transport import Retry
 
 if TYPE_CHECKING:
     from core.settings import StoreSettings

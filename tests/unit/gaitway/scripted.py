@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from gaitway.client import Client
-from gaitway.transport import Retry
+from gaitway.retry import Retry
 
 QUICK = Retry(attempts=3, first_delay_s=0.001, max_delay_s=0.01, patience_s=0.05)
 

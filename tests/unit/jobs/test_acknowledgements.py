@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from queue import SimpleQueue
+from threading import Event, Thread
 
 from structlog.testing import capture_logs
 
@@ -38,3 +39,26 @@ def test_an_outage_is_said_and_ends_nothing() -> None:
     acknowledgements.add(SECOND)
     acknowledgements.flush()
     assert written == [[SECOND]]
+
+
+def test_a_flush_waits_for_a_write_under_way() -> None:
+    begun, may_end, ended = Event(), Event(), Event()
+
+    def write(dispatches: Sequence[Dispatch]) -> None:
+        if dispatches:
+            begun.set()
+            assert may_end.wait(5)
+            ended.set()
+
+    acknowledgements = Acknowledgements(write)
+    acknowledgements.add(FIRST)
+    assert begun.wait(5)  # the timer's own write
+    had_ended: SimpleQueue[bool] = SimpleQueue()
+
+    def flush() -> None:
+        acknowledgements.flush()
+        had_ended.put(ended.is_set())
+
+    Thread(target=flush).start()
+    may_end.set()
+    assert had_ended.get(timeout=5)

@@ -1,0 +1,174 @@
+"""All that is needed to run a job again elsewhere, as the members of a zip."""
+
+import json
+import platform
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from itertools import chain
+from typing import Any
+
+from api.dependencies import Service
+from api.metrics_table import Overview, csv_lines
+from api.sharing.zip_stream import Member
+from api.views import JobView
+from core.errors import ModelNotFound, ObjectNotFound
+from core.jobs import feeds
+from core.jobs.filled_in import filled_in
+from core.jobs.job import Artifact, Job
+from core.jobs.own_model import model_of
+from core.jobs.store import Channel, Entry
+from core.storage import keys
+
+# Of these only the newest file goes along.
+_NEWEST_ALONE = ("checkpoint", "video", "poster")
+# What stands in the zip already, in a form that needs no other program.
+_LEFT_OUT = ("metrics", "log", "tensorboard", "wandb")
+# What every training that ended well has.
+_EXPECTED = {"train": ("checkpoint", "policy", "video"), "rollout": ("trajectory", "video")}
+_README = (
+    "This is {what}, job {id} of a Gaitway service; contents.json lists all files with their SHA-256, and "
+    "what is missing and why.\n"
+    "To run it again on any service, from its first step: gaitway submit --file spec.json{model}. To "
+    'continue from its newest checkpoint, on a service that has the job: "resume_from": {{"job": "{id}"}} '
+    "in spec.json.\n"
+    "To look at it: metrics.csv, log.txt, files/video.mp4; a program elsewhere acts by files/policy.npz or "
+    "files/policy.onnx.\n"
+)
+
+
+@dataclass
+class _Contents:
+    """What went along, and what did not, with the reason."""
+
+    files: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    missing: list[dict[str, str]] = field(default_factory=list[dict[str, str]])
+
+    def lacks(self, part: str, why: str) -> None:
+        self.missing.append({"part": part, "why": why})
+
+
+def export(job: Job, service: Service) -> Iterator[Member]:
+    """The members, each read from the stores when it is sent. What is missing is named in `contents.json`.
+
+    Raises RecordsUnavailable and StorageUnavailable, before the first member or in the middle of a later one.
+    """
+    contents = _Contents()
+    spec = filled_in(job, service.store)
+    overview = Overview.of(chain.from_iterable(_pages(job, service, "events")))
+    yield _text("README.txt", _readme(job))
+    yield _json("spec.json", spec)
+    yield _json("job.json", JobView.of(job).model_dump(mode="json"))
+    yield _json("versions.json", versions(job))
+    yield Member("metrics.csv", map(str.encode, csv_lines(_pages(job, service, "events"), overview)))
+    yield Member("metrics.jsonl", _json_lines(_pages(job, service, "events"), overview))
+    yield Member("log.txt", _log(job, service))
+    yield from _model(job, service, contents)
+    if (source := job.spec.source) is not None:
+        contents.lacks(f"the checkpoint of job {source.job}", "that is another job, which has its own export")
+    yield from _files(job, service, contents)
+    yield _json("contents.json", asdict(contents))
+
+
+def versions(job: Job) -> dict[str, Any]:
+    """Of this service, and of what each attempt ran with, as its worker reported it."""
+    return {
+        "service": {"gaitway": version("gaitway"), "python": platform.python_version()},
+        "attempts": [
+            {
+                "number": attempt.number,
+                "device": attempt.device,
+                "engine": attempt.engine,
+                **{name: attempt.details.get(name) for name in ("python", "commit", "versions")},
+            }
+            for attempt in job.attempts
+        ],
+    }
+
+
+def _readme(job: Job) -> str:
+    what = f"a {'training' if job.spec.kind == 'train' else 'rollout'} of {job.spec.environment.id}"
+    has_model = model_of(job.spec.environment) is not None
+    model = " (after gaitway models add model/*)" if has_model else ""
+    return _README.format(id=job.id, what=what, model=model)
+
+
+def _json_lines(pages: Iterable[Sequence[Entry]], overview: Overview) -> Iterator[bytes]:
+    for page in pages:
+        yield b"".join(row.model_dump_json().encode() + b"\n" for row in overview.newest(page))
+
+
+def _log(job: Job, service: Service) -> Iterator[bytes]:
+    for page in _pages(job, service, "logs"):
+        yield "".join(f"{entry.data.get('text', '')}\n" for entry in page).encode("utf-8", "replace")
+
+
+def _pages(job: Job, service: Service, channel: Channel) -> Iterator[list[Entry]]:
+    """The feed; of the events only the metrics."""
+    for page in feeds.read_pages(job.id, channel, store=service.store, objects=service.objects):
+        yield [entry for entry in page if channel == "logs" or entry.kind == "metrics"]
+
+
+def _model(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
+    """The user's own model, if the job has one."""
+    model_id = model_of(job.spec.environment)
+    if model_id is None:
+        return
+    try:
+        record = service.store.find_model(model_id)
+        suffix = "zip" if record.media_type == "application/zip" else "xml"
+        name = f"model/{model_id.removeprefix('sha256:')[:12]}.{suffix}"
+        yield from _stored(name, keys.model_source(model_id), service, compress=suffix != "zip")
+    except (ModelNotFound, ObjectNotFound):
+        contents.lacks(f"the model {model_id}", "it was deleted")
+    else:
+        contents.files.append({"path": name, "sha256": model_id.removeprefix("sha256:"), "size": record.size})
+
+
+def _files(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
+    there = [artifact for artifact in job.artifacts if artifact.role not in _LEFT_OUT]
+    chosen = [file for file in there if file.role not in _NEWEST_ALONE]
+    chosen += [newest for role in _NEWEST_ALONE if (newest := job.newest(role))]
+    for file in chosen:
+        path = f"files/{file.name}"
+        try:
+            yield from _stored(path, file.key, service, compress=_shrinks(file))
+        except ObjectNotFound:
+            contents.lacks(file.name, "the object store no longer has it")
+        else:
+            contents.files.append({"path": path, "sha256": file.sha256, "size": file.size})
+    for role in _EXPECTED[job.spec.kind]:
+        if not any(file.role == role for file in there):
+            contents.lacks(role, _why_none(job, role))
+
+
+def _why_none(job: Job, role: str) -> str:
+    if role == "video" and job.spec.video is None:
+        return "the job asks for none"
+    if not job.status.is_final:
+        return f"the job is {job.status} and has none yet"
+    return f"the job ended as {job.status} ({job.reason}) without one"
+
+
+def _shrinks(file: Artifact) -> bool:
+    return file.media_type.startswith("text/") or file.media_type == "application/json"
+
+
+def _stored(path: str, key: str, service: Service, *, compress: bool) -> Iterator[Member]:
+    """One object. Raises ObjectNotFound before the member begins."""
+    with service.objects.open(key) as pieces:
+        yield Member(path, pieces, compress)
+
+
+def _text(path: str, text: str) -> Member:
+    return Member(path, [text.encode()])
+
+
+def _json(path: str, document: Mapping[str, Any]) -> Member:
+    return _text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+
+
+def first_read(members: Iterable[Any]) -> Iterator[Any]:
+    """The same, of which the first is read now: an error then arises before an answer has begun."""
+    rest = iter(members)
+    return chain([next(rest)], rest)

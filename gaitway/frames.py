@@ -1,0 +1,34 @@
+"""Metrics as data frames of pandas or polars, which are imported where one is asked for."""
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from gaitway.errors import MissingExtra
+from gaitway.views import MetricsRow
+
+
+def maker(as_: str) -> Callable[[Sequence[MetricsRow]], Any]:
+    """What makes of rows the kind asked for: `rows`, `pandas` or `polars`.
+
+    Raises ValueError for another kind, and MissingExtra where its package is not installed.
+    """
+    if as_ == "rows":
+        return lambda rows: rows
+    if as_ not in ("pandas", "polars"):
+        raise ValueError(f"Metrics come as 'rows', 'pandas' or 'polars', not as {as_!r}.")
+    try:
+        package = importlib.import_module(as_)
+    except ImportError as error:
+        raise MissingExtra(f"Metrics as {as_} need that package: `pip install {as_}`.") from error
+    return lambda rows: package.DataFrame(columns(rows))
+
+
+def columns(rows: Sequence[MetricsRow]) -> dict[str, list[Any]]:
+    """`step`, `time`, then every metric by name; None where a row has no finite value."""
+    names = sorted({name for row in rows for name in row.values})
+    return {
+        "step": [row.step for row in rows],
+        "time": [row.time for row in rows],
+        **{name: [row.values.get(name) for row in rows] for name in names},
+    }

@@ -1,0 +1,236 @@
+"""One contract for both clients: every method against the real service, with the same results."""
+
+import inspect
+import sys
+import threading
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import pytest
+from anyio.from_thread import BlockingPortal, start_blocking_portal
+
+from core.algorithms.normalizer import init_normalizer
+from core.algorithms.policy_file import write_policy
+from core.algorithms.ppo.networks import init_params, make_networks
+from core.algorithms.ppo.spec import PPOSpec
+from gaitway import (
+    AsyncClient,
+    Client,
+    JobView,
+    MissingExtra,
+    NotFound,
+    Rejected,
+    Retry,
+    Unreachable,
+    WaitTimeout,
+)
+from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
+from tests.api.test_models import DESCRIPTION
+from tests.api.test_models import worker as validating_worker
+from tests.api.test_previews import drawing_worker
+from tests.unit.environments.mjcf.probe import XML
+
+__all__ = ["quiet", "server", "stack"]  # fixtures
+
+METHODS = {name for name in vars(Client) if not name.startswith("_")} - {"base_url"}
+
+
+class Either:
+    """Calls the methods of a client of either kind in the same way. called: the names of those called."""
+
+    def __init__(self, client: Client | AsyncClient, portal: BlockingPortal | None) -> None:
+        self._client, self._portal = client, portal
+        self.called = set[str]()
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        method = getattr(self._client, name)
+        self.called.add(name)
+        portal = self._portal
+        if portal is None:
+            return method
+        if name in ("list", "events", "logs"):
+            return lambda *args, **more: _items(method(*args, **more), portal)
+
+        async def call(args: tuple[Any, ...], more: dict[str, Any]) -> Any:
+            return await method(*args, **more)
+
+        return lambda *args, **more: portal.call(call, args, more)
+
+
+def _items(found: AsyncIterator[Any], portal: BlockingPortal) -> Iterator[Any]:
+    async def following() -> Any:
+        return await anext(found, None)
+
+    while (item := portal.call(following)) is not None:
+        yield item
+
+
+def make(kind: type[Client] | type[AsyncClient], url: str, portal: BlockingPortal, **more: Any) -> Either:
+    return Either(kind(url, **more), None if kind is Client else portal)
+
+
+@pytest.fixture(scope="module")
+def portal() -> Iterator[BlockingPortal]:
+    with start_blocking_portal() as portal:
+        yield portal
+
+
+@pytest.fixture(params=[Client, AsyncClient])
+def client(request: pytest.FixtureRequest, stack: Stack, portal: BlockingPortal) -> Iterator[Either]:
+    client = make(request.param, f"http://127.0.0.1:{stack.port}", portal)
+    yield client
+    client.close()
+
+
+def test_both_have_the_same_methods_with_the_same_parameters_and_descriptions() -> None:
+    assert {name for name in vars(AsyncClient) if not name.startswith("_")} - {"base_url"} == METHODS
+    for name in METHODS:
+        here, there = getattr(Client, name), getattr(AsyncClient, name)
+        assert inspect.signature(here).parameters == inspect.signature(there).parameters
+        assert here.__doc__ == there.__doc__
+
+
+def test_every_method_does_the_same(stack: Stack, client: Either, tmp_path: Path) -> None:
+    _jobs(client)
+    _following(stack, client)
+    _files(stack, client, tmp_path)
+    _bodies(stack, client, tmp_path)
+    assert client.health() == {"status": "ok"}
+    assert client.called == METHODS - {"close"}  # the fixture calls it
+
+
+def _jobs(client: Either) -> None:
+    first = client.submit(environment="ant", labels={"project": "a b=c"})
+    second = client.submit({"environment": "ant"}, seed=3, idempotency_key="k")
+    assert client.submit({"environment": "ant"}, seed=3, idempotency_key="k").id == second.id
+    assert client.get(second.id).spec["seed"] == 3
+    assert [found.id for found in client.list()] == [second.id, first.id]
+    assert [found.id for found in client.list(labels={"project": "a b=c"}, limit=1)] == [first.id]
+    assert client.page(limit=1).next is not None
+    assert client.specification(first.id)["algorithm"]["learning_rate"] > 0
+    assert client.cancel(first.id).status == "cancelled"
+    client.delete(first.id)
+    with pytest.raises(NotFound):
+        client.get(first.id)
+    with pytest.raises(Rejected) as caught:
+        client.submit(environment="ant", algorithm={"kind": "ppo", "learning_rat": 1})
+    assert [error.pointer for error in caught.value.errors] == ["/algorithm/learning_rat"]
+
+
+def _following(stack: Stack, client: Either) -> None:
+    attempt = Attempt(stack, job())
+    with pytest.raises(WaitTimeout):
+        client.wait(attempt.id, timeout=0.1)
+    events = client.events(attempt.id)
+    assert next(events).kind == "status"
+
+    def work() -> None:
+        attempt.say("metrics", step=7, values={"eval/episode_reward": 2.5, "training/loss": 1.0})
+        attempt.print("hello")
+        attempt.end()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    rest = list(events)
+    thread.join()
+    assert (rest[-1].kind, rest[-1].data["status"]) == ("status", "succeeded")
+    assert client.wait(attempt.id, timeout=10).succeeded
+    assert list(client.logs(attempt.id)) == list(client.logs(attempt.id, follow=True)) == ["hello"]
+    [row] = client.metrics(attempt.id)
+    assert (row.step, row.values) == (7, {"eval/episode_reward": 2.5, "training/loss": 1.0})
+    for points in (None, 10):
+        [row] = client.metrics(attempt.id, names=["training/loss"], points=points)
+        assert row.values == {"training/loss": 1.0}
+    for kind in ("pandas", "polars"):
+        frame = client.metrics(attempt.id, as_=kind)
+        assert list(frame.columns) == ["step", "time", "eval/episode_reward", "training/loss"]
+        assert list(frame["eval/episode_reward"]) == [2.5]
+    assert "last 2.5 at 7" in client.curve(attempt.id)
+    assert client.card(client.get(attempt.id)).video is None
+    with pytest.raises(MissingExtra, match="in a notebook alone"):
+        client.show(attempt.id)
+
+
+def _files(stack: Stack, client: Either, folder: Path) -> None:
+    attempt = Attempt(stack, job("019aa3c2f0b2-5be0c1d2e4"))
+    networks = make_networks(3, 2, PPOSpec.model_validate({"policy_hidden_layer_sizes": [4]}))
+    params = init_params(networks, jax.random.PRNGKey(0))
+    policy = write_policy((init_normalizer(3), params.policy, params.value))
+    attempt.keep("policy", policy, role="policy")
+    attempt.keep("policy.npz", b"npz", role="export")
+    attempt.keep("step-5.ckpt", b"state", role="checkpoint", step=5)
+    attempt.keep("video.mp4", step=5)
+    attempt.keep("poster.png", b"still", role="poster")
+    attempt.end()
+    names = {found.name for found in client.artifacts(attempt.id)}
+    assert names == {"policy", "policy.npz", "step-5.ckpt", "video.mp4", "poster.png"}
+    assert [found.step for found in client.checkpoints(attempt.id)] == [5]
+    assert client.download(attempt.id, "step-5.ckpt", folder).read_bytes() == b"state"
+    assert client.video(attempt.id, folder, step=5).read_bytes() == ARTIFACT
+    assert client.poster(attempt.id, folder).read_bytes() == b"still"
+    assert client.export_policy(attempt.id, "numpy", folder).read_bytes() == b"npz"
+    assert client.load_policy(attempt.id)(jnp.zeros(3)).shape == (2,)
+    assert client.export(attempt.id, folder).read_bytes().startswith(b"PK")
+    shared = client.share(attempt.id, folder / "a" / "b.html")
+    assert shared.read_text().startswith("<!doctype html>")
+    with pytest.raises(NotFound):
+        client.export("019aa3c2f0b9-5be0c1d2e9", folder / "none.zip")
+    assert not list(folder.rglob("*.part"))
+
+
+def _bodies(stack: Stack, client: Either, folder: Path) -> None:
+    file = folder / "ball.xml"
+    file.write_bytes(XML)
+    with validating_worker(stack, status="ready", description=DESCRIPTION):
+        model = client.add_model(file)
+    assert client.model(model.id) == client.models()[0]
+    client.delete_model(model.id)
+    assert list(client.models()) == []
+    with drawing_worker(stack):
+        assert client.preview("ant", folder, camera="track")["track"].read_bytes() == b"track"
+        assert set(client.preview("ant", folder)) == {"track", 0}
+        assert [found.name for found in client.workers()] == ["w"]
+    assert "ant" in [found.id for found in client.environments("gaitway")]
+    assert client.environment("corridor", {"num_next_obstacles": 1}).observation[-1].size == 1
+
+
+@pytest.mark.parametrize("kind", [Client, AsyncClient])
+def test_nobody_listening_is_a_sentence(portal: BlockingPortal, kind: type[Client]) -> None:
+    client = make(kind, "http://127.0.0.1:1", portal, retry=Retry(attempts=2, first_delay_s=0.001))
+    with pytest.raises(Unreachable, match=r"No Gaitway service.*gaitway up"):
+        client.get("019aa3c2f0b1-5be0c1d2e3")
+    client.close()
+
+
+def test_a_job_in_a_notebook_has_its_curve_and_its_video_and_markup_is_text(stack: Stack) -> None:
+    attempt = Attempt(stack, job(name="<b>fast</b>"))
+    attempt.say("metrics", step=7, values={"eval/episode_reward": 2.5})
+    attempt.keep("video.mp4", b"film")
+    with Client(f"http://127.0.0.1:{stack.port}") as client:
+        html = client.get(attempt.id)._repr_html_()
+    assert "&lt;b&gt;fast" in html
+    assert "<b>" not in html
+    assert 'src="data:image/svg+xml;base64,' in html
+    assert 'src="data:video/mp4;base64,ZmlsbQ=="' in html  # "film"
+
+
+def test_a_job_whose_service_is_gone_is_shown_with_the_reason() -> None:
+    with Client("http://127.0.0.1:1") as client:
+        document = {"id": "j", "kind": "train", "status": "running", "created_at": "2026-11-20T12:00:00Z"}
+        html = JobView.model_validate(document).of(client.base_url)._repr_html_()
+    assert "running" in html
+    assert "No Gaitway service answers" in html
+
+
+def test_metrics_as_a_frame_that_is_not_installed_say_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "polars", None)
+    with Client("http://127.0.0.1:1") as client:
+        with pytest.raises(MissingExtra, match="pip install polars"):
+            client.metrics("j", as_="polars")
+        with pytest.raises(ValueError, match="not as 'numpy'"):
+            client.metrics("j", as_="numpy")  # pyright: ignore[reportArgumentType, reportCallIssue]

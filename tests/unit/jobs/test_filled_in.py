@@ -1,0 +1,73 @@
+"""A specification with its defaults filled in says all of the job, and is a job itself."""
+
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+
+from core.algorithms.catalog import ALGORITHMS
+from core.environments import catalog
+from core.errors import Rejected
+from core.jobs.checks import check
+from core.jobs.filled_in import filled_in
+from core.jobs.job import Attempt, Job
+from core.jobs.spec import JOB_SPEC
+from core.jobs.store import JobStore
+from core.jobs.submission import completed
+
+NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
+OURS = [
+    info.id for info in catalog.ENVIRONMENTS.values() if info.family == "gaitway" and not info.takes_model
+]
+
+
+def job(attempts: tuple[Attempt, ...] = (), **spec: Any) -> Job:
+    parsed = completed(JOB_SPEC.validate_python({"kind": "train", **spec}))
+    return Job(id="019aa3c2f0b1-5be0c1d2e3", spec=parsed, created_at=NOON, attempts=attempts)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_it_is_accepted_as_a_job_and_has_nothing_left_to_fill_in(jobs: JobStore, algorithm: str) -> None:
+    accepted = list[str]()
+    for environment in OURS:
+        one = job(environment=environment, algorithm={"kind": algorithm})
+        try:
+            check(one.spec, jobs)
+        except Rejected:  # The algorithm needs more than its defaults there.
+            continue
+        whole = filled_in(one, jobs)
+        again = job(**whole)
+        check(again.spec, jobs)
+        assert filled_in(again, jobs) == whole
+        assert "learning_rate" in whole["algorithm"]
+        accepted.append(environment)
+    assert accepted
+
+
+def test_several_cameras_stay_alone_and_a_rollout_has_no_algorithm(jobs: JobStore) -> None:
+    spec = {"kind": "rollout", "environment": "ant", "policy": {"kind": "zero"}, "video": {"cameras": [0]}}
+    whole = filled_in(job(**spec), jobs)
+    assert whole["video"]["cameras"] == [0]
+    assert "camera" not in whole["video"]
+    assert "algorithm" not in whole
+    assert whole["num_steps"] == 1000
+    JOB_SPEC.validate_python(whole)
+
+
+def test_the_hyperparameters_are_those_that_the_newest_attempt_ran_with(jobs: JobStore) -> None:
+    ran = Attempt(
+        number=1,
+        token="1-x",
+        worker="w",
+        started_at=NOON,
+        details={"hyperparameters": {"kind": "ppo", "learning_rate": 0.125}},
+    )
+    whole = filled_in(job((ran,), environment="ant", algorithm={"learning_rate": 0.25}), jobs)
+    assert whole["algorithm"] == {"kind": "ppo", "learning_rate": 0.125}
+
+
+def test_a_job_whose_model_was_deleted_keeps_what_was_sent(jobs: JobStore) -> None:
+    options = {"model": "sha256:" + "0" * 64}
+    whole = filled_in(job(environment={"id": "mjcf", "options": options}, algorithm={}), jobs)
+    assert whole["environment"] == {"id": "mjcf", "options": options}
+    assert whole["algorithm"] == {"kind": "ppo"}
