@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 _ROOT = Path(__file__).parents[2]
-_REFERENCE = """# The client
+_REFERENCE = """# The client, every method
 
-What `pip install gaitway` brings to a program. The command line is `gaitway --help`.
+How it is used: [client.md](client.md). `gaitway.AsyncClient` has the same methods, to be awaited.
 
 ::: gaitway.client.Client
 
@@ -68,7 +68,7 @@ def _gather(pages: Path) -> None:
     (pages / "README.md").rename(pages / "index.md")
     for page in pages.rglob("*.md"):
         page.write_text(page.read_text().replace("README.md", "index.md"))
-    (pages / "docs" / "client.md").write_text(_REFERENCE)
+    (pages / "docs" / "client_reference.md").write_text(_REFERENCE)
     http = pages / "interface"
     http.mkdir()
     (http / "index.html").write_text(_INTERFACE)

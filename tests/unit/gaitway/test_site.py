@@ -29,7 +29,7 @@ def test_it_has_every_page_and_asks_no_other_host(built: Path) -> None:
 
 
 def test_it_describes_the_client_and_the_http_interface(built: Path) -> None:
-    client = (built / "docs" / "client.html").read_text()
+    client = (built / "docs" / "client_reference.html").read_text()
     assert "gaitway.client.Client.submit" in client
     assert "Queue a job" in client
     script = (built / "interface" / "document.js").read_text()
