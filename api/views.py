@@ -282,6 +282,6 @@ def _defaults(kind: str, info: EnvironmentInfo, device: Device) -> dict[str, Any
 
 def _links(job: Job | UnreadableJob) -> dict[str, str]:
     here = f"/jobs/{job.id}"
-    parts = ["events", "metrics", "logs", "checkpoints", "artifacts", "policy", "video", "poster"]
+    parts = ["events", "metrics", "logs", "checkpoints", "artifacts", "policy", "video", "poster", "replay"]
     links = {"self": here, **{part: f"{here}/{part}" for part in parts}}
     return links if job.status.is_final else {**links, "cancel": f"{here}/cancel"}
