@@ -54,6 +54,16 @@ def _returns(motion: Motion, reward: NDArray[np.floating[Any]]) -> NDArray[np.fl
     return np.concatenate([[0.0], np.cumsum(reward, dtype=np.float64)])[frame_rows(motion.time)]
 
 
+def _sun(model: mujoco.MjModel) -> dict[str, Any]:
+    """The model's first light from far away, or one like it."""
+    directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    for light in range(model.nlight):
+        if model.light_type[light] == directional and model.light_active[light]:
+            direction, diffuse = model.light_dir[light], model.light_diffuse[light]
+            return {"direction": direction.tolist(), "diffuse": diffuse.tolist()}
+    return {"direction": [0.35, 0.35, -1.0], "diffuse": [0.7, 0.7, 0.7]}
+
+
 def _about(model: mujoco.MjModel, view: View, tracked_body: int) -> dict[str, Any]:
     return {
         "bodies": moving_bodies(model),
@@ -66,7 +76,9 @@ def _about(model: mujoco.MjModel, view: View, tracked_body: int) -> dict[str, An
             "radius": view.radius,
             "centre": view.centre.tolist(),
             "follows": view.body is not None,
+            "fovy": float(model.vis.global_.fovy),
         },
+        "sun": _sun(model),
         "sky": sky(model) or (_HAZE, _HAZE),
         "tendons": [
             {"rgba": model.tendon_rgba[tendon].tolist(), "width": float(model.tendon_width[tendon])}

@@ -100,10 +100,13 @@ def _texture_coordinates(model: mujoco.MjModel, part: Part, surface: Surface) ->
     """[V, 2], as MuJoCo lays a flat texture on: along the part's x and y; a mesh has its own."""
     if part.kind in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF):
         return None if surface.uv is None else surface.uv * model.mat_texrepeat[part.material]
-    across = surface.vertices[:, :2] if surface.uv is None else surface.uv
-    if part.is_endless or model.mat_texuniform[part.material]:
-        across = across * part.scale(part.size)[:2]
-    return 0.5 * model.mat_texrepeat[part.material] * across * [1, -1] - 0.5
+    across = (surface.vertices[:, :2] if surface.uv is None else surface.uv) * [1, -1]
+    repeats = 0.5 * model.mat_texrepeat[part.material]
+    if part.is_endless:  # A texture's middle is at the origin.
+        return repeats * across * part.scale(part.size)[:2] + 0.5
+    # A texture begins at the corner of the part.
+    uniform = part.scale(part.size)[:2] if model.mat_texuniform[part.material] else 1.0
+    return repeats * (across + 1) * uniform
 
 
 def _period(model: mujoco.MjModel, part: Part) -> list[float]:
