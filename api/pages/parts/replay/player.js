@@ -16,16 +16,18 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
   const canvas = useRef();
   const frame = useRef();
   const [failure, setFailure] = useState(null);
+  const [isFine, setFine] = useState(true); // Whether the machine draws shadows, where nobody said.
   const [time, setTime] = useState(start || 0);
   const [isPlaying, setPlaying] = useState(start === null && !isStill());
   const now = useRef(time);
-  const stage = stageOf.current;
   const { follow, contacts, shadows } = options;
   const seen = { follow, contacts, shadows };
 
+  const drawn = () => (canvas.current.dataset.pictures = Number(canvas.current.dataset.pictures || 0) + 1);
   useEffect(() => {
     try {
-      stageOf.current = new Stage(canvas.current, () => (canvas.current.dataset.pictures = Number(canvas.current.dataset.pictures || 0) + 1));
+      stageOf.current = new Stage(canvas.current, drawn);
+      setFine(stageOf.current.quality === 0);
     } catch (error) {
       setFailure(error);
       return undefined;
@@ -94,13 +96,13 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
     End: () => scrub(stageOf.current.duration),
     ",": () => faster(-1),
     ".": () => faster(1),
-    "+": () => stage.zoom(0.85),
-    "-": () => stage.zoom(1 / 0.85),
-    q: () => stage.orbit(-10),
-    e: () => stage.orbit(10),
+    "+": () => stageOf.current.zoom(0.85),
+    "-": () => stageOf.current.zoom(1 / 0.85),
+    q: () => stageOf.current.orbit(-10),
+    e: () => stageOf.current.orbit(10),
     f: () => setOption("follow", !options.follow),
     c: () => setOption("contacts", !options.contacts),
-    r: () => stage.resetView(),
+    r: () => stageOf.current.resetView(),
   };
   const press = (event) => {
     const act = !event.ctrlKey && !event.metaKey && !event.altKey && keys[event.key];
@@ -131,8 +133,8 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
       </label>
       <label class="inline"><input type="checkbox" checked=${options.follow} onChange=${(event) => setOption("follow", event.target.checked)} /> Follow</label>
       <label class="inline"><input type="checkbox" checked=${options.contacts} onChange=${(event) => setOption("contacts", event.target.checked)} /> Contacts</label>
-      <label class="inline"><input type="checkbox" checked=${options.shadows ?? stage?.quality === 0} onChange=${(event) => setOption("shadows", event.target.checked)} /> Shadows</label>
-      <button type="button" onClick=${() => stage?.resetView()}>Reset the view</button>
+      <label class="inline"><input type="checkbox" checked=${shadows ?? isFine} onChange=${(event) => setOption("shadows", event.target.checked)} /> Shadows</label>
+      <button type="button" onClick=${() => stageOf.current?.resetView()}>Reset the view</button>
     </div>
     <details><summary>Mouse, touch and keys</summary>
       <p class="facts">Drag to turn, with the right button or two fingers to move, wheel or pinch to come closer. With the picture

@@ -70,7 +70,7 @@ function Loaded({ job, files, file, query }) {
   return html`
     <${Player} Stage=${modules.data[0].Stage} shown=${shown} start=${start} name=${name} options=${options}
       setOption=${setOption} onPause=${(time) => change({ t: time.toFixed(2) }, true)}>
-      <${Episodes} about=${shown.about} chosen=${shown.numbers} isBeside=${isBeside} />
+      <${Episodes} about=${shown.about} chosen=${wanted} isBeside=${isBeside} />
     <//>
     <${Steps} files=${files} file=${file} />
   `;
