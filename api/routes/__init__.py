@@ -1,6 +1,19 @@
 """The routers, one file for each resource; add a new one here."""
 
-from api.routes import catalog, events, files, health, jobs, logs, metrics, models, page, previews, problems, replay
+from api.routes import (
+    catalog,
+    events,
+    files,
+    health,
+    jobs,
+    logs,
+    metrics,
+    models,
+    page,
+    previews,
+    problems,
+    replay,
+)
 
 ROUTERS = (
     jobs.router,

@@ -30,7 +30,7 @@ class ReplayQuery(Parameters):
 def read_replay(
     job_id: JobId, asked: Annotated[ReplayQuery, Query()], service: ServiceDep, request: Request
 ) -> Response:
-    """The poses of bodies in an episode, or several: a header in JSON, then numbers, which `Range` reaches."""
+    """The poses of bodies in episodes: a header in JSON, then numbers, which `Range` reaches."""
     return file_response(request, _replay(service.store.get(job_id), asked.step), service.objects)
 
 
@@ -63,8 +63,8 @@ def _none(job: Job, wanted: str) -> Exception:
     if job.status.is_final and has_trajectory and job.newest("replay") is None:
         again = "roll its policy out" if isinstance(job.spec, TrainSpec) else "submit it"
         detail = (
-            f"Job {job.id} has no {wanted}: an older version ran it, or its events say why. To get one, {again} "
-            "again."
+            f"Job {job.id} has no {wanted}: an older version ran it, or its events say why. "
+            f"To get one, {again} again."
         )
     elif isinstance(job.spec, TrainSpec) and job.spec.video is None:
         detail = f"Job {job.id} has no {wanted}: its `video` is null, and replays show what videos would."

@@ -1,4 +1,4 @@
-"""Measures replays: what the worker spends on them, their bytes, and how fast a browser without a GPU draws them."""
+"""Measures replays: the worker's time, their bytes, and how fast a browser without a GPU draws them."""
 
 import os
 
@@ -63,8 +63,8 @@ def measure(options: Options) -> Result:
         rows=rows,
         notes=[
             f"An episode of {seconds:g} s under random actions. Chromium without a window draws the page at "
-            f"{_WIDTH}×{_HEIGHT} in software (SwiftShader) beside the service, on the same cores, without shadows; "
-            "a slow machine gets fewer pixels after a while."
+            f"{_WIDTH}×{_HEIGHT} in software (SwiftShader) beside the service, on the same cores, without "
+            "shadows; a slow machine gets fewer pixels after a while."
         ],
     )
 
@@ -106,7 +106,9 @@ def _motion(model: mujoco.MjModel, dt: float, seconds: float) -> Motion:
     steps, substeps = round(seconds / dt), max(1, round(dt / model.opt.timestep))
     qpos = [data.qpos.copy()]
     for _ in range(steps):
-        data.ctrl[:] = generator.uniform(-1, 1, model.nu) * np.minimum(1, np.abs(model.actuator_ctrlrange[:, 1]))
+        data.ctrl[:] = generator.uniform(-1, 1, model.nu) * np.minimum(
+            1, np.abs(model.actuator_ctrlrange[:, 1])
+        )
         mujoco.mj_step(model, data, substeps)
         qpos.append(data.qpos.copy())
     return Motion(dt * np.arange(steps + 1), np.array(qpos))
@@ -117,7 +119,9 @@ def _published(parts: Parts, body: str, files: tuple[bytes, bytes]) -> str:
     settings = settings_of(parts)
     store, objects = job_store(settings), object_store(settings)
     now = store.now()
-    spec = JOB_SPEC.validate_python({"kind": "train", "environment": body, "resources": {"accelerator": "gpu"}})
+    spec = JOB_SPEC.validate_python(
+        {"kind": "train", "environment": body, "resources": {"accelerator": "gpu"}}
+    )
     job = Job(id=new_job_id(now), spec=spec, created_at=now)
     store.add(job)
     lease = timedelta(seconds=50)

@@ -56,7 +56,9 @@ def ending(job: JobView) -> str:
 def watch(
     context: typer.Context,
     job: JobName,
-    in_browser: Annotated[bool, typer.Option("--open", help="Open the job's page in a browser, too.")] = False,
+    in_browser: Annotated[
+        bool, typer.Option("--open", help="Open the job's page in a browser, too.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Follow a job live; Ctrl-C stops only the display, not the job. Exit code 1 if the job failed."""

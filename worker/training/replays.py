@@ -25,7 +25,7 @@ class ReplayWriter:
     _has_scene: bool = False
 
     def keep(self, episodes: Sequence[Episode], suffix: str, step: int | None) -> None:
-        """Keep the replay of these episodes as `replay<suffix>.bin`; a body that cannot be shown is a note."""
+        """Keep the replay of these episodes as `replay<suffix>.bin`. If that fails, a note says why."""
         shown = episodes[:MOST_EPISODES]
         motions = [motion_of(episode) for episode in shown]
         model, body = self.built.environment.model, self.built.environment.tracked_body

@@ -1,4 +1,7 @@
-"""Writes binary glTF 2.0 (https://registry.khronos.org/glTF/specs/2.0/): numbers in one buffer, the rest as JSON."""
+"""Writes binary glTF 2.0: numbers in one buffer, the rest as JSON.
+
+Source: Khronos, glTF 2.0 specification, https://registry.khronos.org/glTF/specs/2.0/.
+"""
 
 import json
 import struct
@@ -62,9 +65,12 @@ class Glb:
         """The file."""
         binary = bytes(self._buffer) + b"\0" * (-len(self._buffer) % 4)
         document = {"asset": {"version": "2.0", "generator": "gaitway"}, **self.document}
-        text = json.dumps(document | {"buffers": [{"byteLength": len(binary)}]}, separators=(",", ":")).encode()
+        text = json.dumps(
+            document | {"buffers": [{"byteLength": len(binary)}]}, separators=(",", ":")
+        ).encode()
         text += b" " * (-len(text) % 4)
         chunks = b"".join(
-            struct.pack("<II", len(content), kind) + content for kind, content in ((_JSON, text), (_BINARY, binary))
+            struct.pack("<II", len(content), kind) + content
+            for kind, content in ((_JSON, text), (_BINARY, binary))
         )
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

@@ -47,7 +47,7 @@ class _Frame:
 
 
 def moving_bodies(model: mujoco.MjModel) -> list[int]:
-    """The bodies that positions can move; not the one that marks the target, which has an array of its own."""
+    """The bodies that positions can move; not that of the target, which has an array of its own."""
     target = target_body(model)
     return [body for body in range(1, model.nbody) if model.body_weldid[body] != 0 and body != target]
 
@@ -80,9 +80,12 @@ def _frames(model: mujoco.MjModel, motion: Motion, rows: NDArray[np.int64]) -> I
     data = mujoco.MjData(model)
     bodies, mark = moving_bodies(model), target_body(model)
     for row in rows:
-        target = None if motion.target is None else np.resize(np.append(motion.target[row], 0.0), 3)
-        if target is not None and mark is not None:
-            model.body_pos[mark, : motion.target.shape[1]] = motion.target[row]
+        target: Floats | None = None
+        if motion.target is not None:
+            given = motion.target[row]
+            target = np.append(given, 0.0)[:3]
+            if mark is not None:
+                model.body_pos[mark, : len(given)] = given
         data.qpos[:] = motion.qpos[row]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -101,7 +104,7 @@ def _contacts(data: mujoco.MjData) -> Floats:
 
 
 def _tendons(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Floats, NDArray[np.int64]]:
-    """The straight parts [S, 2, 3] of the tendons that run through space and are seen; and of which each is."""
+    """The straight parts [S, 2, 3] of the spatial tendons that are seen, and the tendon of each [S]."""
     segments: list[Floats] = []
     owners: list[int] = []
     points, objects = data.wrap_xpos.reshape(-1, 3), data.wrap_obj.ravel()
@@ -148,7 +151,7 @@ def _units(values: Floats) -> NDArray[np.int16]:
 
 
 def _changed_parts(model: mujoco.MjModel, motion: Motion) -> list[dict[str, Any]]:
-    """The geoms that this episode has elsewhere, or of another size: their nodes, and what becomes of those."""
+    """The nodes of geoms that are elsewhere, or of another size, in this episode, and how."""
     positions = motion.model.get("geom_pos", model.geom_pos)
     sizes = motion.model.get("geom_size", model.geom_size)
     changed: list[dict[str, Any]] = []

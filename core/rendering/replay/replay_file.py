@@ -1,10 +1,10 @@
 """The file of a replay: a header in JSON, then the numbers of each episode; `docs/replay.md` describes it.
 
-    8 bytes  `GWREPLAY`
-    uint32   the version, 1 (little-endian, as all numbers)
-    uint32   the length of the header in bytes; with these 16 bytes it is a multiple of 8
-    header   JSON in UTF-8, followed by spaces
-    numbers  each array begins at a multiple of 8; the header says where
+8 bytes  `GWREPLAY`
+uint32   the version, 1 (little-endian, as all numbers)
+uint32   the length of the header in bytes; with these 16 bytes it is a multiple of 8
+header   JSON in UTF-8, followed by spaces
+numbers  each array begins at a multiple of 8; the header says where
 """
 
 import json
@@ -24,7 +24,7 @@ _START = len(MAGIC) + 8
 
 @dataclass(frozen=True)
 class ReplayEpisode:
-    """An episode of a replay. facts: for its entry in the header; returns: [N], the return until each frame."""
+    """An episode of a replay. facts: for the header; returns: [N], the return until each frame."""
 
     poses: Poses
     returns: NDArray[np.floating[Any]]

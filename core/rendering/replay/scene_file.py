@@ -1,8 +1,8 @@
 """A model's geometry as binary glTF: what a browser draws, and what other programs can open.
 
-A node `world` turns MuJoCo's axes (z up) to glTF's (y up). Below it is a node for each body, `body_<i>`, at its
-pose in the model's initial positions, and below that a node for each geom or site that is seen, `geom_<i>` or
-`site_<i>`, in its body's frame. Skins follow their bodies.
+A node `world` turns MuJoCo's axes (z up) to glTF's (y up). Below it is a node for each body, `body_<i>`, at
+its pose in the model's initial positions, and below that a node for each geom or site that is seen,
+`geom_<i>` or `site_<i>`, in its body's frame. Skins follow their bodies.
 """
 
 from typing import Any
@@ -23,7 +23,7 @@ _Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # -90 degrees about x; x y z w
 
 
 def scene_bytes(model: mujoco.MjModel, view: View) -> bytes:
-    """The file. model: as `core.rendering.scene.prepare` left it; view: where its floor is, if it needs one."""
+    """The file. model: as `core.rendering.scene.prepare` left it; view: has the height of a floor."""
     glb = Glb()
     materials = Materials(model, glb)
     data = mujoco.MjData(model)
@@ -60,9 +60,7 @@ def xyzw(quaternion: Floats) -> list[float]:
     return np.roll(quaternion, -1).tolist()
 
 
-def _add_part(
-    glb: Glb, materials: Materials, meshes: dict[tuple[Any, ...], int], part: Part
-) -> int | None:
+def _add_part(glb: Glb, materials: Materials, meshes: dict[tuple[Any, ...], int], part: Part) -> int | None:
     texture = materials.texture_of(part.material)
     # Laid on as its size says: parts of different sizes cannot share it.
     laid_on = part.name if texture is not None else None

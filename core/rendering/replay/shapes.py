@@ -1,6 +1,6 @@
 """The surface of each type of geom as triangles, and by what a geom of any size stretches it.
 
-Sources: the shapes are those of MuJoCo's geoms; sizes as its XML reference defines them (half-lengths, radii).
+Source: MuJoCo's XML reference, `body/geom`: sizes are half-lengths and radii.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ ENDLESS_M = 200.0
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangles. vertices, normals: [V, 3]; faces: [F, 3] counter-clockwise from outside; uv: [V, 2] or None."""
+    """Triangles. vertices, normals: [V, 3]; faces: [F, 3], counter-clockwise from outside; uv: [V, 2]."""
 
     vertices: Floats
     normals: Floats
@@ -109,7 +109,9 @@ def _box() -> Surface:
     faces = [np.array([[0, 1, 2], [0, 2, 3]])[:, ::sign] + 4 * n for n, (_, sign) in enumerate(sides)]
     normals = [np.tile(np.roll([sign, 0, 0], n // 2), (4, 1)) for n, (_, sign) in enumerate(sides)]
     return Surface(
-        np.concatenate([side for side, _ in sides]), np.concatenate(normals).astype(float), np.concatenate(faces)
+        np.concatenate([side for side, _ in sides]),
+        np.concatenate(normals).astype(float),
+        np.concatenate(faces),
     )
 
 
@@ -132,7 +134,11 @@ def _revolved(profile: Floats, normals: Floats) -> Surface:
     turns = np.linspace(0, 2 * np.pi, _AROUND + 1)
 
     def around(rows: Floats) -> Floats:
-        points = [rows[:, :1] * np.cos(turns), rows[:, :1] * np.sin(turns), np.repeat(rows[:, 1:], len(turns), 1)]
+        points = [
+            rows[:, :1] * np.cos(turns),
+            rows[:, :1] * np.sin(turns),
+            np.repeat(rows[:, 1:], len(turns), 1),
+        ]
         return np.stack(points, axis=-1).reshape(-1, 3)
 
     row, column = np.meshgrid(np.arange(len(profile) - 1), np.arange(_AROUND), indexing="ij")

@@ -170,6 +170,7 @@ export class Stage {
     this.controls.dispose();
     this.scene.background?.dispose?.();
     this.renderer.dispose();
+    this.renderer.forceContextLoss(); // Browsers keep few contexts, and free them late.
   }
 
   #addLights() {

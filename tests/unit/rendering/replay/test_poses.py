@@ -32,7 +32,7 @@ def test_the_ball_touches_the_floor_below_it_and_is_pushed_up() -> None:
     arrays = found.arrays
     assert arrays["contact_count"].sum() == len(arrays["contact_position"]) == len(arrays["contact_normal"])
     assert arrays["contact_count"][0] == 1
-    # The centre is 0.299 m above the floor and the radius 0.3 m: they meet half way, 0.0005 m below the floor.
+    # The centre is 0.299 m above the floor, the radius 0.3 m: they meet half way, 0.0005 m below the floor.
     place = arrays["origin"][0] + found.scale_m / _UNITS * arrays["contact_position"][0]
     np.testing.assert_allclose(place, [0.0, 0.0, -0.0005], atol=1e-4)
     np.testing.assert_allclose(np.abs(arrays["contact_normal"][0]), [0, 0, _UNITS], atol=2)
