@@ -53,9 +53,10 @@ def moving_bodies(model: mujoco.MjModel) -> list[int]:
 
 
 def target_body(model: mujoco.MjModel) -> int | None:
-    """The body that marks an episode's target, if the model has one."""
+    """The body that marks an episode's target, if the model has one; not if joints move it."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TARGET_BODY)
-    return number if number > 0 and model.body_parentid[number] == 0 else None
+    is_mark = number > 0 and model.body_parentid[number] == 0 and model.body_weldid[number] == 0
+    return number if is_mark else None
 
 
 def poses(model: mujoco.MjModel, motion: Motion) -> Poses:

@@ -41,7 +41,7 @@ ARM = """
   <worldbody>
     <geom type="plane" size="0 0 1"/>
     <site name="anchor" pos="0 1 0"/>
-    <body name="target" pos="0 0 0.25" mocap="false"><geom size="0.1" contype="0" conaffinity="0"/></body>
+    <body name="target" pos="0 0 0.25"><geom size="0.1" contype="0" conaffinity="0"/></body>
     <body name="ball" pos="0 0 0.3"><freejoint/><geom size="0.3"/><site name="top" pos="0 0 0.3"/>
       <body name="arm" pos="0 0 0.3"><joint type="hinge" axis="0 1 0"/>
         <geom type="capsule" fromto="0 0 0 0 0 1" size="0.05"/>

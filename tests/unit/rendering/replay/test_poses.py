@@ -54,6 +54,12 @@ def test_the_target_is_where_the_episode_has_it_at_the_height_of_the_model() -> 
     assert model.body("target").pos[0] == 0.0  # The caller's model is as it was.
 
 
+def test_a_target_that_joints_move_is_a_body_like_others() -> None:
+    slide = '<body name="target" pos="0 0 0.25"><joint type="slide" axis="1 0 0"/>'
+    model = model_of(ARM.replace('<body name="target" pos="0 0 0.25">', slide))
+    assert [model.body(body).name for body in moving_bodies(model)] == ["target", "ball", "arm"]
+
+
 def test_geoms_that_an_episode_has_elsewhere_are_named_with_their_stretch() -> None:
     model = model_of(ARM)
     position, size = model.geom_pos.copy(), model.geom_size.copy()
