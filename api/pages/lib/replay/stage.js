@@ -58,23 +58,25 @@ export class Stage {
 
   /**
    * Show these episodes. isBeside: next to each other; otherwise where they were, over each other.
-   * The camera stays where it is if the stage has shown something of this scene before.
+   * The camera stays where it is if the stage has shown as many of this scene before.
    */
   setEpisodes(scene, about, episodes, isBeside) {
+    const layout = `${episodes.length} ${isBeside}`;
     const isNew = scene !== this.shown;
+    const isOtherwise = isNew || layout !== this.layout;
     this.#clear();
     this.shown = scene;
+    this.layout = layout;
     this.about = about;
     this.figures = episodes.map((episode, number) => new Figure(scene, about, episode, number === 0));
     const apart = isBeside ? spacing(about, episodes) : 0;
+    this.width = apart * (episodes.length - 1);
     this.figures.forEach((figure, number) => {
       figure.root.position.z = apart * (number - (episodes.length - 1) / 2);
       this.group.add(figure.root);
     });
-    if (isNew) {
-      this.#setScene(about);
-      this.resetView();
-    }
+    if (isNew) this.#setScene(about);
+    if (isOtherwise) this.resetView();
     this.target.copy(this.#lookAt());
     this.show(this.time);
   }
@@ -109,8 +111,7 @@ export class Stage {
     const forward = [Math.cos(up) * Math.cos(across), Math.cos(up) * Math.sin(across), Math.sin(up)];
     this.target = this.#lookAt();
     this.controls.target.copy(this.target);
-    const apart = this.figures.length > 1 ? 1 + 0.35 * (this.figures.length - 1) : 1;
-    this.camera.position.copy(this.target).addScaledVector(turned(forward), -distance * apart);
+    this.camera.position.copy(this.target).addScaledVector(turned(forward), -distance - this.width);
     this.controls.update();
     this.draw();
   }
