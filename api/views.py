@@ -283,7 +283,7 @@ def _defaults(kind: str, info: EnvironmentInfo, device: Device) -> dict[str, Any
 def _links(job: Job | UnreadableJob) -> dict[str, str]:
     here = f"/jobs/{job.id}"
     parts = ["events", "metrics", "logs", "checkpoints", "artifacts", "policy", "video", "poster"]
-    parts += ["specification", "export", "curve"]
+    parts += ["replay", "specification", "export", "curve"]
     links = {"self": here, **{part: f"{here}/{part}" for part in parts}}
     links["report"] = f"{here}/report.html"
     return links if job.status.is_final else {**links, "cancel": f"{here}/cancel"}

@@ -27,6 +27,7 @@ DEFAULT = {
     "service": "bench.service.costs",
     "models": "bench.service.models",
     "page": "bench.service.page",
+    "replay": "bench.service.replay",
     "video": "bench.cpu.video",
     "demo": "bench.service.demo",
     "preparation": "bench.service.preparation",

@@ -12,6 +12,7 @@ from api.routes import (
     page,
     previews,
     problems,
+    replay,
     sharing,
 )
 
@@ -21,6 +22,7 @@ ROUTERS = (
     metrics.router,
     logs.router,
     files.router,
+    replay.router,
     sharing.router,
     models.router,
     previews.router,  # Before the catalog's, whose ids may have slashes.

@@ -112,7 +112,7 @@ def read_checkpoint(
     job = service.store.get(job_id)
     found = job.newest("checkpoint", step)
     if found is None:
-        raise _absence(job, f"checkpoint of step {step}", "checkpoint")
+        raise absence(job, f"checkpoint of step {step}", "checkpoint")
     return file_response(request, found, service.objects)
 
 
@@ -124,7 +124,7 @@ def read_artifact(
     job = service.store.get(job_id)
     found = next((artifact for artifact in job.artifacts if artifact.name == name), None)
     if found is None:
-        raise _absence(job, f"file {name[:100]!r}")
+        raise absence(job, f"file {name[:100]!r}")
     return file_response(request, found, service.objects)
 
 
@@ -136,7 +136,7 @@ def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
     if not found:
         step = "" if asked.step is None else f" of step {asked.step}"
         camera = "" if asked.camera is None else f" by camera {asked.camera!r}"
-        raise _absence(job, f"{role}{step}{camera}", role)
+        raise absence(job, f"{role}{step}{camera}", role)
     # One without a step was made at the job's end.
     return max(found, key=lambda artifact: float("inf") if artifact.step is None else artifact.step)
 
@@ -152,7 +152,7 @@ def _policy(job: Job, form: Literal["numpy", "onnx"] | None) -> Artifact:
     own = job.newest("policy")
     if form is None:
         if own is None:
-            raise _absence(job, "policy", "policy")
+            raise absence(job, "policy", "policy")
         return own
     _check_exportable(job.spec, form)
     name = _EXPORTS[form]
@@ -166,7 +166,7 @@ def _policy(job: Job, form: Literal["numpy", "onnx"] | None) -> Artifact:
             detail, job=job.id, job_status=job.status, artifacts=[own.name], reason=job.reason
         )
     if found is None:
-        raise _absence(job, name, "policy")
+        raise absence(job, name, "policy")
     return found
 
 
@@ -180,7 +180,7 @@ def _check_exportable(spec: TrainSpec, form: str) -> None:
         raise Rejected(detail, [Problem("/format", detail)])
 
 
-def _absence(job: Job, wanted: str, role: ArtifactRole | None = None) -> NotFound:
+def absence(job: Job, wanted: str, role: ArtifactRole | None = None) -> NotFound:
     """The refusal for a file that is missing, for now or for good; it names the files that exist."""
     there = [artifact for artifact in job.artifacts if role in (None, artifact.role)]
     names = ", ".join(artifact.name for artifact in there[:20])

@@ -62,9 +62,9 @@ def measure(options: Options) -> Result:
         tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder,
         running(Path(folder, "stack")) as parts,
         httpx.Client(base_url=parts.url, timeout=120, trust_env=False) as http,
-        _chromium() as browser,
+        chromium() as browser,
     ):
-        store = _store(parts)
+        store = job_store(settings_of(parts))
         listings = _listings(store, http, sizes["jobs"])
         runs = [_ended(store, _run(store, f"seed {i}", sizes["rows"])) for i in range(sizes["runs"])]
         cold, warm = _curves(http, runs[0])
@@ -123,19 +123,21 @@ def _at_most(value: float) -> Target:
     return Target(comparison="at most", value=value)
 
 
-def _store(parts: Parts) -> JobStore:
+def settings_of(parts: Parts) -> WorkerSettings:
+    """What a worker of this stack would have."""
     values = {name.removeprefix("GAITWAY_").lower(): value for name, value in parts.environment.items()}
     known = {name: values[name] for name in WorkerSettings.model_fields if name in values}
-    return job_store(WorkerSettings.model_validate(known))
+    return WorkerSettings.model_validate(known)
 
 
 @contextmanager
-def _chromium() -> Generator[Browser]:
+def chromium(*flags: str) -> Generator[Browser]:
+    """A Chromium without a window. Raises RuntimeError where there is none."""
     path = shutil.which("chromium") or shutil.which("google-chrome")
     if path is None:
         raise RuntimeError("There is no Chromium; on Debian: apt-get install chromium fonts-dejavu-core")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=_FLAGS)
+        browser = playwright.chromium.launch(executable_path=path, args=[*_FLAGS, *flags])
         yield browser
         browser.close()
 

@@ -24,6 +24,8 @@ ArtifactRole = Literal[
     "video",
     "poster",
     "trajectory",
+    "scene",
+    "replay",
     "summary",
     "metrics",
     "log",

@@ -57,15 +57,20 @@ class Mp4Writer:
 
 def write_png(path: Path, frame: NDArray[np.uint8]) -> None:
     """Store RGB [height, width, 3] as a PNG, complete or not at all."""
+    part = partial(path)
+    part.write_bytes(png_bytes(frame))
+    os.replace(part, path)
+
+
+def png_bytes(frame: NDArray[np.uint8]) -> bytes:
+    """RGB [height, width, 3] as a PNG."""
     height, width, _ = frame.shape
     encoder = av.VideoCodecContext.create("png", "w")
     encoder.width, encoder.height = width, height
     encoder.pix_fmt = "rgb24"
     encoder.time_base = Fraction(1, 1)
     packets = [*encoder.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")), *encoder.encode(None)]
-    part = partial(path)
-    part.write_bytes(b"".join(bytes(packet) for packet in packets))
-    os.replace(part, path)
+    return b"".join(bytes(packet) for packet in packets)
 
 
 def partial(path: Path) -> Path:

@@ -1,5 +1,7 @@
 """`gaitway watch` and `gaitway logs`: follow a job."""
 
+import sys
+import webbrowser
 from typing import Annotated
 
 import typer
@@ -39,16 +41,31 @@ def print_what_it_waits_for(client: Client, job: JobView, console: Console) -> N
         console.print(Text(lacks, style="yellow"), soft_wrap=True)
 
 
+def open_page(address: str) -> None:
+    """Open it in the user's browser, or print it where there is none."""
+    if not webbrowser.open(address):
+        print(f"There is no browser here; the page is {address}", file=sys.stderr)
+
+
 def ending(job: JobView) -> str:
     """One line on how a job ended."""
     why = f" ({job.reason})" if job.reason and job.reason != "completed" else ""
     return f"Job {job.id} {job.status}{why}{': ' + job.message if job.message else ''}"
 
 
-def watch(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
+def watch(
+    context: typer.Context,
+    job: JobName,
+    in_browser: Annotated[
+        bool, typer.Option("--open", help="Open the job's page in a browser, too.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """Follow a job live; Ctrl-C stops only the display, not the job. Exit code 1 if the job failed."""
     client = client_of(context)
     found = client.get(job_id(client, job))
+    if in_browser:
+        open_page(f"{client.base_url}/#/jobs/{found.id}/replay")
     if as_json:
         for event in client.events(found.id):
             print(event.model_dump_json(), flush=True)

@@ -86,7 +86,7 @@ SMALL_DQN: dict[str, Any] = {
 # What a training job keeps in any case.
 KEPT = {
     *("checkpoint", "export", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory"),
-    "video",
+    *("video", "replay", "scene"),
 }
 
 
@@ -192,9 +192,11 @@ def test_a_rollout_of_its_policy_gives_trajectory_summary_and_video(
 def test_a_job_without_a_video_keeps_all_else(client: Client) -> None:
     job = client.wait(client.submit({**SMALL, "video": None}).id, timeout=110)
     assert job.succeeded, job.message
-    assert {a.role for a in job.artifacts} == KEPT - {"video", "poster", "picture", "trajectory"}
+    assert {a.role for a in job.artifacts} == KEPT - {
+        *("video", "poster", "picture", "trajectory", "replay", "scene")
+    }
     shown = rolled_out(client, job, num_steps=20, num_episodes=2, video=None)
-    assert {"trajectory", "summary"} <= {a.role for a in shown.artifacts}
+    assert {"trajectory", "summary", "replay", "scene"} <= {a.role for a in shown.artifacts}
     assert shown.newest("video") is None
     with pytest.raises(NotFound, match="asks for no video: its `video` is null"):
         client.video(shown.id)

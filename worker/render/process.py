@@ -39,17 +39,9 @@ def _draw(request: RenderRequest) -> RenderResult:
     # Imported here: only a process with working GL needs them.
     from core.environments import trajectory
     from core.rendering.clip import draw, load_model
-    from core.rendering.timeline import Motion
+    from worker.render.motions import motion_of
 
-    motions = [
-        Motion(
-            episode.time,
-            episode.qpos.astype("float64"),
-            None if episode.target is None else episode.target.astype("float64"),
-            episode.arena,
-        )
-        for episode in trajectory.load(request.trajectory).episodes
-    ]
+    motions = [motion_of(episode) for episode in trajectory.load(request.trajectory).episodes]
     return draw(request, load_model(request.model), motions, gl_backend=os.environ.get("MUJOCO_GL", ""))
 
 

@@ -1,4 +1,4 @@
-"""A rollout job: episodes of a policy, their trajectory, a summary, a video."""
+"""A rollout job: episodes of a policy, their trajectory, a summary, a replay, a video."""
 
 import json
 from dataclasses import replace
@@ -24,6 +24,7 @@ from worker.protocol import Advanced, Measured, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
+from worker.training.replays import ReplayWriter
 from worker.training.stopping import StopRequest
 from worker.training.video import VideoRecorder
 
@@ -57,8 +58,10 @@ def roll_out(
         summary = trajectory.summary(shown)
         events.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
         _report(summary, events)
+        replays = ReplayWriter(built, events)
+        replays.keep(episodes, "", None)
         if spec.video is not None:
-            film = VideoRecorder(spec, spec.video, built, policy, events)
+            film = VideoRecorder(spec, spec.video, built, policy, events, replays)
             of_video = filmed(
                 episodes,
                 dt=built.environment.dt,

@@ -19,6 +19,7 @@ from worker.training.event_writer import EventWriter
 from worker.training.exports import keep_exports
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
+from worker.training.replays import ReplayBudget, ReplayWriter
 from worker.training.stopping import StopRequest
 from worker.training.video import VideoRecorder
 
@@ -49,9 +50,9 @@ def train(
                 break
             if isinstance(event, Progress):
                 report.keep_checkpoint_if_due()
-            if isinstance(event, CheckpointReady) and videos and videos.at_checkpoints:
+            if isinstance(event, CheckpointReady) and videos:
                 with stopping.nothing_to_keep():
-                    videos.take(f"video-{event.step:012d}")
+                    videos.at_checkpoint(event.step)
     except JobFailed:
         report.keep_checkpoint()  # The last good one.
         raise
@@ -90,7 +91,7 @@ def begin_or_resume(
 
 @dataclass
 class PolicyVideos:
-    """Videos of a run's policy as it is at the time; it is compiled for the first of them."""
+    """Videos and replays of a run's policy as it is at the time; it is compiled for the first of them."""
 
     spec: TrainSpec
     video: VideoSpec
@@ -98,19 +99,32 @@ class PolicyVideos:
     events: EventWriter
     run: Run[Any]
     _film: VideoRecorder | None = None
+    _budget: ReplayBudget = field(default_factory=ReplayBudget)
 
-    @property
-    def at_checkpoints(self) -> bool:
-        return self.video.every_checkpoint
+    def at_checkpoint(self, step: int) -> None:
+        """Keep a video, where the job asks for one; otherwise a replay, where that costs next to nothing."""
+        if self.video.every_checkpoint:
+            self.take(f"video-{step:012d}")
+        elif step < self.run.total and self._budget.allows_another():
+            began = time.monotonic()
+            film, parameters = self._filmed()
+            film.replay(f"-{step:012d}", parameters, step)
+            self._budget.spent(began)
 
     def take(self, name: str) -> None:
         """Keep a video of the present step as `<name>.mp4`."""
+        film, parameters = self._filmed()
+        film.shoot(name, parameters, self.run.step)
+
+    def _filmed(self) -> tuple[VideoRecorder, Any]:
+        """The recorder, and the policy's parameters as they are now."""
         policy = policy_from_checkpoint(self.run.checkpoint())
         if self._film is None:
             env, act = policy.acting(self.built.environment)
             built = replace(self.built, environment=env)
-            self._film = VideoRecorder(self.spec, self.video, built, act, self.events)
-        self._film.shoot(name, policy.parameters, self.run.step)
+            replays = ReplayWriter(built, self.events)
+            self._film = VideoRecorder(self.spec, self.video, built, act, self.events, replays)
+        return self._film, policy.parameters
 
 
 @dataclass

@@ -21,6 +21,7 @@ from worker.render.client import render
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
+from worker.training.replays import ReplayWriter
 
 # A camera's picture takes a tenth of a second on the slowest software renderer seen; twice that, to be sure.
 _SECONDS_PER_FRAME = 0.2
@@ -36,27 +37,27 @@ class VideoRecorder:
     built: BuiltEnvironment
     policy: ParametricPolicy
     events: EventWriter
+    replays: ReplayWriter
 
     def shoot(self, name: str, parameters: Any, step: int | None) -> None:
         """Make a video of these parameters as `<name>.mp4`, with its poster `<name>.png`.
 
-        Also keeps what it shows: as numbers, `trajectory….npz`, and from above, `path….png`.
+        Also keeps what it shows: as numbers, `trajectory….npz`, from above, `path….png`, and from any side,
+        `replay….bin`.
         """
-        episodes = footage(
-            self._roller,
-            parameters,
-            jax.random.PRNGKey(self.spec.seed),
-            dt=self.built.environment.dt,
-            seconds=self.video.seconds,
-            num_at_once=self.video.episodes,
-        )
+        episodes = self._episodes(parameters)
         chosen = self.spec.environment
         shown = trajectory_of(
             self.built.environment, episodes, environment=chosen.model_dump(), seed=self.spec.seed
         )
         suffix = name.removeprefix("video")
         with kept_with_path(self.events, shown, suffix, step, f"{chosen.id}: path from above"):
+            self.replays.keep(episodes, suffix, step)
             self.show(name, episodes, step)
+
+    def replay(self, suffix: str, parameters: Any, step: int) -> None:
+        """Keep what a video of these parameters would show, without drawing it."""
+        self.replays.keep(self._episodes(parameters), suffix, step)
 
     def show(self, name: str, episodes: Sequence[Episode], step: int | None) -> None:
         """Make a video of these episodes. If that fails, the job continues without it; a note says why."""
@@ -95,6 +96,16 @@ class VideoRecorder:
             if not is_full(error):
                 raise
             raise RenderingFailed("disk_full", what_to_do()) from error
+
+    def _episodes(self, parameters: Any) -> list[Episode]:
+        return footage(
+            self._roller,
+            parameters,
+            jax.random.PRNGKey(self.spec.seed),
+            dt=self.built.environment.dt,
+            seconds=self.video.seconds,
+            num_at_once=self.video.episodes,
+        )
 
     @cached_property
     def _roller(self) -> Roller:

@@ -21,11 +21,15 @@ export class Away extends Error {
 
 /**
  * The answer to a request. Raises Problem, Away; AbortError where `signal` ended it.
- * maxAge: seconds; the answer may be one that another reader got in this time.
+ * maxAge: seconds; the answer may be one that another reader got in this time. range: [first, last] byte wanted.
  */
-export async function send(path, { method = "GET", body, type, signal, maxAge } = {}) {
+export async function send(path, { method = "GET", body, type, signal, maxAge, range } = {}) {
   let answer;
-  const headers = { ...(type && { "Content-Type": type }), ...(maxAge && { "Cache-Control": `max-age=${maxAge}` }) };
+  const headers = {
+    ...(type && { "Content-Type": type }),
+    ...(maxAge && { "Cache-Control": `max-age=${maxAge}` }),
+    ...(range && { Range: `bytes=${range.join("-")}` }),
+  };
   try {
     answer = await fetch(path, { method, body, signal, headers });
   } catch (error) {

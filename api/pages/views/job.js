@@ -13,10 +13,12 @@ import { CurvesTab } from "./job/curves.js";
 import { FilesTab } from "./job/files.js";
 import { LogTab } from "./job/log.js";
 import { OverviewTab } from "./job/overview.js";
+import { ReplayTab } from "./job/replay.js";
 import { SpecificationTab } from "./job/specification.js";
 
 const TABS = {
   overview: ["Overview", OverviewTab],
+  replay: ["Replay", ReplayTab],
   curves: ["Curves", CurvesTab],
   log: ["Log", LogTab],
   files: ["Files", FilesTab],

@@ -10,6 +10,7 @@ import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
 import { Films } from "../../parts/films.js";
 import { Failure } from "../../parts/states.js";
 import { Costs } from "./costs.js";
+import { replaysOf } from "./replay.js";
 
 // Terms of the reward, as environments name them.
 const TERM = /^eval\/episode_((?:reward|cost)_.+)$/;
@@ -32,9 +33,11 @@ export function OverviewTab({ job, query, onMetrics, onPhase }) {
 function FilmsAndForks({ job }) {
   const [step, setStep] = useState(null);
   const checkpoints = job.artifacts.filter((file) => file.role === "checkpoint").sort((a, b) => a.step - b.step);
+  const replay = replaysOf(job).find((file) => step === null || file.step === step);
   const checkpoint = checkpoints.find((file) => file.step === step) || (step === null ? checkpoints.at(-1) : null);
   return html`
     <${Films} job=${job} onStep=${setStep} />
+    ${replay && html`<p><a href=${href(["jobs", job.id, "replay"], step === null ? {} : { step })}>See it from any side</a></p>`}
     ${checkpoints.length > 0 &&
     html`<p class="actions">
       ${checkpoint

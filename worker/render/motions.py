@@ -1,0 +1,14 @@
+"""Episodes as the motions that are drawn."""
+
+from core.environments.trajectory import Episode
+from core.rendering.timeline import Motion
+
+
+def motion_of(episode: Episode) -> Motion:
+    """What of an episode is drawn."""
+    return Motion(
+        episode.time,
+        episode.qpos.astype("float64"),
+        None if episode.target is None else episode.target.astype("float64"),
+        episode.arena,
+    )

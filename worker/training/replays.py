@@ -1,0 +1,75 @@
+"""Replays: what the page needs to draw episodes in three dimensions (docs/replay.md)."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from core.environments.trajectory import Episode
+from core.rendering.replay.replay import replay_of, scene_of
+from worker.protocol import Noted
+from worker.render.motions import motion_of
+from worker.training.built_environment import BuiltEnvironment
+from worker.training.event_writer import EventWriter
+
+SCENE = "scene.glb"
+# A rollout may have a thousand episodes; nobody looks at more than some of them.
+MOST_EPISODES = 32
+
+
+@dataclass
+class ReplayWriter:
+    """Keeps an attempt's replays; and the scene, which they share, before the first of them."""
+
+    built: BuiltEnvironment
+    events: EventWriter
+    _has_scene: bool = False
+
+    def keep(self, episodes: Sequence[Episode], suffix: str, step: int | None) -> None:
+        """Keep the replay of these episodes as `replay<suffix>.bin`. If that fails, a note says why."""
+        shown = episodes[:MOST_EPISODES]
+        motions = [motion_of(episode) for episode in shown]
+        model, body = self.built.environment.model, self.built.environment.tracked_body
+        facts = [
+            {"num_steps": one.num_steps, "duration_s": one.duration_s, "terminated": one.terminated}
+            for one in shown
+        ]
+        try:
+            scene = None if self._has_scene else scene_of(model, motions[0].qpos[0], body)
+            content = replay_of(model, motions, [one.reward for one in shown], facts, body)
+        except Exception as error:  # Models of users may have anything in them; the job has its policy.
+            self.events.send(Noted(text=f"There is no replay: {type(error).__name__}: {error}"))
+            return
+        if scene is not None:
+            self.events.keep(SCENE, scene, "scene", "model/gltf-binary")
+            self._has_scene = True
+        self.events.keep(
+            f"replay{suffix}.bin",
+            content,
+            "replay",
+            "application/octet-stream",
+            step=step,
+            metadata={"episodes": len(shown), "of_episodes": len(episodes), "seconds": shown[0].duration_s},
+        )
+
+
+@dataclass
+class ReplayBudget:
+    """Keeps replays at checkpoints to a share of the training's time.
+
+    The first one compiles the policy, which the video at the end needs as well, so it says nothing about the
+    next.
+    """
+
+    share: float = 0.03
+    _cost_s: list[float] = field(default_factory=list[float])
+    _last_end: float = 0.0
+
+    def allows_another(self) -> bool:
+        """Whether the last one's cost has become a small share of the time since then."""
+        measured = self._cost_s[1:]
+        return not measured or time.monotonic() - self._last_end >= measured[-1] / self.share
+
+    def spent(self, began: float) -> None:
+        """Another one is done. began: its start, by `time.monotonic`."""
+        self._last_end = time.monotonic()
+        self._cost_s.append(self._last_end - began)
