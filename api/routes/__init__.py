@@ -1,6 +1,19 @@
 """The routers, one file for each resource; add a new one here."""
 
-from api.routes import catalog, events, files, health, jobs, logs, metrics, models, page, previews, problems
+from api.routes import (
+    catalog,
+    events,
+    files,
+    health,
+    jobs,
+    logs,
+    metrics,
+    models,
+    page,
+    previews,
+    problems,
+    sweeps,
+)
 
 ROUTERS = (
     jobs.router,
@@ -8,6 +21,7 @@ ROUTERS = (
     metrics.router,
     logs.router,
     files.router,
+    sweeps.router,
     models.router,
     previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,
