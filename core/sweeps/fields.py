@@ -1,4 +1,4 @@
-"""The fields of a job by their paths, such as `algorithm.learning_rate`, and a job with other values there."""
+"""The fields of a job by their paths, such as `algorithm.learning_rate`, and a job with others in them."""
 
 from collections.abc import Mapping
 from typing import Any, get_args
