@@ -217,9 +217,9 @@ def _place(name: str) -> str:
 
 
 def _hint(name: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     last = name.rpartition(".")[2]
-    near = near or [one for one in known if one.rpartition(".")[2] == last][:3]
+    near = [one for one in known if one.rpartition(".")[2] == last] or near
     return f"; did you mean {' or '.join(f'`{one}`' for one in near)}?" if near else "."
 
 

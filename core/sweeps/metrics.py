@@ -42,10 +42,9 @@ def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
             return None
     if metric in known:
         return None
-    near = difflib.get_close_matches(metric, known, n=3, cutoff=0.6) or ["eval/episode_reward"]
+    near = difflib.get_close_matches(metric, sorted(known), n=1, cutoff=0.6) or ["eval/episode_reward"]
     return (
-        f"A job of this kind on {spec.environment.id} reports no metric {metric!r}; did you mean "
-        f"{' or '.join(f'`{name}`' for name in near)}?"
+        f"A job of this kind on {spec.environment.id} reports no metric {metric!r}; did you mean `{near[0]}`?"
     )
 
 

@@ -80,7 +80,10 @@ class TestSweeps:
             sweeps.add_sweep(sweep_of(), Idempotency("k", "another body"))
 
     def test_pages_are_newest_first_and_without_gap(self, sweeps: SweepStore) -> None:
-        ids = [sweeps.add_sweep(sweep_of().model_copy(update={"id": f"{n:012x}-0000000000"})).id for n in range(5)]
+        ids = [
+            sweeps.add_sweep(sweep_of().model_copy(update={"id": f"{n:012x}-0000000000"})).id
+            for n in range(5)
+        ]
         sweeps.save_sweep(sweeps.get_sweep(ids[2]).next(status=SweepStatus.FAILED))
         found, cursor = list[str](), None
         while True:
@@ -98,12 +101,14 @@ class TestSweeps:
         self, sweeps: SweepStore, sweep: Sweep, database: Database
     ) -> None:
         other = sweeps.add_sweep(sweep_of())
-        database.change("UPDATE sweeps SET spec = '{\"method\": \"of tomorrow\"}' WHERE id = %s", sweep.id)
+        database.change('UPDATE sweeps SET spec = \'{"method": "of tomorrow"}\' WHERE id = %s', sweep.id)
         assert [one.id for one in sweeps.active_sweeps()] == [other.id]
 
 
 class TestTrials:
-    def test_a_trial_its_job_and_its_dispatch_are_stored_together(self, sweeps: SweepStore, sweep: Sweep) -> None:
+    def test_a_trial_its_job_and_its_dispatch_are_stored_together(
+        self, sweeps: SweepStore, sweep: Sweep
+    ) -> None:
         job = queued_job()
         trial = trial_of(0, job=job.id, parameters={"seed": 1, "a": [1, None], "b": 0.5}, values=(1.5, None))
         assert sweeps.add_trial(sweep.id, trial, job)
@@ -136,7 +141,10 @@ class TestTrials:
         for _ in range(10):
             sweep, job = sweeps.add_sweep(sweep_of()), queued_job()
             trial, cancelling = trial_of(0, job=job.id), sweep.next(status=SweepStatus.CANCELLING)
-            steps = [lambda s=sweep, t=trial, j=job: sweeps.add_trial(s.id, t, j), lambda c=cancelling: sweeps.save_sweep(c)]
+            steps = [
+                lambda s=sweep, t=trial, j=job: sweeps.add_trial(s.id, t, j),
+                lambda c=cancelling: sweeps.save_sweep(c),
+            ]
             assert at_once(steps, StaleSweep) == [True, True]
             assert len(sweeps.jobs_of([job.id])) == len(sweeps.trials([sweep.id]).get(sweep.id, []))
 
