@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         Unreachable,
         WaitTimeout,
     )
+    from gaitway.sweep_views import SweepView
     from gaitway.transport import Retry
     from gaitway.views import ArtifactView, Event, JobView, MetricsRow, Page, ProgressView
 
@@ -41,6 +42,7 @@ __all__ = [
     "ProgressView",
     "Rejected",
     "Retry",
+    "SweepView",
     "Unavailable",
     "Unreachable",
     "WaitTimeout",
@@ -54,6 +56,7 @@ def __getattr__(name: str) -> object:
     """
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from gaitway import client, errors, transport, views
+    from gaitway import client, errors, sweep_views, transport, views
 
-    return next(getattr(home, name) for home in (client, errors, transport, views) if hasattr(home, name))
+    homes = (client, errors, sweep_views, transport, views)
+    return next(getattr(home, name) for home in homes if hasattr(home, name))

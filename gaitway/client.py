@@ -18,6 +18,7 @@ from gaitway import policy
 from gaitway.downloading import OnBytes, download
 from gaitway.errors import NotFound, Rejected, WaitTimeout
 from gaitway.following import follow_feed, follow_log
+from gaitway.sweep_views import SweepView
 from gaitway.transport import Retry, Transport
 from gaitway.views import (
     ArtifactView,
@@ -129,6 +130,66 @@ class Client:
     def delete(self, job_id: str) -> None:
         """Remove an ended job and its files. Raises Conflict while it runs."""
         self._transport.request("DELETE", _path(job_id))
+
+    # Sweeps
+
+    def sweep(
+        self, spec: Mapping[str, Any] | None = None, *, idempotency_key: str | None = None, **fields: Any
+    ) -> SweepView:
+        """Start a sweep, whose trials are jobs (docs/sweeps.md).
+
+        `sweep(job={"environment": "ant"}, method="grid", parameters={"seed": [1, 2]})`; fields override those
+        of `spec`, and the job's `kind` is `train` by default. Retries of the request make only one sweep.
+        """
+        document = {**(spec or {}), **fields}
+        if isinstance(job := document.get("job"), Mapping):
+            document["job"] = {"kind": "train", **job}
+        headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
+        return self._sweep(self._transport.request("POST", "/sweeps", json=document, headers=headers))
+
+    def get_sweep(self, sweep_id: str) -> SweepView:
+        """The sweep as it is now, with its trials, the best so far and the importance of its axes."""
+        return self._sweep(self._transport.request("GET", _sweep_path(sweep_id)))
+
+    def sweeps(self, *, limit: int | None = None, status: str | None = None) -> Iterator[SweepView]:
+        """Sweeps, newest first, without their trials; at most `limit`."""
+        params: dict[str, Any] = {"limit": min(limit or 100, 100), **({"status": status} if status else {})}
+        found = 0
+        while True:
+            answer = self._transport.request("GET", "/sweeps", params=params)
+            page = Page[SweepView].model_validate_json(answer.content)
+            for sweep in page:
+                yield sweep
+                found += 1
+                if found == limit:
+                    return
+            if page.next is None:
+                return
+            params["cursor"] = page.next
+
+    def cancel_sweep(self, sweep_id: str) -> SweepView:
+        """Start no more trials, and cancel those that run; they keep their work."""
+        return self._sweep(self._transport.request("POST", _sweep_path(sweep_id, "cancel")))
+
+    def resume_sweep(self, sweep_id: str, **budget: Any) -> SweepView:
+        """Continue under another budget, which counts the trials so far: `resume_sweep(id, jobs=40)`."""
+        document = {"budget": budget}
+        return self._sweep(self._transport.request("POST", _sweep_path(sweep_id, "resume"), json=document))
+
+    def delete_sweep(self, sweep_id: str) -> None:
+        """Remove the record of an ended sweep; its jobs stay."""
+        self._transport.request("DELETE", _sweep_path(sweep_id))
+
+    def wait_for_sweep(self, sweep_id: str, timeout: float | None = None) -> SweepView:
+        """The sweep once it has ended. timeout: seconds; then it raises WaitTimeout."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not (sweep := self.get_sweep(sweep_id)).is_final:
+            if deadline is not None and time.monotonic() > deadline:
+                raise WaitTimeout(
+                    f"Sweep {sweep_id} is still {sweep.status} after {timeout:g} s; it continues."
+                )
+            time.sleep(_POLL_S)
+        return sweep
 
     # Following a job
 
@@ -358,6 +419,9 @@ class Client:
     def _job(self, response: httpx.Response) -> JobView:
         return JobView.model_validate_json(response.content)
 
+    def _sweep(self, response: httpx.Response) -> SweepView:
+        return SweepView.model_validate_json(response.content)
+
     def _items(self, path: str, view: type[AnyView]) -> Sequence[AnyView]:
         return [view.model_validate(item) for item in self._transport.request("GET", path).json()["items"]]
 
@@ -395,6 +459,10 @@ class Client:
 def _path(job_id: str, *parts: str) -> str:
     # Quoted, so that an id or a name with a slash or dots cannot become another address.
     return "/".join(["/jobs", *(quote(part, safe="") for part in (job_id, *parts))])
+
+
+def _sweep_path(sweep_id: str, *parts: str) -> str:
+    return "/".join(["/sweeps", *(quote(part, safe="") for part in (sweep_id, *parts))])
 
 
 def _target(artifact: ArtifactView, path: str | Path | None) -> Path:
