@@ -185,7 +185,8 @@ def _by_share(shares: dict[str, float]) -> list[tuple[str, float]]:
 def _trials(sweep: SweepView) -> Table:
     table = Table(box=None, pad_edge=False)
     axes = list(sweep.spec.get("parameters", {}))
-    for column in ("TRIAL", "STATUS", *sweep.metrics, *axes, "JOB"):
+    metrics = [metric.rpartition("/")[2] for metric in sweep.metrics]
+    for column in ("TRIAL", "STATUS", *metrics, *(axis.rpartition(".")[2] for axis in axes), "JOB"):
         table.add_column(column, no_wrap=column == "JOB")
     best = {trial.number for trial in sweep.best}
     for trial in sorted(sweep.trials, key=lambda trial: _rank(sweep, trial)):

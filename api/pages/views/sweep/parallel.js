@@ -4,7 +4,7 @@ import { value } from "../../lib/format.js";
 import { html } from "../../lib/html.js";
 import { axesOf, objectivesOf, short, told } from "../../lib/sweep.js";
 
-const [SPACE, SIDE, TOP, HEIGHT] = [130, 60, 34, 260];
+const [SPACE, SIDE, TOP, HEIGHT] = [200, 60, 34, 260];
 
 export function Parallel({ sweep, picked }) {
   const trials = sweep.trials.filter((trial) => typeof trial.values[0] === "number");
