@@ -72,6 +72,11 @@ def _drawn(axis: Axis, generator: random.Random) -> JsonValue:
     return _between(axis, generator.random())
 
 
+def last_value(axis: Range) -> Number:
+    """The greatest value along the axis: the last step may end before the upper bound."""
+    return axis.high if axis.step is None else _along(axis, _num_steps(axis))
+
+
 def _num_steps(axis: Range) -> int:
     """Steps between the bounds, for which rounding must not cost the last one."""
     return math.floor((axis.high - axis.low) / (axis.step or 1) + 1e-9)

@@ -12,7 +12,7 @@ from pydantic import JsonValue
 
 from core.errors import Misconfigured
 from core.sweeps.advance import Seen
-from core.sweeps.axes import Values
+from core.sweeps.axes import Values, last_value
 from core.sweeps.spec import Axis, Range, SweepSpec
 
 if TYPE_CHECKING:
@@ -64,10 +64,11 @@ def distributions(spec: SweepSpec) -> dict[str, "BaseDistribution"]:
 def _distribution(axis: Axis) -> "BaseDistribution":
     if not isinstance(axis, Range):  # By position: Optuna takes no lists as choices.
         return optuna.distributions.CategoricalDistribution(range(len(axis)))
+    high = last_value(axis)
     if axis.is_whole:
         step = 1 if axis.step is None else int(axis.step)
-        return optuna.distributions.IntDistribution(int(axis.low), int(axis.high), log=axis.log, step=step)
-    return optuna.distributions.FloatDistribution(axis.low, axis.high, log=axis.log, step=axis.step)
+        return optuna.distributions.IntDistribution(int(axis.low), int(high), log=axis.log, step=step)
+    return optuna.distributions.FloatDistribution(axis.low, high, log=axis.log, step=axis.step)
 
 
 def _value(axis: Axis, drawn: Any) -> JsonValue:
