@@ -1,6 +1,6 @@
 # Three images from one file:
-#   api          HTTP service, reconciler and set-up; no numerical stack
-#   worker       training, rollouts and videos on the CPU, drawn in software
+#   api          HTTP service and set-up; no numerical stack
+#   worker       training, rollouts and videos on the CPU, drawn in software; the reconciler
 #   worker-cuda  the same on NVIDIA GPUs, one worker each, drawn by EGL
 # `docker compose build` makes api and worker; docs/install.md says what is in them and how large they are.
 
@@ -67,7 +67,7 @@ RUN --mount=type=cache,target=/var/cache/uv \
 FROM dependencies AS dependencies-worker
 RUN --mount=type=cache,target=/var/cache/uv \
     python -m uv sync --frozen --no-install-project --no-default-groups \
-    --extra worker --extra compiled \
+    --extra worker --extra compiled --extra sweeps \
     --extra brittle-star --extra dm-control --extra playground --extra plots --extra wandb --extra cli \
     && /usr/local/bin/slim
 

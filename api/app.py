@@ -12,16 +12,16 @@ from api.origins import OriginCheck
 from api.routes import ROUTERS
 from core.configuration import read
 from core.jobs.queue import JobQueue
-from core.jobs.store import JobStore
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
+from core.sweeps.store import SweepStore
 
 _DESCRIPTION = """Train simulated bodies to walk: submit a training or a rollout, follow it, fetch its video.
 
 Every refusal is `application/problem+json` (RFC 9457). Times are RFC 3339 in UTC; ids sort by time."""
 
 
-def create_app(settings: ApiSettings, *, store: JobStore, queue: JobQueue, objects: ObjectStore) -> FastAPI:
+def create_app(settings: ApiSettings, *, store: SweepStore, queue: JobQueue, objects: ObjectStore) -> FastAPI:
     """The service, built from these parts."""
     app = interface()
     app.state.service = Service(settings, store, queue, objects)

@@ -15,9 +15,10 @@ from core.jobs import feeds
 from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.job import JOB_ID, check_job_id
 from core.jobs.queue import JobQueue
-from core.jobs.store import ENTRY_ID, Channel, Entry, JobStore
+from core.jobs.store import ENTRY_ID, Channel, Entry
 from core.settings import ApiSettings
 from core.storage.objects import ObjectStore
+from core.sweeps.store import SweepStore
 
 _WATCHING_THREADS = 16
 
@@ -36,7 +37,7 @@ class Service:
     """
 
     settings: ApiSettings
-    store: JobStore
+    store: SweepStore
     queue: JobQueue
     objects: ObjectStore
     stopping: bool = False

@@ -6,7 +6,9 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from api.problems import MEDIA_TYPE, ProblemView
+from api.submissions import RESUMPTION
 from core.jobs.spec import JOB_SPEC
+from core.sweeps.spec import SWEEP_SPEC
 
 _REF = "#/components/schemas/{model}"
 _PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}}
@@ -21,10 +23,10 @@ def describe(app: FastAPI) -> dict[str, Any]:
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
         for name in ("HTTPValidationError", "ValidationError"):
             schemas.pop(name, None)
-        job = JOB_SPEC.json_schema(ref_template=_REF)
-        schemas.update(
-            {**job.pop("$defs"), "JobSpec": job, "Problem": ProblemView.model_json_schema(ref_template=_REF)}
-        )
+        for name, kind in (("JobSpec", JOB_SPEC), ("SweepSpec", SWEEP_SPEC), ("Resumption", RESUMPTION)):
+            schema = kind.json_schema(ref_template=_REF)
+            schemas.update({**schema.pop("$defs"), name: schema})
+        schemas["Problem"] = ProblemView.model_json_schema(ref_template=_REF)
         schemas.update(schemas["Problem"].pop("$defs", {}))
         _require_tags(schemas)
         for path in document["paths"].values():

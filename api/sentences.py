@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any, cast
 
+from pydantic import TypeAdapter
+
 from core.errors import Problem
 from core.jobs.spec import JOB_SPEC
 
@@ -16,14 +18,17 @@ _NOT_FINITE = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
 Location = tuple[int | str, ...]
 
 
-def body_problems(errors: Iterable[Mapping[str, Any]], document: Any) -> Sequence[Problem]:
-    """One problem for each invalid place, up to fifty. document: what the client sent, parsed."""
+def body_problems(
+    errors: Iterable[Mapping[str, Any]], document: Any, kind: TypeAdapter[Any] = JOB_SPEC
+) -> Sequence[Problem]:
+    """One problem for each invalid place, up to fifty. document: what the client sent, parsed; kind: what it
+    should be."""
     found: dict[str, list[str]] = {}
     for error in errors:
         pointer = _pointer(error, document)
         if pointer not in found and len(found) == _MAX_PROBLEMS:
             break
-        found.setdefault(pointer, []).append(_sentence(error, _fields_at(error["loc"][:-1])))
+        found.setdefault(pointer, []).append(_sentence(error, _fields_at(error["loc"][:-1], kind)))
     return [Problem(pointer, _joined(sentences)) for pointer, sentences in found.items()]
 
 
@@ -117,24 +122,26 @@ def _escaped(part: object) -> str:
 
 
 @cache
-def _schema() -> dict[str, Any]:
-    return JOB_SPEC.json_schema()
+def _schema(kind: TypeAdapter[Any]) -> dict[str, Any]:
+    return kind.json_schema()
 
 
-def _fields_at(location: Location) -> Sequence[str]:
-    """The fields that an object at this place of a job may have; pydantic's union tags select its type."""
-    node = _schema()
+def _fields_at(location: Location, kind: TypeAdapter[Any]) -> Sequence[str]:
+    """The fields that an object at this place may have; pydantic's union tags select its type."""
+    schema = _schema(kind)
+    node = schema
     for part in location:
-        node = _object(node)
+        node = _object(node, schema)
         mapping = node.get("discriminator", {}).get("mapping", {})
         node = {"$ref": mapping[part]} if part in mapping else node.get("properties", {}).get(part, {})
-    return list(_object(node).get("properties", {}))
+    return list(_object(node, schema).get("properties", {}))
 
 
-def _object(node: dict[str, Any]) -> dict[str, Any]:
+def _object(node: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
     """The node with its reference resolved; of several forms, the one that is an object."""
     if "$ref" in node:
-        return _object(_schema()["$defs"][node["$ref"].rpartition("/")[2]])
+        return _object(schema["$defs"][node["$ref"].rpartition("/")[2]], schema)
     if "anyOf" in node:
-        return next((_object(form) for form in node["anyOf"] if "$ref" in form), dict[str, Any]())
+        forms = (_object(form, schema) for form in node["anyOf"] if "$ref" in form)
+        return next(forms, dict[str, Any]())
     return node

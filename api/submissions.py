@@ -3,40 +3,54 @@
 import hashlib
 import json
 from collections.abc import AsyncIterator
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from fastapi import Depends, Header, Request
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 from pydantic_core import from_json
 
 from api.dependencies import ServiceDep
 from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.sentences import body_problems
+from core.documents import Strict
 from core.errors import Problem, Rejected
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.store import Idempotency
+from core.sweeps.spec import SWEEP_SPEC, Budget, SweepSpec
+
+Document = TypeVar("Document")
+
+
+class Resumption(Strict):
+    """The budget under which a sweep continues; it replaces the one before, and counts all trials."""
+
+    budget: Budget
+
+
+RESUMPTION: TypeAdapter[Resumption] = TypeAdapter(Resumption)
 
 # A client does not read the answer while it is still sending, so this much excess is read and discarded.
 _DRAINED_BYTES = 16 * 2**20
 _LONGEST_KEY = 255
 
 
-def parse(body: bytes) -> JobSpec:
-    """The specification in a body. Raises MalformedBody, and Rejected with every field that is wrong."""
+def parse(body: bytes, kind: TypeAdapter[Document]) -> Document:
+    """The document in a body. Raises MalformedBody, and Rejected with every field that is wrong."""
     try:
-        return JOB_SPEC.validate_json(body)
+        return kind.validate_json(body)
     except ValidationError as error:
         errors = error.errors(include_url=False)
     if errors[0]["type"] == "json_invalid":
         raise MalformedBody(str(errors[0].get("ctx", {}).get("error", "it cannot be read")))
-    problems = body_problems(errors, from_json(body))
+    problems = body_problems(errors, from_json(body), kind)
     raise Rejected(" ".join(problem.detail for problem in problems[:5]), problems)
 
 
-def fingerprint(spec: JobSpec) -> str:
+def fingerprint(spec: JobSpec | SweepSpec) -> str:
     """Equal for bodies with the same content, regardless of spacing and order."""
     said = spec.model_dump(mode="json", exclude_unset=True)
-    return hashlib.sha256(json.dumps([spec.kind, said], sort_keys=True).encode()).hexdigest()
+    kind = "sweep" if isinstance(spec, SweepSpec) else spec.kind
+    return hashlib.sha256(json.dumps([kind, said], sort_keys=True).encode()).hexdigest()
 
 
 async def read_body(request: Request, limit: int) -> bytes:
@@ -60,11 +74,22 @@ async def pieces_of(request: Request, limit: int) -> AsyncIterator[bytes]:
         raise BodyTooLarge(limit)
 
 
-async def _submitted(request: Request, service: ServiceDep) -> JobSpec:
+async def _json_body(request: Request, service: ServiceDep) -> bytes:
     media_type = request.headers.get("content-type", "")
     if media_type.partition(";")[0].strip().lower() != "application/json":
         raise UnsupportedMediaType(media_type)
-    return parse(await read_body(request, service.settings.max_body_bytes))
+    return await read_body(request, service.settings.max_body_bytes)
+
+
+JsonBody = Annotated[bytes, Depends(_json_body)]
+
+
+async def _submitted(body: JsonBody) -> JobSpec:
+    return parse(body, JOB_SPEC)
+
+
+async def _submitted_sweep(body: JsonBody) -> SweepSpec:
+    return parse(body, SWEEP_SPEC)
 
 
 async def _idempotency_key(
@@ -88,10 +113,11 @@ async def _idempotency_key(
 
 
 Submitted = Annotated[JobSpec, Depends(_submitted)]
+SubmittedSweep = Annotated[SweepSpec, Depends(_submitted_sweep)]
 IdempotencyKey = Annotated[str | None, Depends(_idempotency_key)]
 
 
-def idempotency(key: str | None, spec: JobSpec) -> Idempotency | None:
+def idempotency(key: str | None, spec: JobSpec | SweepSpec) -> Idempotency | None:
     """The key with the fingerprint of its submission; None without a key."""
     return None if key is None else Idempotency(key, fingerprint(spec))
 

@@ -206,6 +206,32 @@ class JobFinished(Conflict):
     title = "The job has ended"
 
 
+class SweepNotFound(NotFound):
+    code = "sweep-not-found"
+    title = "No such sweep"
+
+    def __init__(self, sweep_id: str) -> None:
+        super().__init__(f"There is no sweep {sweep_id!r}.", sweep=sweep_id)
+
+
+class StaleSweep(Conflict):
+    code = "stale-sweep"
+    title = "The sweep has changed meanwhile"
+
+    def __init__(self, sweep_id: str) -> None:
+        super().__init__(f"Sweep {sweep_id} has changed meanwhile; read it again.", sweep=sweep_id)
+
+
+class SweepNotFinished(Conflict):
+    code = "sweep-not-finished"
+    title = "The sweep has not ended"
+
+
+class SweepFinished(Conflict):
+    code = "sweep-finished"
+    title = "The sweep has ended"
+
+
 class ObjectNotFound(NotFound):
     code = "object-not-found"
     title = "No such object"

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         WaitTimeout,
     )
     from gaitway.retry import Retry
+    from gaitway.sweep_views import SweepView
     from gaitway.views import ArtifactView, Event, JobView, MetricsRow, Page, ProgressView
 
 __all__ = [
@@ -44,11 +45,19 @@ __all__ = [
     "ProgressView",
     "Rejected",
     "Retry",
+    "SweepView",
     "Unavailable",
     "Unreachable",
     "WaitTimeout",
 ]
-_HOMES = ("gaitway.errors", "gaitway.views", "gaitway.retry", "gaitway.client", "gaitway.async_client")
+_HOMES = (
+    "gaitway.errors",
+    "gaitway.views",
+    "gaitway.sweep_views",
+    "gaitway.retry",
+    "gaitway.client",
+    "gaitway.async_client",
+)
 
 
 def __getattr__(name: str) -> object:

@@ -14,6 +14,7 @@ from gaitway.client import Client, address
 from gaitway.downloading import OnBytes
 from gaitway.notebook import Card
 from gaitway.retry import Retry
+from gaitway.sweep_views import SweepView
 from gaitway.views import (
     ArtifactView,
     EnvironmentView,
@@ -88,6 +89,31 @@ class AsyncClient:
 
     async def specification(self, job_id: str) -> dict[str, Any]:
         return await self._transport.do(self._calls.specification(job_id))
+
+    # Sweeps
+
+    async def sweep(
+        self, spec: Mapping[str, Any] | None = None, *, idempotency_key: str | None = None, **fields: Any
+    ) -> SweepView:
+        return await self._transport.do(self._calls.sweep(spec, idempotency_key, fields))
+
+    async def get_sweep(self, sweep_id: str) -> SweepView:
+        return await self._transport.do(self._calls.get_sweep(sweep_id))
+
+    def sweeps(self, *, limit: int | None = None, status: str | None = None) -> AsyncIterator[SweepView]:
+        return self._transport.each(self._calls.sweeps(limit, status))
+
+    async def cancel_sweep(self, sweep_id: str) -> SweepView:
+        return await self._transport.do(self._calls.cancel_sweep(sweep_id))
+
+    async def resume_sweep(self, sweep_id: str, **budget: Any) -> SweepView:
+        return await self._transport.do(self._calls.resume_sweep(sweep_id, budget))
+
+    async def delete_sweep(self, sweep_id: str) -> None:
+        await self._transport.do(self._calls.delete_sweep(sweep_id))
+
+    async def wait_for_sweep(self, sweep_id: str, timeout: float | None = None) -> SweepView:
+        return await self._transport.do(self._calls.wait_for_sweep(sweep_id, timeout))
 
     # Following a job
 

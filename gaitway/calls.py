@@ -23,6 +23,7 @@ from gaitway.errors import NotFound, Rejected, WaitTimeout
 from gaitway.following import follow_feed, follow_log
 from gaitway.retry import Retry, request
 from gaitway.steps import Call, Feed, Found, Request, Run, Sleep, read_through
+from gaitway.sweep_views import SweepView
 from gaitway.views import (
     ArtifactView,
     EnvironmentView,
@@ -90,6 +91,57 @@ class Calls:
     def specification(self, job_id: str) -> Call[dict[str, Any]]:
         response = yield from self._ask("GET", job_path(job_id, "specification"))
         return response.json()
+
+    # Sweeps
+
+    def sweep(
+        self, spec: Mapping[str, Any] | None, idempotency_key: str | None, fields: Mapping[str, Any]
+    ) -> Call[SweepView]:
+        document = {**(spec or {}), **fields}
+        if isinstance(job := document.get("job"), Mapping):
+            document["job"] = {"kind": "train", **job}
+        headers = {"Idempotency-Key": idempotency_key or uuid.uuid4().hex}
+        return self._sweep("POST", "/sweeps", json=document, headers=headers)
+
+    def get_sweep(self, sweep_id: str) -> Call[SweepView]:
+        return self._sweep("GET", _sweep_path(sweep_id))
+
+    def sweeps(self, limit: int | None, status: str | None) -> Feed:
+        cursor, left = None, limit
+        while left is None or left > 0:
+            params = {"limit": min(left or 100, 100), "status": status, "cursor": cursor}
+            asked = {name: value for name, value in params.items() if value is not None}
+            answer = yield from self._ask("GET", "/sweeps", params=asked)
+            page = Page[SweepView].model_validate_json(answer.content)
+            for sweep in page.items:
+                yield Found(sweep)
+            left = None if left is None else left - len(page)
+            cursor = page.next
+            if cursor is None:
+                return
+
+    def cancel_sweep(self, sweep_id: str) -> Call[SweepView]:
+        return self._sweep("POST", _sweep_path(sweep_id, "cancel"))
+
+    def resume_sweep(self, sweep_id: str, budget: Mapping[str, Any]) -> Call[SweepView]:
+        return self._sweep("POST", _sweep_path(sweep_id, "resume"), json={"budget": budget})
+
+    def delete_sweep(self, sweep_id: str) -> Call[None]:
+        yield from self._ask("DELETE", _sweep_path(sweep_id))
+
+    def wait_for_sweep(self, sweep_id: str, timeout: float | None) -> Call[SweepView]:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not (sweep := (yield from self.get_sweep(sweep_id))).is_final:
+            if deadline is not None and time.monotonic() > deadline:
+                raise WaitTimeout(
+                    f"Sweep {sweep_id} is still {sweep.status} after {timeout:g} s; it continues."
+                )
+            yield Sleep(_POLL_S)
+        return sweep
+
+    def _sweep(self, method: str, path: str, **content: Any) -> Call[SweepView]:
+        answer = yield from self._ask(method, path, **content)
+        return SweepView.model_validate_json(answer.content)
 
     # Following a job
 
@@ -350,6 +402,10 @@ def preview_query(
 def job_path(job_id: str, *parts: str) -> str:
     # Quoted, so that an id or a name with a slash or dots cannot become another address.
     return "/".join(["/jobs", *(quote(part, safe="") for part in (job_id, *parts))])
+
+
+def _sweep_path(sweep_id: str, *parts: str) -> str:
+    return "/".join(["/sweeps", *(quote(part, safe="") for part in (sweep_id, *parts))])
 
 
 def _target(name: str, path: str | Path | None) -> Path:

@@ -14,6 +14,7 @@ from gaitway.downloading import OnBytes
 from gaitway.errors import GaitwayError
 from gaitway.notebook import Card
 from gaitway.retry import Retry
+from gaitway.sweep_views import SweepView
 from gaitway.transport import Transport
 from gaitway.views import (
     ArtifactView,
@@ -116,6 +117,42 @@ class Client:
     def specification(self, job_id: str) -> dict[str, Any]:
         """The job's specification with all defaults filled in, which can be submitted again."""
         return self._transport.do(self._calls.specification(job_id))
+
+    # Sweeps
+
+    def sweep(
+        self, spec: Mapping[str, Any] | None = None, *, idempotency_key: str | None = None, **fields: Any
+    ) -> SweepView:
+        """Start a sweep, whose trials are jobs (docs/sweeps.md).
+
+        `sweep(job={"environment": "ant"}, method="grid", parameters={"seed": [1, 2]})`; fields override those
+        of `spec`, and the job's `kind` is `train` by default. Retries of the request make only one sweep.
+        """
+        return self._transport.do(self._calls.sweep(spec, idempotency_key, fields))
+
+    def get_sweep(self, sweep_id: str) -> SweepView:
+        """The sweep as it is now, with its trials, the best so far and the importance of its axes."""
+        return self._transport.do(self._calls.get_sweep(sweep_id))
+
+    def sweeps(self, *, limit: int | None = None, status: str | None = None) -> Iterator[SweepView]:
+        """Sweeps, newest first, without their trials; at most `limit`."""
+        return self._transport.each(self._calls.sweeps(limit, status))
+
+    def cancel_sweep(self, sweep_id: str) -> SweepView:
+        """Start no more trials, and cancel those that run; they keep their work."""
+        return self._transport.do(self._calls.cancel_sweep(sweep_id))
+
+    def resume_sweep(self, sweep_id: str, **budget: Any) -> SweepView:
+        """Continue under another budget, which counts the trials so far: `resume_sweep(id, jobs=40)`."""
+        return self._transport.do(self._calls.resume_sweep(sweep_id, budget))
+
+    def delete_sweep(self, sweep_id: str) -> None:
+        """Remove the record of an ended sweep; its jobs stay."""
+        self._transport.do(self._calls.delete_sweep(sweep_id))
+
+    def wait_for_sweep(self, sweep_id: str, timeout: float | None = None) -> SweepView:
+        """The sweep once it has ended. timeout: seconds; then it raises WaitTimeout."""
+        return self._transport.do(self._calls.wait_for_sweep(sweep_id, timeout))
 
     # Following a job
 

@@ -23,6 +23,7 @@ from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_records
 from core.jobs.strays import StrayMessages
 from core.settings import ReconcilerSettings
+from core.sweeps.controller import SweepController
 from core.telemetry import configure_logging
 from core.user_models import library
 from worker.host.health import show_life
@@ -90,6 +91,7 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
     return [
         Chore("jobs", every_s, Reconciler(store, queue, settings.lease).look),
         Chore("feeds", every_s, partial(feeds.compact, store=store, objects=objects)),
+        Chore("sweeps", every_s, SweepController(store, queue, objects).look),
         Chore("copies", every_s, partial(copy_records, store=store, objects=objects)),
         Chore("messages", 10 * every_s, StrayMessages(queue).look),
         Chore("record", _TIDY_EVERY_S, store.tidy),

@@ -10,11 +10,12 @@ import { Failure } from "./parts/states.js";
 const VIEWS = {
   jobs: ({ path }) => (path.length ? import("./views/job.js") : import("./views/jobs.js")),
   compare: () => import("./views/compare.js"),
+  sweeps: ({ path }) => (path.length ? import("./views/sweep.js") : import("./views/sweeps.js")),
   submit: () => import("./views/submit.js"),
   models: () => import("./views/models.js"),
   workers: () => import("./views/workers.js"),
 };
-const NAMES = { jobs: "Jobs", submit: "Submit", models: "Models", workers: "Workers" };
+const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", workers: "Workers" };
 
 function useView(name, path) {
   const [view, setView] = useState({});

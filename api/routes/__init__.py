@@ -14,6 +14,7 @@ from api.routes import (
     problems,
     replay,
     sharing,
+    sweeps,
 )
 
 ROUTERS = (
@@ -24,6 +25,7 @@ ROUTERS = (
     files.router,
     replay.router,
     sharing.router,
+    sweeps.router,
     models.router,
     previews.router,  # Before the catalog's, whose ids may have slashes.
     catalog.router,

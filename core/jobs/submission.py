@@ -31,14 +31,19 @@ def submit(
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
         return known
-    spec = completed(spec)
-    check(spec, store)
-    now = store.now()
-    job = store.add(Job(id=new_job_id(now), spec=spec, created_at=now), idempotency)
+    job = store.add(new_job(spec, store), idempotency)
     dispatch = Dispatch("attempt", job.id, job.next_attempt)
     if hand_over(dispatch, store=store, queue=queue, job=job):
         acknowledge(dispatch)
     return job
+
+
+def new_job(spec: JobSpec, store: JobStore) -> Job:
+    """The job of a submission, checked and not stored yet. Raises Rejected."""
+    spec = completed(spec)
+    check(spec, store)
+    now = store.now()
+    return Job(id=new_job_id(now), spec=spec, created_at=now)
 
 
 def completed(spec: JobSpec) -> JobSpec:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from gaitway.cli import compare, environments, files, jobs, models, preview, service, submit, watch
+from gaitway.cli import compare, environments, files, jobs, models, preview, service, submit, sweeps, watch
 from gaitway.cli.errors import Group
 from gaitway.client import Client
 
@@ -47,7 +47,9 @@ for command in (
     files.share,
     files.download,
     preview.preview,
+    sweeps.sweep,
 ):
     app.command()(command)
 app.add_typer(models.models, name="models")
+app.add_typer(sweeps.sweeps, name="sweeps")
 service.add_commands(app)

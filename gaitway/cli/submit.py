@@ -55,7 +55,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
     as_json: AsJson = False,
 ) -> None:
     """Queue a training (or, from a file, a rollout)."""
-    spec = _read(file) if file else {}
+    spec = read(file) if file else {}
     if environment is not None:
         spec["environment"] = environment
     if "environment" not in spec:
@@ -143,7 +143,8 @@ def _value(text: str) -> Any:
         return text
 
 
-def _read(file: str) -> dict[str, Any]:
+def read(file: str) -> dict[str, Any]:
+    """The JSON object in a file; `-` is stdin. Raises typer.Exit."""
     try:
         text = sys.stdin.read() if file == "-" else Path(file).read_text(encoding="utf-8")
         document = json.loads(text)

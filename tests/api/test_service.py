@@ -28,6 +28,7 @@ from core.environments.catalog import ENVIRONMENTS
 from core.errors import GaitwayError, Rejected
 from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact
+from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
 from core.jobs.store import WorkerInfo
 from core.reasons import Reason
@@ -248,7 +249,7 @@ def test_every_reference_of_the_documentation_leads_somewhere(stack: Stack) -> N
 
 @pytest.mark.parametrize("name", list(EXAMPLES))
 def test_the_examples_are_valid(name: str) -> None:
-    assert parse(json.dumps(EXAMPLES[name]["value"]).encode()).kind in ("train", "rollout")
+    assert parse(json.dumps(EXAMPLES[name]["value"]).encode(), JOB_SPEC).kind in ("train", "rollout")
 
 
 _JSON = st.recursive(
@@ -282,7 +283,7 @@ _BODIES = st.builds(
 @given(body=_BODIES | _JSON)
 def test_no_document_does_more_than_be_refused(body: Any) -> None:
     try:
-        parse(json.dumps(body).encode())
+        parse(json.dumps(body).encode(), JOB_SPEC)
     except (Rejected, MalformedBody) as error:
         places = error.problems
         assert places

@@ -34,6 +34,7 @@ from tests.contract.recording import (
     say,
     worker,
 )
+from tests.unit.sweeps.making import sweep_of, trial_of
 
 OURS = {table.name for table in metadata.sorted_tables}
 
@@ -100,6 +101,8 @@ def fill(engine: Engine) -> Job:
     jobs.replace_by_chunk(claimed.id, chunk_of(jobs.oldest_entries(claimed.id, "logs", limit=1)))
     jobs.add_model(model(status="validating"))
     jobs.announce(worker("w"), LEASE)
+    sweep = jobs.add_sweep(sweep_of(), Idempotency("k", "body"))
+    jobs.add_trial(sweep.id, trial_of(0, job=None), None)
     return published
 
 

@@ -9,8 +9,10 @@ from zipfile import ZipFile
 import pytest
 from typer.testing import CliRunner, Result
 
+from core.jobs.job import Progress
 from core.jobs.status import JobStatus
 from core.reasons import Reason
+from core.sweeps.controller import SweepController
 from gaitway import Client, Conflict, NotFound, NotReady, Rejected, WaitTimeout
 from gaitway.cli.main import app
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
@@ -302,3 +304,65 @@ def test_the_cli_fetches_files_and_cancels(stack: Stack, tmp_path: Path) -> None
     assert gaitway(stack, "download", "last", "video.mp4", "-o", str(tmp_path)).exit_code == 0
     assert gaitway(stack, "download", "last", "absent").exit_code == 1
     assert "cancelling" in gaitway(stack, "cancel", "last").stdout
+
+
+SWEEP = {
+    "name": "seeds",
+    "job": {"environment": "ant", "algorithm": {"num_timesteps": 1000}},
+    "method": "grid",
+    "parameters": {"seed": [1, 2, 3]},
+}
+
+
+def test_a_sweep_is_started_watched_cancelled_resumed_and_deleted(client: Client, stack: Stack) -> None:
+    look = SweepController(stack.store, stack.queue, stack.objects).look
+    sweep = client.sweep(SWEEP, budget={"parallel": 1})
+    assert (sweep.status, sweep.is_final, sweep.metrics) == ("running", False, ["eval/episode_reward"])
+    look()
+    assert client.cancel_sweep(sweep.id).status == "cancelling"
+    look()
+    look()
+    assert client.wait_for_sweep(sweep.id, timeout=5).status == "cancelled"
+    assert client.resume_sweep(sweep.id, parallel=2).status == "running"
+    with pytest.raises(WaitTimeout):
+        client.wait_for_sweep(sweep.id, timeout=0)
+    look()
+    found = client.get_sweep(sweep.id)
+    assert [trial.status for trial in found.trials] == ["cancelled", "queued", "queued"]
+    assert [one.id for one in client.sweeps(status="running")] == [sweep.id]
+    with pytest.raises(Conflict):
+        client.delete_sweep(sweep.id)
+    with pytest.raises(Rejected) as caught:
+        client.sweep(SWEEP, parameters={})
+    assert [error.pointer for error in caught.value.errors] == ["/parameters"]
+
+
+def test_sweeps_by_the_cli(stack: Stack, tmp_path: Path) -> None:
+    file = tmp_path / "sweep.json"
+    file.write_text(json.dumps(SWEEP))
+    assert gaitway(stack, "sweeps").output == "No sweeps.\n"
+    submitted = gaitway(stack, "sweep", str(file))
+    assert submitted.exit_code == 0, submitted.output
+    sweep_id = submitted.output.strip()
+    controller = SweepController(stack.store, stack.queue, stack.objects)
+    controller.look()
+    for number, trial in enumerate(stack.store.trials([sweep_id])[sweep_id]):
+        attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
+        progress = Progress(step=9, metrics={"eval/episode_reward": 10.0 * number})
+        stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
+        attempt.end()
+    controller.look()
+    [listed] = json.loads(gaitway(stack, "sweeps", "--json").output)
+    assert (listed["id"], listed["status"]) == (sweep_id, "succeeded")
+    shown = gaitway(stack, "sweeps", "show", "last").output
+    rows = [line.split()[:4] for line in shown.splitlines() if "succeeded" in line.split()[1:2]]
+    assert rows == [
+        ["2", "succeeded", "20", "3"],
+        ["1", "succeeded", "10", "2"],
+        ["0", "succeeded", "0", "1"],
+    ]
+    assert "3 of 3" in gaitway(stack, "sweeps").output
+    assert gaitway(stack, "sweeps", "resume", sweep_id, "--jobs", "9").exit_code != 0
+    assert gaitway(stack, "sweeps", "cancel", sweep_id[-6:]).exit_code != 0
+    assert "its jobs stay" in gaitway(stack, "sweeps", "delete", sweep_id).output
+    assert gaitway(stack, "sweeps", "show", "nonsense").exit_code == 2

@@ -10,6 +10,7 @@ _WRITES = frozenset(
     {
         *("add", "save", "take_back", "delete", "beat", "dispatched", "renew", "record", "replace_by_chunk"),
         *("copied", "restore", "replace_chunk", "announce", "withdraw", "tidy"),
+        *("add_sweep", "save_sweep", "delete_sweep", "add_trial", "save_trial"),
         *("enqueue", "remove"),
         *("put", "put_file", "delete_prefix"),
     }

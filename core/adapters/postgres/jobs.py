@@ -20,6 +20,7 @@ from core.adapters.postgres import (
     references,
     saving,
     submissions,
+    sweeps,
     workers,
 )
 from core.adapters.postgres.clock import Clock
@@ -40,6 +41,8 @@ from core.jobs.store import (
     Page,
     WorkerInfo,
 )
+from core.sweeps.store import SweepPage
+from core.sweeps.sweep import Sweep, SweepStatus, Trial
 from core.user_models.record import ModelRecord
 
 # Built once: it is a part of every claim.
@@ -47,7 +50,9 @@ _SELECT_NOW = select(NOW)
 
 
 class PostgresJobStore:
-    """A JobStore for many processes; thread-safe. The engine comes from `connect_postgres`.
+    """A SweepStore, and so a JobStore, for many processes; thread-safe.
+
+    The engine comes from `connect_postgres`.
 
     Each method is one transaction, or a few statements that are one each; the statements are in the modules
     beside this one. clock_age: how long `now` extrapolates from the database's last answer.
@@ -271,6 +276,56 @@ class PostgresJobStore:
     def models(self) -> Sequence[ModelRecord]:
         with self._statements() as connection:
             return models.every(connection)
+
+    # ---- sweeps ----------------------------------------------------------------------------------
+
+    def add_sweep(self, sweep: Sweep, idempotency: Idempotency | None = None) -> Sweep:
+        with self._transaction() as connection:
+            return sweeps.add(connection, sweep, idempotency)
+
+    def get_sweep(self, sweep_id: str) -> Sweep:
+        with self._statements() as connection:
+            return sweeps.get(connection, sweep_id)
+
+    def save_sweep(self, sweep: Sweep) -> None:
+        with self._statements() as connection:
+            sweeps.save(connection, sweep)
+
+    def delete_sweep(self, sweep_id: str, version: int) -> None:
+        with self._statements() as connection:
+            sweeps.remove(connection, sweep_id, version)
+
+    def list_sweeps(
+        self, *, status: SweepStatus | None = None, cursor: str | None = None, limit: int = 50
+    ) -> SweepPage:
+        before = None if cursor is None else check_cursor(cursor)
+        with self._statements() as connection:
+            found = sweeps.newest(connection, status, before, limit + 1)
+        return SweepPage(found[:limit], found[limit - 1].id if len(found) > limit else None)
+
+    def active_sweeps(self) -> Sequence[Sweep]:
+        with self._statements() as connection:
+            return sweeps.active(connection)
+
+    def trials(self, sweep_ids: Collection[str]) -> Mapping[str, Sequence[Trial]]:
+        if not sweep_ids:
+            return {}
+        with self._statements() as connection:
+            return sweeps.trials_of(connection, sweep_ids)
+
+    def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
+        if not job_ids:
+            return {}
+        with self._statements() as connection:
+            return sweeps.jobs_of(connection, job_ids)
+
+    def add_trial(self, sweep_id: str, trial: Trial, job: Job | None) -> bool:
+        with self._transaction() as connection:
+            return sweeps.add_trial(connection, sweep_id, trial, job)
+
+    def save_trial(self, sweep_id: str, trial: Trial) -> bool:
+        with self._statements() as connection:
+            return sweeps.save_trial(connection, sweep_id, trial)
 
     # ---- workers ---------------------------------------------------------------------------------
 

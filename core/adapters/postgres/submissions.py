@@ -50,7 +50,7 @@ def _add_row(connection: Connection, job: Job, idempotency: Idempotency | None) 
     row = rows.new_job_values(job)
     values = {**row, "attempt": job.next_attempt, "is_queued": job.status == JobStatus.QUEUED}
     if idempotency is not None:
-        values |= {"key_hash": _hashed(idempotency.key), "fingerprint": idempotency.fingerprint}
+        values |= {"key_hash": hashed(idempotency.key), "fingerprint": idempotency.fingerprint}
     statement = _statement(tuple(row), has_key=idempotency is not None)
     return connection.execute(statement, values).first() is not None
 
@@ -89,7 +89,7 @@ def remembered(connection: Connection, idempotency: Idempotency) -> str | None:
     """The id of the job that was submitted with this key. Raises IdempotencyKeyReused."""
     row = connection.execute(
         select(idempotency_keys).where(
-            idempotency_keys.c.key_hash == _hashed(idempotency.key),
+            idempotency_keys.c.key_hash == hashed(idempotency.key),
             idempotency_keys.c.forgotten_at > NOW,
         )
     ).first()
@@ -118,5 +118,5 @@ def forget_old_keys(connection: Connection) -> None:
     connection.execute(delete(idempotency_keys).where(idempotency_keys.c.forgotten_at <= NOW))
 
 
-def _hashed(key: str) -> str:
+def hashed(key: str) -> str:
     return hashlib.sha256(key.encode("utf-8", "surrogatepass")).hexdigest()

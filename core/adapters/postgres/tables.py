@@ -9,6 +9,8 @@ dispatches  messages for RQ that are not sent yet; written in the transaction th
 models      users' own models, by the hash of their bytes
 workers     the last announcement of each worker
 idempotency_keys   the submissions of the last day that came with a key
+sweeps      one row per sweep; `key_hash` is that of the idempotency key that its submission came with
+trials      one row per trial of a sweep: the primary key lets each number begin once
 pulse       one row: when the reconciler last reached this database
 
 Documents are JSON stored as text: PostgreSQL's JSON types refuse the character U+0000, which a log may hold.
@@ -188,6 +190,38 @@ idempotency_keys = Table(
 )
 Index("idempotency_keys_by_job", idempotency_keys.c.job_id)
 Index("idempotency_keys_by_end", idempotency_keys.c.forgotten_at)
+
+sweeps = Table(
+    "sweeps",
+    metadata,
+    Column("id", String(collation="C"), primary_key=True),
+    Column("version", Integer, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("spec", Text, nullable=False),
+    Column("message", Text),
+    _moment("created_at", nullable=False),
+    _moment("finished_at"),
+    # What was computed from its trials: their importance.
+    Column("found", Text, nullable=False, server_default="{}"),
+    Column("key_hash", Text, unique=True),
+    Column("fingerprint", Text),
+)
+_IS_ACTIVE = text("status IN ('running', 'cancelling')")
+Index("sweeps_active", sweeps.c.id, postgresql_where=_IS_ACTIVE)
+
+trials = Table(
+    "trials",
+    metadata,
+    Column[Any]("sweep_id", ForeignKey(sweeps.c.id, ondelete="CASCADE"), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    # Null if the trial never became a job, or its job was deleted.
+    Column[Any]("job_id", ForeignKey(jobs.c.id, ondelete="SET NULL")),
+    Column("outcome", Text),
+    _moment("created_at", nullable=False),
+    # The rest of the record.
+    Column("said", Text, nullable=False),
+)
+Index("trials_by_job", trials.c.job_id)
 
 pulse = Table(
     "pulse",

@@ -1,0 +1,78 @@
+/** One sweep: the best so far, what matters, how settings and results lie together, and every trial. */
+
+import { get, post } from "../lib/api.js";
+import { ago, duration, seconds } from "../lib/format.js";
+import { html, useState } from "../lib/html.js";
+import { useLive } from "../lib/live.js";
+import { change, href } from "../lib/route.js";
+import { byObjective, isOver, title } from "../lib/sweep.js";
+import { Confirm } from "../parts/confirm.js";
+import { Copy } from "../parts/copy.js";
+import { Failure, Loading } from "../parts/states.js";
+import { Labels, Status } from "../parts/status.js";
+import { BestSoFar } from "./sweep/best.js";
+import { Groups } from "./sweep/groups.js";
+import { Importance } from "./sweep/importance.js";
+import { Parallel } from "./sweep/parallel.js";
+import { Trials } from "./sweep/trials.js";
+
+const MOST_COMPARED = 20;
+
+export default function Sweep({ path, query }) {
+  const [id] = path;
+  const { data: sweep, error, again } = useLive(
+    (signal) => get(`/sweeps/${encodeURIComponent(id)}`, {}, { signal }),
+    [id],
+    (found) => (isOver(found) ? 0 : 2000),
+  );
+  if (!sweep) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="the sweep" />`;
+  const picked = query.getAll("pick").map(Number);
+  const pick = (number) =>
+    change({ pick: picked.includes(number) ? picked.filter((one) => one !== number) : [...picked, number] }, true);
+  return html`<div class="stack">
+    <${Head} sweep=${sweep} again=${again} />
+    ${error && html`<${Failure} error=${error} again=${again} />`}
+    <div class="halves">
+      <${BestSoFar} sweep=${sweep} />
+      <${Importance} sweep=${sweep} />
+    </div>
+    <${Parallel} sweep=${sweep} picked=${picked} />
+    <${Groups} sweep=${sweep} />
+    <${Trials} sweep=${sweep} picked=${picked} pick=${pick} />
+    <details><summary>Specification</summary><${Copy} text=${JSON.stringify(sweep.spec, null, 2)} name="The sweep as JSON" /></details>
+    ${picked.length > 0 && html`<${Picked} sweep=${sweep} picked=${picked} />`}
+  </div>`;
+}
+
+function Head({ sweep, again }) {
+  const [refusal, setRefusal] = useState(null);
+  const cancel = () => post(sweep.links.cancel).then(again, setRefusal);
+  const counted = Object.entries(sweep.num_trials).map(([status, number]) => `${number} ${status}`).join(", ");
+  const best = byObjective(sweep).filter((trial) => trial.job).slice(0, 5);
+  return html`<div>
+    <div class="title">
+      <h1>${title(sweep)}</h1>
+      <span class="actions">
+        ${best.length > 1 && html`<a class="button" href=${compared(best)}>Curves of the best ${best.length}</a>`}
+        ${sweep.status === "running" && html`<${Confirm} text="Cancel" question="Cancel the sweep and its trials?" isDangerous onYes=${cancel} />`}
+      </span>
+    </div>
+    <div class="about-job">
+      <${Status} job=${sweep} />
+      <span class="facts">${counted || "no trial yet"}, of ${sweep.max_trials} at most · ${sweep.spec.method} · began ${ago(sweep.created_at)}${sweep.finished_at ? `, took ${duration(seconds(sweep.created_at, sweep.finished_at))}` : ""}</span>
+      <a href=${href(["jobs"], { label: `sweep:${sweep.id}` })}>Its jobs</a>
+    </div>
+    <${Labels} labels=${sweep.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
+    ${sweep.message && html`<p class="message ${sweep.status}">${sweep.message}</p>`}
+    ${refusal && html`<${Failure} error=${refusal} />`}
+  </div>`;
+}
+
+const compared = (trials) =>
+  href(["compare"], { ids: trials.map((trial) => trial.job).filter(Boolean).slice(0, MOST_COMPARED).join(",") });
+
+const Picked = ({ sweep, picked }) => html`<div class="picked" role="status">
+  <span>${picked.length} picked</span>
+  <a class="button" href=${compared(sweep.trials.filter((trial) => picked.includes(trial.number)))}>Compare</a>
+  <button type="button" class="plain" onClick=${() => change({ pick: [] }, true)}>Clear</button>
+</div>`;

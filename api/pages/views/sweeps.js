@@ -1,0 +1,51 @@
+/** All sweeps, newest first. */
+
+import { get } from "../lib/api.js";
+import { ago, value } from "../lib/format.js";
+import { html } from "../lib/html.js";
+import { useLive } from "../lib/live.js";
+import { href } from "../lib/route.js";
+import { isOver, objectivesOf, title } from "../lib/sweep.js";
+import { Empty, Failure, Loading } from "../parts/states.js";
+import { Status } from "../parts/status.js";
+
+const LIMIT = 50;
+
+export default function Sweeps({ query }) {
+  const cursor = query.get("cursor");
+  const { data, error, again } = useLive(
+    (signal) => get("/sweeps", { cursor, limit: LIMIT }, { signal }),
+    [cursor],
+    (page) => (page.items.some((sweep) => !isOver(sweep)) ? 3000 : 10_000),
+  );
+  if (!data) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="sweeps" />`;
+  return html`<div class="stack">
+    <h1>Sweeps</h1>
+    ${error && html`<${Failure} error=${error} again=${again} />`}
+    ${!data.items.length && html`<${Empty}>
+      <p>No sweeps yet.</p>
+      <p>Start one from a shell: <code>gaitway sweep sweep.json</code>, or by <a href="/docs">POST /sweeps</a></p>
+    <//>`}
+    ${data.items.length > 0 && html`<div class="card table" tabindex="0" role="region" aria-label="Sweeps"><table>
+      <thead><tr><th>Sweep</th><th>Method</th><th>Status</th><th class="number">Trials</th><th>Best</th><th>Began</th></tr></thead>
+      <tbody>${data.items.map((sweep) => html`<${Row} key=${sweep.id} sweep=${sweep} />`)}</tbody>
+    </table></div>`}
+    <nav class="pages" aria-label="Pages of sweeps">
+      ${cursor && html`<a href="#/sweeps">Newest</a>`}
+      ${data.next && html`<a href=${href(["sweeps"], { cursor: data.next })} rel="next">Older sweeps</a>`}
+    </nav>
+  </div>`;
+}
+
+function Row({ sweep }) {
+  const begun = Object.values(sweep.num_trials).reduce((sum, number) => sum + number, 0);
+  const [best] = sweep.best;
+  return html`<tr>
+    <td><a href=${href(["sweeps", sweep.id])}>${title(sweep)}</a></td>
+    <td>${sweep.spec.method}</td>
+    <td><${Status} job=${sweep} /></td>
+    <td class="number">${begun} of ${sweep.max_trials}</td>
+    <td>${best ? html`${value(best.values[0])} <span class="facts">${objectivesOf(sweep)[0].metric}</span>` : "–"}</td>
+    <td><time datetime=${sweep.created_at}>${ago(sweep.created_at)}</time></td>
+  </tr>`;
+}

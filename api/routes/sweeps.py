@@ -1,0 +1,156 @@
+"""Sweeps: submit, list, read, cancel, resume, delete."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, Response
+from pydantic import AfterValidator, Field
+
+from api.dependencies import Parameters, Service, ServiceDep
+from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
+from api.problems import refusals
+from api.routes.jobs import Cursor
+from api.submissions import RESUMPTION, IdempotencyKey, JsonBody, SubmittedSweep, idempotency, parse
+from api.sweep_examples import EXAMPLES
+from api.sweep_views import SweepDetails, SweepView
+from api.views import Listing
+from core.errors import (
+    IdempotencyKeyReused,
+    JobNotFound,
+    RecordsUnavailable,
+    Rejected,
+    SweepFinished,
+    SweepNotFinished,
+    SweepNotFound,
+)
+from core.jobs.job import JOB_ID, Job, UnreadableJob, check_job_id
+from core.sweeps.life import cancel_sweep, delete_sweep, resume_sweep
+from core.sweeps.submission import submit_sweep
+from core.sweeps.sweep import Sweep, SweepStatus, Trial
+
+router = APIRouter(tags=["sweeps"])
+
+
+def _check_sweep_id(text: str) -> str:
+    try:
+        return check_job_id(text)
+    except JobNotFound:
+        raise SweepNotFound(text[:64]) from None
+
+
+SweepId = Annotated[
+    str,
+    Path(
+        description="A sweep's id.",
+        examples=["019aa3c2f0b1-5be0c1d2e3"],
+        json_schema_extra={"pattern": f"^{JOB_ID}$"},
+    ),
+    AfterValidator(_check_sweep_id),
+]
+
+
+def _body(schema: str, examples: Mapping[str, Any]) -> dict[str, Any]:
+    content = {"schema": {"$ref": f"#/components/schemas/{schema}"}, "examples": examples}
+    return {"requestBody": {"required": True, "content": {"application/json": content}}}
+
+
+class Listed(Parameters):
+    """Filters of a listing."""
+
+    status: SweepStatus | None = None
+    cursor: Cursor | None = Field(None, description="The `next` of an earlier page.")
+    limit: int = Field(50, ge=1, le=200)
+
+
+@router.post(
+    "/sweeps",
+    status_code=202,
+    response_model=SweepDetails,
+    openapi_extra=_body("SweepSpec", EXAMPLES),
+    response_description="Stored; its trials start within seconds",
+    responses=refusals(
+        MalformedBody,
+        IdempotencyKeyReused,
+        BodyTooLarge,
+        UnsupportedMediaType,
+        Rejected,
+        RecordsUnavailable,
+    ),
+)
+def submit(
+    spec: SubmittedSweep, key: IdempotencyKey, service: ServiceDep, response: Response
+) -> SweepDetails:
+    """Start a sweep: child jobs whose settings vary, by a grid, at random or as Optuna's TPE suggests."""
+    sweep = submit_sweep(spec, store=service.store, idempotency=idempotency(key, spec))
+    response.headers["Location"] = f"/sweeps/{sweep.id}"
+    return _details(sweep, service)
+
+
+@router.get("/sweeps", responses=refusals(Rejected, RecordsUnavailable))
+def list_sweeps(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listing[SweepView]:
+    """Sweeps, newest first."""
+    page = service.store.list_sweeps(status=listed.status, cursor=listed.cursor, limit=listed.limit)
+    trials = service.store.trials([sweep.id for sweep in page.sweeps])
+    jobs = _jobs([trial for each in trials.values() for trial in each], service)
+    now = service.store.now()
+    views = [SweepView.of(sweep, trials.get(sweep.id, ()), jobs, now) for sweep in page.sweeps]
+    return Listing[SweepView](items=views, next=page.next_cursor)
+
+
+@router.get("/sweeps/{sweep_id}", responses=refusals(SweepNotFound, RecordsUnavailable))
+def read(sweep_id: SweepId, service: ServiceDep) -> SweepDetails:
+    """A sweep as it is now, with its trials, the best so far, and the importance of its axes."""
+    return _details(service.store.get_sweep(sweep_id), service)
+
+
+@router.post(
+    "/sweeps/{sweep_id}/cancel",
+    status_code=202,
+    response_description="No trial starts any more; those that run are cancelled and keep their work",
+    responses=refusals(SweepNotFound, SweepFinished, RecordsUnavailable),
+)
+def cancel(sweep_id: SweepId, service: ServiceDep) -> SweepDetails:
+    """Cancel a sweep and all of its trials. Repeating this changes nothing."""
+    return _details(cancel_sweep(sweep_id, store=service.store), service)
+
+
+@router.post(
+    "/sweeps/{sweep_id}/resume",
+    status_code=202,
+    openapi_extra=_body("Resumption", {"more trials": {"value": {"budget": {"jobs": 40, "parallel": 4}}}}),
+    response_description="It continues; its next trials start within seconds",
+    responses=refusals(
+        MalformedBody,
+        SweepNotFound,
+        SweepNotFinished,
+        BodyTooLarge,
+        UnsupportedMediaType,
+        Rejected,
+        RecordsUnavailable,
+    ),
+)
+def resume(sweep_id: SweepId, body: JsonBody, service: ServiceDep) -> SweepDetails:
+    """Continue a sweep under another budget, which counts the trials that it had. They stay as they are."""
+    budget = parse(body, RESUMPTION).budget
+    return _details(resume_sweep(sweep_id, budget, store=service.store), service)
+
+
+@router.delete(
+    "/sweeps/{sweep_id}",
+    status_code=204,
+    responses=refusals(SweepNotFound, SweepNotFinished, RecordsUnavailable),
+)
+def delete(sweep_id: SweepId, service: ServiceDep) -> None:
+    """Delete the record of an ended sweep. Its jobs and their files stay; the label `sweep` finds them."""
+    delete_sweep(sweep_id, store=service.store)
+
+
+def _details(sweep: Sweep, service: Service) -> SweepDetails:
+    trials = service.store.trials([sweep.id]).get(sweep.id, ())
+    return SweepDetails.of(sweep, trials, _jobs(trials, service), service.store.now())
+
+
+def _jobs(trials: Sequence[Trial], service: Service) -> Mapping[str, Job | UnreadableJob]:
+    """The jobs of trials that have not ended; the record of the others says all about them."""
+    going = [trial.job for trial in trials if trial.outcome is None and trial.job is not None]
+    return service.store.jobs_of(going)

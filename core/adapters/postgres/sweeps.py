@@ -1,0 +1,164 @@
+"""The records of sweeps and of their trials."""
+
+import json
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import structlog
+from pydantic_core import from_json
+from sqlalchemy import Connection, Row, delete, select, update
+from sqlalchemy.dialects.postgresql import insert
+
+from core.adapters.postgres import loading, rows, submissions
+from core.adapters.postgres.tables import jobs, sweeps, trials
+from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound
+from core.jobs.job import Job, UnreadableJob
+from core.jobs.store import Idempotency
+from core.sweeps.spec import SWEEP_SPEC
+from core.sweeps.sweep import Sweep, SweepStatus, Trial
+
+log = structlog.get_logger()
+
+_FOUND = {"importance", "importance_note", "num_judged"}
+_ACTIVE = ("running", "cancelling")
+
+
+def add(connection: Connection, sweep: Sweep, idempotency: Idempotency | None) -> Sweep:
+    """Add the sweep; or return the one that has the key. Raises IdempotencyKeyReused."""
+    values = {**_values(sweep), "id": sweep.id, "created_at": sweep.created_at}
+    if idempotency is None:
+        connection.execute(insert(sweeps).values(values))
+        return sweep
+    key_hash = submissions.hashed(idempotency.key)
+    values |= {"key_hash": key_hash, "fingerprint": idempotency.fingerprint}
+    new = insert(sweeps).values(values).on_conflict_do_nothing(index_elements=["key_hash"])
+    if connection.execute(new.returning(sweeps.c.id)).first() is not None:
+        return sweep
+    row = connection.execute(select(sweeps).where(sweeps.c.key_hash == key_hash)).one()
+    if row.fingerprint != idempotency.fingerprint:
+        raise IdempotencyKeyReused(idempotency.key)
+    return _sweep(row)
+
+
+def get(connection: Connection, sweep_id: str) -> Sweep:
+    row = connection.execute(select(sweeps).where(sweeps.c.id == sweep_id)).first()
+    if row is None:
+        raise SweepNotFound(sweep_id[:64])
+    return _sweep(row)
+
+
+def save(connection: Connection, sweep: Sweep) -> None:
+    changed = connection.execute(
+        update(sweeps)
+        .where(sweeps.c.id == sweep.id, sweeps.c.version == sweep.version - 1)
+        .values(_values(sweep))
+        .returning(sweeps.c.id)
+    )
+    if changed.first() is None:
+        _refuse(connection, sweep.id)
+
+
+def remove(connection: Connection, sweep_id: str, version: int) -> None:
+    found = delete(sweeps).where(sweeps.c.id == sweep_id, sweeps.c.version == version)
+    if connection.execute(found.returning(sweeps.c.id)).first() is None:
+        _refuse(connection, sweep_id)
+
+
+def newest(connection: Connection, status: SweepStatus | None, before: str | None, limit: int) -> list[Sweep]:
+    wanted = select(sweeps).order_by(sweeps.c.id.desc()).limit(limit)
+    if status is not None:
+        wanted = wanted.where(sweeps.c.status == status.value)
+    if before is not None:
+        wanted = wanted.where(sweeps.c.id < before)
+    return [_sweep(row) for row in connection.execute(wanted)]
+
+
+def active(connection: Connection) -> Sequence[Sweep]:
+    """Oldest first. One that cannot be read is left out: a newer version may have written it."""
+    found: list[Sweep] = []
+    wanted = select(sweeps).where(sweeps.c.status.in_(_ACTIVE)).order_by(sweeps.c.id)
+    for row in connection.execute(wanted):
+        try:
+            found.append(_sweep(row))
+        except ValueError as error:
+            log.warning("sweep_unreadable", sweep=row.id, problem=str(error))
+    return found
+
+
+def trials_of(connection: Connection, sweep_ids: Collection[str]) -> Mapping[str, Sequence[Trial]]:
+    found: dict[str, list[Trial]] = defaultdict(list)
+    wanted = select(trials).where(trials.c.sweep_id.in_(sweep_ids))
+    for row in connection.execute(wanted.order_by(trials.c.sweep_id, trials.c.number)):
+        found[row.sweep_id].append(_trial(row))
+    return found
+
+
+def jobs_of(connection: Connection, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
+    found = connection.execute(select(jobs).where(jobs.c.id.in_(job_ids))).all()
+    return {job.id: job for job in loading.of_rows(connection, found)}
+
+
+def add_trial(connection: Connection, sweep_id: str, trial: Trial, job: Job | None) -> bool:
+    """Within a transaction: the lock on the sweep's row makes others wait who add trials, or cancel it."""
+    runs = select(sweeps.c.status).where(sweeps.c.id == sweep_id).with_for_update()
+    row = connection.execute(runs).first()
+    if row is None or row.status != SweepStatus.RUNNING:
+        return False
+    there = select(trials.c.number).where(trials.c.sweep_id == sweep_id, trials.c.number == trial.number)
+    if connection.execute(there).first() is not None:
+        return False
+    if job is not None:
+        submissions.add(connection, job)
+    connection.execute(insert(trials).values(sweep_id=sweep_id, **_trial_values(trial)))
+    return True
+
+
+def save_trial(connection: Connection, sweep_id: str, trial: Trial) -> bool:
+    changed = connection.execute(
+        update(trials)
+        .where(trials.c.sweep_id == sweep_id, trials.c.number == trial.number, trials.c.outcome.is_(None))
+        .values(_trial_values(trial))
+        .returning(trials.c.number)
+    )
+    return changed.first() is not None
+
+
+def _values(sweep: Sweep) -> rows.Values:
+    """The columns that change with the version."""
+    said = sweep.model_dump(mode="json")
+    return {
+        "version": sweep.version,
+        "status": sweep.status.value,
+        "spec": json.dumps(said["spec"]),
+        "message": rows.words(sweep.message),
+        "finished_at": sweep.finished_at,
+        "found": json.dumps({name: said[name] for name in _FOUND}),
+    }
+
+
+def _sweep(row: Row[Any]) -> Sweep:
+    """Raises ValueError where another version wrote what this one does not understand."""
+    return Sweep.model_validate(
+        {**rows.columns(row), **from_json(row.found), "spec": SWEEP_SPEC.validate_json(row.spec)}
+    )
+
+
+def _trial_values(trial: Trial) -> rows.Values:
+    return {
+        "number": trial.number,
+        "job_id": trial.job,
+        "outcome": trial.outcome,
+        "created_at": trial.created_at,
+        "said": trial.model_dump_json(exclude={"number", "job", "outcome", "created_at"}),
+    }
+
+
+def _trial(row: Row[Any]) -> Trial:
+    return Trial.model_validate({**from_json(row.said), **rows.columns(row), "job": row.job_id})
+
+
+def _refuse(connection: Connection, sweep_id: str) -> None:
+    if connection.execute(select(sweeps.c.id).where(sweeps.c.id == sweep_id)).first() is None:
+        raise SweepNotFound(sweep_id[:64])
+    raise StaleSweep(sweep_id)

@@ -1,0 +1,162 @@
+"""What a sweep does next: a pure function of its record and of its trials."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+
+from core.errors import Misconfigured
+from core.sweeps.axes import Values, combinations, num_combinations, random_values
+from core.sweeps.pruning import Curve, is_to_prune
+from core.sweeps.spec import MAX_TRIALS, SweepSpec
+from core.sweeps.sweep import Sweep, SweepStatus, Trial
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A trial as it is now. curve: the objective's values by step, read only for pruning."""
+
+    trial: Trial
+    curve: Curve = field(default_factory=dict[int, float])
+
+    @property
+    def is_over(self) -> bool:
+        return self.trial.outcome is not None
+
+
+@dataclass(frozen=True)
+class Start:
+    """Begin a trial with these values."""
+
+    number: int
+    parameters: Values
+    planned_steps: int
+
+
+@dataclass(frozen=True)
+class Prune:
+    """End the trial early and keep its work."""
+
+    trial: Trial
+
+
+@dataclass(frozen=True)
+class Cancel:
+    """Cancel the trial's job, because it is pruned or the sweep is cancelled; again, if that was done."""
+
+    trial: Trial
+
+
+@dataclass(frozen=True)
+class End:
+    """The sweep is over."""
+
+    status: SweepStatus
+    message: str
+
+
+Decision = Start | Prune | Cancel | End
+
+
+def advance(sweep: Sweep, seen: Sequence[Seen], steps_of: Callable[[Values], int]) -> Sequence[Decision]:
+    """The next decisions; the same records give the same ones.
+
+    seen: all trials by their number. steps_of: the environment steps that a trial with these values may take.
+    """
+    going = [one.trial for one in seen if not one.is_over]
+    if sweep.status == SweepStatus.CANCELLING:
+        return [*map(Cancel, going)] or [End(SweepStatus.CANCELLED, _summary("It was cancelled", seen))]
+    ending: list[Decision] = [Cancel(trial) for trial in going if trial.is_pruned]
+    ending += [Prune(trial) for trial in _worth_ending(sweep.spec, seen)]
+    try:
+        starts, why = _starts(sweep, seen, steps_of)
+    except Misconfigured as error:
+        return ending if going else [End(SweepStatus.FAILED, error.detail)]
+    if why is not None and not going and not starts:
+        return [End(SweepStatus.SUCCEEDED, _summary(why, seen))]
+    return [*ending, *starts]
+
+
+def why_no_more(spec: SweepSpec, trials: Sequence[Trial]) -> str | None:
+    """Why no further trial may start, whatever its values: the beginning of a sentence. None if one may."""
+    budget = spec.budget
+    if spec.method == "grid" and len(trials) >= num_combinations(spec.parameters):
+        return "Every combination was tried"
+    if len(trials) >= num_trials(spec):
+        return "Its budget of jobs is used"
+    if budget.gpu_hours is not None and sum(trial.gpu_hours for trial in trials) >= budget.gpu_hours:
+        return "Its budget of GPU hours is used"
+    return None
+
+
+def committed_steps(trials: Sequence[Trial]) -> int:
+    """The environment steps that trials took, or may still take."""
+    return sum(trial.planned_steps if trial.outcome is None else trial.steps for trial in trials)
+
+
+def num_trials(spec: SweepSpec) -> int:
+    """The most trials that it may have."""
+    most = spec.budget.jobs or MAX_TRIALS
+    return min(most, num_combinations(spec.parameters)) if spec.method == "grid" else most
+
+
+def _starts(
+    sweep: Sweep, seen: Sequence[Seen], steps_of: Callable[[Values], int]
+) -> tuple[Sequence[Start], str | None]:
+    """As many as may run side by side, each drawn with those before it; and why no more may start, if so."""
+    spec, found, known = sweep.spec, list[Start](), list(seen)
+    while True:
+        trials = [one.trial for one in known]
+        if (why := why_no_more(spec, trials)) is not None:
+            return found, why
+        if sum(not one.is_over for one in known) >= spec.budget.parallel:
+            return found, None
+        number = len(known)
+        values = drawn(spec, number, known)
+        steps = steps_of(values)
+        if spec.budget.steps is not None and committed_steps(trials) + steps > spec.budget.steps:
+            return found, "Its budget of steps is used"
+        found.append(Start(number, values, steps))
+        trial = Trial(
+            number=number, job=None, parameters=values, planned_steps=steps, created_at=sweep.created_at
+        )
+        known.append(Seen(trial))
+
+
+def drawn(spec: SweepSpec, number: int, seen: Sequence[Seen]) -> Values:
+    """The values of trial `number`. Raises Misconfigured where the method needs a package that is missing."""
+    match spec.method:
+        case "grid":
+            return next(islice(combinations(spec.parameters), number, None))
+        case "random":
+            return random_values(spec, number)
+        case "tpe":
+            from core.sweeps.tpe import ask
+
+            return ask(spec, number, seen)
+
+
+def _worth_ending(spec: SweepSpec, seen: Sequence[Seen]) -> Iterator[Trial]:
+    if spec.pruning is None:
+        return
+    sign = spec.objectives[0].sign
+    curves: Mapping[int, Curve] = {
+        one.trial.number: {step: sign * value for step, value in one.curve.items()} for one in seen
+    }
+    ended = {one.trial.number for one in seen if one.is_over}
+    for one in seen:
+        trial = one.trial
+        if (
+            trial.outcome is None
+            and not trial.is_pruned
+            and is_to_prune(spec.pruning, trial.number, curves, ended)
+        ):
+            yield trial
+
+
+def _summary(why: str, seen: Sequence[Seen]) -> str:
+    counted: dict[str, int] = {}
+    for one in seen:
+        outcome = one.trial.outcome or "running"
+        counted[outcome] = counted.get(outcome, 0) + 1
+    told = ", ".join(f"{number} {outcome}" for outcome, number in counted.items())
+    return f"{why}: {told or 'no trial began'}."

@@ -1,0 +1,99 @@
+"""The values along the axes of a sweep: all combinations of a grid, and random draws."""
+
+import math
+import random
+from collections.abc import Iterator, Mapping
+from itertools import product
+
+from pydantic import JsonValue
+
+from core.sweeps.spec import Axis, Number, Range, SweepSpec
+
+Values = dict[str, JsonValue]
+
+
+def grid_values(axis: Axis) -> list[JsonValue]:
+    """The values of a grid along the axis; the range must have `points` or a `step`."""
+    if not isinstance(axis, Range):
+        return axis
+    if axis.step is not None:
+        return [_along(axis, number) for number in range(_num_steps(axis) + 1)]
+    points = axis.points or 1
+    found = [_between(axis, number / (points - 1) if points > 1 else 0.5) for number in range(points)]
+    return list(dict.fromkeys(found))  # Few whole numbers may lie between the bounds.
+
+
+def num_combinations(parameters: Mapping[str, Axis]) -> int:
+    """Of a grid; counted without making the values, which may be very many."""
+    return math.prod(map(_num_values, parameters.values()))
+
+
+def _num_values(axis: Axis) -> int:
+    if isinstance(axis, Range) and axis.step is not None:
+        return _num_steps(axis) + 1
+    return len(grid_values(axis))
+
+
+def combinations(parameters: Mapping[str, Axis]) -> Iterator[Values]:
+    """All combinations of a grid; the last axis changes first."""
+    columns = [grid_values(axis) for axis in parameters.values()]
+    return (dict(zip(parameters, row, strict=True)) for row in product(*columns))
+
+
+def random_values(spec: SweepSpec, number: int) -> Values:
+    """The values of trial `number`; they depend on this number, the sweep's seed and the axes alone."""
+    drawn = Values()
+    for name, axis in spec.parameters.items():
+        generator = random.Random(f"{spec.seed}/{number}/{name}")  # noqa: S311 # Not for secrets.
+        drawn[name] = _drawn(axis, generator)
+    return drawn
+
+
+def corners(parameters: Mapping[str, Axis]) -> Iterator[Values]:
+    """Every value at an axis's end, and every choice, while the other axes stay at their first value."""
+    ends = {name: _ends(axis) for name, axis in parameters.items()}
+    first = {name: values[0] for name, values in ends.items()}
+    for name, values in ends.items():
+        yield from ({**first, name: value} for value in values)
+    yield {name: values[-1] for name, values in ends.items()}
+
+
+def _ends(axis: Axis) -> list[JsonValue]:
+    return [axis.low, axis.high] if isinstance(axis, Range) else axis
+
+
+def _drawn(axis: Axis, generator: random.Random) -> JsonValue:
+    if not isinstance(axis, Range):
+        return axis[int(generator.random() * len(axis))]
+    if axis.step is not None:
+        return _along(axis, int(generator.random() * (_num_steps(axis) + 1)))
+    if axis.is_whole and not axis.log:
+        return int(axis.low) + int(generator.random() * (int(axis.high) - int(axis.low) + 1))
+    return _between(axis, generator.random())
+
+
+def last_value(axis: Range) -> Number:
+    """The greatest value along the axis: the last step may end before the upper bound."""
+    return axis.high if axis.step is None else _along(axis, _num_steps(axis))
+
+
+def _num_steps(axis: Range) -> int:
+    """Steps between the bounds, for which rounding must not cost the last one."""
+    return math.floor((axis.high - axis.low) / (axis.step or 1) + 1e-9)
+
+
+def _along(axis: Range, number: int) -> Number:
+    step = axis.step or 1
+    return axis.low + number * step if axis.is_whole else float(f"{axis.low + number * step:.12g}")
+
+
+def _between(axis: Range, share: float) -> Number:
+    """The value at this share of the way from the lower bound to the upper one."""
+    if share in (0, 1):  # Exactly: rounding might leave the range.
+        return (axis.low, axis.high)[int(share)]
+    if axis.log:
+        value = math.exp((1 - share) * math.log(axis.low) + share * math.log(axis.high))
+    else:
+        value = (1 - share) * axis.low + share * axis.high
+    value = min(max(value, axis.low), axis.high)
+    return round(value) if axis.is_whole else value

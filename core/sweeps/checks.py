@@ -1,0 +1,232 @@
+"""Checks before a sweep is stored: each refusal names the place in the sweep's document and the remedy."""
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, islice
+
+from pydantic import JsonValue, ValidationError
+
+from core.algorithms.catalog import resolve
+from core.environments.info import EnvironmentInfo
+from core.errors import Problem, Rejected
+from core.jobs import checks as job_checks
+from core.jobs.needs import DEVICES
+from core.jobs.spec import JOB_SPEC, JobSpec, RolloutSpec
+from core.jobs.store import JobStore
+from core.jobs.submission import completed as completed_job
+from core.sweeps.advance import committed_steps, why_no_more
+from core.sweeps.axes import Values, combinations, corners, num_combinations, random_values
+from core.sweeps.fields import fields_of, takes_fractions, with_values
+from core.sweeps.metrics import refusal_of_metric
+from core.sweeps.spec import MAX_TRIALS, Axis, Range, SweepSpec
+from core.sweeps.sweep import Trial
+
+_MAX_LABELS = 62
+# Each takes a millisecond or two.
+_MAX_TRIED = 64
+
+
+def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
+    """The sweep as it is stored: bounds of fields that take fractions are fractions. Raises Rejected."""
+    try:
+        info, _ = job_checks.chosen(spec.job.environment, store)
+    except Rejected as error:
+        raise Rejected(
+            error.detail, [Problem(f"/job{one.pointer}", one.detail) for one in error.problems]
+        ) from None
+    _check_labels(spec)
+    _check_axes(spec, info)
+    spec = spec.model_copy(update={"parameters": _with_fractions(spec, info)})
+    _check_number(spec)
+    _check_method(spec)
+    _check_objectives(spec)
+    _check_values(spec, store)
+    check_budget(spec, (), store)
+    return spec
+
+
+def job_of(spec: SweepSpec, values: Mapping[str, JsonValue]) -> JobSpec:
+    """The job with these values. Raises ValidationError."""
+    return JOB_SPEC.validate_python(with_values(spec.job, values))
+
+
+def steps_of(spec: SweepSpec, values: Mapping[str, JsonValue], store: JobStore) -> int:
+    """The most environment steps that a trial with these values takes; 0 if these values do not fit."""
+    try:
+        job = completed_job(job_of(spec, values))
+        if isinstance(job, RolloutSpec):
+            return job.num_steps * job.num_episodes
+        info, _ = job_checks.chosen(job.environment, store)
+        return max(resolve(job.algorithm, info, device).budget for device in DEVICES[job.resources.kind])
+    except (ValidationError, Rejected):
+        return 0
+
+
+def check_budget(spec: SweepSpec, trials: Sequence[Trial], store: JobStore) -> None:
+    """Raises Rejected where the budget allows no further trial."""
+    budget = spec.budget
+    if (why := why_no_more(spec, trials)) is not None:
+        detail = f"{why}, so no further trial would start; raise the budget."
+        raise Rejected(detail, [Problem("/budget", detail)])
+    if budget.steps is None:
+        return
+    values = (
+        next(combinations(spec.parameters)) if spec.method == "grid" else random_values(spec, len(trials))
+    )
+    taken, needed = committed_steps(trials), steps_of(spec, values, store)
+    if taken + needed > budget.steps:
+        detail = (
+            f"The budget of {budget.steps:,} steps allows no {'further ' if trials else ''}trial: one takes "
+            f"{needed:,} steps{f', and {taken:,} are used' if taken else ''}."
+        )
+        raise Rejected(detail, [Problem("/budget/steps", detail)])
+
+
+def _check_labels(spec: SweepSpec) -> None:
+    """A job has 64 labels at most, and a trial gets `sweep` and `trial` besides."""
+    if len({*spec.job.labels, *spec.labels}) > _MAX_LABELS:
+        _refuse(f"The job and the sweep have more than {_MAX_LABELS} labels together.", "/labels")
+
+
+def _check_axes(spec: SweepSpec, info: EnvironmentInfo) -> None:
+    if not spec.parameters:
+        _refuse('A sweep needs an axis, for example `"seed": [1, 2, 3]`.', "/parameters")
+    known = fields_of(spec.job, info)
+    problems = [
+        Problem(_place(name), f"`{name}` is not a field of this job{_hint(name, known)}")
+        for name in spec.parameters
+        if name not in known
+    ]
+    problems += [
+        Problem(_place(name), f"`{name}` is a part of the axis `{above}`; leave one out.")
+        for name in spec.parameters
+        for above in spec.parameters
+        if name.startswith(f"{above}.")
+    ]
+    problems += chain.from_iterable(_wrong(name, axis, spec) for name, axis in spec.parameters.items())
+    _raise(problems)
+
+
+def _wrong(name: str, axis: Axis, spec: SweepSpec) -> Iterator[Problem]:
+    if not isinstance(axis, Range):
+        if twice := next((one for at, one in enumerate(axis) if _is_among(one, axis[:at])), _NOTHING):
+            yield Problem(_place(name), f"`{name}` has the value {twice!r} twice.")
+    elif spec.method == "grid" and axis.points is None and axis.step is None:
+        yield Problem(
+            _place(name),
+            f"`{name}` is a range, and a grid needs to know its values: give `points` or `step`.",
+        )
+    elif spec.method != "grid" and axis.points is not None:
+        yield Problem(f"{_place(name)}/points", f"`points` is for grids; {spec.method} draws from the range.")
+
+
+_NOTHING = ()
+
+
+def _is_among(value: JsonValue, others: Sequence[JsonValue]) -> bool:
+    return any(type(value) is type(other) and value == other for other in others)
+
+
+def _with_fractions(spec: SweepSpec, info: EnvironmentInfo) -> dict[str, Axis]:
+    """The axes; whole bounds of a field that takes fractions mean fractions: 0 to 1 is not 0 or 1."""
+    known = fields_of(spec.job, info)
+    return {
+        name: axis.model_copy(update={"low": float(axis.low), "high": float(axis.high)})
+        if isinstance(axis, Range) and axis.step is None and takes_fractions(known[name])
+        else axis
+        for name, axis in spec.parameters.items()
+    }
+
+
+def _check_number(spec: SweepSpec) -> None:
+    if spec.method == "grid" and (number := num_combinations(spec.parameters)) > MAX_TRIALS:
+        _refuse(
+            f"The grid has {number:,} combinations, but a sweep has {MAX_TRIALS:,} trials at most: take "
+            "fewer values, or the method `random` or `tpe` with a budget.",
+            "/parameters",
+        )
+
+
+def _check_method(spec: SweepSpec) -> None:
+    if spec.method != "grid" and not spec.budget.has_limit:
+        _refuse(
+            f"The method `{spec.method}` has no end of its own: give `jobs`, `steps` or `gpu_hours`.",
+            "/budget",
+        )
+    if spec.pruning is not None and isinstance(spec.job, RolloutSpec):
+        _refuse("A rollout reports its metrics once, at its end, so nothing can be pruned.", "/pruning")
+    if spec.pruning is not None and len(spec.objectives) > 1:
+        _refuse("Pruning compares trials by one objective, and this sweep has several.", "/pruning")
+
+
+def _check_objectives(spec: SweepSpec) -> None:
+    problems = list[Problem]()
+    for at, objective in enumerate(spec.objectives):
+        here = f"/objective/{at}/metric" if isinstance(spec.objective, list) else "/objective/metric"
+        if (detail := refusal_of_metric(spec.job, objective.metric)) is not None:
+            problems.append(Problem(here, detail))
+        elif any(objective.metric == other.metric for other in spec.objectives[:at]):
+            problems.append(Problem(here, f"`{objective.metric}` is an objective already."))
+    _raise(problems)
+
+
+def _check_values(spec: SweepSpec, store: JobStore) -> None:
+    """Try the ends of the axes, and some values between them, in the job's own checks."""
+    for values in islice(_to_try(spec), _MAX_TRIED):
+        try:
+            job_checks.check(completed_job(job_of(spec, values)), store)
+        except ValidationError as error:
+            found = [_named(one["loc"], str(one["msg"])) for one in error.errors()]
+            _raise([_translated(place, detail, spec, values) for place, detail in found])
+        except Rejected as error:
+            problems = error.problems or (Problem("", error.detail),)
+            _raise([_translated(one.pointer, one.detail, spec, values) for one in problems])
+
+
+def _to_try(spec: SweepSpec) -> Iterable[Values]:
+    if spec.method == "grid" and num_combinations(spec.parameters) <= _MAX_TRIED:
+        return combinations(spec.parameters)
+    return chain(corners(spec.parameters), (random_values(spec, number) for number in range(16)))
+
+
+def _named(location: tuple[int | str, ...], message: str) -> tuple[str, str]:
+    """A pointer, which may hold pydantic's words between the fields, and a sentence."""
+    words = message.removeprefix("Value error, ").replace("Input should be", "must be")
+    return "/" + "/".join(map(str, location)), f"{words[0].lower()}{words[1:]}"
+
+
+def _translated(place: str, detail: str, spec: SweepSpec, values: Values) -> Problem:
+    """The job's problem as one of the sweep: at the axis that set the value, or else in `job`."""
+    parts = place.strip("/").split("/")
+    for name, value in values.items():
+        if _is_part(name.split("."), parts):
+            text = detail if detail.endswith((".", "?")) else f"`{name}` = {value!r}: {detail}."
+            return Problem(_place(name), text)
+    told = ", ".join(f"{name} = {value!r}" for name, value in values.items())
+    return Problem(f"/job{place}", f"With {told}: {detail.rstrip('.')}.")
+
+
+def _is_part(wanted: Sequence[str], parts: Sequence[str]) -> bool:
+    """Whether the parts name this field, perhaps with other words between them."""
+    left = iter(parts)
+    return all(any(part == one for one in left) for part in wanted)
+
+
+def _place(name: str) -> str:
+    return f"/parameters/{name.replace('~', '~0').replace('/', '~1')}"
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    last = name.rpartition(".")[2]
+    near = [one for one in known if one.rpartition(".")[2] == last] or near
+    return f"; did you mean {' or '.join(f'`{one}`' for one in near)}?" if near else "."
+
+
+def _refuse(detail: str, pointer: str) -> None:
+    raise Rejected(detail, [Problem(pointer, detail)])
+
+
+def _raise(problems: Sequence[Problem]) -> None:
+    if problems:
+        raise Rejected(" ".join(dict.fromkeys(problem.detail for problem in problems[:5])), problems)

@@ -1,0 +1,156 @@
+"""Carries out what `advance` decides. Idempotent, and safe to run in many places at once.
+
+A trial's record, its job and the job's dispatch are one transaction, and a sweep has each number once:
+however often a process dies, or however many look at the same time, a trial starts once.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+
+import structlog
+from pydantic import ValidationError
+
+from core.errors import (
+    JobFinished,
+    JobNotFound,
+    JobUnreadable,
+    Rejected,
+    StaleSweep,
+    SweepNotFound,
+    Unavailable,
+)
+from core.jobs import submission
+from core.jobs.cancellation import cancel
+from core.jobs.queue import JobQueue
+from core.jobs.store import Dispatch
+from core.storage.objects import ObjectStore
+from core.sweeps.advance import Cancel, Decision, End, Prune, Seen, Start, advance
+from core.sweeps.checks import job_of, steps_of
+from core.sweeps.curves import Curves
+from core.sweeps.importance import importance
+from core.sweeps.judging import judged
+from core.sweeps.pruning import Curve
+from core.sweeps.store import SweepStore
+from core.sweeps.sweep import Sweep, Trial
+
+log = structlog.get_logger()
+
+
+class SweepController:
+    """Moves all sweeps on; call `look` every second or two."""
+
+    def __init__(self, store: SweepStore, queue: JobQueue, objects: ObjectStore) -> None:
+        self._store = store
+        self._queue = queue
+        self._curves = Curves(store, objects)
+
+    def look(self) -> int:
+        """Returns the number of decisions. Raises RecordsUnavailable, StorageUnavailable."""
+        sweeps = self._store.active_sweeps()
+        trials = self._store.trials([sweep.id for sweep in sweeps])
+        return sum(self._try_to_move_on(sweep, trials.get(sweep.id, ())) for sweep in sweeps)
+
+    def _try_to_move_on(self, sweep: Sweep, trials: Sequence[Trial]) -> int:
+        """One sweep that meets a bug must not stop the others, nor this process."""
+        try:
+            return self._move_on(sweep, trials)
+        except Unavailable:
+            raise
+        except Exception:
+            log.exception("sweep_stuck", sweep=sweep.id)
+            return 0
+
+    def _move_on(self, sweep: Sweep, trials: Sequence[Trial]) -> int:
+        seen = self._seen(sweep, self._judge(sweep, trials))
+        with suppress(StaleSweep, SweepNotFound):  # Changed meanwhile: the next look sees how.
+            sweep = self._with_importance(sweep, seen)
+            decisions = advance(sweep, seen, lambda values: steps_of(sweep.spec, values, self._store))
+            for decision in decisions:
+                self._carry_out(sweep, decision)
+            return len(decisions)
+        return 0
+
+    def _judge(self, sweep: Sweep, trials: Sequence[Trial]) -> Sequence[Trial]:
+        """The trials as their jobs are now; those that have ended are stored so."""
+        going = [trial.job for trial in trials if trial.outcome is None and trial.job is not None]
+        jobs, now = self._store.jobs_of(going), self._store.now()
+        found = [judged(one, jobs.get(one.job or ""), sweep.spec.objectives, now) for one in trials]
+        for before, after in zip(trials, found, strict=True):
+            if before.outcome is None and after.outcome is not None:
+                self._store.save_trial(sweep.id, after)
+                log.info("trial_ended", sweep=sweep.id, trial=after.number, outcome=after.outcome)
+        return found
+
+    def _seen(self, sweep: Sweep, trials: Iterable[Trial]) -> Sequence[Seen]:
+        if sweep.spec.pruning is None:
+            return [Seen(trial) for trial in trials]
+        metric = sweep.spec.objectives[0].metric
+        return [Seen(trial, self._curve(trial, metric)) for trial in trials]
+
+    def _curve(self, trial: Trial, metric: str) -> Curve:
+        return self._curves.read(trial.job, metric, has_ended=trial.outcome is not None)
+
+    def _with_importance(self, sweep: Sweep, seen: Sequence[Seen]) -> Sweep:
+        """The sweep with the importance of its axes, computed when another trial has succeeded."""
+        number = sum(one.trial.outcome == "succeeded" and one.trial.has_values for one in seen)
+        if number == sweep.num_judged:
+            return sweep
+        shares, note = importance(sweep.spec, seen)
+        changed = sweep.next(importance=shares, importance_note=note, num_judged=number)
+        self._store.save_sweep(changed)
+        return changed
+
+    def _carry_out(self, sweep: Sweep, decision: Decision) -> None:
+        match decision:
+            case Start():
+                self._start(sweep, decision)
+            case Prune(trial=trial):
+                if self._store.save_trial(sweep.id, trial.model_copy(update={"is_pruned": True})):
+                    log.info("trial_pruned", sweep=sweep.id, trial=trial.number)
+                    self._cancel(trial)
+            case Cancel(trial=trial):
+                self._cancel(trial)
+            case End(status=status, message=message):
+                ended = {"status": status, "message": message, "finished_at": self._store.now()}
+                self._store.save_sweep(sweep.next(**ended))
+                log.info("sweep_ended", sweep=sweep.id, status=status)
+
+    def _start(self, sweep: Sweep, start: Start) -> None:
+        """Store the trial with its job; or, where its values do not fit each other, as refused."""
+        trial = Trial(
+            number=start.number,
+            job=None,
+            parameters=start.parameters,
+            planned_steps=start.planned_steps,
+            created_at=self._store.now(),
+        )
+        try:
+            spec = job_of(sweep.spec, start.parameters)
+            spec = spec.model_copy(update={"labels": labels_of(sweep, start.number, spec.labels)})
+            job = submission.new_job(spec, self._store)
+        except (ValidationError, Rejected) as error:
+            refused = {"outcome": "refused", "message": _sentence(error), "finished_at": trial.created_at}
+            self._store.add_trial(sweep.id, trial.model_copy(update=refused), None)
+            return
+        if self._store.add_trial(sweep.id, trial.model_copy(update={"job": job.id}), job):
+            log.info("trial_started", sweep=sweep.id, trial=trial.number, job_id=job.id)
+            dispatch = Dispatch("attempt", job.id, job.next_attempt)
+            if submission.hand_over(dispatch, store=self._store, queue=self._queue, job=job):
+                self._store.dispatched([dispatch])
+
+    def _cancel(self, trial: Trial) -> None:
+        if trial.job is not None:
+            with suppress(JobFinished, JobNotFound, JobUnreadable):
+                cancel(trial.job, store=self._store, queue=self._queue)
+
+
+def labels_of(sweep: Sweep, number: int, own: Mapping[str, str]) -> dict[str, str]:
+    """The labels of a trial's job: its own, the sweep's, and which trial of which sweep it is."""
+    return {**own, **sweep.spec.labels, "sweep": sweep.id, "trial": str(number)}
+
+
+def _sentence(error: ValidationError | Rejected) -> str:
+    if isinstance(error, Rejected):
+        return error.detail
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}."

@@ -1,0 +1,56 @@
+"""What users do to a sweep: cancel, resume, delete."""
+
+from core.errors import Problem, Rejected, StaleSweep, SweepFinished, SweepNotFinished
+from core.sweeps.checks import check_budget
+from core.sweeps.spec import Budget
+from core.sweeps.store import SweepStore
+from core.sweeps.sweep import Sweep, SweepStatus
+
+
+def cancel_sweep(sweep_id: str, *, store: SweepStore) -> Sweep:
+    """Start no more trials; the reconciler cancels those that run, which keep their work.
+
+    Cancelling twice changes nothing. Raises SweepNotFound; SweepFinished if it has succeeded or failed.
+    """
+    while True:
+        sweep = store.get_sweep(sweep_id)
+        if sweep.status in (SweepStatus.CANCELLING, SweepStatus.CANCELLED):
+            return sweep
+        if sweep.status.is_final:
+            raise SweepFinished(f"Sweep {sweep_id} has already {sweep.status}; there is nothing to cancel.")
+        try:
+            store.save_sweep(cancelling := sweep.next(status=SweepStatus.CANCELLING))
+        except StaleSweep:
+            continue
+        return cancelling
+
+
+def resume_sweep(sweep_id: str, budget: Budget, *, store: SweepStore) -> Sweep:
+    """Let an ended sweep, or one that runs, continue under another budget, which replaces the one before.
+
+    Its trials stay: the next one has the number after the last. Raises SweepNotFound, Rejected; StaleSweep
+    while it is being cancelled.
+    """
+    while True:
+        sweep = store.get_sweep(sweep_id)
+        if sweep.status == SweepStatus.CANCELLING:
+            raise SweepNotFinished(f"Sweep {sweep_id} is still being cancelled; resume it afterwards.")
+        spec = sweep.spec.model_copy(update={"budget": budget})
+        if spec.method != "grid" and not budget.has_limit:
+            detail = f"The method `{spec.method}` has no end of its own: give `jobs`, `steps` or `gpu_hours`."
+            raise Rejected(detail, [Problem("/budget", detail)])
+        check_budget(spec, store.trials([sweep_id]).get(sweep_id, ()), store)
+        changes = {"spec": spec, "status": SweepStatus.RUNNING, "message": None, "finished_at": None}
+        try:
+            store.save_sweep(resumed := sweep.next(**changes))
+        except StaleSweep:
+            continue
+        return resumed
+
+
+def delete_sweep(sweep_id: str, *, store: SweepStore) -> None:
+    """Delete the record of an ended sweep; its jobs stay. Raises SweepNotFound, SweepNotFinished."""
+    sweep = store.get_sweep(sweep_id)
+    if not sweep.status.is_final:
+        raise SweepNotFinished(f"Sweep {sweep_id} is {sweep.status}; cancel it first.", sweep=sweep_id)
+    store.delete_sweep(sweep_id, sweep.version)

@@ -1,0 +1,54 @@
+"""The metrics that a job reports, as far as its specification tells: an objective must be one of them."""
+
+import difflib
+import json
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+
+from core.jobs.spec import JobSpec, RolloutSpec
+
+_ROLLOUT = {"eval/episode_reward", "eval/episode_reward_std", "eval/avg_episode_length", "eval/forward_speed"}
+_EVALUATION = {*_ROLLOUT, "eval/epoch_eval_time", "eval/walltime", "eval/walltime_share"}
+_TRAINING = {
+    "training/sps",
+    "training/walltime",
+    "training/episode_reward",
+    "training/episode_length",
+    "training/fall_rate",
+}
+_OF_ALGORITHMS = {
+    "ppo": {"total_loss", "policy_loss", "v_loss", "entropy_loss", "kl_mean", "learning_rate", "grad_norm"},
+    "sac": {"critic_loss", "policy_loss", "q_value", "entropy", "alpha"},
+    "dqn": {"loss", "q_value", "td_error", "epsilon"},
+    "q_learning": {"episodes", "num_episodes", "epsilon"},
+}
+
+
+def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
+    """Why the job does not report this metric, as a sentence; None if it does, or may.
+
+    An environment whose terms depend on its options is not in the table: any term of an episode passes.
+    """
+    own = _terms().get(spec.environment.id)
+    known = set(_ROLLOUT)
+    if not isinstance(spec, RolloutSpec):
+        algorithm = spec.algorithm.algorithm()
+        known = _EVALUATION | _TRAINING | {f"training/{name}" for name in _OF_ALGORITHMS.get(algorithm, ())}
+        known |= {f"eval/episode_{name}" for name in own or ()}
+        if own is not None and "x_velocity" not in own:
+            known.discard("eval/forward_speed")
+        if metric.startswith("eval/episode_") and own is None:
+            return None
+    if metric in known:
+        return None
+    near = difflib.get_close_matches(metric, sorted(known), n=1, cutoff=0.6) or ["eval/episode_reward"]
+    return (
+        f"A job of this kind on {spec.environment.id} reports no metric {metric!r}; did you mean `{near[0]}`?"
+    )
+
+
+@cache
+def _terms() -> Mapping[str, Sequence[str]]:
+    """The metrics of each environment, which only its loaded code knows; a test compares the two."""
+    return json.loads((files("core.sweeps") / "environment_metrics.json").read_text())

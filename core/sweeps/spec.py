@@ -1,0 +1,147 @@
+"""The specification of a sweep: a job, the axes along which its settings vary, and when to stop."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, JsonValue, TypeAdapter, model_validator
+
+from core.documents import Strict
+from core.jobs.spec import LabelName, Seed, SentSpec, Text
+
+# More would be a queue that nobody reads, and a study that takes TPE seconds for each draw.
+MAX_TRIALS = 1000
+Method = Literal["grid", "random", "tpe"]
+Number = int | float
+
+
+class Range(Strict):
+    """Numbers from `low` to `high`, both included; whole ones if all bounds are written without a point."""
+
+    low: Number = Field(ge=-1e300, le=1e300)
+    high: Number = Field(ge=-1e300, le=1e300)
+    log: bool = Field(
+        default=False, description="Even in the logarithm: 1e-5 to 1e-4 is as wide as 1e-4 to 1e-3."
+    )
+    step: Number | None = Field(default=None, gt=0, description="Only low, low + step, … up to high.")
+    points: int | None = Field(
+        default=None, ge=1, le=MAX_TRIALS, description="For a grid: this many values, evenly spaced."
+    )
+
+    @model_validator(mode="after")
+    def _is_a_range(self) -> Self:
+        if self.low >= self.high:
+            raise ValueError("`low` must be below `high`; for a single value, set it in `job`")
+        if self.log and self.low <= 0:
+            raise ValueError("with `log`, `low` must be above 0")
+        if self.log and self.step is not None:
+            raise ValueError("`log` and `step` exclude each other; give one of them")
+        if self.step is not None and self.points is not None:
+            raise ValueError("`step` and `points` exclude each other; give one of them")
+        return self
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether its values are integers."""
+        return all(isinstance(one, int) for one in (self.low, self.high, self.step or 0))
+
+
+Choices = Annotated[list[JsonValue], Field(min_length=1, max_length=MAX_TRIALS)]
+Axis = Choices | Range
+AxisName = Annotated[str, Field(min_length=1, max_length=200, examples=["algorithm.learning_rate"])]
+
+
+class Objective(Strict):
+    """The metric that a trial is judged by: its last value."""
+
+    metric: str = Field(default="eval/episode_reward", min_length=1, max_length=200)
+    direction: Literal["maximize", "minimize"] = "maximize"
+
+    @property
+    def sign(self) -> int:
+        """1 where more is better, otherwise -1."""
+        return 1 if self.direction == "maximize" else -1
+
+
+class Budget(Strict):
+    """When no further trial starts: at the first limit that is reached."""
+
+    jobs: int | None = Field(
+        default=None, ge=1, le=MAX_TRIALS, description="Trials; a grid has its own number."
+    )
+    parallel: int = Field(
+        default=4, ge=1, le=100, description="Trials that are queued or run at the same time."
+    )
+    steps: int | None = Field(
+        default=None,
+        ge=1,
+        le=10**15,
+        description="Environment steps of all trials together: a trial starts only if all of its steps fit.",
+    )
+    gpu_hours: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Hours of GPUs that trials held. Once they are spent no trial starts; those that run end "
+        "as they would.",
+    )
+
+    @property
+    def has_limit(self) -> bool:
+        return (self.jobs, self.steps, self.gpu_hours) != (None, None, None)
+
+
+class MedianPruning(Strict):
+    """End a trial whose best value so far is worse than the median of ended trials at the same step.
+
+    As in Golovin et al., Google Vizier (2017), and Optuna's MedianPruner.
+    """
+
+    kind: Literal["median"] = "median"
+    startup_trials: int = Field(
+        default=5, ge=1, le=MAX_TRIALS, description="Trials that end before any is pruned."
+    )
+    warmup_steps: int = Field(
+        default=0, ge=0, le=10**12, description="Environment steps before which none is pruned."
+    )
+
+
+class HyperbandPruning(Strict):
+    """Successive halving in several brackets, without waiting for stragglers.
+
+    As in Li et al., Hyperband (2018) and ASHA (2020). A trial of bracket b is judged at `min_steps` ×
+    `reduction_factor`^(b + k) steps, k = 0, 1, …: it goes on while it is among the best 1/`reduction_factor`
+    of its bracket there.
+    """
+
+    kind: Literal["hyperband"] = "hyperband"
+    min_steps: int = Field(ge=1, le=10**12, description="Environment steps before the first judgement.")
+    reduction_factor: int = Field(default=3, ge=2, le=10)
+    brackets: int = Field(default=1, ge=1, le=10, description="1: successive halving alone.")
+
+
+Pruning = Annotated[MedianPruning | HyperbandPruning, Field(discriminator="kind")]
+
+
+class SweepSpec(Strict):
+    """A job, the settings that vary between its trials, and what the trials are judged by."""
+
+    name: Text | None = None
+    labels: dict[LabelName, Text] = Field(default={}, max_length=60, description="The trials get them, too.")
+    job: SentSpec
+    method: Method = "random"
+    parameters: dict[AxisName, Axis] = Field(
+        max_length=64,
+        description="Values, or a range, by the field's path in the job, such as `algorithm.learning_rate`.",
+    )
+    objective: Objective | Annotated[list[Objective], Field(min_length=1, max_length=4)] = Objective()
+    budget: Budget = Budget()
+    pruning: Pruning | None = None
+    seed: Seed = Field(
+        default=0, description="Of the draws; trials have the seed that `job` or an axis says."
+    )
+
+    @property
+    def objectives(self) -> list[Objective]:
+        return self.objective if isinstance(self.objective, list) else [self.objective]
+
+
+SWEEP_SPEC: TypeAdapter[SweepSpec] = TypeAdapter(SweepSpec)

@@ -1,0 +1,213 @@
+"""`gaitway sweep`: start one; `gaitway sweeps`: list, show, cancel, resume, delete."""
+
+import time
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from typing import Annotated
+
+import typer
+from rich.console import Console, RenderableType
+from rich.console import Group as Lines
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from gaitway.cli.common import AsJson, client_of, print_json
+from gaitway.cli.errors import Group, wrong_usage
+from gaitway.cli.progress import duration
+from gaitway.cli.submit import read
+from gaitway.client import Client
+from gaitway.sweep_views import SweepView, TrialView
+
+sweeps = typer.Typer(cls=Group, help="See sweeps and what came of them.", invoke_without_command=True)
+
+SweepName = Annotated[str, typer.Argument(metavar="SWEEP", help="A sweep's id, its end, or `last`.")]
+_STYLES = {"succeeded": "green", "failed": "red", "running": "cyan"}
+_SEARCHED = 200
+_EVERY_S = 1.0
+
+
+def sweep(
+    context: typer.Context,
+    file: Annotated[str, typer.Argument(help="JSON of a sweep; `-` reads stdin.")],
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay and show the trials.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Start a sweep: jobs whose settings vary. Exit code 1 if it is watched and fails."""
+    client = client_of(context)
+    started = client.sweep(read(file))
+    if watch:
+        started = _watched(client, started, Console(stderr=as_json))
+    if as_json:
+        print_json(started)
+    elif not watch:
+        print(started.id)
+    raise typer.Exit(1 if watch and started.status != "succeeded" else 0)
+
+
+@sweeps.callback()
+def overview(
+    context: typer.Context,
+    status: Annotated[str | None, typer.Option()] = None,
+    limit: Annotated[int, typer.Option("--limit", "-n", min=1)] = 20,
+    as_json: AsJson = False,
+) -> None:
+    """List sweeps, newest first."""
+    if context.invoked_subcommand is not None:
+        return
+    found = list(client_of(context).sweeps(limit=limit, status=status))
+    if as_json:
+        print_json(found)
+    elif not found:
+        print("No sweeps." if status is None else "No sweep matches.")
+    else:
+        Console().print(_list(found))
+
+
+@sweeps.command()
+def show(
+    context: typer.Context,
+    sweep: SweepName,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay until it ends.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show one sweep: its trials by their objective, the best first."""
+    client = client_of(context)
+    found = client.get_sweep(_id(client, sweep))
+    if watch:
+        found = _watched(client, found, Console(stderr=as_json))
+    if as_json:
+        print_json(found)
+    elif not watch:
+        Console().print(_state(found))
+
+
+@sweeps.command()
+def cancel(context: typer.Context, sweep: SweepName, as_json: AsJson = False) -> None:
+    """Cancel a sweep and its trials, which keep their work."""
+    client = client_of(context)
+    _told(client.cancel_sweep(_id(client, sweep)), as_json)
+
+
+@sweeps.command()
+def resume(  # noqa: PLR0913 # A command line's options.
+    context: typer.Context,
+    sweep: SweepName,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Trials in all, with those so far.")] = None,
+    parallel: Annotated[int | None, typer.Option(min=1, help="Trials at the same time.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Environment steps in all.")] = None,
+    gpu_hours: Annotated[float | None, typer.Option(help="Hours of GPUs in all.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Continue a sweep under another budget."""
+    said = {"jobs": jobs, "parallel": parallel, "steps": steps, "gpu_hours": gpu_hours}
+    client = client_of(context)
+    budget = {name: value for name, value in said.items() if value is not None}
+    _told(client.resume_sweep(_id(client, sweep), **budget), as_json)
+
+
+@sweeps.command()
+def delete(context: typer.Context, sweep: SweepName) -> None:
+    """Delete the record of an ended sweep; its jobs stay."""
+    client = client_of(context)
+    full_id = _id(client, sweep)
+    client.delete_sweep(full_id)
+    print(f"Sweep {full_id} is deleted; its jobs stay.")
+
+
+def _id(client: Client, name: str) -> str:
+    """The full id. Raises typer.Exit(2) where the abbreviation fits several sweeps or none."""
+    if len(name) == 23:
+        return name
+    newest = [one.id for one in client.sweeps(limit=1 if name == "last" else _SEARCHED)]
+    fitting = (
+        newest if name == "last" else [one for one in newest if one.startswith(name) or one.endswith(name)]
+    )
+    if len(fitting) == 1:
+        return fitting[0]
+    if not fitting:
+        raise wrong_usage(
+            "There is no sweep yet." if name == "last" else f"No sweep's id begins or ends with {name!r}."
+        )
+    raise wrong_usage(f"{name!r} fits {len(fitting)} sweeps: {', '.join(fitting[:5])}. Give more of the id.")
+
+
+def _told(sweep: SweepView, as_json: bool) -> None:
+    if as_json:
+        print_json(sweep)
+    else:
+        print(f"Sweep {sweep.id} is {sweep.status}.")
+
+
+def _watched(client: Client, sweep: SweepView, console: Console) -> SweepView:
+    """Show the sweep until it ends, and return it as it then is; Ctrl-C ends only the display."""
+    try:
+        with Live(_state(sweep), console=console, auto_refresh=False) as live:
+            while not sweep.is_final:
+                time.sleep(_EVERY_S)
+                sweep = client.get_sweep(sweep.id)
+                live.update(_state(sweep), refresh=True)
+    except KeyboardInterrupt:
+        console.print(f"The sweep continues; `gaitway sweeps show {sweep.id} --watch` shows it again.")
+        raise typer.Exit(130) from None
+    return sweep
+
+
+def _list(found: Iterable[SweepView]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for column in ("SWEEP", "METHOD", "STATUS", "TRIALS", "BEST", "AGE", "NAME"):
+        table.add_column(column, no_wrap=column == "SWEEP")
+    for sweep in found:
+        age = duration((datetime.now(UTC) - sweep.created_at).total_seconds())
+        trials = f"{sum(sweep.num_trials.values())} of {sweep.max_trials}"
+        best = _values(sweep.best[0]) if sweep.best else ""
+        status = Text(sweep.status, style=_STYLES.get(sweep.status, ""))
+        table.add_row(sweep.id, sweep.spec.get("method", ""), status, trials, best, age, sweep.name or "")
+    return table
+
+
+def _state(sweep: SweepView) -> RenderableType:
+    """All there is to see of one sweep."""
+    counted = ", ".join(f"{number} {status}" for status, number in sweep.num_trials.items())
+    lines = [f"Sweep {sweep.id} {sweep.status}: {counted or 'no trial yet'}, of {sweep.max_trials} at most"]
+    lines += [sweep.message] if sweep.message else []
+    lines += [
+        f"importance for {metric}: " + ", ".join(f"{axis} {share:.0%}" for axis, share in _by_share(shares))
+        for metric, shares in (sweep.importance or {}).items()
+    ]
+    return Lines(*(Text(line) for line in lines), _trials(sweep))
+
+
+def _by_share(shares: dict[str, float]) -> list[tuple[str, float]]:
+    return sorted(shares.items(), key=lambda pair: -pair[1])
+
+
+def _trials(sweep: SweepView) -> Table:
+    table = Table(box=None, pad_edge=False)
+    axes = list(sweep.spec.get("parameters", {}))
+    metrics = [metric.rpartition("/")[2] for metric in sweep.metrics]
+    for column in ("TRIAL", "STATUS", *metrics, *(axis.rpartition(".")[2] for axis in axes), "JOB"):
+        table.add_column(column, no_wrap=column == "JOB")
+    best = {trial.number for trial in sweep.best}
+    for trial in sorted(sweep.trials, key=lambda trial: _rank(sweep, trial)):
+        values = [_number(value) for value in trial.values] or [""] * len(sweep.metrics)
+        given = [_number(trial.parameters.get(axis)) for axis in axes]
+        status = Text(trial.status, style=_STYLES.get(trial.status, ""))
+        style = "bold" if trial.number in best else ""
+        table.add_row(str(trial.number), status, *values, *given, trial.job or "", style=style)
+    return table
+
+
+def _rank(sweep: SweepView, trial: TrialView) -> tuple[bool, float]:
+    """By the first objective, the best first; those without a value last."""
+    sign = -1 if sweep.is_minimized else 1
+    value = trial.values[0] if trial.values else None
+    return (value is None, -sign * (value or 0.0))
+
+
+def _values(trial: TrialView) -> str:
+    return ", ".join(_number(value) for value in trial.values)
+
+
+def _number(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)

@@ -1,0 +1,337 @@
+"""Sweeps over HTTP; the controller moves them on when a test says so."""
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+from api.sweep_examples import EXAMPLES
+from core.jobs.job import Progress
+from core.jobs.status import JobStatus
+from core.reasons import Reason
+from core.sweeps.controller import SweepController
+from core.sweeps.spec import SWEEP_SPEC
+from core.sweeps.sweep import Sweep
+from tests.api.conftest import NOON, Attempt, Stack
+from tests.api.problems import pointers, problem
+
+METRIC = "eval/episode_reward"
+JOB = {"kind": "train", "environment": "ant", "algorithm": {"num_timesteps": 1000}, "video": None}
+GRID = {
+    "name": "rates",
+    "labels": {"project": "gaits"},
+    "job": {**JOB, "labels": {"of": "job"}},
+    "method": "grid",
+    "parameters": {"algorithm.learning_rate": [1e-4, 1e-3], "seed": [1, 2]},
+}
+
+
+@pytest.fixture
+def look(stack: Stack) -> Callable[[], int]:
+    """The reconciler's part, once."""
+    return SweepController(stack.store, stack.queue, stack.objects).look
+
+
+def finish(
+    stack: Stack,
+    number: int,
+    values: dict[str, float],
+    end: JobStatus = JobStatus.SUCCEEDED,
+    step: int = 1000,
+) -> Attempt:
+    """A worker does the trial of this number of the only sweep."""
+    [sweep] = stack.http.get("/sweeps").json()["items"]
+    trial = stack.http.get(f"/sweeps/{sweep['id']}").json()["trials"][number]
+    attempt = Attempt(stack, stack.store.get(trial["job"]), is_new=False)
+    progress = Progress(step=step, total=1000, metrics=values)
+    stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id=f"{number}")
+    reasons = {JobStatus.SUCCEEDED: Reason.COMPLETED, JobStatus.CANCELLED: Reason.USER_CANCELLED}
+    attempt.end(end, reasons.get(end, Reason.DIVERGED))
+    return attempt
+
+
+def post(stack: Stack, **changes: Any) -> httpx.Response:
+    return stack.http.post("/sweeps", json={**GRID, **changes})
+
+
+def test_a_sweep_goes_its_way(stack: Stack, look: Callable[[], int]) -> None:
+    answer = post(stack)
+    assert answer.status_code == 202
+    sweep = answer.json()
+    assert answer.headers["location"] == sweep["links"]["self"] == f"/sweeps/{sweep['id']}"
+    assert (sweep["status"], sweep["max_trials"], sweep["trials"]) == ("running", 4, [])
+    look()
+    trials = stack.http.get(sweep["links"]["self"]).json()["trials"]
+    assert [trial["parameters"] for trial in trials] == [
+        {"algorithm.learning_rate": rate, "seed": seed} for rate in (1e-4, 1e-3) for seed in (1, 2)
+    ]
+    jobs = stack.http.get(sweep["links"]["jobs"]).json()["items"]
+    assert {job["id"] for job in jobs} == {trial["job"] for trial in trials}
+    first = stack.http.get(f"/jobs/{trials[0]['job']}").json()
+    assert first["labels"] == {"of": "job", "project": "gaits", "sweep": sweep["id"], "trial": "0"}
+    assert first["spec"]["algorithm"] == {"num_timesteps": 1000, "learning_rate": 1e-4}
+
+    for number, value in enumerate((3.0, 5.0, 10.0)):
+        finish(stack, number, {METRIC: value})
+    finish(stack, 3, {}, JobStatus.FAILED)
+    look()
+    found = stack.http.get(sweep["links"]["self"]).json()
+    assert found["status"] == "succeeded"
+    assert found["message"] == "Every combination was tried: 3 succeeded, 1 failed."
+    assert found["num_trials"] == {"succeeded": 3, "failed": 1}
+    assert [trial["values"] for trial in found["trials"]] == [[3.0], [5.0], [10.0], [None]]
+    assert [trial["number"] for trial in found["best"]] == [2]
+    # Of 3 and 5: the mean is 4, the standard deviation √((1 + 1) / 1).
+    assert found["groups"] == [
+        {
+            "parameters": {"algorithm.learning_rate": 1e-4},
+            "trials": [0, 1],
+            "mean": [4.0],
+            "spread": [2**0.5],
+        },
+        {"parameters": {"algorithm.learning_rate": 1e-3}, "trials": [2, 3], "mean": [10.0], "spread": [None]},
+    ]
+    assert found["importance"] is None
+    assert found["importance_note"] == "It needs 4 trials that succeeded; there are 3."
+    [listed] = stack.http.get("/sweeps?status=succeeded").json()["items"]
+    assert listed["id"] == sweep["id"]
+    assert "trials" not in listed
+
+
+def test_what_matters_is_important(stack: Stack, look: Callable[[], int]) -> None:
+    post(
+        stack,
+        parameters={"algorithm.learning_rate": [1e-4, 1e-3, 1e-2], "seed": [1, 2, 3]},
+        budget={"parallel": 9},
+    )
+    look()
+    for number in range(9):  # The rate decides, the seed does next to nothing.
+        finish(stack, number, {METRIC: 100.0 * (number // 3) + number % 3})
+    look()
+    [sweep] = stack.http.get("/sweeps").json()["items"]
+    shares = stack.http.get(sweep["links"]["self"]).json()["importance"][METRIC]
+    assert shares["algorithm.learning_rate"] > shares["seed"]
+    assert sum(shares.values()) == pytest.approx(1)
+
+
+def test_one_key_makes_one_sweep(stack: Stack) -> None:
+    headers = {"Idempotency-Key": "again"}
+    first, second = (stack.http.post("/sweeps", json=GRID, headers=headers).json()["id"] for _ in range(2))
+    assert first == second
+    other = stack.http.post("/sweeps", json={**GRID, "name": "another"}, headers=headers)
+    problem(other, 409, "idempotency-key-reused")
+
+
+def test_a_cancel_takes_all_trials_with_it_and_a_resumed_sweep_goes_on(
+    stack: Stack, look: Callable[[], int]
+) -> None:
+    here = post(stack, budget={"parallel": 2}).json()["links"]["self"]
+    look()
+    running = Attempt(stack, stack.store.get(stack.http.get(here).json()["trials"][0]["job"]), is_new=False)
+    cancelled = stack.http.post(f"{here}/cancel")
+    assert (cancelled.status_code, cancelled.json()["status"]) == (202, "cancelling")
+    problem(stack.http.post(f"{here}/resume", json={"budget": {}}), 409, "sweep-not-finished")
+    problem(stack.http.delete(here), 409, "sweep-not-finished")
+    look()
+    assert [one["status"] for one in stack.http.get(here).json()["trials"]] == ["cancelling", "cancelled"]
+    running.end(JobStatus.CANCELLED, Reason.USER_CANCELLED)
+    look()
+    found = stack.http.get(here).json()
+    assert (found["status"], found["message"]) == ("cancelled", "It was cancelled: 2 cancelled.")
+    assert stack.http.post(f"{here}/cancel").json()["status"] == "cancelled"
+
+    resumed = stack.http.post(f"{here}/resume", json={"budget": {"parallel": 1}})
+    assert (resumed.status_code, resumed.json()["status"]) == (202, "running")
+    look()
+    assert [one["number"] for one in stack.http.get(here).json()["trials"]] == [0, 1, 2]
+    finish(stack, 2, {METRIC: 1.0})
+    look()
+    finish(stack, 3, {METRIC: 1.0})
+    look()
+    ended = stack.http.post(f"{here}/cancel")
+    problem(ended, 409, "sweep-finished")
+    refused = problem(stack.http.post(f"{here}/resume", json={"budget": {"jobs": 9}}), 422, "invalid-request")
+    assert (
+        refused["detail"] == "Every combination was tried, so no further trial would start; raise the budget."
+    )
+
+
+def test_a_deleted_sweep_leaves_its_jobs(stack: Stack, look: Callable[[], int]) -> None:
+    here = post(stack, parameters={"seed": [1]}).json()["links"]["self"]
+    look()
+    job = finish(stack, 0, {METRIC: 1.0}).id
+    look()
+    assert stack.http.delete(here).status_code == 204
+    problem(stack.http.get(here), 404, "sweep-not-found")
+    assert stack.http.get(f"/jobs/{job}").status_code == 200
+
+
+def test_a_deleted_trial_keeps_its_values(stack: Stack, look: Callable[[], int]) -> None:
+    here = post(stack).json()["links"]["self"]
+    look()
+    done, gone = finish(stack, 0, {METRIC: 1.0}).id, finish(stack, 1, {METRIC: 2.0}).id
+    stack.http.delete(f"/jobs/{gone}")  # Before its end was seen.
+    look()
+    stack.http.delete(f"/jobs/{done}")
+    first, second, *_ = stack.http.get(here).json()["trials"]
+    assert (first["job"], first["status"], first["values"]) == (None, "succeeded", [1.0])
+    assert (second["job"], second["status"]) == (None, "deleted")
+
+
+def test_several_objectives_have_a_front(stack: Stack, look: Callable[[], int]) -> None:
+    objectives = [{"metric": METRIC}, {"metric": "eval/avg_episode_length", "direction": "minimize"}]
+    here = post(stack, objective=objectives).json()["links"]["self"]
+    look()
+    for number, (reward, length) in enumerate([(1, 10), (2, 20), (2, 30), (0, 10)]):
+        finish(stack, number, {METRIC: float(reward), "eval/avg_episode_length": float(length)})
+    look()
+    # (2, 30) is beaten by (2, 20), and (0, 10) by (1, 10).
+    assert [one["number"] for one in stack.http.get(here).json()["best"]] == [0, 1]
+
+
+def test_a_setting_that_does_not_fit_is_refused_and_counts(stack: Stack, look: Callable[[], int]) -> None:
+    """The checks at submission try some values of a long range; one between them may still not fit."""
+    parameters = {"algorithm.num_minibatches": [8, 3], "seed": [1]}
+    refused = problem(post(stack, parameters=parameters), 422, "invalid-request")
+    assert "/parameters/algorithm.num_minibatches" in pointers(refused)
+    spec = SWEEP_SPEC.validate_python({**GRID, "parameters": parameters, "labels": {}})
+    sweep = stack.store.add_sweep(Sweep(id="019aa3c2f0b1-5be0c1d2e3", spec=spec, created_at=NOON))
+    look()
+    first, second = stack.http.get(f"/sweeps/{sweep.id}").json()["trials"]
+    assert (first["status"], second["status"], second["job"]) == ("queued", "refused", None)
+    assert "num_minibatches" in second["message"]
+    finish(stack, 0, {METRIC: 1.0})
+    look()
+    assert stack.http.get(f"/sweeps/{sweep.id}").json()["message"].endswith("1 succeeded, 1 refused.")
+
+
+@pytest.mark.parametrize(
+    ("changes", "pointer", "sentence"),
+    [
+        ({"parameters": {}}, "/parameters", 'A sweep needs an axis, for example `"seed": [1, 2, 3]`.'),
+        (
+            {"parameters": {"algorithm.learning_rat": [1e-3]}},
+            "/parameters/algorithm.learning_rat",
+            "`algorithm.learning_rat` is not a field of this job; did you mean `algorithm.learning_rate`?",
+        ),
+        (
+            {"parameters": {"learning_rate": [1e-3]}},
+            "/parameters/learning_rate",
+            "`learning_rate` is not a field of this job; did you mean `algorithm.learning_rate`?",
+        ),
+        (
+            {"parameters": {"environment": ["ant", "hopper"], "environment.options.healthy_reward": [0.5]}},
+            "/parameters/environment.options.healthy_reward",
+            "`environment.options.healthy_reward` is a part of the axis `environment`; leave one out.",
+        ),
+        (
+            {"parameters": {"algorithm.learning_rate": [1e-3, 3]}},
+            "/parameters/algorithm.learning_rate",
+            "`algorithm.learning_rate` = 3: must be less than or equal to 1.",
+        ),
+        (
+            {"parameters": {"algorithm.num_envs": {"low": 64, "high": 128.5, "step": 64}}},
+            "/parameters/algorithm.num_envs",
+            "`algorithm.num_envs` = 64.0: must be a valid integer.",
+        ),
+        (
+            {"parameters": {"environment.options.healthy_reward": ["much"]}},
+            "/parameters/environment.options.healthy_reward",
+            None,
+        ),
+        ({"parameters": {"seed": [1, 2, 1]}}, "/parameters/seed", "`seed` has the value 1 twice."),
+        (
+            {"parameters": {"algorithm.learning_rate": {"low": 1e-4, "high": 1e-3}}},
+            "/parameters/algorithm.learning_rate",
+            "`algorithm.learning_rate` is a range, and a grid needs to know its values: "
+            "give `points` or `step`.",
+        ),
+        (
+            {
+                "parameters": {
+                    "seed": {"low": 1, "high": 1000, "step": 1},
+                    "algorithm.num_envs": {"low": 1, "high": 1000, "step": 1},
+                }
+            },
+            "/parameters",
+            "The grid has 1,000,000 combinations, but a sweep has 1,000 trials at most: take fewer values, "
+            "or the method `random` or `tpe` with a budget.",
+        ),
+        (
+            {"parameters": {"algorithm.learning_rate": {"low": 1e-3, "high": 1e-4, "points": 3}}},
+            "/parameters/algorithm.learning_rate",
+            None,
+        ),
+        (
+            {"objective": {"metric": "eval/episode_rewrd"}},
+            "/objective/metric",
+            "A job of this kind on ant reports no metric 'eval/episode_rewrd'; did you mean "
+            "`eval/episode_reward`?",
+        ),
+        (
+            {"objective": [{"metric": METRIC}, {"metric": "eval/episode_reward_dist"}]},
+            "/objective/1/metric",
+            None,
+        ),
+        ({"budget": {"jobs": 0}}, "/budget/jobs", None),
+        (
+            {"budget": {"steps": 999}},
+            "/budget/steps",
+            "The budget of 999 steps allows no trial: one takes 1,000 steps.",
+        ),
+        (
+            {"method": "random"},
+            "/budget",
+            "The method `random` has no end of its own: give `jobs`, `steps` or `gpu_hours`.",
+        ),
+        ({"method": "bayes"}, "/method", None),
+        ({"job": {**JOB, "environment": "aunt"}}, "/job/environment", None),
+        ({"job": {**JOB, "seeed": 1}}, "/job/seeed", "`seeed` is not a field here; did you mean `seed`?"),
+        ({"paramters": {}}, "/paramters", "`paramters` is not a field here; did you mean `parameters`?"),
+        (
+            {
+                "job": {"kind": "rollout", "environment": "ant", "policy": {"kind": "random"}},
+                "pruning": {"kind": "median"},
+                "parameters": {"seed": [1, 2]},
+            },
+            "/pruning",
+            "A rollout reports its metrics once, at its end, so nothing can be pruned.",
+        ),
+        (
+            {
+                "objective": [{"metric": METRIC}, {"metric": "eval/forward_speed"}],
+                "pruning": {"kind": "median"},
+            },
+            "/pruning",
+            "Pruning compares trials by one objective, and this sweep has several.",
+        ),
+    ],
+)
+def test_a_sweep_that_cannot_work_is_refused_in_a_sentence(
+    stack: Stack, changes: dict[str, Any], pointer: str, sentence: str | None
+) -> None:
+    refused = problem(post(stack, **changes), 422, "invalid-request")
+    assert pointers(refused) == [pointer]
+    if sentence is not None:
+        assert refused["errors"][0]["detail"] == sentence
+    assert stack.http.get("/sweeps").json()["items"] == []
+
+
+@pytest.mark.parametrize("name", list(EXAMPLES))
+def test_the_examples_are_accepted(stack: Stack, name: str) -> None:
+    answer = stack.http.post("/sweeps", json=EXAMPLES[name]["value"])
+    assert answer.status_code == 202, answer.text
+
+
+def test_what_is_no_sweep_is_not_found(stack: Stack) -> None:
+    for path in ("/sweeps/..%2f", "/sweeps/019aa3c2f0b1-5be0c1d2e3", "/sweeps/x"):
+        assert stack.http.get(path).status_code == 404
+    problem(stack.http.post("/sweeps/019aa3c2f0b1-5be0c1d2e3/cancel"), 404, "sweep-not-found")
+    problem(stack.http.post("/sweeps", content=b"{"), 415, "unsupported-media-type")
+
+
+def test_the_record_away_is_said_so(stack: Stack) -> None:
+    with stack.away("store"):
+        problem(stack.http.get("/sweeps"), 503, "records-unavailable")
+        problem(post(stack), 503, "records-unavailable")

@@ -1,0 +1,239 @@
+"""A sweep makes exactly its trials, whichever write fails, and however many reconcilers look."""
+
+import itertools
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from datetime import timedelta
+from typing import Any
+
+import pytest
+
+from core.adapters.memory.objects import MemoryObjectStore
+from core.adapters.memory.queue import MemoryJobQueue
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.errors import Unavailable
+from core.jobs.attempts import claim_attempt, new_secret
+from core.jobs.job import Progress
+from core.jobs.reconciliation import Reconciler
+from core.jobs.status import JobStatus
+from core.jobs.store import Entry, JobQuery
+from core.reasons import Reason
+from core.sweeps.controller import SweepController
+from core.sweeps.life import cancel_sweep
+from core.sweeps.submission import submit_sweep
+from core.sweeps.sweep import SweepStatus
+from tests.faults.crashing import Crash, Died, Failure, Process
+from tests.unit.sweeps.making import spec_of
+
+LEASE = timedelta(minutes=5)
+METRIC = "eval/episode_reward"
+# Two trials side by side, of which the second fails.
+SPEC = spec_of(parameters={"seed": [1, 3]}, budget={"parallel": 2})
+
+
+class Reconcilers:
+    """The process that moves the sweep on: after its death another one does, with nothing in memory.
+
+    What it does for jobs meets no crash here: test_crash_points.py has those.
+    """
+
+    def __init__(self, real: Process, crash: Crash) -> None:
+        self._real = real
+        self._controller = self._of(real.crashing(crash))
+        self._reconciler = Reconciler(real.store, real.queue, LEASE)
+
+    @staticmethod
+    def _of(it: Process) -> SweepController:
+        return SweepController(it.store, it.queue, it.objects)
+
+    def look(self) -> None:
+        with suppress(Unavailable):  # The next look does it again.
+            try:
+                self._controller.look()
+            except Died:
+                self._controller = self._of(self._real)
+        if self._real.store.undispatched():
+            self._reconciler.look()
+
+
+def work(real: Process) -> bool:
+    """A worker takes what waits and does it: the value of a trial is its seed; False if nothing waits."""
+    dispatch = real.queue.take()
+    if dispatch is None:
+        return False
+    claim = claim_attempt(
+        dispatch.job_id,
+        dispatch.attempt,
+        "worker",
+        store=real.store,
+        objects=real.objects,
+        lease=LEASE,
+        secret=new_secret(),
+    )
+    real.queue.remove(dispatch.job_id, dispatch.attempt)
+    if claim is None:
+        return True
+    claim.start(device="cpu")
+    job = real.store.get(dispatch.job_id)
+    value = float(job.spec.seed)
+    said = {"step": 100, "values": {METRIC: value}}
+    entry = Entry(kind="metrics", time=real.store.now(), data=said)
+    progress = Progress(step=100, total=1000, metrics={METRIC: value})
+    real.store.record(job.id, claim.token, "events", [entry], progress, write_id=new_secret())
+    if job.spec.seed == 3:
+        claim.end(JobStatus.FAILED, Reason.DIVERGED, "NaN.")
+    else:
+        claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done.")
+    return True
+
+
+def live(real: Process, crash: Crash) -> str:
+    """A whole sweep; its id."""
+    sweep = submit_sweep(SPEC, store=real.store)
+    reconcilers = Reconcilers(real, crash)
+    for _ in range(60):
+        reconcilers.look()
+        work(real)
+        if real.store.get_sweep(sweep.id).status.is_final:
+            return sweep.id
+    raise AssertionError("The sweep does not come to its end.")
+
+
+@pytest.fixture
+def real(job_store: PostgresJobStore) -> Process:
+    return Process(job_store, MemoryObjectStore(), MemoryJobQueue())
+
+
+def check_exact(real: Process, sweep_id: str, num_trials: int) -> None:
+    """Every trial once, with a job of its own, and no job besides."""
+    sweep, trials = real.store.get_sweep(sweep_id), real.store.trials([sweep_id])[sweep_id]
+    assert sweep.status == SweepStatus.SUCCEEDED
+    assert [trial.number for trial in trials] == list(range(num_trials))
+    assert len({str(trial.parameters) for trial in trials}) == num_trials
+    jobs = real.store.list(JobQuery(labels={"sweep": sweep_id}), limit=200).jobs
+    assert sorted(job.id for job in jobs) == sorted(trial.job for trial in trials)
+    by_id = {job.id: job for job in jobs}
+    for trial in trials:
+        assert by_id[trial.job].spec.seed == trial.parameters["seed"]
+        assert by_id[trial.job].spec.labels["trial"] == str(trial.number)
+
+
+def test_every_trial_runs_once_whichever_write_fails(real: Process) -> None:
+    live(real, counted := Crash())
+    # Of each trial its start, its message, the message's receipt and its outcome; importance; the end.
+    assert counted.num_writes == 10
+    for failure, at in itertools.product(Failure, range(1, counted.num_writes + 1)):
+        crash = Crash(at, failure)
+        sweep_id = live(real, crash)
+        check_exact(real, sweep_id, 2)
+        trials = real.store.trials([sweep_id])[sweep_id]
+        assert [trial.outcome for trial in trials] == ["succeeded", "failed"], (at, failure)
+        assert [trial.values for trial in trials] == [(1.0,), (3.0,)]
+
+
+def test_reconcilers_side_by_side_start_every_trial_once(real: Process) -> None:
+    spec = spec_of(parameters={"seed": list(range(12))}, budget={"parallel": 4})
+    sweep = submit_sweep(spec, store=real.store)
+    is_over, most = threading.Event(), 0
+
+    def reconcile() -> None:
+        controller = SweepController(real.store, real.queue, real.objects)
+        while not is_over.wait(0.001):
+            controller.look()
+
+    with ThreadPoolExecutor(3) as pool:
+        looking = [pool.submit(reconcile) for _ in range(2)]
+        try:
+            while not real.store.get_sweep(sweep.id).status.is_final:
+                unfinished = [
+                    one for one in real.store.trials([sweep.id]).get(sweep.id, []) if not one.outcome
+                ]
+                most = max(most, len(unfinished))
+                work(real)
+        finally:
+            is_over.set()
+        for one in looking:
+            one.result(20)
+    check_exact(real, sweep.id, 12)
+    assert most <= 4
+
+
+def test_what_runs_is_pruned_and_keeps_its_values(real: Process) -> None:
+    """The worker that has the job sees the cancel, as after a user's."""
+    spec = spec_of(
+        parameters={"seed": [5, 6, 1]},
+        budget={"parallel": 1},
+        pruning={"kind": "median", "startup_trials": 2},
+    )
+    sweep = submit_sweep(spec, store=real.store)
+    reconcilers = Reconcilers(real, Crash())
+    for _ in range(2):
+        reconcilers.look()
+        work(real)
+    reconcilers.look()
+    claim, job_id = claimed(real)
+    entry = Entry(kind="metrics", time=real.store.now(), data={"step": 100, "values": {METRIC: 1.0}})
+    progress = Progress(step=100, total=1000, metrics={METRIC: 1.0})
+    real.store.record(job_id, claim.token, "events", [entry], progress, write_id="w")
+    reconcilers.look()
+    assert real.store.get(job_id).status == JobStatus.CANCELLING
+    claim.end(JobStatus.CANCELLED, Reason.USER_CANCELLED, "It was cancelled.")
+    reconcilers.look()
+    reconcilers.look()
+    last = real.store.trials([sweep.id])[sweep.id][-1]
+    assert (last.outcome, last.values, last.steps) == ("pruned", (1.0,), 100)
+    assert real.store.get_sweep(sweep.id).message == "Every combination was tried: 2 succeeded, 1 pruned."
+
+
+def claimed(real: Process) -> Any:
+    dispatch = real.queue.take()
+    claim = claim_attempt(
+        dispatch.job_id,
+        dispatch.attempt,
+        "worker",
+        store=real.store,
+        objects=real.objects,
+        lease=LEASE,
+        secret=new_secret(),
+    )
+    assert claim is not None
+    claim.start(device="cpu")
+    return claim, dispatch.job_id
+
+
+def test_a_cancelled_sweep_ends_with_all_its_jobs_whichever_write_fails(real: Process) -> None:
+    def cancelled(crash: Crash) -> str:
+        sweep = submit_sweep(SPEC, store=real.store)
+        Reconcilers(real, Crash()).look()
+        cancel_sweep(sweep.id, store=real.store)
+        reconcilers = Reconcilers(real, crash)
+        for _ in range(20):
+            if real.store.get_sweep(sweep.id).status.is_final:
+                return sweep.id
+            reconcilers.look()
+        raise AssertionError("The sweep does not come to its end.")
+
+    cancelled(counted := Crash())
+    for failure, at in itertools.product(Failure, range(1, counted.num_writes + 1)):
+        sweep_id = cancelled(Crash(at, failure))
+        assert real.store.get_sweep(sweep_id).status == SweepStatus.CANCELLED
+        jobs = real.store.list(JobQuery(labels={"sweep": sweep_id})).jobs
+        assert {job.status for job in jobs} <= {JobStatus.CANCELLED}, (at, failure)
+        assert len(jobs) == len(real.store.trials([sweep_id]).get(sweep_id, []))
+
+
+def test_a_bug_in_one_sweep_stops_no_other(real: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+    bad, good = (submit_sweep(SPEC, store=real.store) for _ in range(2))
+    add: Callable[..., bool] = real.store.add_trial
+
+    def break_down(sweep_id: str, *rest: Any) -> bool:
+        if sweep_id == bad.id:
+            raise ZeroDivisionError
+        return add(sweep_id, *rest)
+
+    monkeypatch.setattr(real.store, "add_trial", break_down)
+    with suppress(Unavailable):
+        SweepController(real.store, real.queue, real.objects).look()
+    assert list(real.store.trials([bad.id, good.id])) == [good.id]

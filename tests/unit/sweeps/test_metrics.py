@@ -1,0 +1,70 @@
+"""The metrics that an objective may name."""
+
+from collections.abc import Sequence
+
+import jax
+import pytest
+
+from core.environments import catalog
+from core.jobs.spec import JOB_SPEC, JobSpec
+from core.physics.choose import engine_builder
+from core.sweeps.metrics import _terms, refusal_of_metric
+
+# The others take some seconds each.
+_QUICK = ("ant", "half_cheetah", "inverted_pendulum", "reacher")
+_TERMS = _terms()
+
+
+@pytest.mark.parametrize(
+    "environment_id",
+    [
+        *_QUICK,
+        *(pytest.param(name, marks=pytest.mark.slow) for name in _TERMS if name not in _QUICK),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # Brax's.
+def test_the_table_has_the_terms_of_the_loaded_environment(environment_id: str) -> None:
+    info, options = catalog.resolve(environment_id, {})
+    environment = catalog.make(info, options, engine_builder("mjx" if "/" in environment_id else "native"))
+    state = jax.eval_shape(environment.reset, jax.random.key(0))
+    assert sorted(state.metrics) == list(_TERMS[environment_id])
+
+
+def job(environment: object = "ant", **said: object) -> JobSpec:
+    return JOB_SPEC.validate_python({"kind": "train", "environment": environment, **said})
+
+
+@pytest.mark.parametrize(
+    ("spec", "metrics"),
+    [
+        (
+            job(),
+            ["eval/episode_reward", "eval/forward_speed", "eval/episode_reward_ctrl", "training/kl_mean"],
+        ),
+        (job(algorithm={"kind": "sac"}), ["training/q_value"]),
+        # Its reward's terms are named by its options.
+        (job({"id": "mjcf", "options": {"model": "sha256:" + "0" * 64}}), ["eval/episode_reward_anything"]),
+        (job(kind="rollout", policy={"kind": "random"}), ["eval/episode_reward", "eval/avg_episode_length"]),
+    ],
+)
+def test_what_a_job_reports_may_be_an_objective(spec: JobSpec, metrics: Sequence[str]) -> None:
+    assert [refusal_of_metric(spec, metric) for metric in metrics] == [None] * len(metrics)
+
+
+@pytest.mark.parametrize(
+    ("spec", "metric", "near"),
+    [
+        (job(), "reward", "eval/episode_reward"),
+        (job(), "training/q_value", None),
+        (job("inverted_pendulum"), "eval/forward_speed", None),
+        (job(kind="rollout", policy={"kind": "random"}), "training/sps", None),
+        (job({"id": "mjcf", "options": {"model": "sha256:" + "0" * 64}}), "eval/nothing", None),
+    ],
+)
+def test_what_it_does_not_report_is_refused_with_what_it_does(
+    spec: JobSpec, metric: str, near: str | None
+) -> None:
+    refusal = refusal_of_metric(spec, metric)
+    assert refusal is not None
+    assert f"reports no metric {metric!r}" in refusal
+    assert near is None or f"`{near}`" in refusal

@@ -1,0 +1,87 @@
+"""Optuna over our own records."""
+
+import math
+from typing import Any
+
+import pytest
+
+from core.sweeps.advance import Seen
+from core.sweeps.importance import importance
+from core.sweeps.tpe import ask
+from tests.unit.sweeps.making import spec_of, trial_of
+
+RATE = "algorithm.learning_rate"
+PARAMETERS = {
+    RATE: {"low": 1e-5, "high": 1e-1, "log": True},
+    "algorithm.num_envs": {"low": 64, "high": 250, "step": 64},  # Its last step ends at 192.
+    "algorithm.entropy_cost": {"low": 0.0, "high": 0.25, "step": 0.1},
+    "algorithm.policy_hidden_layer_sizes": [[32, 32], [64]],
+    "algorithm.normalize_observations": [True, False],
+    "environment.options.healthy_reward": [1, 1.0, None],
+}
+OTHERS = {
+    "algorithm.num_envs": 192,
+    "algorithm.entropy_cost": 0.2,
+    "algorithm.policy_hidden_layer_sizes": [64],
+    "algorithm.normalize_observations": False,
+    "environment.options.healthy_reward": 1.0,
+}
+
+
+def tried(number: int, rate: float, **said: Any) -> Seen:
+    """A trial whose value is best at a rate of 1e-3."""
+    value = -abs(math.log10(rate) + 3)
+    facts = {"parameters": {RATE: rate, **OTHERS}, "values": (value,), "outcome": "succeeded", **said}
+    return Seen(trial_of(number, **facts), {100: value})
+
+
+def test_it_draws_where_values_were_good() -> None:
+    spec = spec_of(method="tpe", parameters=PARAMETERS, budget={"jobs": 100})
+    seen = [tried(number, 10 ** (-5 + 4 * number / 39)) for number in range(40)]
+    drawn = [float(ask(spec, number, seen)[RATE]) for number in range(40, 60)]  # pyright: ignore
+    # Of random draws a quarter would lie this near to 1e-3.
+    assert sum(abs(math.log10(rate) + 3) < 0.5 for rate in drawn) > 12
+
+
+def test_every_outcome_is_understood_and_every_value_is_one_of_the_axis() -> None:
+    spec = spec_of(method="tpe", parameters=PARAMETERS, budget={"jobs": 100})
+    seen = [tried(number, 1e-3) for number in range(10)]
+    seen += [
+        tried(10, 1e-2, outcome=None, values=()),
+        tried(11, 1e-2, outcome="failed", values=(None,)),
+        tried(12, 1e-2, outcome="refused", values=()),
+        tried(13, 1e-2, outcome="pruned"),
+        Seen(trial_of(14, parameters={RATE: 1e-2, **OTHERS}, outcome="pruned", values=(None,))),
+        tried(15, 1e-2, outcome="succeeded", values=(None,)),
+    ]
+    for number in range(16, 26):
+        values = ask(spec, number, seen)
+        assert ask(spec, number, seen) == values
+        assert values["algorithm.num_envs"] in (64, 128, 192)
+        assert values["algorithm.entropy_cost"] in (0.0, 0.1, 0.2)
+        assert values["algorithm.policy_hidden_layer_sizes"] in ([32, 32], [64])
+        assert type(values["algorithm.normalize_observations"]) is bool
+
+
+def test_several_objectives_are_drawn_for_and_weighed_one_by_one() -> None:
+    objectives = [
+        {"metric": "eval/episode_reward"},
+        {"metric": "eval/avg_episode_length", "direction": "minimize"},
+    ]
+    spec = spec_of(method="tpe", parameters=PARAMETERS, budget={"jobs": 100}, objective=objectives)
+    seen = [tried(n, 10 ** (-5 + n / 5), values=(float(n), float(n % 3))) for n in range(15)]
+    assert set(ask(spec, 15, seen)) == set(PARAMETERS)
+    shares, note = importance(spec, seen)
+    assert note is None
+    assert shares is not None
+    assert set(shares) == {"eval/episode_reward", "eval/avg_episode_length"}
+    # Nothing else varied. What PED-ANOVA smooths over 15 trials leaves the others a little.
+    assert max(shares["eval/episode_reward"].items(), key=lambda pair: pair[1])[0] == RATE
+    assert sum(shares["eval/episode_reward"].values()) == pytest.approx(1)
+
+
+def test_without_a_difference_there_is_no_importance() -> None:
+    spec = spec_of(method="tpe", parameters=PARAMETERS, budget={"jobs": 100})
+    seen = [tried(number, 1e-3) for number in range(5)]
+    assert importance(spec, seen) == (None, "All trials have the same eval/episode_reward.")
+    assert importance(spec, seen[:3]) == (None, "It needs 4 trials that succeeded; there are 3.")
