@@ -100,7 +100,7 @@ CMD ["python", "-m", "api", "--host", "0.0.0.0", "--port", "8000"]
 HEALTHCHECK --interval=10s --timeout=5s --start-period=20s \
     CMD ["python", "-c", "from urllib.request import urlopen; urlopen('http://127.0.0.1:8000/readyz', timeout=4)"]
 LABEL org.opencontainers.image.title="Gaitway API" \
-      org.opencontainers.image.description="The HTTP service and the reconciler of Gaitway" \
+      org.opencontainers.image.description="The HTTP service of Gaitway" \
       org.opencontainers.image.source="https://github.com/gaitway/gaitway" \
       org.opencontainers.image.licenses="Apache-2.0"
 

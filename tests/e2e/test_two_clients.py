@@ -16,6 +16,7 @@ from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy_file import write_policy
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
+from core.sweeps.controller import SweepController
 from gaitway import (
     AsyncClient,
     Client,
@@ -51,7 +52,7 @@ class Either:
         portal = self._portal
         if portal is None:
             return method
-        if name in ("list", "events", "logs"):
+        if name in ("list", "events", "logs", "sweeps"):
             return lambda *args, **more: _items(method(*args, **more), portal)
 
         async def call(args: tuple[Any, ...], more: dict[str, Any]) -> Any:
@@ -98,6 +99,7 @@ def test_every_method_does_the_same(stack: Stack, client: Either, tmp_path: Path
     _following(stack, client)
     _files(stack, client, tmp_path)
     _bodies(stack, client, tmp_path)
+    _sweeps(stack, client)
     assert client.health() == {"status": "ok"}
     assert client.called == METHODS - {"close"}  # the fixture calls it
 
@@ -195,6 +197,33 @@ def _bodies(stack: Stack, client: Either, folder: Path) -> None:
         assert [found.name for found in client.workers()] == ["w"]
     assert "ant" in [found.id for found in client.environments("gaitway")]
     assert client.environment("corridor", {"num_next_obstacles": 1}).observation[-1].size == 1
+
+
+def _sweeps(stack: Stack, client: Either) -> None:
+    spec = {"job": {"environment": "ant"}, "method": "grid", "parameters": {"seed": [1, 2, 3]}}
+    asked = {
+        "budget": {"parallel": 2},
+        "objective": {"metric": "eval/episode_reward", "direction": "maximize"},
+    }
+    sweep = client.sweep(spec, idempotency_key="s", **asked)
+    assert client.sweep(spec, idempotency_key="s", **asked).id == sweep.id
+    assert [found.id for found in client.sweeps()] == [sweep.id]
+    assert [found.id for found in client.sweeps(limit=1, status="running")] == [sweep.id]
+    look = SweepController(stack.store, stack.queue, stack.objects).look
+    look()
+    assert len(client.get_sweep(sweep.id).trials) == 2
+    with pytest.raises(WaitTimeout):
+        client.wait_for_sweep(sweep.id, timeout=0.01)
+    assert client.cancel_sweep(sweep.id).status == "cancelling"
+    look()
+    look()
+    assert client.wait_for_sweep(sweep.id, timeout=10).status == "cancelled"
+    assert client.resume_sweep(sweep.id, parallel=1).status == "running"
+    client.cancel_sweep(sweep.id)
+    look()
+    client.delete_sweep(sweep.id)
+    with pytest.raises(NotFound):
+        client.get_sweep(sweep.id)
 
 
 @pytest.mark.parametrize("kind", [Client, AsyncClient])
