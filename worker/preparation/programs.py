@@ -19,6 +19,7 @@ from core.variables import variable
 from worker.compile_cache.fingerprint import fingerprint
 from worker.compile_cache.session import Caches
 from worker.host.child import TRAINING, environment, launch, tail
+from worker.host.memory import sacrifice
 from worker.protocol import Task
 from worker.supervision.spool import SPOOLS, spool
 
@@ -42,29 +43,29 @@ def prepare(
 
     slot_fds: of the device's locks. command: the training's program.
     """
-    folder = settings.data_dir.absolute()
-    done = (
-        folder / PREPARED / f"{environment_id.replace('/', '-')}-{version('gaitway')}-{fingerprint(device)}"
-    )
-    if done.exists():
-        return
-    own = folder / SPOOLS / f"prepare-{os.getpid()}"
+    folder, cached_as = settings.data_dir.absolute(), environment_id.replace("/", "-")
+    name = f"{cached_as}-{version('gaitway')}-{fingerprint(device)}"
+    done, own = folder / PREPARED / name, folder / SPOOLS / f"prepare-{name}"
+    # Of the workers with equal devices one prepares; the others wait for its spool.
     with spool(own), tempfile.TemporaryFile() as said:
+        if done.exists():
+            return
         caches = Caches(objects, settings, device, own)
-        caches.open(environment_id.replace("/", "-"), _never)
+        caches.open(cached_as, _never)
         (own / "task.json").write_text(_task(environment_id, device).model_dump_json())
         variables = {**environment(device, folder, os.environ), variable("models"): settings.models}
         pipes = (said.fileno(), *slot_fds)
         child = launch(
             [*command, str(own), str(said.fileno())], variables, stdout=subprocess.DEVNULL, cwd=own, fds=pipes
         )
+        sacrifice(child.pid)
         if status := child.wait():
             log.warning("not_prepared", environment=environment_id, status=status, detail=_last_line(said))
             return
         caches.keep()
         caches.close(_never)
-    done.parent.mkdir(exist_ok=True)
-    done.touch()
+        done.parent.mkdir(exist_ok=True)
+        done.touch()
     log.info("prepared", environment=environment_id)
 
 
