@@ -30,7 +30,3 @@ export function lastReturn(job) {
   for (const name of RETURNS) if (typeof job.progress.metrics[name] === "number") return job.progress.metrics[name];
   return null;
 }
-
-/** What the newest attempt ran with; empty before it reported. */
-export const hyperparametersOf = (job) =>
-  job.attempts.findLast((attempt) => attempt.details.hyperparameters)?.details.hyperparameters || {};

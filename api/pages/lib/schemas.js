@@ -1,4 +1,4 @@
-/** JSON Schemas of jobs, from the service's OpenAPI document, and the values that they fill in. */
+/** JSON Schemas of jobs, from the service's OpenAPI document. */
 
 import { get } from "./api.js";
 
@@ -34,25 +34,4 @@ export function withoutNull(schema, all) {
   if (forms.length > 1) return { schema: { ...whole, anyOf: forms }, isNullable };
   const { anyOf, ...own } = whole;
   return { schema: { ...resolve(forms[0], all), ...own }, isNullable };
-}
-
-/** A document with the defaults of its schema where it says nothing. */
-export function filled(schema, all, said) {
-  const { schema: own } = withoutNull(schema, all);
-  if (said === null || (said !== undefined && (typeof said !== "object" || Array.isArray(said)))) return said;
-  if (!own.properties) return said ?? own.default;
-  if (said === undefined && own.default === null) return null;
-  const given = said ?? {};
-  const names = new Set([...Object.keys(own.properties), ...Object.keys(given)]);
-  return Object.fromEntries(
-    [...names].map((name) => [name, own.properties[name] ? filled(own.properties[name], all, given[name]) : given[name]]),
-  );
-}
-
-/** A document as pairs of a path and a value; lists are values. */
-export function flat(document, path = []) {
-  if (document === null || typeof document !== "object" || Array.isArray(document) || !Object.keys(document).length) {
-    return [[path.join("."), document]];
-  }
-  return Object.entries(document).flatMap(([name, value]) => flat(value, [...path, name]));
 }
