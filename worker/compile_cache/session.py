@@ -12,6 +12,8 @@ from threading import Thread
 import structlog
 
 from core.jobs.job import utc_now
+from core.jobs.own_model import model_of
+from core.jobs.spec import EnvironmentSpec
 from core.retry import CalledOff
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
@@ -40,10 +42,10 @@ class Caches:
         self._shared: SharedCache | None = None
         self._thread: Thread | None = None  # The last that was begun; each waits for the one before.
 
-    def open(self, environment: str, called_off: Callable[[], bool]) -> None:
+    def open(self, environment: EnvironmentSpec, called_off: Callable[[], bool]) -> None:
         """Give the job what was compiled for its environment, here or elsewhere. Raises CalledOff."""
         if self._shared_max_bytes:
-            self._shared = SharedCache(self._objects, self._machine, environment)
+            self._shared = SharedCache(self._objects, self._machine, cached_as(environment))
             self._begin("caches_not_fetched", partial(self._fetch, self._shared))
             self._wait(_FETCH_TIMEOUT_S, called_off)
         _attempt("caches_not_lent", partial(lend, self._kept, self._own))
@@ -91,6 +93,12 @@ class Caches:
             if called_off():
                 raise CalledOff
             self._thread.join(_POLL_S)
+
+
+def cached_as(environment: EnvironmentSpec) -> str:
+    """The cache's name, without slashes; each model of a user has its own, since no other can use it."""
+    model_id, environment_id = model_of(environment) or "", environment.id.replace("/", "-")
+    return "-".join(filter(None, (environment_id, model_id.removeprefix("sha256:")[:16])))
 
 
 def _attempt(failure: str, step: Callable[[], None]) -> None:

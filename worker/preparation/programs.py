@@ -17,7 +17,7 @@ from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
 from core.variables import variable
 from worker.compile_cache.fingerprint import fingerprint
-from worker.compile_cache.session import Caches
+from worker.compile_cache.session import Caches, cached_as
 from worker.host.child import TRAINING, environment, launch, tail
 from worker.host.memory import sacrifice
 from worker.protocol import Task
@@ -43,16 +43,17 @@ def prepare(
 
     slot_fds: of the device's locks. command: the training's program.
     """
-    folder, cached_as = settings.data_dir.absolute(), environment_id.replace("/", "-")
-    name = f"{cached_as}-{version('gaitway')}-{fingerprint(device)}"
+    folder, task = settings.data_dir.absolute(), _task(environment_id, device)
+    chosen = task.spec.environment
+    name = f"{cached_as(chosen)}-{version('gaitway')}-{fingerprint(device)}"
     done, own = folder / PREPARED / name, folder / SPOOLS / f"prepare-{name}"
     # Of the workers with equal devices one prepares; the others wait for its spool.
     with spool(own), tempfile.TemporaryFile() as said:
         if done.exists():
             return
         caches = Caches(objects, settings, device, own)
-        caches.open(cached_as, _never)
-        (own / "task.json").write_text(_task(environment_id, device).model_dump_json())
+        caches.open(chosen, _never)
+        (own / "task.json").write_text(task.model_dump_json())
         variables = {**environment(device, folder, os.environ), variable("models"): settings.models}
         pipes = (said.fileno(), *slot_fds)
         child = launch(

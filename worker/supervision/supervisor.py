@@ -13,7 +13,6 @@ import structlog
 from core.errors import JobFailed, LeaseLost, NotFound, Rejected, Unavailable
 from core.jobs.attempts import Claim
 from core.jobs.job import Job
-from core.jobs.own_model import model_of
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
 from core.reasons import Reason
@@ -111,7 +110,7 @@ class Supervisor:
         )
         locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
         with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
-            caches.open(_cached_as(job), leaving)
+            caches.open(job.spec.environment, leaving)
             outbox = Outbox(self.claim, spool, _checkpoints_kept(job))
             for note in notes:
                 outbox.put(Noted(text=note))
@@ -276,12 +275,6 @@ def _not_stored(is_leaving: bool) -> Outcome:
     hours = _STORAGE_TIMEOUT_S / 3600
     message = f"The results could not be stored for {hours:.0f} hours: {why}."
     return Outcome(None, Reason.STORAGE_UNAVAILABLE, message)
-
-
-def _cached_as(job: Job) -> str:
-    """The cache's name, without slashes; each model of a user has its own, since no other can use it."""
-    model_id, environment_id = model_of(job.spec.environment) or "", job.spec.environment.id.replace("/", "-")
-    return "-".join(filter(None, (environment_id, model_id.removeprefix("sha256:")[:16])))
 
 
 def _checkpoints_kept(job: Job) -> int:
