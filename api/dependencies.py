@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 from anyio import CapacityLimiter
 from fastapi import Depends, Path, Request
@@ -74,16 +74,18 @@ async def _service(request: Request) -> Service:
 
 # Asynchronous, so that returning a reference takes no thread.
 ServiceDep = Annotated[Service, Depends(_service)]
-JobId = Annotated[
-    str,
-    Path(
-        description="A job's id.",
+
+
+def id_in_path(description: str) -> Any:
+    """An id of a job or a sweep. The format is only documented: a validator answers a wrong one with 404."""
+    return Path(
+        description=description,
         examples=["019aa3c2f0b1-5be0c1d2e3"],
-        # Only documents the format: `check_job_id` answers a malformed id with 404.
         json_schema_extra={"pattern": f"^{JOB_ID}$"},
-    ),
-    AfterValidator(check_job_id),
-]
+    )
+
+
+JobId = Annotated[str, id_in_path("A job's id."), AfterValidator(check_job_id)]
 # `core.jobs.store.entry_number` checks it.
 EntryId = Annotated[str, Field(json_schema_extra={"pattern": f"^{ENTRY_ID}$"})]
 

@@ -1,6 +1,6 @@
 """A job's files: videos, checkpoints, everything else."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -137,8 +137,7 @@ def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
         step = "" if asked.step is None else f" of step {asked.step}"
         camera = "" if asked.camera is None else f" by camera {asked.camera!r}"
         raise absence(job, f"{role}{step}{camera}", role)
-    # One without a step was made at the job's end.
-    return max(found, key=lambda artifact: float("inf") if artifact.step is None else artifact.step)
+    return last_made(found)
 
 
 # By the format that a client asks for.
@@ -178,6 +177,11 @@ def _check_exportable(spec: TrainSpec, form: str) -> None:
             "which `client.load_policy` reads."
         )
         raise Rejected(detail, [Problem("/format", detail)])
+
+
+def last_made(found: Sequence[Artifact]) -> Artifact:
+    """The newest of these, of which one at least; one without a step was made at the job's end."""
+    return max(found, key=lambda artifact: float("inf") if artifact.step is None else artifact.step)
 
 
 def absence(job: Job, wanted: str, role: ArtifactRole | None = None) -> NotFound:

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import file_response, responses
-from api.routes.files import absence
+from api.routes.files import absence, last_made
 from core.errors import ArtifactNotFound
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import TrainSpec
@@ -53,8 +53,7 @@ def _replay(job: Job, step: int | None) -> Artifact:
     found = [one for one in job.artifacts if one.role == "replay" and step in (None, one.step)]
     if not found:
         raise _none(job, "replay" if step is None else f"replay of step {step}")
-    # One without a step is that of a rollout.
-    return max(found, key=lambda one: float("inf") if one.step is None else one.step)
+    return last_made(found)
 
 
 def _none(job: Job, wanted: str) -> Exception:

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import AfterValidator, Field
 
-from api.dependencies import Parameters, Service, ServiceDep
+from api.dependencies import Parameters, Service, ServiceDep, id_in_path
 from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.problems import refusals
 from api.routes.jobs import Cursor
@@ -23,7 +23,7 @@ from core.errors import (
     SweepNotFinished,
     SweepNotFound,
 )
-from core.jobs.job import JOB_ID, Job, UnreadableJob, check_job_id
+from core.jobs.job import Job, UnreadableJob, check_job_id
 from core.sweeps.life import cancel_sweep, delete_sweep, resume_sweep
 from core.sweeps.submission import submit_sweep
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
@@ -38,15 +38,7 @@ def _check_sweep_id(text: str) -> str:
         raise SweepNotFound(text[:64]) from None
 
 
-SweepId = Annotated[
-    str,
-    Path(
-        description="A sweep's id.",
-        examples=["019aa3c2f0b1-5be0c1d2e3"],
-        json_schema_extra={"pattern": f"^{JOB_ID}$"},
-    ),
-    AfterValidator(_check_sweep_id),
-]
+SweepId = Annotated[str, id_in_path("A sweep's id."), AfterValidator(_check_sweep_id)]
 
 
 def _body(schema: str, examples: Mapping[str, Any]) -> dict[str, Any]:

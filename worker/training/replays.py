@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from core.environments.trajectory import Episode
 from core.rendering.replay.replay import replay_of, scene_of
@@ -61,15 +61,15 @@ class ReplayBudget:
     """
 
     share: float = 0.03
-    _cost_s: list[float] = field(default_factory=list[float])
-    _last_end: float = 0.0
+    _is_compiled: bool = False
+    _next_at: float = 0.0
 
     def allows_another(self) -> bool:
         """Whether the last one's cost has become a small share of the time since then."""
-        measured = self._cost_s[1:]
-        return not measured or time.monotonic() - self._last_end >= measured[-1] / self.share
+        return time.monotonic() >= self._next_at
 
     def spent(self, began: float) -> None:
         """Another one is done. began: its start, by `time.monotonic`."""
-        self._last_end = time.monotonic()
-        self._cost_s.append(self._last_end - began)
+        now = time.monotonic()
+        self._next_at = now + (now - began) / self.share if self._is_compiled else now
+        self._is_compiled = True

@@ -8,7 +8,7 @@ from typing import Any
 
 from core.algorithms.catalog import least_memory, resolve
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
-from core.algorithms.policy import policy_from_checkpoint
+from core.algorithms.policy import load_policy
 from core.algorithms.run import Run, make_run
 from core.algorithms.spec import BaseSpec
 from core.errors import JobFailed
@@ -118,7 +118,8 @@ class PolicyVideos:
 
     def _filmed(self) -> tuple[VideoRecorder, Any]:
         """The recorder, and the policy's parameters as they are now."""
-        policy = policy_from_checkpoint(self.run.checkpoint())
+        # Not from a checkpoint, which may hold a replay buffer.
+        policy = load_policy(self.run.policy(), self.spec.algorithm.algorithm(), is_checkpoint=False)
         if self._film is None:
             env, act = policy.acting(self.built.environment)
             built = replace(self.built, environment=env)
