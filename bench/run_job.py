@@ -8,6 +8,7 @@ what the process reported about itself; `curve.png` comes at the end. The video 
 
 import argparse
 import json
+import os
 import threading
 import time
 from pathlib import Path
@@ -31,7 +32,7 @@ def main() -> None:
         nargs="?",
         const=1,
         metavar="N",
-        help="on the first GPU, or the first N; else on the CPU",
+        help="on the first GPU, or the first N, of CUDA_VISIBLE_DEVICES if it is set; else on the CPU",
     )
     parser.add_argument(
         "--set",
@@ -48,7 +49,7 @@ def main() -> None:
     for text in arguments.assignments:
         assigned(document, text)
     spec = JOB_SPEC.validate_json(json.dumps(document))
-    device = "gpu:" + ",".join(map(str, range(arguments.gpu))) if arguments.gpu else "cpu"
+    device = gpus(arguments.gpu) if arguments.gpu else "cpu"
     task = Task(job_id="bench", attempt=1, spec=spec, device=device)
     (folder / "task.json").write_text(task.model_dump_json())
     began = time.perf_counter()
@@ -63,6 +64,13 @@ def main() -> None:
     if isinstance(spec, TrainSpec) and story.rows:
         learning_curve(story.rows, folder / "curve.png", title=arguments.spec.stem)
     raise SystemExit(0 if process.poll(60) == 0 and "failed" not in story.told else 1)
+
+
+def gpus(number: int) -> str:
+    """The first so many cards, of those in CUDA_VISIBLE_DEVICES if it is set: `gpu:0,1`."""
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    cards = visible.split(",") if visible else map(str, range(number))
+    return "gpu:" + ",".join(list(cards)[:number])
 
 
 class Story:

@@ -15,7 +15,7 @@ from bench.measure.child import answer
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
     """training: [[steps, seconds of training until then], …]; rewards: none; curriculum: the progress at
-    those times, empty without one; tried: by the trial's name, see `_trial`; wall_s: all of it."""
+    those times, empty without one; tried: by the trial's name, see `trial`; wall_s: all of it."""
     from core.algorithms.catalog import resolve
     from core.algorithms.events import Progress
     from core.algorithms.policy import policy_from_checkpoint
@@ -39,16 +39,16 @@ def work(request: dict[str, Any]) -> dict[str, Any]:
             training.append((event.step, event.metrics["training/walltime"]))
             curriculum += [event.metrics[name] for name in ("training/curriculum",) if name in event.metrics]
     policy = policy_from_checkpoint(run.checkpoint())
-    trial = partial(_trial, policy, num_episodes=request["episodes"], num_steps=request["steps"])
-    tried = {name: trial(made({**request["options"], **own})) for name, own in request["tried"].items()}
+    try_in = partial(trial, policy, num_episodes=request["episodes"], num_steps=request["steps"])
+    tried = {name: try_in(made({**request["options"], **own})) for name, own in request["tried"].items()}
     wall_s = time.perf_counter() - began
     return {"training": training, "rewards": [], "curriculum": curriculum, "tried": tried, "wall_s": wall_s}
 
 
-def _trial(policy: Any, environment: Any, *, num_episodes: int, num_steps: int) -> dict[str, float]:
+def trial(policy: Any, environment: Any, *, num_episodes: int, num_steps: int) -> dict[str, float]:
     """speed: in m/s, over all steps until an episode's end, or its last gap; passed: the share of episodes
-    that are past the last gap; way: the mean share of the way there; fell: the share that the environment
-    ended."""
+    that are past the last gap; halfway: the share that went half of the way there; way: the mean share of
+    the way; fell: the share that the environment ended."""
     import jax
     import jax.numpy as jnp
 
@@ -75,6 +75,7 @@ def _trial(policy: Any, environment: Any, *, num_episodes: int, num_steps: int) 
     return {
         "speed": float(sums["x_velocity"].sum() / sums["steps"].sum()),
         "passed": float(sums["success"].mean()),
+        "halfway": float((sums["way_passed"] >= 0.5).mean()),
         "way": float(sums["way_passed"].mean()),
         "fell": float(sums["fell"].mean()),
     }

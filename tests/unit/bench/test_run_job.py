@@ -6,13 +6,25 @@ from pathlib import Path
 
 import pytest
 
-from bench.run_job import Story
+from bench.run_job import Story, gpus
 from core.algorithms.catalog import resolve
 from core.environments import catalog
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from worker.protocol import Measured, Started
 
 READY = sorted((Path(__file__).parents[3] / "bench" / "jobs").glob("*.json"))
+
+
+@pytest.mark.parametrize(
+    ("visible", "number", "device"), [(None, 2, "gpu:0,1"), ("3", 1, "gpu:3"), ("2,5,6", 2, "gpu:2,5")]
+)
+def test_a_job_takes_the_cards_that_it_may_see(
+    visible: str | None, number: int, device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    if visible is not None:
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    assert gpus(number) == device
 
 
 def test_a_job_that_is_cut_off_leaves_what_it_measured_until_then(tmp_path: Path) -> None:
