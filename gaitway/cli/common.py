@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any
 
 import typer
@@ -9,6 +10,7 @@ from pydantic import BaseModel
 
 from gaitway.cli.errors import wrong_usage
 from gaitway.client import Client
+from gaitway.sweep_views import SweepView
 from gaitway.views import JobView
 
 _SEARCHED = 1000
@@ -28,23 +30,25 @@ def client_of(context: typer.Context) -> Client:
 
 def job_id(client: Client, name: str) -> str:
     """The full id. Raises typer.Exit(2) where the abbreviation fits several jobs or none."""
+    return full_id(name, lambda limit: client.list(limit=limit), "job")
+
+
+def full_id(name: str, newest: Callable[[int], Iterable[JobView | SweepView]], what: str) -> str:
+    """As `job_id`, of a job or a sweep. newest: so many of them, the newest first."""
     if len(name) == 23:
         return name
     if name == "last":
-        newest = next(client.list(limit=1), None)
-        if newest is None:
-            raise wrong_usage("There is no job yet.")
-        return newest.id
-    fitting = [
-        job.id for job in client.list(limit=_SEARCHED) if job.id.startswith(name) or job.id.endswith(name)
-    ]
+        for one in newest(1):
+            return one.id
+        raise wrong_usage(f"There is no {what} yet.")
+    fitting = [one.id for one in newest(_SEARCHED) if one.id.startswith(name) or one.id.endswith(name)]
     if len(fitting) == 1:
         return fitting[0]
     if not fitting:
         raise wrong_usage(
-            f"None of the newest {_SEARCHED:,} jobs has an id that begins or ends with {name!r}."
+            f"None of the newest {_SEARCHED:,} {what}s has an id that begins or ends with {name!r}."
         )
-    raise wrong_usage(f"{name!r} fits {len(fitting)} jobs: {', '.join(fitting[:5])}. Give more of the id.")
+    raise wrong_usage(f"{name!r} fits {len(fitting)} {what}s: {', '.join(fitting[:5])}. Give more of the id.")
 
 
 def print_json(document: Any) -> None:

@@ -12,8 +12,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, client_of, print_json
-from gaitway.cli.errors import Group, wrong_usage
+from gaitway.cli.common import AsJson, client_of, full_id, print_json
+from gaitway.cli.errors import Group
 from gaitway.cli.progress import duration
 from gaitway.cli.submit import read
 from gaitway.client import Client
@@ -23,7 +23,6 @@ sweeps = typer.Typer(cls=Group, help="See sweeps and what came of them.", invoke
 
 SweepName = Annotated[str, typer.Argument(metavar="SWEEP", help="A sweep's id, its end, or `last`.")]
 _STYLES = {"succeeded": "green", "failed": "red", "running": "cyan"}
-_SEARCHED = 200
 _EVERY_S = 1.0
 
 
@@ -116,20 +115,7 @@ def delete(context: typer.Context, sweep: SweepName) -> None:
 
 
 def _id(client: Client, name: str) -> str:
-    """The full id. Raises typer.Exit(2) where the abbreviation fits several sweeps or none."""
-    if len(name) == 23:
-        return name
-    newest = [one.id for one in client.sweeps(limit=1 if name == "last" else _SEARCHED)]
-    fitting = (
-        newest if name == "last" else [one for one in newest if one.startswith(name) or one.endswith(name)]
-    )
-    if len(fitting) == 1:
-        return fitting[0]
-    if not fitting:
-        raise wrong_usage(
-            "There is no sweep yet." if name == "last" else f"No sweep's id begins or ends with {name!r}."
-        )
-    raise wrong_usage(f"{name!r} fits {len(fitting)} sweeps: {', '.join(fitting[:5])}. Give more of the id.")
+    return full_id(name, lambda limit: client.sweeps(limit=limit), "sweep")
 
 
 def _told(sweep: SweepView, as_json: bool) -> None:
@@ -162,7 +148,8 @@ def _list(found: Iterable[SweepView]) -> Table:
         trials = f"{sum(sweep.num_trials.values())} of {sweep.max_trials}"
         best = _values(sweep.best[0]) if sweep.best else ""
         status = Text(sweep.status, style=_STYLES.get(sweep.status, ""))
-        table.add_row(sweep.id, sweep.spec.get("method", ""), status, trials, best, age, sweep.name or "")
+        method = Text(sweep.spec.get("method", ""))
+        table.add_row(sweep.id, method, status, trials, best, age, Text(sweep.name or ""))
     return table
 
 
@@ -187,11 +174,11 @@ def _trials(sweep: SweepView) -> Table:
     axes = list(sweep.spec.get("parameters", {}))
     metrics = [metric.rpartition("/")[2] for metric in sweep.metrics]
     for column in ("TRIAL", "STATUS", *metrics, *(axis.rpartition(".")[2] for axis in axes), "JOB"):
-        table.add_column(column, no_wrap=column == "JOB")
+        table.add_column(Text(column), no_wrap=column == "JOB")
     best = {trial.number for trial in sweep.best}
     for trial in sorted(sweep.trials, key=lambda trial: _rank(sweep, trial)):
         values = [_number(value) for value in trial.values] or [""] * len(sweep.metrics)
-        given = [_number(trial.parameters.get(axis)) for axis in axes]
+        given = [Text(_number(trial.parameters.get(axis))) for axis in axes]
         status = Text(trial.status, style=_STYLES.get(trial.status, ""))
         style = "bold" if trial.number in best else ""
         table.add_row(str(trial.number), status, *values, *given, trial.job or "", style=style)

@@ -339,7 +339,7 @@ def test_a_sweep_is_started_watched_cancelled_resumed_and_deleted(client: Client
 
 def test_sweeps_by_the_cli(stack: Stack, tmp_path: Path) -> None:
     file = tmp_path / "sweep.json"
-    file.write_text(json.dumps(SWEEP))
+    file.write_text(json.dumps({**SWEEP, "name": "[red]seeds[/]"}))
     assert gaitway(stack, "sweeps").output == "No sweeps.\n"
     submitted = gaitway(stack, "sweep", str(file))
     assert submitted.exit_code == 0, submitted.output
@@ -361,7 +361,9 @@ def test_sweeps_by_the_cli(stack: Stack, tmp_path: Path) -> None:
         ["1", "succeeded", "10", "2"],
         ["0", "succeeded", "0", "1"],
     ]
-    assert "3 of 3" in gaitway(stack, "sweeps").output
+    [row] = gaitway(stack, "sweeps").output.splitlines()[1:]
+    assert "3 of 3" in row
+    assert row.endswith("[red]seeds[/]")  # Text, and no markup.
     assert gaitway(stack, "sweeps", "resume", sweep_id, "--jobs", "9").exit_code != 0
     assert gaitway(stack, "sweeps", "cancel", sweep_id[-6:]).exit_code != 0
     assert "its jobs stay" in gaitway(stack, "sweeps", "delete", sweep_id).output
