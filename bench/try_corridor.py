@@ -1,7 +1,7 @@
 """A policy for the corridor, tried without noise: `python -m bench.try_corridor CHECKPOINT JOB.json`.
 
-CHECKPOINT is a file of a job's, JOB.json the job's specification; `--set arena_seed=7` changes an option of the
-corridor. It prints what `bench.ours.train_layouts.trial` says of the episodes, on the engine `native`.
+CHECKPOINT is a file of a job's, JOB.json the job's specification; `--set arena_seed=7` changes an option of
+the corridor. It prints what `bench.ours.train_layouts.trial` says of the episodes, on the engine `native`.
 """
 
 import argparse

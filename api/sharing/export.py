@@ -22,7 +22,7 @@ from core.storage import keys
 
 # Of these only the newest file goes along.
 _NEWEST_ALONE = ("checkpoint", "video", "poster")
-# What stands in the zip already, in a form that needs no other program.
+# Roles whose content is in the zip already, in a form that every program reads.
 _LEFT_OUT = ("metrics", "log", "tensorboard", "wandb")
 # What every training that ended well has.
 _EXPECTED = {"train": ("checkpoint", "policy", "video"), "rollout": ("trajectory", "video")}
@@ -39,7 +39,7 @@ _README = (
 
 @dataclass
 class _Contents:
-    """What went along, and what did not, with the reason."""
+    """The files that are in the zip, and those that are not, with the reason."""
 
     files: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     missing: list[dict[str, str]] = field(default_factory=list[dict[str, str]])

@@ -21,7 +21,7 @@ from core.jobs.job import Artifact, Job
 
 _POINTS = 400
 _LOG_LINES = 200
-# Whoever opens the file needs nothing but it, and nothing in it runs.
+# The file needs no other file and no network, and no script in it runs.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; media-src data:"
 _STYLE = """
 :root{color-scheme:light dark;--line:#d0d7de;--soft:#57606a}
@@ -75,7 +75,7 @@ def _report(job: Job, service: Service, video: Artifact | None, pieces: Iterable
 
 
 def _sections(job: Job, service: Service) -> Iterator[str]:
-    """What follows the video, in order. A replay of the body in 3D belongs at their beginning."""
+    """The sections below the video, in order. A replay of the body in 3D would come first."""
     yield _curves(job, service)
     yield _section("Attempts", _attempts(job)) if job.attempts else ""
     yield _section("Settings", _settings(job, service))

@@ -1,4 +1,4 @@
-"""What a sweep does next: a pure function of its record and of its trials."""
+"""Decides the next steps of a sweep: a pure function of its record and of its trials."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What became of a trial, read from its job."""
+"""Reads the outcome of a trial from its job."""
 
 from collections.abc import Sequence
 from datetime import datetime

@@ -1,4 +1,4 @@
-"""What users do to a sweep: cancel, resume, delete."""
+"""Cancels, resumes and deletes a sweep for its user."""
 
 from core.errors import Problem, Rejected, StaleSweep, SweepFinished, SweepNotFinished
 from core.sweeps.checks import check_budget

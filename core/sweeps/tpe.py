@@ -52,8 +52,9 @@ def study_of(spec: SweepSpec, seen: Sequence[Seen], sampler: Any = None) -> "Stu
     """The sweep's trials as a study."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(directions=[one.direction for one in spec.objectives], sampler=sampler)
+    space = distributions(spec)
     for one in seen:
-        study.add_trial(_frozen(spec, one))
+        study.add_trial(_frozen(spec, space, one))
     return study
 
 
@@ -82,7 +83,7 @@ def _internal(axis: Axis, value: JsonValue) -> Any:
     return next(at for at, choice in enumerate(axis) if type(choice) is type(value) and choice == value)
 
 
-def _frozen(spec: SweepSpec, one: Seen) -> "FrozenTrial":
+def _frozen(spec: SweepSpec, space: dict[str, "BaseDistribution"], one: Seen) -> "FrozenTrial":
     trial, state = one.trial, optuna.trial.TrialState
     axes = spec.parameters
     said: dict[str, Any] = {"state": state.FAIL}
@@ -95,6 +96,6 @@ def _frozen(spec: SweepSpec, one: Seen) -> "FrozenTrial":
         said = {"state": state.COMPLETE, "values": list(trial.values)}
     return optuna.trial.create_trial(
         params={name: _internal(axis, trial.parameters[name]) for name, axis in axes.items()},
-        distributions=distributions(spec),
+        distributions=space,
         **said,
     )

@@ -201,7 +201,7 @@ sweeps = Table(
     Column("message", Text),
     _moment("created_at", nullable=False),
     _moment("finished_at"),
-    # What was computed from its trials: their importance.
+    # The importance of its parameters, computed from its trials.
     Column("found", Text, nullable=False, server_default="{}"),
     Column("key_hash", Text, unique=True),
     Column("fingerprint", Text),
