@@ -39,6 +39,7 @@ from gaitway.views import (
 AnyView = TypeVar("AnyView", bound=BaseModel)
 
 _POLL_S = 0.5
+_PAGE = 100
 _POLICY_FILES = {"numpy": "policy.npz", "onnx": "policy.onnx"}
 
 
@@ -62,15 +63,7 @@ class Calls:
         return self._job(Request("GET", job_path(job_id)))
 
     def list(self, limit: int | None, filters: Mapping[str, Any]) -> Feed:
-        cursor, left = None, limit
-        while left is None or left > 0:
-            page = yield from self.page(cursor, min(left or 100, 100), filters)
-            for job in page.items:
-                yield Found(job)
-            left = None if left is None else left - len(page)
-            cursor = page.next
-            if cursor is None:
-                return
+        return _paged(limit, lambda cursor, number: self.page(cursor, number, filters))
 
     def page(self, cursor: str | None, limit: int, filters: Mapping[str, Any]) -> Call[Page[JobView]]:
         labels: Mapping[str, str] = filters.get("labels") or {}
@@ -107,18 +100,13 @@ class Calls:
         return self._sweep("GET", _sweep_path(sweep_id))
 
     def sweeps(self, limit: int | None, status: str | None) -> Feed:
-        cursor, left = None, limit
-        while left is None or left > 0:
-            params = {"limit": min(left or 100, 100), "status": status, "cursor": cursor}
-            asked = {name: value for name, value in params.items() if value is not None}
-            answer = yield from self._ask("GET", "/sweeps", params=asked)
-            page = Page[SweepView].model_validate_json(answer.content)
-            for sweep in page.items:
-                yield Found(sweep)
-            left = None if left is None else left - len(page)
-            cursor = page.next
-            if cursor is None:
-                return
+        return _paged(limit, lambda cursor, number: self._page_of_sweeps(cursor, number, status))
+
+    def _page_of_sweeps(self, cursor: str | None, limit: int, status: str | None) -> Call[Page[SweepView]]:
+        params = {"limit": limit, "status": status, "cursor": cursor}
+        asked = {name: value for name, value in params.items() if value is not None}
+        answer = yield from self._ask("GET", "/sweeps", params=asked)
+        return Page[SweepView].model_validate_json(answer.content)
 
     def cancel_sweep(self, sweep_id: str) -> Call[SweepView]:
         return self._sweep("POST", _sweep_path(sweep_id, "cancel"))
@@ -397,6 +385,19 @@ def preview_query(
         "width": size[0],
         "height": size[1],
     }
+
+
+def _paged(limit: int | None, page: Callable[[str | None, int], Call[Page[Any]]]) -> Feed:
+    """The items of one page after the other, at most `limit`. page: of a cursor, with a largest number."""
+    cursor, left = None, limit
+    while left is None or left > 0:
+        found = yield from page(cursor, min(left or _PAGE, _PAGE))
+        for item in found.items:
+            yield Found(item)
+        left = None if left is None else left - len(found)
+        cursor = found.next
+        if cursor is None:
+            return
 
 
 def job_path(job_id: str, *parts: str) -> str:
