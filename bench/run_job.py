@@ -67,10 +67,12 @@ def main() -> None:
 
 
 def gpus(number: int) -> str:
-    """The first so many cards, of those in CUDA_VISIBLE_DEVICES if it is set: `gpu:0,1`."""
+    """The first so many cards, of CUDA_VISIBLE_DEVICES if it is set: `gpu:0,1`. Exits if that has fewer."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
-    cards = visible.split(",") if visible else map(str, range(number))
-    return "gpu:" + ",".join(list(cards)[:number])
+    cards = list(map(str, range(number))) if visible is None else [one for one in visible.split(",") if one]
+    if len(cards) < number:
+        raise SystemExit(f"CUDA_VISIBLE_DEVICES has {len(cards)} GPUs; {number} are asked for.")
+    return "gpu:" + ",".join(cards[:number])
 
 
 class Story:

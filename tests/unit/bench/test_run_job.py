@@ -27,6 +27,15 @@ def test_a_job_takes_the_cards_that_it_may_see(
     assert gpus(number) == device
 
 
+@pytest.mark.parametrize("visible", ["3", ""])
+def test_fewer_visible_cards_than_asked_for_are_refused(
+    visible: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    with pytest.raises(SystemExit, match="2 are asked for"):
+        gpus(2)
+
+
 def test_a_job_that_is_cut_off_leaves_what_it_measured_until_then(tmp_path: Path) -> None:
     (tmp_path / "metrics.jsonl").write_text("of an earlier job\n")
     story = Story(tmp_path, began=time.perf_counter())
