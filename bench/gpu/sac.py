@@ -154,6 +154,6 @@ def _picture(body: _Body, done: Mapping[str, Run]) -> Picture | None:
     metric = f"speed, {body.mark.unit}" if body.mark.unit else "return"
     return Picture(
         name=f"gpu_sac_{body.name}",
-        caption=f"The {body.name}'s {metric} against seconds of training, SAC's and PPO's, each seed a curve",
+        caption=f"The {body.name}'s {metric} against seconds of training, each seed a curve",
         panels=[Panel(title=body.name, x="seconds of training", y=metric, lines=lines)],
     )

@@ -181,6 +181,6 @@ def picture(gate: Gate, bench: str, done: Mapping[str, Run]) -> Picture | None:
     title = f"{gate.body}, to {gate.mark.least:g}"
     return Picture(
         name=f"{bench}_{gate.body}",
-        caption=f"The {gate.body}'s {metric} against time, ours and Brax's, each seed a curve",
+        caption=f"The {gate.body}'s {metric} against time, each seed a curve",
         panels=[Panel(title=title, x="seconds from the call", y=metric, lines=lines)],
     )
