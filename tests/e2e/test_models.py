@@ -49,7 +49,8 @@ def test_a_body_that_nothing_moves_is_refused_and_the_service_goes_on(client: Cl
 
 
 def test_a_body_is_looked_at(client: Client, hat: str, tmp_path: Path) -> None:
-    assert [found.id for found in client.models()] == [hat]
+    # A refusal that came after the API stopped waiting for it is listed too, for a day.
+    assert [found.id for found in client.models() if found.status == "ready"] == [hat]
     stills = client.preview("mjcf", tmp_path, options={"model": hat}, size=(64, 48))
     assert [file.read_bytes()[:4] for file in stills.values()] == [b"\x89PNG", b"\x89PNG"]
 
@@ -99,4 +100,4 @@ def test_a_policy_is_trained_in_it_and_each_term_is_measured(client: Client, hat
 
 def test_a_body_goes_when_it_is_told_to(client: Client, hat: str) -> None:
     client.delete_model(hat)
-    assert list(client.models()) == []
+    assert hat not in [found.id for found in client.models()]
