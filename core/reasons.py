@@ -22,4 +22,5 @@ class Reason(StrEnum):
     NO_DEVICE = "no_device"
     DEVICE_FAILED = "device_failed"
     STORAGE_UNAVAILABLE = "storage_unavailable"
+    COHORT_ENDED = "cohort_ended"
     TRAINING_CRASHED = "training_crashed"

@@ -242,6 +242,14 @@ class WorkerSettings(StoreSettings):
         "compiles, once, so that the first such job starts as fast as the next. `gaitway up` and Docker "
         "Compose say ant where this is not set; empty: none.",
     )
+    cohort: int | None = Field(
+        None,
+        ge=1,
+        le=64,
+        description="How many trials of a sweep that differ only in numbers a device trains together, at the "
+        "most; 1: each trains alone. By default 16 on a GPU and 1 on a CPU, where together is not faster, and "
+        "only alone is a resumed run equal to an uninterrupted one bit for bit.",
+    )
     models: Confinement = Field(
         "confined",
         description="confined: a user's model is refused where the system cannot confine the process that "

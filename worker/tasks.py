@@ -3,6 +3,7 @@
 import os
 import signal
 import socket
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
@@ -10,10 +11,13 @@ import structlog
 
 from core.adapters.connect import job_store, object_store
 from core.configuration import read
-from core.errors import JobUnreadable, Misconfigured, NotFound
-from core.jobs.attempts import claim_attempt, new_secret
-from core.jobs.needs import packages_here
-from core.jobs.store import JobStore
+from core.environments.info import Device
+from core.errors import JobUnreadable, Misconfigured, NotFound, Unavailable
+from core.jobs.attempts import Claim, claim_attempt, new_secret
+from core.jobs.cohort import companions
+from core.jobs.job import Job
+from core.jobs.needs import kind_of, packages_here
+from core.jobs.store import JobStore, WorkerInfo
 from core.jobs.waiting import why_left_to_others
 from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
@@ -25,6 +29,7 @@ from worker.host.disk import has_room, what_to_do
 from worker.host.drain_flag import Draining
 from worker.host.parent_death import die_with_parent
 from worker.preview.drawing import draw
+from worker.supervision.cohort import Cohort
 from worker.supervision.spool import SPOOLS, remove_left_over, spool
 from worker.supervision.supervisor import Supervisor
 from worker.validation.confined import validate
@@ -33,6 +38,8 @@ log = structlog.get_logger()
 
 # How long a worker that cannot start a job leaves the queue to others.
 _PAUSE_S = 5.0
+# How many trials of a sweep train together at most, where GAITWAY_COHORT does not say.
+_COHORT: dict[Device, int] = {"cpu": 1, "gpu": 16}
 
 
 def run_attempt(job_id: str, attempt: int) -> None:
@@ -54,18 +61,17 @@ def run_attempt(job_id: str, attempt: int) -> None:
         _leave_to_others(error.detail, draining)
         return
     store = job_store(settings)
-    look = partial(_why_left_to_others, job_id, store)
-    take = partial(
+    claim_one = partial(
         claim_attempt,
-        job_id,
-        attempt,
-        f"{socket.gethostname()}:{device}",
+        worker=f"{socket.gethostname()}:{device}",
         store=store,
         objects=object_store(settings),
         lease=settings.lease,
-        secret=new_secret(),
     )
+    take = partial(claim_one, job_id, attempt, secret=new_secret())
     try:
+        job = retry_while_unavailable(partial(store.get, job_id), called_off=draining.is_set)
+        look = partial(_why_left_to_others, job, store)
         if reason := retry_while_unavailable(look, called_off=draining.is_set):
             # The reconciler dispatches it again after it has missed it twice.
             log.info("left_to_others", detail=reason)
@@ -78,7 +84,12 @@ def run_attempt(job_id: str, attempt: int) -> None:
         log.info("dispatch_ignored")
         return
     test = device_health.command_for(device)
-    Supervisor(claim, settings, device, places, draining=draining, device_test=test).run()
+    claims = [claim, *_companions(job, device, settings, store, claim_one)]
+    if len(claims) == 1:
+        Supervisor(claim, settings, device, places, draining=draining, device_test=test).run()
+        return
+    environment = job.spec.environment
+    Cohort(claims, environment, settings, device, places, draining=draining, device_test=test).run()
 
 
 def validate_model(model_id: str) -> None:
@@ -107,8 +118,29 @@ def draw_preview(document: str) -> None:
         draw(request, object_store(settings), folder, data, models=settings.models)
 
 
-def _why_left_to_others(job_id: str, store: JobStore) -> str | None:
-    return why_left_to_others(store.get(job_id), packages_here(), store.workers())
+def _companions(
+    job: Job, device: str, settings: WorkerSettings, store: JobStore, claim: Callable[..., Claim | None]
+) -> Sequence[Claim]:
+    """The jobs that train together with this one, claimed; none where the record is unavailable just now."""
+    kind = kind_of(device)
+    most = settings.cohort or _COHORT[kind]
+    claims = list[Claim]()
+    with suppress(Unavailable):
+        for other in companions(job, store, kind, _this_worker(store), most - 1):
+            with suppress(NotFound, JobUnreadable):
+                if (found := claim(other.id, other.next_attempt, secret=new_secret())) is not None:
+                    claims.append(found)
+    return claims
+
+
+def _this_worker(store: JobStore) -> WorkerInfo | None:
+    """The worker whose work-horse this is, as it announced itself."""
+    here = (socket.gethostname(), os.getppid())
+    return next((worker for worker in store.workers() if (worker.host, worker.pid) == here), None)
+
+
+def _why_left_to_others(job: Job, store: JobStore) -> str | None:
+    return why_left_to_others(job, packages_here(), store.workers())
 
 
 def _leave_to_others(reason: str, draining: Draining) -> None:

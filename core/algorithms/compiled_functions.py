@@ -1,6 +1,6 @@
 """The compiled functions of a run: traced and compiled once, before the first step."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, Generic, cast
@@ -8,6 +8,7 @@ from typing import Any, Generic, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.stages import Compiled, Lowered
 
 from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.epoch import updates_until
@@ -46,14 +47,40 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
         jax.jit(algorithm.evaluate).lower(algorithm.evaluated(state), state.eval_key, count),
     )
 
-    options = compiler_options()
-
     def compile_all() -> CompiledFunctions[S]:
-        with ThreadPoolExecutor() as pool:
-            init, epoch, evaluate = pool.map(lambda function: function.compile(options), lowered)
+        init, epoch, evaluate = compile_side_by_side(lowered)
         return CompiledFunctions(init, epoch, algorithm.sharding.on_the_first(evaluate))
 
     return compile_all
+
+
+def trace_cohort(
+    algorithm: Algorithm[S], seeds: Any, hyperparameters: Any
+) -> Callable[[], CompiledFunctions[S]]:
+    """Like `trace`, for several runs at once: every array but `until` has the runs as its first axis.
+
+    algorithm: any of them, for one device. seeds, hyperparameters: of all runs, stacked.
+    """
+
+    def epoch(state: S, hyperparameters: Any, until: jax.Array) -> tuple[S, dict[str, jax.Array], Failure]:
+        return updates_until(algorithm.update, state, hyperparameters, until)
+
+    count = jax.ShapeDtypeStruct((), jnp.int32)
+    init, evaluate = jax.vmap(algorithm.init), jax.vmap(algorithm.evaluate)
+    state = jax.eval_shape(init, seeds)
+    lowered = (
+        jax.jit(init).lower(seeds),
+        jax.jit(jax.vmap(epoch, (0, 0, None)), donate_argnums=0).lower(state, hyperparameters, count),
+        jax.jit(evaluate).lower(algorithm.evaluated(state), state.eval_key, state.num_updates),
+    )
+    return lambda: CompiledFunctions(*compile_side_by_side(lowered))
+
+
+def compile_side_by_side(lowered: Iterable[Lowered]) -> Sequence[Compiled]:
+    """The compiled programs; each is compiled in a thread of its own."""
+    options = compiler_options()
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda function: function.compile(options), lowered))
 
 
 def compiler_options() -> Any:

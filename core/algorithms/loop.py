@@ -92,13 +92,18 @@ class Loop:
             "eval/walltime": self._evaluation_s,
             "eval/walltime_share": share,
         }
-        bad = [name for name, value in metrics.items() if not math.isfinite(value)]
-        if bad:
-            raise JobFailed(
-                Reason.DIVERGED,
-                f"The evaluation at environment step {self.step} gave a value that is not finite: {bad[0]}.",
-                step=self.step,
-                quantity=bad[0],
-            )
+        check_finite(metrics, self.step)
         self._evaluated = self.updates
         yield Evaluated(self.step, metrics)
+
+
+def check_finite(evaluated: Mapping[str, float], step: int) -> None:
+    """Raises JobFailed("diverged") if a metric of the evaluation at this environment step is not finite."""
+    bad = [name for name, value in evaluated.items() if not math.isfinite(value)]
+    if bad:
+        raise JobFailed(
+            Reason.DIVERGED,
+            f"The evaluation at environment step {step} gave a value that is not finite: {bad[0]}.",
+            step=step,
+            quantity=bad[0],
+        )

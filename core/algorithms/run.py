@@ -5,7 +5,7 @@ more), or ask for a checkpoint of the current state.
 """
 
 import time
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Mapping
 from functools import partial
 from typing import Any, Generic
 
@@ -13,16 +13,15 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from core.algorithms.algorithm import Algorithm, Failure, S
+from core.algorithms.algorithm import Algorithm, S
 from core.algorithms.catalog import ALGORITHMS, loaded
 from core.algorithms.compiled_functions import CompiledFunctions, place, trace
+from core.algorithms.divergence import diverged
 from core.algorithms.events import Event, Phase
 from core.algorithms.loop import Loop
 from core.algorithms.schedule import Schedule
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
-from core.errors import JobFailed
-from core.reasons import Reason
 
 
 def make_run(  # noqa: PLR0913 - all of them are named
@@ -90,7 +89,7 @@ class Run(Generic[S]):
         """Environment steps at the end of the run: the budget, rounded up to whole updates."""
         return self._loop.total
 
-    def events(self) -> Iterator[Event]:
+    def events(self) -> Generator[Event]:
         """Train to the end of the budget: Phase trace and compile, then the events of `Loop.events`.
 
         Raises JobFailed("diverged") at a value that is not finite; `checkpoint()` is then the state before
@@ -158,7 +157,7 @@ class Run(Generic[S]):
         failure = jax.device_get(failure)
         before, self._loop.updates = self._loop.updates, int(state.num_updates)
         if failure.quantities.any():
-            raise self._diverged(failure)
+            raise diverged(self._algorithm, failure, self.step)
         return self._algorithm.training_metrics(state, jax.device_get(sums), self._loop.updates - before)
 
     def _evaluate(self, functions: CompiledFunctions[S]) -> dict[str, float]:
@@ -166,17 +165,3 @@ class Run(Generic[S]):
         totals = functions.evaluate(self._algorithm.evaluated(state), state.eval_key, state.num_updates)
         self._state, metrics = self._algorithm.after_evaluation(state, jax.device_get(totals))
         return metrics
-
-    def _diverged(self, failure: Failure) -> JobFailed:
-        """The error for a failure in the update after the current state."""
-        algorithm = self._algorithm
-        quantity = algorithm.quantities[int(np.argmax(failure.quantities))]
-        within = int(failure.time_step) * algorithm.env_steps_per_time_step
-        step = self.step + min(within, algorithm.settings.env_steps_per_update)
-        return JobFailed(
-            Reason.DIVERGED,
-            f"The {quantity} became non-finite at environment step {step}; the last good state is that of "
-            f"step {self.step}.",
-            step=step,
-            quantity=quantity,
-        )

@@ -14,10 +14,13 @@ class BaseSpec(Strict):
 
     fixed_by_checkpoint: names of the values that a resumed run must share with its checkpoint; all others
     may change. checkpoint_holds_envs: whether a resumed run continues in the environments that it left.
+    arguments: names of the numbers that are arguments of the compiled programs, so that runs that differ only
+    in these and in their seeds can be trained together (`core.algorithms.cohort`); none: they cannot.
     """
 
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = ()
     checkpoint_holds_envs: ClassVar[bool] = False
+    arguments: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def algorithm(cls) -> str:

@@ -58,6 +58,7 @@ LOSSES = frozenset(
         Reason.NATIVE_CRASH,
         Reason.OUT_OF_HOST_MEMORY,
         Reason.STORAGE_UNAVAILABLE,
+        Reason.COHORT_ENDED,
     }
 )
 # Reasons that may be the fault of a machine or a card, but count as the job's own after this many attempts.

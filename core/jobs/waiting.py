@@ -18,15 +18,15 @@ def what_it_waits_for(job: Job, workers: Sequence[WorkerInfo]) -> str | None:
     """
     if job.status != JobStatus.QUEUED:
         return None
-    fitting = _fitting(job, workers)
-    if not fitting:
+    suitable = fitting(job, workers)
+    if not suitable:
         here = sorted({worker.device for worker in workers})
         there = f"the workers here have {', '.join(here)}" if here else "no worker is running"
         return f"No worker has {_needed(job, job.spec.resources.gpus)}: {there}."
-    able = _with_device(fitting)
+    able = _with_device(suitable)
     if not able:
         return "The device of each suitable worker was set aside: " + " ".join(
-            f"{worker.name}: {worker.problem}" for worker in fitting
+            f"{worker.name}: {worker.problem}" for worker in suitable
         )
     packages, memory = packages_for(job), memory_for(job.spec)
     equipped = [worker for worker in able if not _missing(worker.packages, packages)]
@@ -47,13 +47,14 @@ def why_left_to_others(job: Job, has: Collection[str], workers: Sequence[WorkerI
     missing = _missing(has, packages)
     if job.status != JobStatus.QUEUED or not missing:
         return None
-    for worker in _with_device(_fitting(job, workers)):
+    for worker in _with_device(fitting(job, workers)):
         if worker.packages is not None and not _missing(worker.packages, packages):
             return f"This worker cannot run {_named(missing, packages)}; {worker.name} can."
     return None
 
 
-def _fitting(job: Job, workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
+def fitting(job: Job, workers: Sequence[WorkerInfo]) -> list[WorkerInfo]:
+    """The workers that serve the job's queue."""
     queue = queue_name(job.accelerator, job.spec.priority, job.spec.resources.gpus)
     return [worker for worker in workers if queue in worker.queues]
 

@@ -21,6 +21,7 @@ from core.errors import (
 )
 from core.jobs import submission
 from core.jobs.cancellation import cancel
+from core.jobs.job import Job
 from core.jobs.queue import JobQueue
 from core.jobs.store import Dispatch
 from core.storage.objects import ObjectStore
@@ -65,8 +66,10 @@ class SweepController:
         with suppress(StaleSweep, SweepNotFound):  # Changed meanwhile: the next look sees how.
             sweep = self._with_importance(sweep, seen)
             decisions = advance(sweep, seen, lambda values: steps_of(sweep.spec, values, self._store))
-            for decision in decisions:
-                self._carry_out(sweep, decision)
+            started = [job for one in decisions if (job := self._carry_out(sweep, one)) is not None]
+            # After all are stored: the worker that gets the first may train the others together with it.
+            for job in started:
+                self._hand_over(job)
             return len(decisions)
         return 0
 
@@ -100,10 +103,11 @@ class SweepController:
         self._store.save_sweep(changed)
         return changed
 
-    def _carry_out(self, sweep: Sweep, decision: Decision) -> None:
+    def _carry_out(self, sweep: Sweep, decision: Decision) -> Job | None:
+        """Returns the job of a trial that was started."""
         match decision:
             case Start():
-                self._start(sweep, decision)
+                return self._start(sweep, decision)
             case Prune(trial=trial):
                 if self._store.save_trial(sweep.id, trial.model_copy(update={"is_pruned": True})):
                     log.info("trial_pruned", sweep=sweep.id, trial=trial.number)
@@ -114,9 +118,10 @@ class SweepController:
                 ended = {"status": status, "message": message, "finished_at": self._store.now()}
                 self._store.save_sweep(sweep.next(**ended))
                 log.info("sweep_ended", sweep=sweep.id, status=status)
+        return None
 
-    def _start(self, sweep: Sweep, start: Start) -> None:
-        """Store the trial with its job; or, where its values do not fit each other, as refused."""
+    def _start(self, sweep: Sweep, start: Start) -> Job | None:
+        """Store the trial with its job, and return that; or, where its values do not fit, as refused."""
         trial = Trial(
             number=start.number,
             job=None,
@@ -131,12 +136,16 @@ class SweepController:
         except (ValidationError, Rejected) as error:
             refused = {"outcome": "refused", "message": _sentence(error), "finished_at": trial.created_at}
             self._store.add_trial(sweep.id, trial.model_copy(update=refused), None)
-            return
-        if self._store.add_trial(sweep.id, trial.model_copy(update={"job": job.id}), job):
-            log.info("trial_started", sweep=sweep.id, trial=trial.number, job_id=job.id)
-            dispatch = Dispatch("attempt", job.id, job.next_attempt)
-            if submission.hand_over(dispatch, store=self._store, queue=self._queue, job=job):
-                self._store.dispatched([dispatch])
+            return None
+        if not self._store.add_trial(sweep.id, trial.model_copy(update={"job": job.id}), job):
+            return None
+        log.info("trial_started", sweep=sweep.id, trial=trial.number, job_id=job.id)
+        return job
+
+    def _hand_over(self, job: Job) -> None:
+        dispatch = Dispatch("attempt", job.id, job.next_attempt)
+        if submission.hand_over(dispatch, store=self._store, queue=self._queue, job=job):
+            self._store.dispatched([dispatch])
 
     def _cancel(self, trial: Trial) -> None:
         if trial.job is not None:

@@ -2,8 +2,8 @@
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -33,6 +33,7 @@ from worker.supervision.left_attempts import end, leave
 from worker.supervision.log_limit import LogLimit
 from worker.supervision.outbox import Outbox
 from worker.supervision.outcome import Outcome, judge
+from worker.supervision.seat import Seat
 from worker.supervision.spool import SPOOLS, spool
 from worker.supervision.stall import StallWatch
 from worker.supervision.starting_point import write_task
@@ -56,6 +57,7 @@ class Supervisor:
 
     draining: set, also by a signal handler, once the worker must shut down; the job then keeps a checkpoint
     and is given back. device_test: the program that tests the device after a failure that it may have caused.
+    seat: its place in the cohort that trains it; that holds the device's locks.
     Afterwards the job has ended or is back in the queue, and no process and no spool is left.
     """
 
@@ -66,6 +68,7 @@ class Supervisor:
     command: Sequence[str] = TRAINING
     draining: Draining = field(default_factory=Draining)
     device_test: Sequence[str] | None = None
+    seat: Seat | None = None
 
     def run(self) -> None:
         folder = self.settings.data_dir.absolute()  # The training process has another working directory.
@@ -108,8 +111,7 @@ class Supervisor:
             _STORAGE_TIMEOUT_S,
             called_off=leaving,
         )
-        locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
-        with slots(locks, self.settings.grace.total_seconds(), leaving) as slot_fds:
+        with self._place(folder) as (slot_fds, cohort_fd):
             caches.open(job.spec.environment, leaving)
             outbox = Outbox(self.claim, spool, _checkpoints_kept(job))
             for note in notes:
@@ -117,7 +119,10 @@ class Supervisor:
             tracking = Tracking(job, self.claim, spool, self.settings, outbox)
             tracking.begin()
             models = self.settings.models
-            process = TrainingProcess(self.command, spool, folder, self.device, slot_fds, models)
+            on = self.device if cohort_fd is None else "cpu"  # The cohort's process has the device.
+            process = TrainingProcess(self.command, spool, folder, on, slot_fds, models, cohort_fd)
+            if self.seat is not None:
+                self.seat.leave()  # The process has it now: its end is the connection's end.
             try:
                 readers = OutputReaders(process, outbox, caches, tracking, StallWatch(self.settings.stall))
                 memory_bytes = allowed_bytes(self.settings.memory_limit)
@@ -140,6 +145,17 @@ class Supervisor:
             return _not_stored(leaving())
         tracking.write_up(outcome.status, leaving)
         return outcome
+
+    @contextmanager
+    def _place(self, folder: Path) -> Generator[tuple[tuple[int, ...], int | None]]:
+        """The descriptors that the training process inherits: of the device's locks, and of its cohort."""
+        if self.seat is not None:
+            with self.seat.taken() as cohort_fd:
+                yield (), cohort_fd
+            return
+        locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
+        with slots(locks, self.settings.grace.total_seconds(), self.draining.is_set) as slot_fds:
+            yield slot_fds, None
 
     def _watch(
         self,

@@ -1,10 +1,12 @@
 """A training job: the events of a run become messages and files."""
 
 import time
-from collections.abc import Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Generator, Mapping
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
 
 from core.algorithms.catalog import least_memory, resolve
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
@@ -39,20 +41,51 @@ def train(
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     check_memory(least_memory(settings, built.info, built.num_devices), built.device)
     run = begin_or_resume(task, spec, settings, built, events)
+    return follow(run, spec, settings, built, events, stopping)
+
+
+class FollowedRun(Protocol):
+    """What a training asks of its run: see `core.algorithms.run.Run`."""
+
+    @property
+    def step(self) -> int: ...
+
+    @property
+    def total(self) -> int: ...
+
+    def events(self) -> Generator[Event]: ...
+
+    def checkpoint(self) -> bytes: ...
+
+    def policy(self) -> bytes: ...
+
+    def tables(self) -> Mapping[str, NDArray[Any]]: ...
+
+
+def follow(  # What runs, and what is done with it.
+    run: FollowedRun,
+    spec: TrainSpec,
+    settings: BaseSpec,
+    built: BuiltEnvironment,
+    events: EventWriter,
+    stopping: StopRequest,
+) -> bool:
+    """Turn the run's events into messages and files; see `train`."""
     report = Report(events, run, spec.checkpoints.every_seconds)
     videos = None if spec.video is None else PolicyVideos(spec, spec.video, built, events, run)
     try:
-        for event in run.events():
-            if isinstance(event, Progress):
-                stopping.keep_before_leaving()
-            report.publish(event)
-            if stopping.asked:
-                break
-            if isinstance(event, Progress):
-                report.keep_checkpoint_if_due()
-            if isinstance(event, CheckpointReady) and videos:
-                with stopping.nothing_to_keep():
-                    videos.at_checkpoint(event.step)
+        with closing(run.events()) as told:
+            for event in told:
+                if isinstance(event, Progress):
+                    stopping.keep_before_leaving()
+                report.publish(event)
+                if stopping.asked:
+                    break
+                if isinstance(event, Progress):
+                    report.keep_checkpoint_if_due()
+                if isinstance(event, CheckpointReady) and videos:
+                    with stopping.nothing_to_keep():
+                        videos.at_checkpoint(event.step)
     except JobFailed:
         report.keep_checkpoint()  # The last good one.
         raise
@@ -67,7 +100,7 @@ def train(
     return stopping.asked and run.step < run.total
 
 
-def _tables(run: Run[Any], spec: TrainSpec, events: EventWriter) -> AbstractContextManager[None]:
+def _tables(run: FollowedRun, spec: TrainSpec, events: EventWriter) -> AbstractContextManager[None]:
     """Keeps the tables that the run shows, if it does; they are drawn while the block runs."""
     tables = run.tables()
     return kept_with_tables(events, tables, run.step, spec.environment.id) if tables else nullcontext()
@@ -78,15 +111,19 @@ def begin_or_resume(
 ) -> Run[Any]:
     """A run of the algorithm that the settings name; it resumes from the task's checkpoint, if it has one."""
     resume = (events.spool / task.checkpoint).read_bytes() if task.checkpoint else None
-    every_steps = spec.checkpoints.every_steps or max(1, settings.budget // _CHECKPOINTS)
     return make_run(
         built.environment,
         settings,
         seed=spec.seed,
-        checkpoint_every_steps=every_steps,
+        checkpoint_every_steps=steps_between_checkpoints(spec, settings),
         resume=resume,
         devices=built.num_devices,
     )
+
+
+def steps_between_checkpoints(spec: TrainSpec, settings: BaseSpec) -> int:
+    """Environment steps from one checkpoint to the next."""
+    return spec.checkpoints.every_steps or max(1, settings.budget // _CHECKPOINTS)
 
 
 @dataclass
@@ -97,7 +134,7 @@ class PolicyVideos:
     video: VideoSpec
     built: BuiltEnvironment
     events: EventWriter
-    run: Run[Any]
+    run: FollowedRun
     _film: VideoRecorder | None = None
     _budget: ReplayBudget = field(default_factory=ReplayBudget)
 
@@ -133,7 +170,7 @@ class Report:
     """Turns a run's events into messages; remembers the newest metrics, and the last checkpoint kept."""
 
     events: EventWriter
-    run: Run[Any]
+    run: FollowedRun
     checkpoint_every_s: float = float("inf")
     _metrics: dict[str, float] = field(default_factory=dict[str, float])
     _kept_step: int | None = None

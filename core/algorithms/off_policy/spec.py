@@ -15,6 +15,7 @@ class OffPolicySpec(BaseSpec):
     """
 
     checkpoint_holds_envs: ClassVar[bool] = True
+    arguments: ClassVar[tuple[str, ...]] = ("learning_rate", "discounting", "reward_scaling", "tau")
 
     num_timesteps: int = Field(
         default=2_000_000, ge=1, le=10**12, description="Environment steps to train for."

@@ -29,7 +29,7 @@ class Hyperparameters:
 
     @classmethod
     def of(cls, settings: PPOSpec) -> "Hyperparameters":
-        given = {name: getattr(settings, name) for name in cls.__dataclass_fields__}
+        given = {name: getattr(settings, name) for name in settings.arguments}
         return cls(
             **{name: jnp.float32(jnp.inf if value is None else value) for name, value in given.items()}
         )

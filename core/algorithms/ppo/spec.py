@@ -33,6 +33,20 @@ class PPOSpec(BaseSpec):
         "returns_to_first_state",
     )
     checkpoint_holds_envs: ClassVar[bool] = True
+    arguments: ClassVar[tuple[str, ...]] = (
+        "learning_rate",
+        "entropy_cost",
+        "desired_kl",
+        "learning_rate_schedule_min_lr",
+        "learning_rate_schedule_max_lr",
+        "discounting",
+        "gae_lambda",
+        "reward_scaling",
+        "clipping_epsilon",
+        "clipping_epsilon_value",
+        "vf_loss_coefficient",
+        "max_grad_norm",
+    )
 
     kind: Literal["ppo"] = "ppo"
     num_timesteps: int = Field(

@@ -32,6 +32,7 @@ class SACSpec(OffPolicySpec):
         "normalize_observations_max_abs_value",
         "returns_to_first_state",
     )
+    arguments: ClassVar[tuple[str, ...]] = (*OffPolicySpec.arguments, "target_entropy_per_action")
 
     kind: Literal["sac"] = "sac"
     num_atoms: int = Field(

@@ -48,7 +48,7 @@ class Hyperparameters:
 
     @classmethod
     def of(cls, settings: SACSpec) -> "Hyperparameters":
-        return cls(**{name: jnp.float32(getattr(settings, name)) for name in cls.__dataclass_fields__})
+        return cls(**{name: jnp.float32(getattr(settings, name)) for name in settings.arguments})
 
 
 @struct.dataclass
