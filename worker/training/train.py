@@ -62,17 +62,21 @@ class FollowedRun(Protocol):
     def tables(self) -> Mapping[str, NDArray[Any]]: ...
 
 
-def follow(  # What runs, and what is done with it.
+def follow(  # noqa: PLR0913 # What runs, and what is done with it.
     run: FollowedRun,
     spec: TrainSpec,
     settings: BaseSpec,
     built: BuiltEnvironment,
     events: EventWriter,
     stopping: StopRequest,
+    *,
+    others_wait: bool = False,
 ) -> bool:
-    """Turn the run's events into messages and files; see `train`."""
+    """Turn the run's events into messages and files; see `train`. others_wait: for as long as this takes."""
     report = Report(events, run, spec.checkpoints.every_seconds)
-    videos = None if spec.video is None else PolicyVideos(spec, spec.video, built, events, run)
+    videos = (
+        None if spec.video is None else PolicyVideos(spec, spec.video, built, events, run, not others_wait)
+    )
     try:
         with closing(run.events()) as told:
             for event in told:
@@ -128,13 +132,17 @@ def steps_between_checkpoints(spec: TrainSpec, settings: BaseSpec) -> int:
 
 @dataclass
 class PolicyVideos:
-    """Videos and replays of a run's policy as it is at the time; it is compiled for the first of them."""
+    """Videos and replays of a run's policy as it is at the time; it is compiled for the first of them.
+
+    has_time: whether to make replays that nobody asked for.
+    """
 
     spec: TrainSpec
     video: VideoSpec
     built: BuiltEnvironment
     events: EventWriter
     run: FollowedRun
+    has_time: bool = True
     _film: VideoRecorder | None = None
     _budget: ReplayBudget = field(default_factory=ReplayBudget)
 
@@ -142,7 +150,7 @@ class PolicyVideos:
         """Keep a video, where the job asks for one; otherwise a replay, where that costs next to nothing."""
         if self.video.every_checkpoint:
             self.take(f"video-{step:012d}")
-        elif step < self.run.total and self._budget.allows_another():
+        elif self.has_time and step < self.run.total and self._budget.allows_another():
             began = time.monotonic()
             film, parameters = self._filmed()
             film.replay(f"-{step:012d}", parameters, step)

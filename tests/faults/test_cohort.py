@@ -1,0 +1,124 @@
+"""Trials that are trained together, and what becomes of them when one of them or their process ends early."""
+
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from core.adapters.postgres.jobs import PostgresJobStore
+from core.jobs.attempts import Claim, claim_attempt, new_secret
+from core.jobs.job import Job
+from core.jobs.status import JobStatus
+from core.reasons import Reason
+from tests.faults.bench import SPEC, Bench, wait_until
+from worker.host.device_lock import slot
+from worker.host.processes import processes
+from worker.supervision.cohort import Cohort
+
+pytestmark = pytest.mark.timeout(180)  # The processes are real, and compile.
+
+
+@pytest.fixture
+def bench(tmp_path: Path, job_store: PostgresJobStore) -> Bench:
+    return Bench(tmp_path, job_store)
+
+
+def jobs_of(bench: Bench, number: int) -> Sequence[Job]:
+    """Trainings that last longer than any test, of several seeds."""
+    said = {**SPEC, "video": None}
+    return [bench.submit(**{**said, "seed": seed}) for seed in range(number)]
+
+
+def claimed(bench: Bench, job: Job) -> Claim:
+    claim = claim_attempt(
+        job.id,
+        1,
+        "w",
+        store=bench.store,
+        objects=bench.objects,
+        lease=bench.settings.lease,
+        secret=new_secret(),
+    )
+    assert claim is not None
+    return claim
+
+
+@contextmanager
+def running(bench: Bench, jobs: Sequence[Job]) -> Iterator[Cohort]:
+    """Inside the block, each has a checkpoint; after it, the cohort has ended."""
+    claims = [claimed(bench, job) for job in jobs]
+    cohort = Cohort(claims, jobs[0].spec.environment, bench.settings, "cpu", ("slot",))
+    thread = threading.Thread(target=cohort.run)
+    thread.start()
+    wait_until(lambda: all(num_checkpoints(bench, job) for job in jobs), 150)
+    yield cohort
+    thread.join(30)
+    assert not thread.is_alive()
+    assert list((bench.settings.data_dir / "spool").iterdir()) == []
+
+
+def num_checkpoints(bench: Bench, job: Job) -> int:
+    return sum(artifact.role == "checkpoint" for artifact in bench.store.get(job.id).artifacts)
+
+
+def process_of_the_cohort() -> int:
+    """The only child of ours that was given nothing but descriptors."""
+    [found] = [
+        pid
+        for pid, _, _ in processes(Path("/proc"))
+        if b"worker.training.cohort" in command_of(pid) and parent_of(pid) == os.getpid()
+    ]
+    return found
+
+
+def command_of(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def parent_of(pid: int) -> int:
+    stat = Path(f"/proc/{pid}/stat").read_text()
+    return int(stat.rpartition(")")[2].split()[1])
+
+
+def test_one_is_cancelled_and_the_others_go_on_until_their_process_is_killed(bench: Bench) -> None:
+    first, second, third = jobs_of(bench, 3)
+    with running(bench, (first, second, third)):
+        bench.cancel(second)
+        wait_until(lambda: bench.store.get(second.id).status.is_final)
+        had = num_checkpoints(bench, first)
+        wait_until(lambda: num_checkpoints(bench, first) > had or bench.store.get(first.id).progress.step > 0)
+        os.kill(process_of_the_cohort(), signal.SIGKILL)
+    cancelled = bench.store.get(second.id)
+    assert (cancelled.status, cancelled.reason) == (JobStatus.CANCELLED, Reason.USER_CANCELLED)
+    assert cancelled.newest("policy") is not None
+    for job in map(bench.store.get, (first.id, third.id)):
+        assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.COHORT_ENDED)
+        assert job.attempts[0].details["trained_together"] == 3
+        assert job.newest("checkpoint") is not None
+
+
+@pytest.mark.slow  # The numbers are compiled again; a drain is one of a single training, too.
+def test_a_drain_gives_all_of_them_back_with_what_they_have(bench: Bench) -> None:
+    jobs = jobs_of(bench, 2)
+    with running(bench, jobs) as cohort:
+        cohort.draining.set()
+    for job in (bench.store.get(job.id) for job in jobs):
+        assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
+        assert job.newest("checkpoint") is not None
+
+
+def test_a_device_that_another_process_holds_costs_every_job_one_attempt(bench: Bench) -> None:
+    jobs = jobs_of(bench, 2)
+    bench.settings = bench.settings.model_copy(update={"grace": bench.settings.heartbeat})
+    with slot(bench.settings.data_dir.absolute() / "locks" / "slot.lock", 0.0):
+        claims = [claimed(bench, job) for job in jobs]
+        Cohort(claims, jobs[0].spec.environment, bench.settings, "cpu", ("slot",)).run()
+    for job in (bench.store.get(job.id) for job in jobs):
+        assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_LOST)
