@@ -55,6 +55,7 @@ ON_A_GPU = {
     "gpu_rodent": "bench.gpu.rodent",
     "gpu_corridor": "bench.gpu.corridor",
     "gpu_layouts": "bench.gpu.layouts",
+    "gpu_cohort": "bench.gpu.cohort",
     "gpu_q_learning": "bench.gpu.q_learning",
     "gpu_profile": "bench.gpu.profile",
     "gpu_scaling": "bench.gpu.scaling",

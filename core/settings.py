@@ -246,9 +246,9 @@ class WorkerSettings(StoreSettings):
         None,
         ge=1,
         le=64,
-        description="How many trials of a sweep that differ only in numbers a device trains together at most; "
-        "1: each trains alone. By default 16 on a GPU and 1 on a CPU, where together is not faster, and only "
-        "alone is a resumed run equal to an uninterrupted one bit for bit.",
+        description="The most trials of a sweep, differing only in numbers, that a device trains together; "
+        "1: each trains alone. By default 16 on a GPU and 1 on a CPU, where it is not faster, and "
+        "only alone is a resumed run equal to an uninterrupted one bit for bit.",
     )
     models: Confinement = Field(
         "confined",

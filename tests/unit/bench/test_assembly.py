@@ -16,7 +16,7 @@ from bench.measure.result import Options, Result
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
-    *("layouts", "gpu_layouts"),
+    *("layouts", "gpu_layouts", "gpu_cohort"),
     *("q_learning", "gpu_q_learning", "exercises", "compiled", "gate", "gpu_gate", "gpu_sac"),
 )
 SECONDS = {
@@ -45,6 +45,10 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
         trial = {"speed": 2.0, "passed": 0.75, "way": 0.9, "fell": 0.25}
         own = {"training": [(50, 0.9), (100, 1.0)], "rewards": [], "curriculum": [], "wall_s": 10.0}
         return {**own, "tried": {"own": trial, "unseen": trial}, "began_at": 0.0, "process_s": 9.0}
+    if module == "bench.ours.train_cohort":
+        own = {"training": [(50, 0.9), (100, 1.0)], "rewards": [(100, 5.0)], "returns": [4.0, 6.0]}
+        phases = {"trace": 1.0, "compile": 2.0}
+        return {**own, "phases": phases, "wall_s": 10.0, "peak_bytes": None, "process_s": 13.0}
     if module == "bench.peers.notebook_star":
         return {"control_steps_per_second": 2.0, "compile_s": 90.0, "began_at": 0.0, "process_s": 9.0}
     if module == "bench.ours.post_job":
