@@ -79,7 +79,7 @@ def advance(sweep: Sweep, seen: Sequence[Seen], steps_of: Callable[[Values], int
     except Misconfigured as error:
         return ending if going else [End(SweepStatus.FAILED, error.detail)]
     except pbt.DiedOut as error:
-        return [End(SweepStatus.FAILED, _summary(str(error), seen))]
+        return ending if going else [End(SweepStatus.FAILED, _summary(str(error), seen))]
     if why is not None and not going and not starts:
         return [End(SweepStatus.SUCCEEDED, _summary(why, seen))]
     return [*ending, *starts]

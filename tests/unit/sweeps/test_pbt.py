@@ -156,6 +156,8 @@ def test_a_population_of_which_none_is_left_fails_in_a_sentence() -> None:
     [end] = advance(pbt_sweep(), seen, steps_of)
     sentence = "No trial of generation 0 has a value and a job to resume from: 1 failed, 3 succeeded."
     assert end == End(SweepStatus.FAILED, sentence)
+    # Jobs may be deleted while a generation begins: what runs is waited for.
+    assert advance(pbt_sweep(), [*seen, Seen(trial_of(4))], steps_of) == []
 
 
 def test_the_same_records_give_the_same_decisions_whatever_was_begun_already() -> None:
