@@ -33,4 +33,22 @@ EXAMPLES: dict[str, Any] = {
             "pruning": {"kind": "median", "startup_trials": 5},
         }
     },
+    "population-based training": {
+        "value": {
+            "job": {
+                "kind": "train",
+                "environment": "ant",
+                "algorithm": {"kind": "ppo", "num_timesteps": 20_000_000},
+                "resources": {"accelerator": "gpu"},
+                "video": None,
+            },
+            "method": "pbt",
+            "parameters": {
+                "algorithm.learning_rate": {"low": 1e-5, "high": 1e-2, "log": True},
+                "algorithm.entropy_cost": {"low": 1e-4, "high": 1e-1, "log": True},
+            },
+            "population": {"size": 8, "generations": 5},
+            "budget": {"parallel": 8},
+        }
+    },
 }

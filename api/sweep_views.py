@@ -12,6 +12,7 @@ from core.jobs.job import Job, UnreadableJob
 from core.sweeps.advance import num_trials
 from core.sweeps.groups import best, by_seed
 from core.sweeps.judging import judged
+from core.sweeps.spec import SweepSpec
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 
 Jobs = Mapping[str, Job | UnreadableJob]
@@ -21,7 +22,9 @@ class TrialView(View):
     """One setting, and the job that tries it.
 
     status: its job's; or `pruned`, `refused` if its values did not fit each other, `deleted` if its job was.
-    values: the objectives' last values, in their order; null where the job reported none.
+    values: the objectives' last values, in their order; null where the job reported none. step: the steps
+    that it took itself. By `pbt`: generation, the first is 0; parent, the number of the trial from whose
+    checkpoint it resumed.
     """
 
     number: int = Field(examples=[0])
@@ -31,17 +34,22 @@ class TrialView(View):
     parameters: dict[str, JsonValue] = Field(examples=[{"algorithm.learning_rate": 3e-4, "seed": 1}])
     values: Sequence[float | None] = Field(examples=[[2941.5]])
     step: int
+    generation: int | None
+    parent: int | None
     gpu_hours: float
     created_at: datetime
     finished_at: datetime | None
 
     @classmethod
-    def of(cls, trial: Trial, job: Job | UnreadableJob | None) -> Self:
+    def of(cls, trial: Trial, job: Job | UnreadableJob | None, generation: int | None) -> Self:
         status = trial.outcome or ("pruned" if trial.is_pruned else job.status if job else "queued")
-        return cls(status=status, step=trial.steps, **trial.model_dump(include=_OF_A_TRIAL))
+        facts = trial.model_dump(include=_OF_A_TRIAL)
+        return cls(status=status, step=trial.steps, generation=generation, **facts)
 
 
-_OF_A_TRIAL = {"number", "job", "message", "parameters", "values", "gpu_hours", "created_at", "finished_at"}
+_OF_A_TRIAL = {
+    *("number", "job", "message", "parameters", "values", "parent", "gpu_hours", "created_at", "finished_at")
+}
 
 
 class GroupView(View):
@@ -59,7 +67,7 @@ class GroupView(View):
 class SweepView(View):
     """A sweep as it is now.
 
-    num_trials: by status, of those that began. max_trials: the most that its grid or its budget allows.
+    num_trials: by status, of those that began. max_trials: the most that its method or its budget allows.
     best: the best trial that succeeded; with several objectives, all that none beats in every one (the Pareto
     front).
     """
@@ -99,7 +107,7 @@ class SweepDetails(SweepView):
         present = _present(sweep, trials, jobs, now)
         return cls(
             **_facts(sweep, present, jobs),
-            trials=[_view(trial, jobs) for trial in present],
+            trials=[_view(trial, jobs, sweep.spec) for trial in present],
             groups=[GroupView.model_validate(one) for one in by_seed(present, len(sweep.spec.objectives))],
             importance=sweep.importance,
             importance_note=sweep.importance_note,
@@ -111,8 +119,8 @@ def _present(sweep: Sweep, trials: Sequence[Trial], jobs: Jobs, now: datetime) -
     return [judged(trial, jobs.get(trial.job or ""), sweep.spec.objectives, now) for trial in trials]
 
 
-def _view(trial: Trial, jobs: Jobs) -> TrialView:
-    return TrialView.of(trial, jobs.get(trial.job or ""))
+def _view(trial: Trial, jobs: Jobs, spec: SweepSpec) -> TrialView:
+    return TrialView.of(trial, jobs.get(trial.job or ""), spec.generation_of(trial.number))
 
 
 def _facts(sweep: Sweep, trials: Sequence[Trial], jobs: Jobs) -> dict[str, Any]:
@@ -124,8 +132,8 @@ def _facts(sweep: Sweep, trials: Sequence[Trial], jobs: Jobs) -> dict[str, Any]:
         "name": spec.name,
         "labels": spec.labels,
         "spec": spec.model_dump(mode="json"),
-        "num_trials": dict(Counter(_view(trial, jobs).status for trial in trials)),
+        "num_trials": dict(Counter(_view(trial, jobs, spec).status for trial in trials)),
         "max_trials": num_trials(spec),
-        "best": [_view(trial, jobs) for trial in best(trials, spec.objectives)],
+        "best": [_view(trial, jobs, spec) for trial in best(trials, spec.objectives)],
         "links": links,
     }

@@ -9,7 +9,11 @@ from gaitway.views import FINAL_STATUSES, View
 
 
 class TrialView(View):
-    """One setting of a sweep, and the job that tries it; values: of the objectives, in their order."""
+    """One setting of a sweep, and the job that tries it.
+
+    values: of the objectives, in their order. By `pbt`: generation, the first is 0; parent, the number of the
+    trial from whose checkpoint it resumed.
+    """
 
     number: int
     job: str | None = None
@@ -18,6 +22,8 @@ class TrialView(View):
     parameters: dict[str, Any] = Field(default_factory=dict[str, Any])
     values: tuple[float | None, ...] = ()
     step: int = 0
+    generation: int | None = None
+    parent: int | None = None
     gpu_hours: float = 0.0
     created_at: datetime | None = None
     finished_at: datetime | None = None

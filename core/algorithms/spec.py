@@ -16,11 +16,14 @@ class BaseSpec(Strict):
     may change. checkpoint_holds_envs: whether a resumed run continues in the environments that it left.
     arguments: names of the numbers that are arguments of the compiled programs, so that runs that differ only
     in these and in their seeds can be trained together (`core.algorithms.cohort`); none: they cannot.
+    trains_in_parts: whether a run that ends and is resumed with a greater `num_timesteps` becomes the run
+    that had the greater one from the beginning: nothing in it depends on its length.
     """
 
     fixed_by_checkpoint: ClassVar[tuple[str, ...]] = ()
     checkpoint_holds_envs: ClassVar[bool] = False
     arguments: ClassVar[tuple[str, ...]] = ()
+    trains_in_parts: ClassVar[bool] = False
 
     @classmethod
     def algorithm(cls) -> str:
@@ -36,6 +39,12 @@ class BaseSpec(Strict):
     @abstractmethod
     def budget(self) -> int:
         """Environment steps that the run was asked to take; a last update may pass it."""
+
+    @property
+    def read_at_start(self) -> tuple[str, ...]:
+        """Names of the settings that a run reads only at its beginning: a resumed one may have others, which
+        change nothing."""
+        return ()
 
     def check_sharing(self, num_devices: int) -> None:
         """Raises Rejected where `num_devices` devices cannot share the run: by default, more than one."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 
 from core.errors import Misconfigured
+from core.sweeps import pbt
 from core.sweeps.axes import Values, combinations, num_combinations, random_values
 from core.sweeps.pruning import Curve, is_to_prune
 from core.sweeps.spec import MAX_TRIALS, SweepSpec
@@ -25,11 +26,17 @@ class Seen:
 
 @dataclass(frozen=True)
 class Start:
-    """Begin a trial with these values."""
+    """Begin a trial with these values.
+
+    settings: what its job has besides them. parent, inherited_steps: as in `Trial`.
+    """
 
     number: int
     parameters: Values
     planned_steps: int
+    settings: Values = field(default_factory=Values)
+    parent: int | None = None
+    inherited_steps: int = 0
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,8 @@ def advance(sweep: Sweep, seen: Sequence[Seen], steps_of: Callable[[Values], int
         starts, why = _starts(sweep, seen, steps_of)
     except Misconfigured as error:
         return ending if going else [End(SweepStatus.FAILED, error.detail)]
+    except pbt.DiedOut as error:
+        return ending if going else [End(SweepStatus.FAILED, _summary(str(error), seen))]
     if why is not None and not going and not starts:
         return [End(SweepStatus.SUCCEEDED, _summary(why, seen))]
     return [*ending, *starts]
@@ -81,6 +90,8 @@ def why_no_more(spec: SweepSpec, trials: Sequence[Trial]) -> str | None:
     budget = spec.budget
     if spec.method == "grid" and len(trials) >= num_combinations(spec.parameters):
         return "Every combination was tried"
+    if spec.population is not None and len(trials) >= spec.population.num_trials:
+        return "Every generation was trained"
     if len(trials) >= num_trials(spec):
         return "Its budget of jobs is used"
     if budget.gpu_hours is not None and sum(trial.gpu_hours for trial in trials) >= budget.gpu_hours:
@@ -96,13 +107,18 @@ def committed_steps(trials: Sequence[Trial]) -> int:
 def num_trials(spec: SweepSpec) -> int:
     """The most trials that it may have."""
     most = spec.budget.jobs or MAX_TRIALS
+    if spec.population is not None:
+        return min(most, spec.population.num_trials)
     return min(most, num_combinations(spec.parameters)) if spec.method == "grid" else most
 
 
 def _starts(
     sweep: Sweep, seen: Sequence[Seen], steps_of: Callable[[Values], int]
 ) -> tuple[Sequence[Start], str | None]:
-    """As many as may run side by side, each drawn with those before it; and why no more may start, if so."""
+    """As many as may run side by side, each drawn with those before it; and why no more may start, if so.
+
+    Raises Misconfigured, pbt.DiedOut.
+    """
     spec, found, known = sweep.spec, list[Start](), list(seen)
     while True:
         trials = [one.trial for one in known]
@@ -110,24 +126,39 @@ def _starts(
             return found, why
         if sum(not one.is_over for one in known) >= spec.budget.parallel:
             return found, None
-        number = len(known)
-        values = drawn(spec, number, known)
-        steps = steps_of(values)
-        if spec.budget.steps is not None and committed_steps(trials) + steps > spec.budget.steps:
+        if spec.population is not None and pbt.is_to_wait(spec.population, trials):
+            return found, None
+        start = _start(spec, known, steps_of)
+        needed = committed_steps(trials) + start.planned_steps
+        if spec.budget.steps is not None and needed > spec.budget.steps:
             return found, "Its budget of steps is used"
-        found.append(Start(number, values, steps))
+        found.append(start)
         trial = Trial(
-            number=number, job=None, parameters=values, planned_steps=steps, created_at=sweep.created_at
+            number=start.number,
+            job=None,
+            parameters=start.parameters,
+            planned_steps=start.planned_steps,
+            created_at=sweep.created_at,
         )
         known.append(Seen(trial))
 
 
-def drawn(spec: SweepSpec, number: int, seen: Sequence[Seen]) -> Values:
-    """The values of trial `number`. Raises Misconfigured where the method needs a package that is missing."""
+def _start(spec: SweepSpec, seen: Sequence[Seen], steps_of: Callable[[Values], int]) -> Start:
+    """Of the trial after these. Raises pbt.DiedOut; Misconfigured where the method lacks a package."""
+    number = len(seen)
+    if spec.population is not None:
+        begun = pbt.beginning(spec, spec.population, [one.trial for one in seen])
+        steps = max(0, steps_of({**begun.parameters, **begun.settings}) - begun.inherited_steps)
+        return Start(number, begun.parameters, steps, begun.settings, begun.parent, begun.inherited_steps)
+    values = _drawn(spec, number, seen)
+    return Start(number, values, steps_of(values))
+
+
+def _drawn(spec: SweepSpec, number: int, seen: Sequence[Seen]) -> Values:
     match spec.method:
         case "grid":
             return next(islice(combinations(spec.parameters), number, None))
-        case "random":
+        case "random" | "pbt":
             return random_values(spec, number)
         case "tpe":
             from core.sweeps.tpe import ask

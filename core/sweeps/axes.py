@@ -1,8 +1,8 @@
-"""The values along the axes of a sweep: all combinations of a grid, and random draws."""
+"""The values along the axes of a sweep: all combinations of a grid, random draws, and steps from a value."""
 
 import math
 import random
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 
 from pydantic import JsonValue
@@ -45,24 +45,26 @@ def random_values(spec: SweepSpec, number: int) -> Values:
     drawn = Values()
     for name, axis in spec.parameters.items():
         generator = random.Random(f"{spec.seed}/{number}/{name}")  # noqa: S311 # Not for secrets.
-        drawn[name] = _drawn(axis, generator)
+        drawn[name] = random_value(axis, generator)
     return drawn
 
 
 def corners(parameters: Mapping[str, Axis]) -> Iterator[Values]:
     """Every value at an axis's end, and every choice, while the other axes stay at their first value."""
-    ends = {name: _ends(axis) for name, axis in parameters.items()}
-    first = {name: values[0] for name, values in ends.items()}
-    for name, values in ends.items():
+    found = {name: ends(axis) for name, axis in parameters.items()}
+    first = {name: values[0] for name, values in found.items()}
+    for name, values in found.items():
         yield from ({**first, name: value} for value in values)
-    yield {name: values[-1] for name, values in ends.items()}
+    yield {name: values[-1] for name, values in found.items()}
 
 
-def _ends(axis: Axis) -> list[JsonValue]:
+def ends(axis: Axis) -> list[JsonValue]:
+    """Both bounds of a range; all choices."""
     return [axis.low, axis.high] if isinstance(axis, Range) else axis
 
 
-def _drawn(axis: Axis, generator: random.Random) -> JsonValue:
+def random_value(axis: Axis, generator: random.Random) -> JsonValue:
+    """A value anywhere along the axis."""
     if not isinstance(axis, Range):
         return axis[int(generator.random() * len(axis))]
     if axis.step is not None:
@@ -70,6 +72,29 @@ def _drawn(axis: Axis, generator: random.Random) -> JsonValue:
     if axis.is_whole and not axis.log:
         return int(axis.low) + int(generator.random() * (int(axis.high) - int(axis.low) + 1))
     return _between(axis, generator.random())
+
+
+def scaled(axis: Range, value: Number, factor: float) -> Number:
+    """The value times the factor, within the range; whole numbers and steps move by one step at least."""
+    wanted = value * factor
+    step = axis.step or (1 if axis.is_whole else None)
+    if step is None:
+        return min(max(wanted, axis.low), axis.high)
+    before, after = (round((one - axis.low) / step) for one in (value, wanted))
+    if after == before:
+        after += (wanted > value) - (wanted < value)
+    return _along(axis, min(max(after, 0), _num_steps(axis)))
+
+
+def neighbours(choices: Sequence[JsonValue], value: JsonValue) -> list[JsonValue]:
+    """The choices beside this one; itself where there is no other."""
+    at = position(choices, value)
+    return [choices[other] for other in (at - 1, at + 1) if 0 <= other < len(choices)] or [value]
+
+
+def position(choices: Sequence[JsonValue], value: JsonValue) -> int:
+    """Of the value among the choices; `true` and 1 are equal in Python."""
+    return next(at for at, one in enumerate(choices) if type(one) is type(value) and one == value)
 
 
 def last_value(axis: Range) -> Number:

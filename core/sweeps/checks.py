@@ -11,13 +11,15 @@ from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 from core.jobs import checks as job_checks
 from core.jobs.needs import DEVICES
-from core.jobs.spec import JOB_SPEC, JobSpec, RolloutSpec
+from core.jobs.spec import RolloutSpec
 from core.jobs.store import JobStore
 from core.jobs.submission import completed as completed_job
 from core.sweeps.advance import committed_steps, why_no_more
 from core.sweeps.axes import Values, combinations, corners, num_combinations, random_values
-from core.sweeps.fields import fields_of, takes_fractions, with_values
+from core.sweeps.fields import axis_place, fields_of, job_of, takes_fractions
 from core.sweeps.metrics import refusal_of_metric
+from core.sweeps.pbt import steps_until
+from core.sweeps.population_checks import problems_of_population
 from core.sweeps.spec import MAX_TRIALS, Axis, Range, SweepSpec
 from core.sweeps.sweep import Trial
 
@@ -38,6 +40,7 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
     _check_axes(spec, info)
     spec = spec.model_copy(update={"parameters": _with_fractions(spec, info)})
     _check_number(spec)
+    _raise(problems_of_population(spec, info))
     _check_method(spec)
     _check_objectives(spec)
     _check_values(spec, store)
@@ -45,15 +48,10 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
     return spec
 
 
-def job_of(spec: SweepSpec, values: Mapping[str, JsonValue]) -> JobSpec:
-    """The job with these values. Raises ValidationError."""
-    return JOB_SPEC.validate_python(with_values(spec.job, values))
-
-
 def steps_of(spec: SweepSpec, values: Mapping[str, JsonValue], store: JobStore) -> int:
     """The most environment steps that a trial with these values takes; 0 if these values do not fit."""
     try:
-        job = completed_job(job_of(spec, values))
+        job = completed_job(job_of(spec.job, values))
         if isinstance(job, RolloutSpec):
             return job.num_steps * job.num_episodes
         info, _ = job_checks.chosen(job.environment, store)
@@ -74,6 +72,8 @@ def check_budget(spec: SweepSpec, trials: Sequence[Trial], store: JobStore) -> N
         next(combinations(spec.parameters)) if spec.method == "grid" else random_values(spec, len(trials))
     )
     taken, needed = committed_steps(trials), steps_of(spec, values, store)
+    if spec.population is not None:
+        needed = steps_until(spec, spec.population, 0)
     if taken + needed > budget.steps:
         detail = (
             f"The budget of {budget.steps:,} steps allows no {'further ' if trials else ''}trial: one takes "
@@ -93,12 +93,12 @@ def _check_axes(spec: SweepSpec, info: EnvironmentInfo) -> None:
         _refuse('A sweep needs an axis, for example `"seed": [1, 2, 3]`.', "/parameters")
     known = fields_of(spec.job, info)
     problems = [
-        Problem(_place(name), f"`{name}` is not a field of this job{_hint(name, known)}")
+        Problem(axis_place(name), f"`{name}` is not a field of this job{_hint(name, known)}")
         for name in spec.parameters
         if name not in known
     ]
     problems += [
-        Problem(_place(name), f"`{name}` is a part of the axis `{above}`; leave one out.")
+        Problem(axis_place(name), f"`{name}` is a part of the axis `{above}`; leave one out.")
         for name in spec.parameters
         for above in spec.parameters
         if name.startswith(f"{above}.")
@@ -110,14 +110,15 @@ def _check_axes(spec: SweepSpec, info: EnvironmentInfo) -> None:
 def _wrong(name: str, axis: Axis, spec: SweepSpec) -> Iterator[Problem]:
     if not isinstance(axis, Range):
         if twice := next((one for at, one in enumerate(axis) if _is_among(one, axis[:at])), _NOTHING):
-            yield Problem(_place(name), f"`{name}` has the value {twice!r} twice.")
+            yield Problem(axis_place(name), f"`{name}` has the value {twice!r} twice.")
     elif spec.method == "grid" and axis.points is None and axis.step is None:
         yield Problem(
-            _place(name),
+            axis_place(name),
             f"`{name}` is a range, and a grid needs to know its values: give `points` or `step`.",
         )
     elif spec.method != "grid" and axis.points is not None:
-        yield Problem(f"{_place(name)}/points", f"`points` is for grids; {spec.method} draws from the range.")
+        detail = f"`points` is for grids; {spec.method} draws from the range."
+        yield Problem(f"{axis_place(name)}/points", detail)
 
 
 _NOTHING = ()
@@ -148,7 +149,7 @@ def _check_number(spec: SweepSpec) -> None:
 
 
 def _check_method(spec: SweepSpec) -> None:
-    if spec.method != "grid" and not spec.budget.has_limit:
+    if not spec.has_own_end and not spec.budget.has_limit:
         _refuse(
             f"The method `{spec.method}` has no end of its own: give `jobs`, `steps` or `gpu_hours`.",
             "/budget",
@@ -174,7 +175,7 @@ def _check_values(spec: SweepSpec, store: JobStore) -> None:
     """Try the ends of the axes, and some values between them, in the job's own checks."""
     for values in islice(_to_try(spec), _MAX_TRIED):
         try:
-            job_checks.check(completed_job(job_of(spec, values)), store)
+            job_checks.check(completed_job(job_of(spec.job, values)), store)
         except ValidationError as error:
             found = [_named(one["loc"], str(one["msg"])) for one in error.errors()]
             _raise([_translated(place, detail, spec, values) for place, detail in found])
@@ -201,7 +202,7 @@ def _translated(place: str, detail: str, spec: SweepSpec, values: Values) -> Pro
     for name, value in values.items():
         if _is_part(name.split("."), parts):
             text = detail if detail.endswith((".", "?")) else f"`{name}` = {value!r}: {detail}."
-            return Problem(_place(name), text)
+            return Problem(axis_place(name), text)
     told = ", ".join(f"{name} = {value!r}" for name, value in values.items())
     return Problem(f"/job{place}", f"With {told}: {detail.rstrip('.')}.")
 
@@ -210,10 +211,6 @@ def _is_part(wanted: Sequence[str], parts: Sequence[str]) -> bool:
     """Whether the parts name this field, perhaps with other words between them."""
     left = iter(parts)
     return all(any(part == one for one in left) for part in wanted)
-
-
-def _place(name: str) -> str:
-    return f"/parameters/{name.replace('~', '~0').replace('/', '~1')}"
 
 
 def _hint(name: str, known: Iterable[str]) -> str:

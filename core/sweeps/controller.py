@@ -10,6 +10,7 @@ from contextlib import suppress
 import structlog
 from pydantic import ValidationError
 
+from core.algorithms.catalog import reported
 from core.errors import (
     JobFinished,
     JobNotFound,
@@ -23,11 +24,13 @@ from core.jobs import submission
 from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
+from core.jobs.spec import JobSpec, TrainSpec
 from core.jobs.store import Dispatch
 from core.storage.objects import ObjectStore
 from core.sweeps.advance import Cancel, Decision, End, Prune, Seen, Start, advance
-from core.sweeps.checks import job_of, steps_of
+from core.sweeps.checks import steps_of
 from core.sweeps.curves import Curves
+from core.sweeps.fields import job_of
 from core.sweeps.importance import importance
 from core.sweeps.judging import judged
 from core.sweeps.pruning import Curve
@@ -127,10 +130,14 @@ class SweepController:
             job=None,
             parameters=start.parameters,
             planned_steps=start.planned_steps,
+            parent=start.parent,
+            inherited_steps=start.inherited_steps,
             created_at=self._store.now(),
         )
         try:
-            spec = job_of(sweep.spec, start.parameters)
+            spec = job_of(sweep.spec.job, {**start.parameters, **start.settings})
+            if start.parent is not None:
+                spec = self._like_its_source(spec)
             spec = spec.model_copy(update={"labels": labels_of(sweep, start.number, spec.labels)})
             job = submission.new_job(spec, self._store)
         except (ValidationError, Rejected) as error:
@@ -146,6 +153,23 @@ class SweepController:
         dispatch = Dispatch("attempt", job.id, job.next_attempt)
         if submission.hand_over(dispatch, store=self._store, queue=self._queue, job=job):
             self._store.dispatched([dispatch])
+
+    def _like_its_source(self, spec: JobSpec) -> JobSpec:
+        """The job with the hyperparameters that the job it resumes from had, where it says none itself.
+
+        What is tuned may be another value on another device or in a later version, and would not fit the
+        checkpoint.
+        """
+        if not isinstance(spec, TrainSpec) or spec.source is None:
+            return spec
+        source = self._store.jobs_of([spec.source.job]).get(spec.source.job)
+        if not isinstance(source, Job) or source.begun is None:
+            return spec
+        had = source.begun.details.get("hyperparameters")
+        if had is None:
+            return spec
+        own = {name: getattr(spec.algorithm, name) for name in spec.algorithm.model_fields_set}
+        return spec.model_copy(update={"algorithm": reported(had).model_copy(update=own)})
 
     def _cancel(self, trial: Trial) -> None:
         if trial.job is not None:

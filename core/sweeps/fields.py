@@ -38,6 +38,16 @@ def takes_fractions(annotation: Any) -> bool:
     return annotation is float or any(takes_fractions(one) for one in get_args(annotation))
 
 
+def job_of(spec: JobSpec, values: Mapping[str, JsonValue]) -> JobSpec:
+    """The job with other values at these paths. Raises ValidationError."""
+    return JOB_SPEC.validate_python(with_values(spec, values))
+
+
+def axis_place(path: str) -> str:
+    """The pointer to the axis of this field in a sweep's document."""
+    return f"/parameters/{path.replace('~', '~0').replace('/', '~1')}"
+
+
 def with_values(spec: JobSpec, values: Mapping[str, JsonValue]) -> dict[str, Any]:
     """The job as a document, with other values at these paths."""
     document = _document(spec)

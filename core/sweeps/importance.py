@@ -15,6 +15,8 @@ def importance(
     spec: SweepSpec, seen: Sequence[Seen]
 ) -> tuple[Mapping[str, Mapping[str, float]] | None, str | None]:
     """By objective and axis; or None, and why: a sentence."""
+    if spec.population is not None:
+        return None, "The method `pbt` changes settings while a run trains, so no setting has a result alone."
     succeeded = [one for one in seen if one.trial.outcome == "succeeded" and one.trial.has_values]
     if len(succeeded) < _LEAST_TRIALS:
         return None, f"It needs {_LEAST_TRIALS} trials that succeeded; there are {len(succeeded)}."

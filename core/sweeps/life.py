@@ -36,7 +36,7 @@ def resume_sweep(sweep_id: str, budget: Budget, *, store: SweepStore) -> Sweep:
         if sweep.status == SweepStatus.CANCELLING:
             raise SweepNotFinished(f"Sweep {sweep_id} is still being cancelled; resume it afterwards.")
         spec = sweep.spec.model_copy(update={"budget": budget})
-        if spec.method != "grid" and not budget.has_limit:
+        if not spec.has_own_end and not budget.has_limit:
             detail = f"The method `{spec.method}` has no end of its own: give `jobs`, `steps` or `gpu_hours`."
             raise Rejected(detail, [Problem("/budget", detail)])
         check_budget(spec, store.trials([sweep_id]).get(sweep_id, ()), store)

@@ -9,7 +9,7 @@ from core.jobs.spec import LabelName, Seed, SentSpec, Text
 
 # More would be a queue that nobody reads, and a study that takes TPE seconds for each draw.
 MAX_TRIALS = 1000
-Method = Literal["grid", "random", "tpe"]
+Method = Literal["grid", "random", "tpe", "pbt"]
 Number = int | float
 
 
@@ -121,6 +121,54 @@ class HyperbandPruning(Strict):
 Pruning = Annotated[MedianPruning | HyperbandPruning, Field(discriminator="kind")]
 
 
+class Population(Strict):
+    """Runs that train side by side, of which the worst resume from the best after each generation.
+
+    As in Jaderberg et al., Population Based Training of Neural Networks (2017), section 4.1: truncation
+    selection, and settings that are multiplied by a factor or drawn again.
+    """
+
+    size: int = Field(default=8, ge=2, le=100, description="Members, each a run of its own.")
+    generations: int = Field(
+        ge=2, le=MAX_TRIALS // 2, description="Equal parts of the job's num_timesteps; a trial trains one."
+    )
+    truncation: float = Field(
+        default=0.25,
+        gt=0,
+        le=0.5,
+        description="The share of members, at least one, that is replaced after each generation: by as many "
+        "of the best.",
+    )
+    resample_probability: float = Field(
+        default=0.25, ge=0, le=1, description="How often a replaced member's setting is drawn again."
+    )
+    perturbation_factors: Annotated[
+        list[Annotated[float, Field(gt=0, le=100)]], Field(min_length=1, max_length=10)
+    ] = Field(
+        default=[0.8, 1.2],
+        description="Otherwise a number is multiplied by one of these; a value of a list gives way to one "
+        "beside it.",
+    )
+
+    @model_validator(mode="after")
+    def _is_no_larger_than_a_sweep(self) -> Self:
+        if self.num_trials > MAX_TRIALS:
+            raise ValueError(
+                f"{self.size} members in {self.generations} generations are {self.num_trials:,} trials, "
+                f"but a sweep has {MAX_TRIALS:,} at most"
+            )
+        return self
+
+    @property
+    def num_trials(self) -> int:
+        return self.size * self.generations
+
+    @property
+    def num_replaced(self) -> int:
+        """Members that are replaced after a generation in which all succeeded."""
+        return max(1, int(self.truncation * self.size + 1e-9))
+
+
 class SweepSpec(Strict):
     """A job, the settings that vary between its trials, and what the trials are judged by."""
 
@@ -135,6 +183,7 @@ class SweepSpec(Strict):
     objective: Objective | Annotated[list[Objective], Field(min_length=1, max_length=4)] = Objective()
     budget: Budget = Budget()
     pruning: Pruning | None = None
+    population: Population | None = Field(default=None, description="For the method `pbt`.")
     seed: Seed = Field(
         default=0, description="Of the draws; trials have the seed that `job` or an axis says."
     )
@@ -142,6 +191,15 @@ class SweepSpec(Strict):
     @property
     def objectives(self) -> list[Objective]:
         return self.objective if isinstance(self.objective, list) else [self.objective]
+
+    @property
+    def has_own_end(self) -> bool:
+        """Whether it ends without a limit of its budget."""
+        return self.method in ("grid", "pbt")
+
+    def generation_of(self, number: int) -> int | None:
+        """The generation of this trial, the first is 0; None without a population."""
+        return None if self.population is None else number // self.population.size
 
 
 SWEEP_SPEC: TypeAdapter[SweepSpec] = TypeAdapter(SweepSpec)

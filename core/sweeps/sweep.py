@@ -36,12 +36,16 @@ class Trial(Stored):
     number: 0, 1, 2, … within the sweep. planned_steps: the environment steps that it may take. outcome: None
     until it has ended. values: of the objectives, in their order, None where the job reported none.
     is_pruned: decided; its job may still be saving its work. gpu_hours: of all attempts.
+    parent: the number of the trial from whose checkpoint it resumes. inherited_steps: the steps of that
+    checkpoint's run; `steps` and `planned_steps` count the trial's own.
     """
 
     number: int
     job: str | None
     parameters: dict[str, JsonValue]
     planned_steps: int = 0
+    parent: int | None = None
+    inherited_steps: int = 0
     is_pruned: bool = False
     outcome: Outcome | None = None
     message: str | None = None

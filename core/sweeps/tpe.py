@@ -12,7 +12,7 @@ from pydantic import JsonValue
 
 from core.errors import Misconfigured
 from core.sweeps.advance import Seen
-from core.sweeps.axes import Values, last_value
+from core.sweeps.axes import Values, last_value, position
 from core.sweeps.spec import Axis, Range, SweepSpec
 
 if TYPE_CHECKING:
@@ -77,10 +77,7 @@ def _value(axis: Axis, drawn: Any) -> JsonValue:
 
 
 def _internal(axis: Axis, value: JsonValue) -> Any:
-    if isinstance(axis, Range):
-        return value
-    # `true` and 1 are equal in Python.
-    return next(at for at, choice in enumerate(axis) if type(choice) is type(value) and choice == value)
+    return value if isinstance(axis, Range) else position(axis, value)
 
 
 def _frozen(spec: SweepSpec, space: dict[str, "BaseDistribution"], one: Seen) -> "FrozenTrial":

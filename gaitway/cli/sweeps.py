@@ -173,7 +173,8 @@ def _trials(sweep: SweepView) -> Table:
     table = Table(box=None, pad_edge=False)
     axes = list(sweep.spec.get("parameters", {}))
     metrics = [metric.rpartition("/")[2] for metric in sweep.metrics]
-    for column in ("TRIAL", "STATUS", *metrics, *(axis.rpartition(".")[2] for axis in axes), "JOB"):
+    lineage = ("GEN", "FROM") if sweep.spec.get("population") else ()
+    for column in ("TRIAL", *lineage, "STATUS", *metrics, *(axis.rpartition(".")[2] for axis in axes), "JOB"):
         table.add_column(Text(column), no_wrap=column == "JOB")
     best = {trial.number for trial in sweep.best}
     for trial in sorted(sweep.trials, key=lambda trial: _rank(sweep, trial)):
@@ -181,7 +182,8 @@ def _trials(sweep: SweepView) -> Table:
         given = [Text(_number(trial.parameters.get(axis))) for axis in axes]
         status = Text(trial.status, style=_STYLES.get(trial.status, ""))
         style = "bold" if trial.number in best else ""
-        table.add_row(str(trial.number), status, *values, *given, trial.job or "", style=style)
+        born = [_number(trial.generation), _number(trial.parent)] if lineage else []
+        table.add_row(str(trial.number), *born, status, *values, *given, trial.job or "", style=style)
     return table
 
 

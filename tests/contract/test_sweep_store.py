@@ -36,6 +36,7 @@ class TestSweeps:
             },
             objective=[{"metric": "a"}, {"metric": "b", "direction": "minimize"}],
             pruning={"kind": "hyperband", "min_steps": 100},
+            population={"size": 4, "generations": 3, "perturbation_factors": [0.5, 2.0]},
         )
         assert sweeps.add_sweep(sweep) == sweep
         assert sweeps.get_sweep(sweep.id) == sweep
@@ -115,6 +116,19 @@ class TestTrials:
         assert sweeps.trials([sweep.id]) == {sweep.id: [trial]}
         assert sweeps.jobs_of([job.id, "unknown"]) == {job.id: job}
         assert sweeps.undispatched() == [Dispatch("attempt", job.id, 1)]
+
+    def test_the_lineage_of_a_trial_is_kept_and_older_records_have_none(
+        self, sweeps: SweepStore, sweep: Sweep, database: Database
+    ) -> None:
+        first = trial_of(0, job=None)
+        second = trial_of(1, job=None, parent=0, inherited_steps=700)
+        for trial in (first, second):
+            sweeps.add_trial(sweep.id, trial, None)
+        assert sweeps.trials([sweep.id])[sweep.id] == [first, second]
+        elsewhere = {"number", "job", "outcome", "created_at"}
+        older = first.model_dump_json(exclude={*elsewhere, "parent", "inherited_steps"})
+        database.change("UPDATE trials SET said = %s WHERE number = 0", older)
+        assert sweeps.trials([sweep.id])[sweep.id] == [first, second]
 
     def test_a_number_begins_once_however_many_start_it(self, sweeps: SweepStore, sweep: Sweep) -> None:
         jobs = [queued_job() for _ in range(4)]

@@ -337,6 +337,32 @@ def test_a_sweep_is_started_watched_cancelled_resumed_and_deleted(client: Client
     assert [error.pointer for error in caught.value.errors] == ["/parameters"]
 
 
+def test_the_cli_shows_from_which_trial_another_one_resumed(stack: Stack, tmp_path: Path) -> None:
+    file = tmp_path / "sweep.json"
+    job = {"environment": "ant", "algorithm": {"num_timesteps": 10**8}}
+    axes = {"algorithm.entropy_cost": [0.0, 0.1]}
+    population = {"size": 2, "generations": 2}
+    file.write_text(json.dumps({"job": job, "method": "pbt", "parameters": axes, "population": population}))
+    sweep_id = gaitway(stack, "sweep", str(file)).output.strip()
+    look = SweepController(stack.store, stack.queue, stack.objects).look
+    look()
+    for trial in stack.store.trials([sweep_id])[sweep_id]:
+        attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
+        progress = Progress(step=5, metrics={"eval/episode_reward": 10.0 * trial.number})
+        stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
+        attempt.keep("checkpoint-5", role="checkpoint", step=5)
+        attempt.end()
+    look()
+    header, *rows = gaitway(stack, "sweeps", "show", "last").output.splitlines()[1:]
+    assert header.split()[:4] == ["TRIAL", "GEN", "FROM", "STATUS"]
+    assert [row.split()[:4] for row in rows] == [
+        ["1", "0", "succeeded", "10"],
+        ["0", "0", "succeeded", "0"],
+        ["2", "1", "1", "queued"],
+        ["3", "1", "1", "queued"],
+    ]
+
+
 def test_sweeps_by_the_cli(stack: Stack, tmp_path: Path) -> None:
     file = tmp_path / "sweep.json"
     file.write_text(json.dumps({**SWEEP, "name": "[red]seeds[/]"}))

@@ -14,14 +14,16 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import Unavailable
-from core.jobs.attempts import claim_attempt, new_secret
-from core.jobs.job import Progress
+from core.jobs.attempts import Claim, claim_attempt, new_secret
+from core.jobs.job import Artifact, Job, Progress
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry, JobQuery
 from core.reasons import Reason
+from core.storage import keys
 from core.sweeps.controller import SweepController
 from core.sweeps.life import cancel_sweep
+from core.sweeps.spec import SweepSpec
 from core.sweeps.submission import submit_sweep
 from core.sweeps.sweep import SweepStatus
 from tests.faults.crashing import Crash, Died, Failure, Process
@@ -29,8 +31,17 @@ from tests.unit.sweeps.making import spec_of
 
 LEASE = timedelta(minutes=5)
 METRIC = "eval/episode_reward"
+Train = Callable[[Process, Claim, Job], None]
 # Two trials side by side, of which the second fails.
 SPEC = spec_of(parameters={"seed": [1, 3]}, budget={"parallel": 2})
+# Two members in two generations of one update each.
+_ALGORITHM = {"num_timesteps": 200, "num_envs": 4, "batch_size": 4, "num_minibatches": 5, "unroll_length": 5}
+POPULATION = spec_of(
+    job={"kind": "train", "environment": "ant", "algorithm": _ALGORITHM, "seed": 3},
+    method="pbt",
+    parameters={"algorithm.learning_rate": {"low": 1e-4, "high": 1e-2}},
+    population={"size": 2, "generations": 2},
+)
 
 
 class Reconcilers:
@@ -58,8 +69,39 @@ class Reconcilers:
             self._reconciler.look()
 
 
-def work(real: Process) -> bool:
-    """A worker takes what waits and does it: the value of a trial is its seed; False if nothing waits."""
+def train(real: Process, claim: Claim, job: Job) -> None:
+    """A worker trains for 100 steps: the value of a trial is its seed, and 3 fails."""
+    value = float(job.spec.seed)
+    said = {"step": 100, "values": {METRIC: value}}
+    entry = Entry(kind="metrics", time=real.store.now(), data=said)
+    progress = Progress(step=100, total=1000, metrics={METRIC: value})
+    real.store.record(job.id, claim.token, "events", [entry], progress, write_id=new_secret())
+    if job.spec.seed == 3:
+        claim.end(JobStatus.FAILED, Reason.DIVERGED, "NaN.")
+    else:
+        claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done.")
+
+
+def train_member(real: Process, claim: Claim, job: Job) -> None:
+    """A worker trains to the job's end and keeps a checkpoint: the first member is the better one."""
+    step = job.spec.algorithm.num_timesteps
+    artifact = Artifact(
+        name=f"checkpoint-{step}",
+        key=keys.artifact(job.id, claim.number, "0" * 64, "checkpoint"),
+        size=0,
+        sha256="0" * 64,
+        role="checkpoint",
+        media_type="application/octet-stream",
+        step=step,
+    )
+    claim.publish((artifact,), 1)
+    progress = Progress(step=step, total=step, metrics={METRIC: -float(job.spec.seed)})
+    real.store.record(job.id, claim.token, "events", [], progress, write_id=new_secret())
+    claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done.")
+
+
+def work(real: Process, train: Train = train) -> bool:
+    """A worker takes what waits and does it; False if nothing waits."""
     dispatch = real.queue.take()
     if dispatch is None:
         return False
@@ -76,26 +118,17 @@ def work(real: Process) -> bool:
     if claim is None:
         return True
     claim.start(device="cpu")
-    job = real.store.get(dispatch.job_id)
-    value = float(job.spec.seed)
-    said = {"step": 100, "values": {METRIC: value}}
-    entry = Entry(kind="metrics", time=real.store.now(), data=said)
-    progress = Progress(step=100, total=1000, metrics={METRIC: value})
-    real.store.record(job.id, claim.token, "events", [entry], progress, write_id=new_secret())
-    if job.spec.seed == 3:
-        claim.end(JobStatus.FAILED, Reason.DIVERGED, "NaN.")
-    else:
-        claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done.")
+    train(real, claim, real.store.get(dispatch.job_id))
     return True
 
 
-def live(real: Process, crash: Crash) -> str:
+def live(real: Process, crash: Crash, spec: SweepSpec = SPEC, train: Train = train) -> str:
     """A whole sweep; its id."""
-    sweep = submit_sweep(SPEC, store=real.store)
+    sweep = submit_sweep(spec, store=real.store)
     reconcilers = Reconcilers(real, crash)
     for _ in range(60):
         reconcilers.look()
-        work(real)
+        work(real, train)
         if real.store.get_sweep(sweep.id).status.is_final:
             return sweep.id
     raise AssertionError("The sweep does not come to its end.")
@@ -131,6 +164,24 @@ def test_every_trial_runs_once_whichever_write_fails(real: Process) -> None:
         trials = real.store.trials([sweep_id])[sweep_id]
         assert [trial.outcome for trial in trials] == ["succeeded", "failed"], (at, failure)
         assert [trial.values for trial in trials] == [(1.0,), (3.0,)]
+
+
+def test_a_population_trains_every_member_once_whichever_write_fails(real: Process) -> None:
+    live(real, counted := Crash(), POPULATION, train_member)
+    settings = set[str]()
+    for failure, at in itertools.product(Failure, range(1, counted.num_writes + 1)):
+        sweep_id = live(real, Crash(at, failure), POPULATION, train_member)
+        trials = real.store.trials([sweep_id])[sweep_id]
+        message = real.store.get_sweep(sweep_id).message
+        assert message == "Every generation was trained: 4 succeeded.", (at, failure)
+        assert [(trial.parent, trial.steps) for trial in trials] == [(None, 100)] * 2 + [(0, 100)] * 2
+        assert trials[2].parameters == trials[0].parameters != trials[3].parameters
+        settings.add(str([trial.parameters for trial in trials]))
+        jobs = {job.id: job for job in real.store.list(JobQuery(labels={"sweep": sweep_id})).jobs}
+        assert sorted(jobs) == sorted(trial.job for trial in trials)
+        assert [jobs[trial.job].spec.seed for trial in trials] == [3, 4, 3, 4]
+        assert {jobs[trial.job].spec.resume_from.job for trial in trials[2:]} == {trials[0].job}
+    assert len(settings) == 1
 
 
 def test_reconcilers_side_by_side_start_every_trial_once(real: Process) -> None:

@@ -158,3 +158,14 @@ def test_a_finished_run_resumes_to_its_end_at_once() -> None:
     finished = checkpoints(small_run(probe(), num_timesteps=STEPS_PER_UPDATE))
     resumed = small_run(probe(), resume=finished[STEPS_PER_UPDATE], num_timesteps=STEPS_PER_UPDATE)
     assert checkpoints(resumed) == finished
+
+
+@pytest.mark.parametrize(
+    ("begin", "update"), [(small_run, STEPS_PER_UPDATE), (sac_run, SAC_STEPS_PER_UPDATE)], ids=["ppo", "sac"]
+)
+def test_a_run_that_was_asked_for_less_and_resumes_is_the_longer_run(begin: Begin, update: int) -> None:
+    """As `BaseSpec.trains_in_parts` promises: nothing in a run depends on its length."""
+    whole = checkpoints(begin(probe(), num_timesteps=6 * update, num_evals=2))
+    part = checkpoints(begin(probe(), num_timesteps=3 * update, num_evals=1))
+    resumed = begin(probe(), num_timesteps=6 * update, num_evals=2, resume=part[3 * update])
+    assert checkpoints(resumed) == whole

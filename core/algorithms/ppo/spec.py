@@ -47,6 +47,7 @@ class PPOSpec(BaseSpec):
         "vf_loss_coefficient",
         "max_grad_norm",
     )
+    trains_in_parts: ClassVar[bool] = True
 
     kind: Literal["ppo"] = "ppo"
     num_timesteps: int = Field(
@@ -190,6 +191,12 @@ class PPOSpec(BaseSpec):
     @property
     def budget(self) -> int:
         return self.num_timesteps
+
+    @property
+    def read_at_start(self) -> tuple[str, ...]:
+        # An adaptive learning rate continues from the last one.
+        adapts = self.learning_rate_schedule == "ADAPTIVE_KL"
+        return ("random_initial_episode_length", *(("learning_rate",) if adapts else ()))
 
     def check_sharing(self, num_devices: int) -> None:
         """Devices share environments and minibatches in equal parts."""

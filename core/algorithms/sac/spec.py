@@ -34,6 +34,8 @@ class SACSpec(OffPolicySpec):
     )
     arguments: ClassVar[tuple[str, ...]] = (*OffPolicySpec.arguments, "target_entropy_per_action")
 
+    trains_in_parts: ClassVar[bool] = True
+
     kind: Literal["sac"] = "sac"
     num_atoms: int = Field(
         default=101, ge=2, le=10_000, description="Values among which a critic's return is distributed."
@@ -52,3 +54,7 @@ class SACSpec(OffPolicySpec):
     q_network_layer_norm: bool = Field(
         default=True, description="Layer normalisation in the critics (Ba et al., 2016)."
     )
+
+    @property
+    def read_at_start(self) -> tuple[str, ...]:
+        return ("init_alpha",)

@@ -66,6 +66,37 @@ def test_a_sweep_shows_what_came_of_its_trials(tab: Tab, sweep: dict[str, Any]) 
     expect(groups.get_by_role("cell", name="3.5 ± 4.95", exact=True)).to_have_count(1)
 
 
+def test_a_population_shows_generations_and_parents(stack: Stack, tab: Tab) -> None:
+    population = {
+        "job": {"kind": "train", "environment": "ant", "algorithm": {"num_timesteps": 10**8}},
+        "method": "pbt",
+        "parameters": {"algorithm.entropy_cost": {"low": 0.0, "high": 0.1}},
+        "population": {"size": 2, "generations": 2},
+    }
+    found = stack.http.post("/sweeps", json=population).json()
+    controller = SweepController(stack.store, stack.queue, stack.objects)
+    controller.look()
+    for trial in stack.store.trials([found["id"]])[found["id"]]:
+        attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
+        progress = Progress(step=5, total=5, metrics={METRIC: float(trial.number)})
+        stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
+        attempt.keep("checkpoint-5", role="checkpoint", step=5)
+        attempt.end()
+    controller.look()
+    page = tab.open(f"#/sweeps/{found['id']}")
+    rows = page.get_by_role("region", name="Trials").get_by_role("row")
+    expect(rows).to_have_count(5)
+    texts = [text.split("\t")[1:4] for text in rows.all_inner_texts()]
+    assert texts == [
+        ["Trial", "Generation", "Resumed from"],
+        ["trial 1", "0", ""],
+        ["trial 0", "0", ""],
+        ["trial 2", "1", "trial 1"],
+        ["trial 3", "1", "trial 1"],
+    ]
+    assert tab.violations() == []
+
+
 def test_trials_are_picked_and_compared(tab: Tab, sweep: dict[str, Any]) -> None:
     page = tab.open(f"#/sweeps/{sweep['id']}")
     for number in (0, 8):

@@ -8,17 +8,20 @@ import { Status } from "../../parts/status.js";
 
 export function Trials({ sweep, picked, pick }) {
   const [axes, objectives] = [axesOf(sweep), objectivesOf(sweep)];
+  const hasLineage = Boolean(sweep.spec.population);
   const best = new Set(sweep.best.map((trial) => trial.number));
   return html`<section class="card"><h2>Trials</h2>
     ${!sweep.trials.length && html`<p class="facts">None has begun; the first ones begin within seconds.</p>`}
     ${sweep.trials.length > 0 && html`<div class="table" tabindex="0" role="region" aria-label="Trials"><table>
-      <thead><tr><th>Compare</th><th>Trial</th><th>Status</th>
+      <thead><tr><th>Compare</th><th>Trial</th>
+        ${hasLineage && html`<th class="number">Generation</th><th>Resumed from</th>`}<th>Status</th>
         ${objectives.map(({ metric }) => html`<th class="number">${metric}</th>`)}
         ${axes.map((axis) => html`<th class="number">${axis}</th>`)}<th class="number">Steps</th></tr></thead>
       <tbody>${byObjective(sweep).map((trial) => html`<tr key=${trial.number} class=${best.has(trial.number) ? "best" : ""}>
         <td>${trial.job && html`<label class="pick"><input type="checkbox" checked=${picked.includes(trial.number)}
           onChange=${() => pick(trial.number)} aria-label="Compare trial ${trial.number}" /></label>`}</td>
         <td>${trial.job ? html`<a href=${href(["jobs", trial.job])}>trial ${trial.number}</a>` : `trial ${trial.number}`}</td>
+        ${hasLineage && html`<td class="number">${trial.generation}</td><td>${trial.parent !== null && `trial ${trial.parent}`}</td>`}
         <td><${Status} job=${trial} />${trial.status !== "succeeded" && trial.message && html`<p class="facts">${trial.message}</p>`}</td>
         ${objectives.map((_, at) => html`<td class="number">${value(trial.values[at])}</td>`)}
         ${axes.map((axis) => html`<td class="number">${told(trial.parameters[axis])}</td>`)}

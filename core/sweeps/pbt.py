@@ -1,0 +1,103 @@
+"""Population-based training: which trial each one resumes from, and with which settings.
+
+Trial `generation × size + member` trains a member for one generation. Source: Jaderberg et al., Population
+Based Training of Neural Networks (2017), algorithm 1 and section 4.1.
+
+Generations are synchronous, unlike the paper's: one begins when all trials of the one before have ended. What
+a trial begins with is then a function of records that no longer change, so every process decides alike, and
+no rule is needed for a member that is far behind the others.
+"""
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pydantic import JsonValue
+
+from core.jobs.spec import TrainSpec
+from core.sweeps.axes import Values, neighbours, random_value, random_values, scaled
+from core.sweeps.spec import Axis, Population, Range, SweepSpec
+from core.sweeps.sweep import Trial
+
+LENGTH = "algorithm.num_timesteps"
+_LARGEST_SEED = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What a trial begins with.
+
+    settings: of its job, besides `parameters`. parent, inherited_steps: as in `Trial`.
+    """
+
+    parameters: Values
+    settings: Values
+    parent: int | None = None
+    inherited_steps: int = 0
+
+
+class DiedOut(Exception):
+    """No run of a generation can be continued: the beginning of a sentence."""
+
+
+def beginning(spec: SweepSpec, population: Population, trials: Sequence[Trial]) -> Beginning:
+    """Of the trial after these, of which those of earlier generations have ended. Raises DiedOut.
+
+    A member continues, unless it is among the worst or has no value: then it takes the checkpoint of one of
+    the best, and changes its settings.
+    """
+    number = len(trials)
+    generation, member = divmod(number, population.size)
+    # Each begins with a seed of its own; a run that resumes has its parent's random state.
+    seed = (spec.job.seed + member) % (_LARGEST_SEED + 1)
+    settings = Values({LENGTH: steps_until(spec, population, generation), "seed": seed})
+    if generation == 0:
+        return Beginning(random_values(spec, number), settings)
+    before = trials[(generation - 1) * population.size : generation * population.size]
+    ranked = _ranked(before, spec.objectives[0].sign)
+    if not ranked:
+        raise DiedOut(f"No trial of generation {generation - 1} has a value and a job to resume from")
+    parent = before[member]
+    parameters = parent.parameters
+    # Those without a value are the worst.
+    if parent not in ranked[: population.size - population.num_replaced]:
+        generator = random.Random(f"{spec.seed}/{number}/parent")  # noqa: S311 # Not for secrets.
+        parent = generator.choice(ranked[: population.num_replaced])
+        parameters = _explored(spec, population, number, parent.parameters)
+    settings["resume_from"] = {"job": parent.job}
+    return Beginning(parameters, settings, parent.number, parent.inherited_steps + parent.steps)
+
+
+def is_to_wait(population: Population, trials: Sequence[Trial]) -> bool:
+    """Whether the next trial is of a generation that begins after those that still run."""
+    earlier = len(trials) // population.size * population.size
+    return any(trial.outcome is None for trial in trials[:earlier])
+
+
+def steps_until(spec: SweepSpec, population: Population, generation: int) -> int:
+    """Environment steps of a run from its beginning to the end of this generation."""
+    total = spec.job.algorithm.budget if isinstance(spec.job, TrainSpec) else 0
+    return round(total * (generation + 1) / population.generations)
+
+
+def _ranked(trials: Sequence[Trial], sign: int) -> list[Trial]:
+    """Those that have a value and a job to resume from, the best first; of equal ones the first."""
+    able = [one for one in trials if one.outcome == "succeeded" and one.has_values and one.job is not None]
+    return sorted(able, key=lambda one: (-sign * (one.values[0] or 0.0), one.number))
+
+
+def _explored(spec: SweepSpec, population: Population, number: int, values: Values) -> Values:
+    """Other values near these, which depend on the trial's number and the sweep's seed besides."""
+    return {
+        name: _changed(axis, values[name], population, random.Random(f"{spec.seed}/{number}/{name}"))  # noqa: S311
+        for name, axis in spec.parameters.items()
+    }
+
+
+def _changed(axis: Axis, value: JsonValue, population: Population, generator: random.Random) -> JsonValue:
+    if generator.random() < population.resample_probability:
+        return random_value(axis, generator)
+    if not isinstance(axis, Range):
+        return generator.choice(neighbours(axis, value))
+    factor = generator.choice(population.perturbation_factors)
+    return scaled(axis, value, factor) if isinstance(value, int | float) else value
