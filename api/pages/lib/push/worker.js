@@ -3,7 +3,7 @@
  * Content-Security-Policy alone.
  *
  * It hears {open: {recipe, policy}}, {pull}, {reset: true}, {run: boolean}. It says {failure}, or after each
- * picture's time {time, positions, rotations, force, isSlow}, and {fell: seconds} once an episode has ended.
+ * picture's time {time, positions, rotations, force, weight, isSlow}, and {fell: seconds} once an episode has ended.
  */
 
 import loadMujoco from "../../vendor/mujoco.js";
@@ -58,7 +58,8 @@ function advance() {
 
 function tell(isSlow = false) {
   const { positions, rotations } = simulation.poses();
-  postMessage({ time: simulation.time, positions, rotations, force: simulation.force, isSlow }, [positions.buffer, rotations.buffer]);
+  const { force, weight } = simulation;
+  postMessage({ time: simulation.time, positions, rotations, force, weight, isSlow }, [positions.buffer, rotations.buffer]);
 }
 
 onmessage = async ({ data: said }) => {
