@@ -128,7 +128,7 @@ def test_a_drag_pulls_the_body_until_it_falls_and_it_starts_again(tab: Tab, push
     # Episodes of the ant end above 1 m.
     until(page, "z > 0.9")
     tab.picture("push-drag")
-    expect(page.get_by_text("It fell after")).to_be_visible()
+    expect(page.get_by_text("It fell, or left its range, after")).to_be_visible()
     page.mouse.up()
     until(page, "time < 0.5")
 

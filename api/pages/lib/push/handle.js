@@ -28,7 +28,7 @@ export class Handle {
     if (!force) return;
     const { radius } = this.stage.about.view;
     const along = new Vector3(...force.force);
-    const length = Math.min(3, along.length() / weight) * radius;
+    const length = Math.min(1.2, along.length() / weight) * radius;
     this.arrow.position.set(...force.at);
     this.arrow.quaternion.setFromUnitVectors(UP, along.normalize());
     this.arrow.children[0].scale.y = Math.max(length, 1e-6);

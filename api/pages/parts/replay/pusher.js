@@ -31,7 +31,7 @@ export function Pusher({ modules, shown, name }) {
     let slow = 0;
     const hear = (said) => {
       const now = performance.now();
-      if (said.fell !== undefined) return setStory(`It fell after ${said.fell.toFixed(1)} s, and starts again.`);
+      if (said.fell !== undefined) return setStory(`It fell, or left its range, after ${said.fell.toFixed(1)} s; it starts again.`);
       motion.take(said);
       const { stage } = parts.current;
       if (last === null) {
