@@ -2,8 +2,8 @@
 
 The files are committed, so that neither users nor images need the registry. The lock has, for each package,
 its version, licence and the sha512 of its archive (as npm states it); for each file, where it goes, the words
-that are replaced in it, and the sha512 of the result. A path that ends in `.gz` holds its file compressed; the
-sha512 is that of the file itself, since not every zlib makes the same bytes.
+that are replaced in it, and the sha512 of the result. A path that ends in `.gz` holds its file compressed;
+the sha512 is that of the file itself, since not every zlib makes the same bytes.
 """
 
 import base64

@@ -26,9 +26,11 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Vary": "Accept-Encoding",
 }
-# The one script that compiles WebAssembly. A worker runs under its own file's policy, so the page's stays as it is.
+# The one script that compiles WebAssembly: a worker, which runs under its own file's policy.
 _PHYSICS = "lib/push/worker.js"
-_PHYSICS_POLICY = _CONTENT_SECURITY_POLICY.replace("script-src 'self'", "script-src 'self' 'wasm-unsafe-eval'")
+_PHYSICS_POLICY = _CONTENT_SECURITY_POLICY.replace(
+    "script-src 'self'", "script-src 'self' 'wasm-unsafe-eval'"
+)
 _CHECK_EACH_TIME = "no-cache"
 _KEEP = "public, max-age=31536000, immutable"
 

@@ -66,7 +66,7 @@ def read_simulation(job_id: JobId, service: ServiceDep, request: Request) -> Res
 
 
 def _no_simulation(job: Job) -> Exception:
-    """Why there is none: nothing was trained, its policy has no such form, it comes later, or the job is older."""
+    """Why there is none: nothing was trained, the page cannot run the policy, or the job is older."""
     if not isinstance(job.spec, TrainSpec):
         detail = f"Job {job.id} is a rollout; open the job that trained its policy."
     elif why := ALGORITHMS[job.spec.algorithm.algorithm()].no_export:

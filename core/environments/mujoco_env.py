@@ -65,7 +65,7 @@ class MujocoEnv(ABC):
         ends: Sequence[Ends],
         control_range: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> Simulation:
-        """The simulation of a subclass. control_range: the controls [nu] for actions of −1 and 1; None: the same."""
+        """For subclasses. control_range: the controls [nu] for actions of −1 and 1; None: the same."""
         low, high = control_range or (-np.ones(self.action_size), np.ones(self.action_size))
         return Simulation(
             model=as_xml(spec, self.engine.model),
@@ -149,7 +149,7 @@ def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:
 
     An actuator without a range takes the action itself.
     """
-    low, high = control_range(model)
+    low, high = map(jnp.asarray, control_range(model))
     return low + (action + 1.0) * (high - low) * 0.5
 
 

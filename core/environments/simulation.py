@@ -1,7 +1,7 @@
 """What a program needs to step an environment's body with MuJoCo alone, as the page does (docs/push.md).
 
-It is a model, and data: which of MuJoCo's numbers are observed, how an action becomes a control, how an episode
-begins and ends. An environment states them; tests show that they give its own observation.
+It is a model, and data: which of MuJoCo's numbers are observed, how an action becomes a control, how an
+episode begins and ends. An environment states them; tests show that they give its own observation.
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 FORMAT, VERSION = "gaitway-simulation", 1
-# The reader computes it: of each body, the velocity [3] of its own centre of mass, times its share of all masses,
-# and its angular velocity [3]; [nbody, 6].
+# The reader computes it, [nbody, 6]: of each body, the velocity [3] of its own centre of mass times its share
+# of all masses, and its angular velocity [3].
 SHARE_VELOCITY = "share_velocity"
 # The action before this observation; zeros at the start of an episode.
 PREVIOUS_ACTION = "previous_action"
@@ -50,7 +50,7 @@ class Ends:
 
 @dataclass(frozen=True)
 class Noise:
-    """Of an episode's start: uniform in ± position; velocities uniform in ± velocity, or normal with that deviation."""
+    """On an episode's start: uniform in ± position; uniform in ± velocity, or normal with that deviation."""
 
     position: float
     velocity: float
@@ -61,8 +61,9 @@ class Noise:
 class Simulation:
     """A body, ready to be stepped.
 
-    model: XML, with the solver settings of the engine that trained. control_offset, control_gain [nu]: the control
-    is offset + gain · action, held for num_substeps of the model's time step. qpos: [nq], where episodes begin.
+    model: XML, with the solver settings of the engine that trained. control_offset, control_gain [nu]: the
+    control is offset + gain · action, held for num_substeps of the model's time step. qpos [nq]: where episodes
+    begin.
     """
 
     model: str
@@ -86,7 +87,9 @@ def numbers(array: str, places: Sequence[int] | np.ndarray | range, **changes: A
     return Numbers(array, [int(place) for place in places], **changes)
 
 
-def rows(array: str, which: Sequence[int] | range, size: int, columns: Sequence[int] | None = None) -> Numbers:
+def rows(
+    array: str, which: Sequence[int] | range, size: int, columns: Sequence[int] | None = None
+) -> Numbers:
     """These rows of an array whose rows have `size` numbers, or some columns of each row."""
     chosen = range(size) if columns is None else columns
     return Numbers(array, [int(row) * size + column for row in which for column in chosen])
@@ -96,7 +99,9 @@ def as_xml(spec: mujoco.MjSpec, stepped: mujoco.MjModel) -> str:
     """The spec as XML, under the solver settings of `stepped`. Raises NotSimulated if it needs files."""
     files = [one.file for one in (*spec.meshes, *spec.hfields, *spec.skins, *spec.textures) if one.file]
     if files:
-        raise NotSimulated(f"its model is more than one file (it has {files[0]}), and the page reads only one")
+        raise NotSimulated(
+            f"its model is more than one file (it has {files[0]}), and the page reads only one"
+        )
     spec.compile()
     before = {name: getattr(spec.option, name) for name in _SOLVER}
     try:

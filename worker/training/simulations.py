@@ -14,7 +14,7 @@ NAME = "simulation.json"
 
 
 def keep_simulation(algorithm: str, environment: Environment, events: EventWriter) -> None:
-    """Keep the file; where the body cannot be stepped, it holds the reason. None where no policy is exported."""
+    """Keep the file, which says why if the body cannot be stepped; no file where no policy is exported."""
     if ALGORITHMS[algorithm].no_export is not None:
         return
     try:

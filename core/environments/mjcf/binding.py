@@ -148,7 +148,7 @@ def observed(term: ObservationTerm, parts: ModelIndex) -> Numbers:  # noqa: C901
 
 
 def ends(term: TerminationTerm, parts: ModelIndex) -> Ends:
-    """What ends an episode, in MuJoCo's arrays. Raises NotSimulated for a term that is no bound on numbers."""
+    """The term as bounds on MuJoCo's numbers. Raises NotSimulated where it is none."""
     match term:
         case OutsideHeightRange(range=(low, high)):
             body = parts.body(term.body)

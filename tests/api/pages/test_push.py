@@ -136,7 +136,9 @@ def test_a_drag_pulls_the_body_until_it_falls_and_it_starts_again(tab: Tab, push
 def test_a_body_that_cannot_be_pushed_says_why(tab: Tab, attempt: Attempt) -> None:
     refusal = "This body cannot be pushed: it is made of dreams."
     content = json.dumps({"refusal": refusal}).encode()
-    attempt.keep("simulation.json", content, role="simulation", media_type=BINARY, metadata={"can_run": False})
+    attempt.keep(
+        "simulation.json", content, role="simulation", media_type=BINARY, metadata={"can_run": False}
+    )
     attempt.end(JobStatus.SUCCEEDED)
     page = tab.open(f"#/jobs/{attempt.id}/push")
     expect(page.get_by_text(refusal)).to_be_visible()
