@@ -61,9 +61,8 @@ class Noise:
 class Simulation:
     """A body, ready to be stepped.
 
-    model: XML, with the solver settings of the engine that trained. control_offset, control_gain [nu]: the
-    control is offset + gain · action, held for num_substeps of the model's time step. qpos [nq]: where episodes
-    begin.
+    model: XML, with the solver settings of the engine that trained. control_offset, control_gain [nu]: a
+    control is offset + gain · action, for num_substeps of the time step. qpos [nq]: where episodes begin.
     """
 
     model: str
