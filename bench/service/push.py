@@ -98,8 +98,8 @@ def measure(options: Options) -> Result:
         rows=rows,
         notes=[
             f"Each policy trained for some {_BODIES['ant']:g} s on this CPU. Returns are means over {_STARTS} "
-            "starts, the same for both: here on `native` under float32 observations, in the browser on MuJoCo's "
-            "WebAssembly. Chromium draws in software beside the service, on the same cores.",
+            "starts, the same for both: here on `native`, in the browser on MuJoCo's WebAssembly. Chromium draws "
+            "in software beside the service, on the same cores.",
         ],
     )
 

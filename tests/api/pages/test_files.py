@@ -71,6 +71,22 @@ def test_files_come_compressed_to_those_who_can_read_that(stack: Stack) -> None:
     assert "Content-Encoding" not in plain.headers
 
 
+def test_webassembly_is_stored_compressed_and_allowed_in_its_worker_alone(stack: Stack) -> None:
+    here = f"{stack.http.base_url}/pages/{page_files().version}"
+    with httpx.stream("GET", f"{here}/vendor/mujoco.wasm", headers={"Accept-Encoding": "gzip"}) as answer:
+        assert answer.headers["Content-Type"] == "application/wasm"
+        stored = (ROOT / "api" / "pages" / "vendor" / "mujoco.wasm.gz").read_bytes()
+        assert b"".join(answer.iter_raw()) == stored
+    plain = httpx.get(f"{here}/vendor/mujoco.wasm", headers={"Accept-Encoding": "identity"})
+    assert plain.content[:4] == b"\0asm"
+    policies = {
+        path: httpx.get(f"{here}/{path}").headers["Content-Security-Policy"]
+        for path in ("app.js", "lib/push/simulation.js", "lib/push/worker.js", "vendor/mujoco.js")
+    }
+    allowed = [path for path, policy in policies.items() if "script-src 'self' 'wasm-unsafe-eval'" in policy]
+    assert allowed == ["lib/push/worker.js"]
+
+
 @pytest.mark.parametrize("path", ["nothing.js", "../app.py", "%2e%2e/app.py", "vendor"])
 def test_there_is_nothing_else_to_get(stack: Stack, path: str) -> None:
     problem(stack.http.get(f"/pages/{page_files().version}/{path}"), 404, "route-not-found")

@@ -1,24 +1,65 @@
 """A trained body that the browser steps with MuJoCo: it stands, is pushed, falls and starts again."""
 
+import io
 import json
 from functools import cache
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 
 from core.algorithms.export.contract import Origin, contract
 from core.algorithms.export.network import Layer, Network
 from core.algorithms.export.numpy_file import numpy_file
+from core.environments.mujoco_env import MujocoEnv
 from core.jobs.status import JobStatus
 from core.rendering.replay.replay import replay_of, scene_of
 from core.rendering.timeline import Motion
+from gaitway import exported_policy
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.pages.conftest import MakeTab, Tab
-from tests.unit.environments.test_simulation import of_the_catalog
+from tests.unit.environments.test_simulation import BODIES, of_the_catalog
 
 BINARY = "application/octet-stream"
+
+
+# What the page's modules make of a start and of the policy's actions; without the worker, outside the policy.
+STEPPED = """async ({recipe, policy, qpos, qvel, numSteps}) => {
+  const pages = document.querySelector("script[src]").src.replace("app.js", "");
+  const [{default: load}, {Simulation}, {readPolicy}] = await Promise.all(
+    ["vendor/mujoco.js", "lib/push/simulation.js", "lib/push/policy.js"].map((one) => import(pages + one)));
+  const bytes = new Uint8Array(policy).buffer;
+  const simulation = new Simulation(await load(), recipe, readPolicy(bytes));
+  simulation.data.qpos.set(qpos);
+  simulation.data.qvel.set(qvel);
+  simulation.begin();
+  const seen = [simulation.observe()];
+  const done = [];
+  while (done.length < numSteps) {
+    for (let i = 0; i < recipe.num_substeps; i++) simulation.step();
+    seen.push(simulation.observe());
+    done.push([...simulation.action]);
+  }
+  return [seen, done];
+}"""
+
+
+def policy_of(environment: MujocoEnv, scale: float) -> bytes:
+    """`policy.npz` of two layers with random weights; if the scale is 0, it does nothing."""
+    random = np.random.default_rng(0)
+    sizes = [(environment.observation_size, 16), (16, 2 * environment.action_size)]
+    layers = tuple(
+        Layer(
+            random.normal(0, scale, size).astype(np.float32),
+            random.normal(0, scale, size[1]).astype(np.float32),
+        )
+        for size in sizes
+    )
+    mean = np.full(environment.observation_size, 0.1, np.float32)
+    network = Network(mean, 2 * np.ones_like(mean), 5.0, layers, "swish", "state", 1)
+    return numpy_file(network, contract(network, Origin("ppo", "body", {}, environment.dt, 1)))
 
 
 @cache
@@ -28,18 +69,39 @@ def files() -> dict[str, tuple[str, bytes]]:
     qpos = np.array([ant.initial_qpos, ant.initial_qpos], float)
     motion = Motion(np.array([0.0, 0.05]), qpos)
     facts = {"num_steps": 1, "duration_s": 0.05, "terminated": False}
-    size, actions = ant.observation_size, ant.action_size
-    still = Layer(np.zeros((size, 2 * actions), np.float32), np.zeros(2 * actions, np.float32))
-    network = Network(
-        np.zeros(size, np.float32), np.ones(size, np.float32), None, (still,), "swish", "state", 1
-    )
-    about = contract(network, Origin("ppo", "ant", {}, ant.dt, 1))
     return {
         "scene.glb": ("scene", scene_of(ant.model, qpos[0], ant.tracked_body)),
         "replay.bin": ("replay", replay_of(ant.model, [motion], [np.zeros(1)], [facts], ant.tracked_body)),
         "simulation.json": ("simulation", json.dumps(ant.simulation().document()).encode()),
-        "policy.npz": ("export", numpy_file(network, about)),
+        "policy.npz": ("export", policy_of(ant, 0.0)),
     }
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_the_browser_observes_and_acts_as_the_environment_does(
+    browser: Browser, stack: Stack, body: str
+) -> None:
+    environment = of_the_catalog(body)
+    policy = policy_of(environment, 0.3)
+    state = environment.reset(jax.random.key(3))
+    # The page's own policy forbids WebAssembly outside the worker.
+    page = browser.new_page(bypass_csp=True)
+    page.goto(f"http://127.0.0.1:{stack.port}/#/workers")
+    given = {
+        "recipe": environment.simulation().document(),
+        "policy": list(policy),
+        "qpos": np.asarray(state.physics.qpos).tolist(),
+        "qvel": np.asarray(state.physics.qvel).tolist(),
+        "numSteps": 3,
+    }
+    seen, done = page.evaluate(STEPPED, given)
+    page.context.close()
+    act = exported_policy.load(io.BytesIO(policy))
+    np.testing.assert_allclose(seen[0], state.obs, rtol=1e-3, atol=1e-3)
+    for observation, before, action in zip(seen[1:], seen, done, strict=False):
+        np.testing.assert_allclose(action, act(before), atol=1e-5)
+        state = environment.step(state, jax.numpy.array(action))
+        np.testing.assert_allclose(observation, state.obs, rtol=1e-2, atol=1e-2)
 
 
 @pytest.fixture
