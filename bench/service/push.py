@@ -97,9 +97,9 @@ def measure(options: Options) -> Result:
         figures=figures,
         rows=rows,
         notes=[
-            f"Each policy trained for some {_BODIES['ant']:g} s on this CPU. Returns are means over {_STARTS} "
-            "starts, the same for both: here on `native`, in the browser on MuJoCo's WebAssembly. Chromium draws "
-            "in software beside the service, on the same cores.",
+            f"Each policy trained for some {_BODIES['ant']:g} s on this CPU. Returns are means over "
+            f"{_STARTS} starts, the same for both: here on `native`, in the browser on MuJoCo's WebAssembly. "
+            "Chromium draws in software beside the service, on the same cores.",
         ],
     )
 

@@ -15,7 +15,7 @@ from core.environments.mujoco_env import MujocoEnv
 from core.environments.simulation import PREVIOUS_ACTION, SHARE_VELOCITY, Ends, NotSimulated, Numbers, as_xml
 from core.physics.choose import engine_builder
 
-BODIES = ["ant", "half_cheetah", "hopper", "humanoid", "walker2d"]
+BODIES = ["ant", "half_cheetah", "hopper", "humanoid", "inverted_pendulum", "walker2d"]
 NUM_ENVS, NUM_STEPS = 20, 10
 
 CART = """

@@ -1,8 +1,9 @@
 /** A body under its policy, stepped by MuJoCo as `simulation.json` says (docs/push.md). Uses nothing of the page. */
 
 // Of the spring that pulls a body, as in MuJoCo's own viewer: for each kg that the body has where it is held.
+// The camera goes along with a body that runs, so a critical damping would brake it more than the spring pulls.
 const STIFFNESS = 100; // N/m
-const DAMPING = 2 * Math.sqrt(STIFFNESS); // N s/m: no swinging
+const DAMPING = 0.4 * Math.sqrt(STIFFNESS); // N s/m: a fifth of critical
 const MOST = 5; // times the weight of the whole
 
 export class Simulation {
