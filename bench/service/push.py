@@ -86,7 +86,7 @@ def measure(options: Options) -> Result:
             document = environment.simulation().document()
             returns, real_time = _compared(browser, parts.url, environment, document, policy)
             seen = _seen(browser, parts.url, published(parts, body, _files(environment, document, policy)))
-            rows.append({"body": body, "steps": num_steps, "returns": returns.tolist()})
+            rows += [{"body": body, "here": here, "browser": there} for here, there in returns.T.tolist()]
             figures += _figures(body, num_steps, returns, real_time, seen)
     return Result(
         name="push",
