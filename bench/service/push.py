@@ -39,7 +39,7 @@ from core.rendering.timeline import Motion
 from gaitway import exported_policy
 
 _BODIES = {"ant": 60.0, "half_cheetah": 60.0, "hopper": 60.0, "walker2d": 60.0, "humanoid": 60.0}
-_STARTS = 8
+_STARTS = 32
 _SECONDS = 6.0
 _PICTURES = "() => Number(document.querySelector('canvas').dataset.pictures || 0)"
 # Episodes from given starts, on the page's own modules: states [T+1], actions [T], of each.
@@ -111,12 +111,17 @@ def _figures(
     ours, theirs = returns
     first, frames = seen
     return [
-        Figure(name=f"{body}, trained for {num_steps:,} steps: return here", value=ours.mean(), unit=""),
-        Figure(name=f"{body}: return in the browser", value=theirs.mean(), unit=""),
+        _mean(f"{body}, trained for {num_steps:,} steps: return here", ours),
+        _mean(f"{body}: return in the browser", theirs),
         Figure(name=f"{body}: stepped in the browser", value=real_time, unit="× real time"),
         Figure(name=f"{body}: from the address to the first picture", value=first, unit="s"),
         Figure(name=f"{body}: drawn in software", value=frames, unit="frames/s"),
     ]
+
+
+def _mean(name: str, returns: NDArray[np.float64]) -> Figure:
+    error = returns.std(ddof=1) / np.sqrt(len(returns))
+    return Figure(name=name, value=returns.mean(), unit="", error=error)
 
 
 def _environment(body: str, engine: Any) -> MujocoEnv:

@@ -3,6 +3,7 @@
 import { html, useEffect, useRef, useState } from "../../lib/html.js";
 
 const PUSH_MS = 200;
+const LONGEST_PICTURE_MS = 500; // After a longer break nothing was drawn.
 const STRENGTHS = [0.25, 0.5, 1, 2];
 const SIDES = { left: [-1, 0], right: [1, 0], away: [0, 1], closer: [0, -1] };
 const KEYS = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "away", ArrowDown: "closer" };
@@ -26,40 +27,53 @@ export function Pusher({ modules, shown, name }) {
   useEffect(() => {
     const { about, recipe } = shown;
     const motion = new modules.LiveMotion(about);
-    let last = null;
+    let news = null; // What the worker said last, until it is drawn.
+    let last = 0;
     let told = 0;
     let slow = 0;
     const hear = (said) => {
-      const now = performance.now();
       if (said.fell !== undefined) return setStory(`It fell, or left its range, after ${said.fell.toFixed(1)} s; it starts again.`);
+      if (!motion.positions) begin(said);
       motion.take(said);
-      const { stage } = parts.current;
-      if (last === null) {
-        stage.setEpisodes(shown.scene, about, [modules.episodeOf(motion)], false);
-        parts.current.handle = new modules.Handle(stage, (pull) => parts.current.physics.say({ pull }));
-        setPhase("ready");
-        setStory("Take hold of the body and pull.");
-      } else stage.pace(now - last);
-      last = now;
-      parts.current.handle.show(said.force, said.weight);
-      stage.show(said.time);
       slow = said.isSlow ? slow + 1 : 0;
       if (slow === 30) setStory("This machine is slower than real time.");
-      Object.assign(canvas.current.dataset, { time: said.time, position: motion.position(about.bodies.indexOf(recipe.tracked_body)).join(" ") });
-      if (now - told > 100) {
-        setTime(said.time);
-        told = now;
+      news = said;
+    };
+    const begin = (said) => {
+      motion.take(said);
+      const { stage } = parts.current;
+      stage.setEpisodes(shown.scene, about, [modules.episodeOf(motion)], false);
+      parts.current.handle = new modules.Handle(stage, (pull) => parts.current.physics.say({ pull }));
+      setPhase("ready");
+      setStory("Take hold of the body and pull.");
+    };
+    // With each of the browser's pictures, so that the stage learns how long they take.
+    const draw = (at) => {
+      parts.current.frame = requestAnimationFrame(draw);
+      if (!news) return;
+      const { stage, handle } = parts.current;
+      handle.show(news.force, news.weight);
+      stage.show(news.time);
+      if (at - last < LONGEST_PICTURE_MS) stage.pace(at - last);
+      last = at;
+      Object.assign(canvas.current.dataset, { time: news.time, position: motion.position(about.bodies.indexOf(recipe.tracked_body)).join(" ") });
+      if (at - told > 100) {
+        setTime(news.time);
+        told = at;
       }
+      news = null;
     };
     try {
       const drawn = () => (canvas.current.dataset.pictures = Number(canvas.current.dataset.pictures || 0) + 1);
       parts.current.stage = new modules.Stage(canvas.current, drawn);
       parts.current.physics = modules.startPhysics(recipe, shown.policy, hear, setFailure);
+      parts.current.frame = requestAnimationFrame(draw);
     } catch (error) {
       setFailure(error);
     }
     return () => {
-      const { stage, handle, physics } = parts.current;
+      const { stage, handle, physics, frame } = parts.current;
+      cancelAnimationFrame(frame);
       for (const part of [handle, stage]) part?.dispose();
       physics?.end();
       clearTimeout(parts.current.release);
