@@ -15,20 +15,27 @@ _MEDIA_TYPES = {
     "json": "application/json",
     "svg": "image/svg+xml",
     "txt": "text/plain; charset=utf-8",
+    "wasm": "application/wasm",
 }
 
 
 @dataclass(frozen=True)
 class PageFile:
-    """A file of the page. content: its bytes."""
+    """A file of the page. stored: its bytes, which are gzip where it is stored compressed."""
 
-    content: bytes
+    stored: bytes
     media_type: str
+    is_stored_compressed: bool = False
+
+    @cached_property
+    def content(self) -> bytes:
+        """The file itself."""
+        return gzip.decompress(self.stored) if self.is_stored_compressed else self.stored
 
     @cached_property
     def compressed(self) -> bytes:
         """The content as gzip; made when the first browser asks for it."""
-        return gzip.compress(self.content, mtime=0)
+        return self.stored if self.is_stored_compressed else gzip.compress(self.stored, mtime=0)
 
 
 @dataclass(frozen=True)
@@ -41,16 +48,24 @@ class PageFiles:
 
 @cache
 def page_files() -> PageFiles:
-    """The files below `api/pages`; in the HTML, `{version}` becomes the version."""
+    """The files below `api/pages`; in the HTML, `{version}` becomes the version.
+
+    A file `x.gz` is served as `x`.
+    """
     found = dict(_read(files("api") / "pages", ""))
     version = hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest()[:12]
     return PageFiles(
         version,
         {
-            path: PageFile(_with_version(path, content, version), _MEDIA_TYPES[path.rpartition(".")[2]])
+            path.removesuffix(".gz"): _file(path, _with_version(path, content, version))
             for path, content in found.items()
         },
     )
+
+
+def _file(path: str, stored: bytes) -> PageFile:
+    kind = path.removesuffix(".gz").rpartition(".")[2]
+    return PageFile(stored, _MEDIA_TYPES[kind], is_stored_compressed=path.endswith(".gz"))
 
 
 def _read(folder: Traversable, prefix: str) -> list[tuple[str, bytes]]:

@@ -2,10 +2,12 @@
 
 The files are committed, so that neither users nor images need the registry. The lock has, for each package,
 its version, licence and the sha512 of its archive (as npm states it); for each file, where it goes, the words
-that are replaced in it, and the sha512 of the result.
+that are replaced in it, and the sha512 of the result. A path that ends in `.gz` holds its file compressed;
+the sha512 is that of the file itself, since not every zlib makes the same bytes.
 """
 
 import base64
+import gzip
 import hashlib
 import json
 import subprocess
@@ -21,11 +23,14 @@ LOCK = ROOT / "api" / "pages" / "vendor" / "lock.json"
 
 
 class VendoredFile(BaseModel):
-    """A file of a package. path: from the repository's root; replace: words, and what stands for them."""
+    """A file of a package. path: from the repository's root; replace: words, and what stands for them.
+
+    source: empty for a file that the package lacks, such as its licence: it is kept here, and only checked.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    source: str
+    source: str = ""
     path: str
     replace: dict[str, str] = {}
     append: str = ""
@@ -89,7 +94,25 @@ def _fetch(package: Package, folder: Path) -> Path:
     return archive
 
 
+def read_vendored(path: Path) -> bytes:
+    """The file's content, unpacked."""
+    content = path.read_bytes()
+    return gzip.decompress(content) if path.suffix == ".gz" else content
+
+
 def _write(file: VendoredFile, archive: tarfile.TarFile) -> VendoredFile:
+    path = ROOT / file.path
+    content = _made(file, archive) if file.source else read_vendored(path)
+    digest = _checked(file.path, content, file.sha512)
+    # Another zlib would make other bytes of the same file.
+    if not path.exists() or read_vendored(path) != content:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
+    return file.model_copy(update={"sha512": digest})
+
+
+def _made(file: VendoredFile, archive: tarfile.TarFile) -> bytes:
+    """The package's file with its words replaced. Raises NotAsLocked where it lacks the file or a word."""
     member = archive.extractfile(f"package/{file.source}")
     if member is None:
         raise NotAsLocked(f"{file.source} is not a file of its package.")
@@ -98,12 +121,7 @@ def _write(file: VendoredFile, archive: tarfile.TarFile) -> VendoredFile:
         if old.encode() not in content:
             raise NotAsLocked(f"{file.source} has no {old!r} to replace.")
         content = content.replace(old.encode(), new.encode())
-    content += file.append.encode()
-    digest = _checked(file.path, content, file.sha512)
-    path = ROOT / file.path
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content)
-    return file.model_copy(update={"sha512": digest})
+    return content + file.append.encode()
 
 
 def _checked(name: str, content: bytes, expected: str) -> str:

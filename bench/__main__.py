@@ -28,6 +28,7 @@ DEFAULT = {
     "models": "bench.service.models",
     "page": "bench.service.page",
     "replay": "bench.service.replay",
+    "push": "bench.service.push",
     "video": "bench.cpu.video",
     "demo": "bench.service.demo",
     "preparation": "bench.service.preparation",

@@ -26,6 +26,11 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Vary": "Accept-Encoding",
 }
+# The one script that compiles WebAssembly: a worker, which runs under its own file's policy.
+_PHYSICS = "lib/push/worker.js"
+_PHYSICS_POLICY = _CONTENT_SECURITY_POLICY.replace(
+    "script-src 'self'", "script-src 'self' 'wasm-unsafe-eval'"
+)
 _CHECK_EACH_TIME = "no-cache"
 _KEEP = "public, max-age=31536000, immutable"
 
@@ -52,7 +57,10 @@ async def show_file(version: str, path: str, request: Request) -> Response:
     here = page_files()
     if path not in here.by_path:
         raise RouteNotFound(f"The page has no file {path[:200]!r}.")
-    return _answer(request, here.by_path[path], _KEEP if version == here.version else _CHECK_EACH_TIME)
+    answer = _answer(request, here.by_path[path], _KEEP if version == here.version else _CHECK_EACH_TIME)
+    if path == _PHYSICS:
+        answer.headers["Content-Security-Policy"] = _PHYSICS_POLICY
+    return answer
 
 
 def _answer(request: Request, file: PageFile, caching: str) -> Response:

@@ -8,6 +8,7 @@ from pydantic import Field
 from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import file_response, responses
 from api.routes.files import absence, last_made
+from core.algorithms.catalog import ALGORITHMS
 from core.errors import ArtifactNotFound
 from core.jobs.job import Artifact, Job
 from core.jobs.spec import TrainSpec
@@ -47,6 +48,34 @@ def read_scene(job_id: JobId, service: ServiceDep, request: Request) -> Response
     if found is None:
         raise _none(job, "scene")
     return file_response(request, found, service.objects)
+
+
+@router.head("/jobs/{job_id}/simulation", include_in_schema=False, response_class=Response)
+@router.get(
+    "/jobs/{job_id}/simulation",
+    response_class=Response,
+    responses=responses("application/json"),
+)
+def read_simulation(job_id: JobId, service: ServiceDep, request: Request) -> Response:
+    """The trained body for MuJoCo alone: its model, what it observes, how an action moves it."""
+    job = service.store.get(job_id)
+    found = job.newest("simulation")
+    if found is None:
+        raise _no_simulation(job)
+    return file_response(request, found, service.objects)
+
+
+def _no_simulation(job: Job) -> Exception:
+    """Why there is none: nothing was trained, the page cannot run the policy, or the job is older."""
+    if not isinstance(job.spec, TrainSpec):
+        detail = f"Job {job.id} is a rollout; open the job that trained its policy."
+    elif why := ALGORITHMS[job.spec.algorithm.algorithm()].no_export:
+        detail = f"Job {job.id} has no simulation, since the page cannot run its policy: {why}."
+    elif job.newest("policy") is not None:
+        detail = f"Job {job.id} has no simulation: an older version trained it."
+    else:
+        return absence(job, "simulation", "simulation")
+    return ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)
 
 
 def _replay(job: Job, step: int | None) -> Artifact:

@@ -48,7 +48,11 @@ def measure(options: Options) -> Result:
     ):
         for body in _BODIES:
             files, costs = _written(body, seconds, 1 if options.quick else 5)
-            job_id = _published(parts, body, files)
+            named: dict[str, tuple[ArtifactRole, bytes]] = {
+                "scene.glb": ("scene", files[0]),
+                "replay.bin": ("replay", files[1]),
+            }
+            job_id = published(parts, body, named)
             played = _played(browser, parts.url, job_id, seconds)
             sizes = {"scene_bytes": len(files[0]), "replay_bytes": len(files[1])}
             rows.append({"body": body, **sizes, **played})
@@ -114,7 +118,7 @@ def _motion(model: mujoco.MjModel, dt: float, seconds: float) -> Motion:
     return Motion(dt * np.arange(steps + 1), np.array(qpos))
 
 
-def _published(parts: Parts, body: str, files: tuple[bytes, bytes]) -> str:
+def published(parts: Parts, body: str, files: Mapping[str, tuple[ArtifactRole, bytes]]) -> str:
     """A job with these files; its id."""
     settings = settings_of(parts)
     store, objects = job_store(settings), object_store(settings)
@@ -129,8 +133,7 @@ def _published(parts: Parts, body: str, files: tuple[bytes, bytes]) -> str:
     if claim is None:
         raise RuntimeError(f"Somebody else runs job {job.id}.")
     claim.start(device="gpu:0", engine="native", details={})
-    named: tuple[tuple[str, ArtifactRole], ...] = (("scene.glb", "scene"), ("replay.bin", "replay"))
-    for (name, role), content in zip(named, files, strict=True):
+    for name, (role, content) in files.items():
         digest = hashlib.sha256(content).hexdigest()
         key = keys.artifact(job.id, 1, digest, name)
         objects.put(key, content)
@@ -141,6 +144,7 @@ def _published(parts: Parts, body: str, files: tuple[bytes, bytes]) -> str:
             size=len(content),
             sha256=digest,
             key=key,
+            metadata={"can_run": True} if role == "simulation" else {},
         )
         claim.publish((artifact,), keep_checkpoints=5)
     return job.id

@@ -1,7 +1,7 @@
 """What our environments share: a model, an engine that steps it, and its sizes."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -13,6 +13,7 @@ import numpy as np
 from core.environments.discretization import CONTINUOUS, Discretization
 from core.environments.environment import Observation, State
 from core.environments.rewards import total
+from core.environments.simulation import Ends, Noise, NotSimulated, Numbers, Simulation, as_xml
 from core.physics.engine import NOMINAL, Engine, ModelFields, PhysicsState
 from core.physics.model import initial_qpos
 
@@ -51,6 +52,32 @@ class MujocoEnv(ABC):
 
     @abstractmethod
     def step(self, state: State, action: jax.Array) -> State: ...
+
+    def simulation(self) -> Simulation:
+        """What a program needs to step this body with MuJoCo alone. Raises NotSimulated."""
+        raise NotSimulated("what it observes is computed by code that only the training has")
+
+    def simulated(
+        self,
+        spec: mujoco.MjSpec,
+        observation: Sequence[Numbers],
+        noise: Noise,
+        ends: Sequence[Ends],
+        control_range: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> Simulation:
+        """For subclasses. control_range: the controls [nu] for actions of −1 and 1; None: the same."""
+        low, high = control_range or (-np.ones(self.action_size), np.ones(self.action_size))
+        return Simulation(
+            model=as_xml(spec, self.engine.model),
+            num_substeps=round(self.dt / self.model.opt.timestep),
+            tracked_body=self.tracked_body,
+            control_offset=((low + high) / 2).tolist(),
+            control_gain=((high - low) / 2).tolist(),
+            observation=observation,
+            qpos=np.asarray(self.initial_qpos, float).tolist(),
+            noise=noise,
+            ends=ends,
+        )
 
     def stepped(
         self,
@@ -122,7 +149,12 @@ def scaled_to_control(model: mujoco.MjModel, action: jax.Array) -> jax.Array:
 
     An actuator without a range takes the action itself.
     """
-    limited = model.actuator_ctrllimited.astype(bool)
-    ranges = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]])
-    low, high = np.asarray(ranges, np.float32)
+    low, high = map(jnp.asarray, control_range(model))
     return low + (action + 1.0) * (high - low) * 0.5
+
+
+def control_range(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """The controls [nu] for actions of −1 and 1."""
+    limited = model.actuator_ctrllimited.astype(bool)
+    low, high = np.where(limited, model.actuator_ctrlrange.T, [[-1.0], [1.0]]).astype(np.float32)
+    return low, high

@@ -26,6 +26,7 @@ ArtifactRole = Literal[
     "trajectory",
     "scene",
     "replay",
+    "simulation",
     "summary",
     "metrics",
     "log",

@@ -120,6 +120,11 @@ class Engine(Protocol):
         """`native`, `mjx`, `warp` or `compiled`."""
         ...
 
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model that is stepped, with this engine's solver settings."""
+        ...
+
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
         """The state at time 0 with these positions [nq] and velocities [nv], derived fields computed.
 

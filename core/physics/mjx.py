@@ -27,6 +27,7 @@ class MjxEngine:
     name = "mjx"
 
     def __init__(self, model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> None:
+        self.model = model
         self._model = mjx.put_model(model)
         self._blank: Any = mjx.make_data(model)
         self._num_substeps = num_substeps

@@ -20,22 +20,22 @@ _SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSO
 
 def brax_model(name: str) -> mujoco.MjModel:
     """The model `<name>.xml` of the brax wheel; bodies without joints are fused as Brax does."""
+    return brax_spec(name).compile()
+
+
+def brax_spec(name: str) -> mujoco.MjSpec:
+    """What `brax_model` compiles. `settotalmass` is deprecated, so the geoms are scaled instead."""
     spec = mujoco.MjSpec.from_file(str(_brax_assets() / f"{name}.xml"))
     spec.compiler.fusestatic = True
-    return _compiled(spec)
-
-
-def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """The spec's model. The compiler's `settotalmass` is deprecated, so the geoms are scaled instead."""
     total_mass = spec.compiler.settotalmass
     if total_mass <= 0:
-        return spec.compile()
+        return spec
     spec.compiler.settotalmass = -1
     factor = total_mass / np.sum(spec.compile().body_mass)
     for geom in spec.geoms:
         geom.mass *= factor  # NaN, and stays NaN, where the mass follows from the density
         geom.density *= factor
-    return spec.compile()
+    return spec
 
 
 def _brax_assets() -> Path:

@@ -31,6 +31,7 @@ class NativeEngine:
     name = "native"
 
     def __init__(self, model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> None:
+        self.model = model
         self._batches = _Batches(model)
         self._num_substeps = num_substeps
         self._num_act, self._num_ctrl = model.na, model.nu

@@ -39,7 +39,7 @@ class WarpEngine:
         self._shapes = {name: np.shape(getattr(blank, name)) for name in (*_CARRIED, *derived)}
         given = {name: np.asarray(getattr(blank, name), np.float32).ravel() for name in (*_CARRIED, "ctrl")}
         self._blank = np.concatenate(list(given.values()))
-        self._model = model
+        self.model = model
         # Fields without elements are not copied.
         inputs = {name: values.size for name, values in given.items() if values.size}
         outputs = {name: size for name, shape in self._shapes.items() if (size := int(np.prod(shape)))}
@@ -54,7 +54,7 @@ class WarpEngine:
 
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
         check_model_fields(model)
-        if "dof_damping" in model and self._model.actuator_damping.any():
+        if "dof_damping" in model and self.model.actuator_damping.any():
             raise JobFailed(
                 Reason.BAD_MODEL,
                 "MuJoCo Warp adds the actuators' damping to the joints' when it loads this model, so "
@@ -104,7 +104,7 @@ class WarpEngine:
         return self._programs[move, own]
 
     def _blank_with(self, own: tuple[str, ...]) -> NDArray[np.float32]:
-        nominal = [np.asarray(model_field(self._model, name), np.float32).ravel() for name in own]
+        nominal = [np.asarray(model_field(self.model, name), np.float32).ravel() for name in own]
         return np.concatenate([self._blank, *nominal])
 
     def _unpacked(self, row: jax.Array) -> Mapping[str, jax.Array]:

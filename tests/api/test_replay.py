@@ -64,3 +64,22 @@ def test_an_older_job_says_how_to_get_one(stack: Stack) -> None:
 
 def test_a_job_that_asks_for_no_video_has_no_replay_either(stack: Stack) -> None:
     assert "its `video` is null, and replays show what videos would" in ended(stack, video=None)
+
+
+def test_a_simulation_comes_as_json_or_the_sentence_why_there_is_none(stack: Stack) -> None:
+    address = f"/jobs/{ID}/simulation"
+    attempt = Attempt(stack, job(ID))
+    assert "has no simulation yet" in problem(stack.http.get(address), 404, "artifact-not-ready")["detail"]
+    attempt.keep("policy", b"numbers", role="policy", media_type="application/octet-stream")
+    detail = problem(stack.http.get(address), 404, "artifact-not-found")["detail"]
+    assert "an older version trained it" in detail
+    attempt.keep("simulation.json", b"{}", role="simulation", media_type="application/json")
+    answer = stack.http.get(address)
+    assert (answer.content, answer.headers["Content-Type"]) == (b"{}", "application/json")
+
+
+def test_a_choice_among_actions_is_no_policy_that_the_page_runs(stack: Stack) -> None:
+    star = {"environment": "brittle_star", "algorithm": {"kind": "dqn"}}
+    Attempt(stack, job(ID, **star))
+    detail = problem(stack.http.get(f"/jobs/{ID}/simulation"), 404, "artifact-not-found")["detail"]
+    assert "the page cannot run its policy" in detail

@@ -38,10 +38,20 @@ def test_a_job_from_the_form_to_its_fork(tab: Tab, client: Client) -> None:
     expect(page.get_by_role("slider", name="Video")).to_be_visible(timeout=600_000)
     expect(page.locator(".status")).to_have_text("succeeded", timeout=600_000)
     player = page.locator("video")
-    page.wait_for_function("document.querySelector('video').readyState >= 2")
+    page.wait_for_function("() => document.querySelector('video').readyState >= 2")
     assert player.evaluate("video => video.videoWidth") == 160
     tab.picture("real-job")
     first = page.url.rpartition("/")[2]
+
+    # The trained policy in the browser's physics: a push moves the cart.
+    page.get_by_role("link", name="Push", exact=True).click()
+    expect(page.get_by_text("Take hold of the body and pull.")).to_be_visible()
+    page.get_by_role("button", name="Play").click()
+    page.wait_for_function("() => document.querySelector('canvas').dataset.time > 0.5")
+    page.get_by_role("button", name="Push it right").click()
+    page.wait_for_function("() => document.querySelector('canvas').dataset.position.split(' ')[0] > 0.02")
+    tab.picture("real-push")
+    page.get_by_role("link", name="Overview").click()
 
     page.get_by_role("slider", name="Video").fill("0")
     page.get_by_role("link", name="Fork from this checkpoint").click()

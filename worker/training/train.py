@@ -22,6 +22,7 @@ from worker.training.exports import keep_exports
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
 from worker.training.replays import ReplayBudget, ReplayWriter
+from worker.training.simulations import keep_simulation
 from worker.training.stopping import StopRequest
 from worker.training.video import VideoRecorder
 
@@ -98,6 +99,7 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
         policy = run.policy()
         events.keep("policy", policy, "policy", "application/octet-stream", step=run.step)
         keep_exports(policy, settings.algorithm(), run.step, built, events)
+        keep_simulation(settings.algorithm(), built.environment, events)
         with _tables(run, spec, events):
             if videos:
                 videos.take("video")

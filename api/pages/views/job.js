@@ -13,12 +13,14 @@ import { CurvesTab } from "./job/curves.js";
 import { FilesTab } from "./job/files.js";
 import { LogTab } from "./job/log.js";
 import { OverviewTab } from "./job/overview.js";
-import { ReplayTab } from "./job/replay.js";
+import { PushTab } from "./job/push.js";
+import { ReplayTab, canPush } from "./job/replay.js";
 import { SpecificationTab } from "./job/specification.js";
 
 const TABS = {
   overview: ["Overview", OverviewTab],
   replay: ["Replay", ReplayTab],
+  push: ["Push", PushTab],
   curves: ["Curves", CurvesTab],
   log: ["Log", LogTab],
   files: ["Files", FilesTab],
@@ -35,7 +37,7 @@ export default function JobView({ path: [id, tab = "overview"], query }) {
   return html`
     <${Head} job=${job} again=${again} />
     <nav class="tabs" aria-label="Parts of the job">
-      ${Object.entries(TABS).map(
+      ${Object.entries(TABS).filter(([name]) => name !== "push" || tab === "push" || canPush(job)).map(
         ([name, [text]]) => html`<a href=${href(["jobs", id, name])} aria-current=${name === tab ? "page" : undefined}>${text}</a>`,
       )}
     </nav>

@@ -1,17 +1,18 @@
 """The hopper and the planar walker: a torso on x, z and pitch that must not fall."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 import jax
 import jax.numpy as jnp
-import mujoco
 
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.planar_slices import MAX_OBSERVED_SPEED
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
+from core.environments.simulation import Ends, Noise, Simulation, numbers
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
+from core.physics.model import brax_model, brax_spec
 
 _NUM_SUBSTEPS = 4
 
@@ -38,16 +39,18 @@ def _always(_: PhysicsState) -> jax.Array:
 class PlanarWalker(MujocoEnv):
     """Reward: forward speed + being alive - the action's cost. Ends when the torso falls, flies or tilts.
 
-    also_healthy: a further condition on the state.
+    name: of the model. also_healthy: a further condition on the state; also_ends: the same for a simulation.
     """
 
     def __init__(
         self,
-        model: mujoco.MjModel,
+        name: str,
         options: PlanarOptions,
         build_engine: EngineBuilder,
         also_healthy: Callable[[PhysicsState], jax.Array] = _always,
+        also_ends: Sequence[Ends] = (),
     ) -> None:
+        model = brax_model(name)
         hidden = 1 if options.exclude_current_positions_from_observation else 0
         super().__init__(
             model,
@@ -56,8 +59,10 @@ class PlanarWalker(MujocoEnv):
             observation_size=model.nq - hidden + model.nv,
             tracked_body="torso",
         )
+        self._name = name
         self._options = options
         self._also_healthy = also_healthy
+        self._also_ends = also_ends
         self._num_hidden = hidden
         # The joint `rootz` counts from here.
         self._height_at_zero = float(model.body("torso").pos[2])
@@ -69,6 +74,26 @@ class PlanarWalker(MujocoEnv):
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
         return self._after(state.physics, physics, action, state.info)
+
+    def simulation(self) -> Simulation:
+        options, scale = self._options, self._options.reset_noise_scale
+        height = numbers("qpos", [1], add=self._height_at_zero)
+        ends = [
+            Ends(height, *options.healthy_z_range),
+            Ends(numbers("qpos", [2]), *options.healthy_angle_range),
+            *self._also_ends,
+        ]
+        return self.simulated(
+            brax_spec(self._name),
+            observation=[
+                numbers("qpos", range(self._num_hidden, 1)),
+                height,
+                numbers("qpos", range(2, self.model.nq)),
+                numbers("qvel", range(self.model.nv), max_abs=MAX_OBSERVED_SPEED),
+            ],
+            noise=Noise(scale, scale, is_normal=False),
+            ends=ends if options.terminate_when_unhealthy else [],
+        )
 
     def _after(
         self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]

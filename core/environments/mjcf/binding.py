@@ -1,5 +1,6 @@
 """From a job's terms to functions of a step: each term is bound to its parts' places in the arrays."""
 
+from dataclasses import replace
 from typing import assert_never
 
 import jax
@@ -43,6 +44,7 @@ from core.environments.mjcf.vocabulary.terminations import (
     TerminationTerm,
     Touching,
 )
+from core.environments.simulation import PREVIOUS_ACTION, Ends, NotSimulated, Numbers, numbers, rows
 
 
 def reward(term: RewardTerm, parts: ModelIndex) -> BoundTerm:  # noqa: C901 # A table.
@@ -95,42 +97,73 @@ def termination(term: TerminationTerm, parts: ModelIndex) -> BoundTerm:
             assert_never(term)
 
 
-def observation(term: ObservationTerm, parts: ModelIndex) -> BoundTerm:  # noqa: C901 # A table.
+def observation(term: ObservationTerm, parts: ModelIndex) -> BoundTerm:
     """The term's observation after a step, [n]."""
+    seen = observed(term, parts)
+    derived = () if seen.array in _OF_A_STATE or seen.array == PREVIOUS_ACTION else (seen.array,)
+    places, less = np.array(seen.places, int), np.array(seen.less, int)
+
+    def measure(context: StepContext) -> jax.Array:
+        if seen.array == PREVIOUS_ACTION:
+            return context.action
+        after = context.after
+        values = (after.derived[seen.array] if derived else getattr(after, seen.array)).ravel()
+        return values[places] - values[less] if seen.less else values[places]
+
+    return BoundTerm(derived, measure)
+
+
+# Fields of PhysicsState itself.
+_OF_A_STATE = ("qpos", "qvel", "act")
+
+
+def observed(term: ObservationTerm, parts: ModelIndex) -> Numbers:  # noqa: C901 # A table.
+    """Where the term's observation [n] is in MuJoCo's arrays."""
+    model = parts.model
     match term:
         case Qpos():
-            seen = observations.visible_positions(parts, term.root_position)
-            return BoundTerm((), lambda context: context.after.qpos[seen])
+            return numbers("qpos", observations.visible_positions(parts, term.root_position))
         case Qvel():
-            return BoundTerm((), lambda context: context.after.qvel)
+            return numbers("qvel", range(model.nv))
         case PreviousAction():
-            return BoundTerm((), lambda context: context.action)
+            return numbers(PREVIOUS_ACTION, range(model.nu))
         case Activation():
-            return BoundTerm((), lambda context: context.after.act)
+            return numbers("act", range(model.na))
         case Sensors(names=names):
-            places = observations.sensor_places(parts, names)
-            return BoundTerm(("sensordata",), lambda context: context.after.derived["sensordata"][places])
+            return numbers("sensordata", observations.sensor_places(parts, names))
         case BodyPositions(bodies=names, relative=relative):
-            origin = parts.root if relative else 0  # The world is at zero.
-            rows = parts.bodies(names)
-            return BoundTerm(
-                ("xpos",),
-                lambda context: observations.positions(context.after.derived["xpos"], rows, origin),
-            )
+            seen = rows("xpos", parts.bodies(names).tolist(), 3)
+            less = [3 * parts.root + axis for axis in range(3)] * (len(seen.places) // 3)
+            return replace(seen, less=less) if relative else seen
         case BodyOrientations(bodies=names):
-            return _rows("xmat", parts.bodies(names))
+            return rows("xmat", parts.bodies(names).tolist(), 9)
         case Cvel(bodies=names):
-            return _rows("cvel", parts.bodies(names))
+            return rows("cvel", parts.bodies(names).tolist(), 6)
         case Cinert(bodies=names):
-            return _rows("cinert", parts.bodies(names))
+            return rows("cinert", parts.bodies(names).tolist(), 10)
         case ActuatorForces():
-            return BoundTerm(("qfrc_actuator",), lambda context: context.after.derived["qfrc_actuator"])
+            return numbers("qfrc_actuator", range(model.nv))
         case _:
             assert_never(term)
 
 
-def _rows(field: str, rows: np.ndarray) -> BoundTerm:
-    return BoundTerm((field,), lambda context: context.after.derived[field][rows].ravel())
+def ends(term: TerminationTerm, parts: ModelIndex) -> Ends:
+    """The term as bounds on MuJoCo's numbers. Raises NotSimulated where it is none."""
+    match term:
+        case OutsideHeightRange(range=(low, high)):
+            body = parts.body(term.body)
+            start = parts.free_joint(body)
+            height = numbers("xpos", [3 * body + 2]) if start is None else numbers("qpos", [start + 2])
+            return Ends(height, low, high)
+        case NotUpright(axis=(0.0, 0.0, up), least=least) if up > 0:
+            return Ends(numbers("xmat", [9 * parts.body(term.body) + 8]), least, None)
+        case NotUpright():
+            raise NotSimulated("an episode ends by an axis that is not the body's z")
+        case Touching():
+            places = parts.sensors([sensor_name(geom, term.against) for geom in term.geoms])
+            return Ends(numbers("sensordata", places), None, 0.5)
+        case _:
+            assert_never(term)
 
 
 def _forward_velocity(term: ForwardVelocity, parts: ModelIndex) -> BoundTerm:

@@ -20,7 +20,8 @@ from core.environments.mjcf.step_context import ModelIndex, StepContext
 from core.environments.mjcf.vocabulary.observations import ObservationTerm, Qpos, Qvel
 from core.environments.mjcf.vocabulary.rewards import Alive, ControlCost, ForwardVelocity, RewardTerm
 from core.environments.mjcf.vocabulary.terminations import OutsideHeightRange, TerminationTerm
-from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
+from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
+from core.environments.simulation import Noise, Simulation
 from core.errors import JobFailed
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, SolverSettings
 from core.physics.model import initial_qpos
@@ -41,7 +42,8 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
         original = inventory(compiled(spec))
         if found := problems(options, original):
             raise JobFailed(Reason.BAD_MODEL, " ".join(problem.detail for problem in found))
-        return Mjcf(options, original, compiled(spec, options.timestep, options.contacts), build_engine)
+        stepped = compiled(spec, options.timestep, options.contacts)
+        return Mjcf(options, original, spec, stepped, build_engine)
 
 
 class Mjcf(MujocoEnv):
@@ -54,6 +56,7 @@ class Mjcf(MujocoEnv):
         self,
         options: MjcfOptions,
         parts: Inventory,
+        spec: mujoco.MjSpec,
         model: mujoco.MjModel,
         build_engine: EngineBuilder,
     ) -> None:
@@ -63,7 +66,8 @@ class Mjcf(MujocoEnv):
         self._names = metric_names(paid)
         self._weights = [term.sign * term.weight for term in paid]
         self._rewards = [binding.reward(term, named) for term in paid]
-        self._seen = [binding.observation(term, named) for term in options.observation or _default_seen()]
+        seen = options.observation or _default_seen()
+        self._seen = [binding.observation(term, named) for term in seen]
         start = _start(model, options)
         height = height_of(model, start, root)
         ends = _default_ends(parts, height) if options.termination is None else options.termination
@@ -79,6 +83,8 @@ class Mjcf(MujocoEnv):
         )
         super().__init__(model, engine, num_substeps=num_substeps, observation_size=0, tracked_body=root)
         self.initial_qpos = jnp.asarray(start, jnp.float32)
+        self._spec, self._parts = spec, named
+        self._observation, self._termination = seen, ends
         self._reset = options.reset
         self.observation_size = jax.eval_shape(self.reset, jax.random.key(0)).obs.shape[0]
 
@@ -100,6 +106,18 @@ class Mjcf(MujocoEnv):
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
         context = StepContext(state.physics, physics, action, state.info["previous_action"], self.dt)
         return self._after(context, {**state.info, "previous_action": action})
+
+    def simulation(self) -> Simulation:
+        reset = self._reset
+        return self.simulated(
+            self._spec,
+            observation=[binding.observed(term, self._parts) for term in self._observation],
+            noise=Noise(
+                reset.position_noise, reset.velocity_noise, is_normal=reset.velocity_distribution == "normal"
+            ),
+            ends=[binding.ends(term, self._parts) for term in self._termination],
+            control_range=control_range(self.model),
+        )
 
     def _after(self, context: StepContext, info: Mapping[str, jax.Array]) -> State:
         ended = [term.measure(context) for term in self._ends]

@@ -2,7 +2,6 @@
 
 from typing import Literal
 
-import jax
 import mujoco
 import numpy as np
 
@@ -31,11 +30,6 @@ def sensor_places(parts: ModelIndex, names: list[str] | None) -> np.ndarray:
     own = [sensor for sensor in range(parts.model.nsensor) if not is_ours(parts.model.sensor(sensor).name)]
     starts, sizes = parts.model.sensor_adr, parts.model.sensor_dim
     return np.concatenate([np.arange(starts[sensor], starts[sensor] + sizes[sensor]) for sensor in own])
-
-
-def positions(xpos: jax.Array, bodies: np.ndarray, origin: int) -> jax.Array:
-    """p_b − p_o of each of the bodies, in metres: [bodies * 3]. xpos: [nbody, 3]; origin: a body's number."""
-    return (xpos[bodies] - xpos[origin][None]).ravel()
 
 
 def limited_joints(parts: ModelIndex, names: list[str] | None) -> np.ndarray:

@@ -33,7 +33,7 @@ class CompiledEngine:
 
     def __init__(self, model: mujoco.MjModel, num_substeps: int, derived: tuple[str, ...]) -> None:
         check_covered(model, derived)
-        self._model, self._num_substeps, self._derived = model, num_substeps, derived
+        self.model, self._num_substeps, self._derived = model, num_substeps, derived
         self._described = f"{_fingerprint(model)} {num_substeps} {derived}"
         blank = mujoco.MjData(model)
         names = (*_CARRIED, "time", "ctrl", *derived)
@@ -44,11 +44,11 @@ class CompiledEngine:
 
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
         check_model_fields(model)
-        check_own(self._model, tuple(model), self._derived)
+        check_own(self.model, tuple(model), self._derived)
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,
-            act=jnp.zeros(self._model.na, jnp.float32),
+            act=jnp.zeros(self.model.na, jnp.float32),
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived={},
@@ -59,7 +59,7 @@ class CompiledEngine:
     def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
         fields = self._moved("step", state, {"ctrl": ctrl})
         derived = {name: fields.pop(name) for name in self._derived}
-        duration = jnp.float32(self._num_substeps * self._model.opt.timestep)
+        duration = jnp.float32(self._num_substeps * self.model.opt.timestep)
         return replace(state, time=state.time + duration, derived=derived, **fields)
 
     def _moved(self, move: _Move, state: PhysicsState, more: Mapping[str, jax.Array]) -> dict[str, jax.Array]:
@@ -78,7 +78,7 @@ class CompiledEngine:
     def _call(self, move: _Move, own: tuple[str, ...]) -> tuple[Piece, _Call]:
         """The move, for environments that differ in these fields of the model."""
         if (move, own) not in self._calls:
-            check_own(self._model, own, self._derived)
+            check_own(self.model, own, self._derived)
             piece = self._piece(move, own)
             self._calls[move, own] = piece, _on_this_device(piece)
         return self._calls[move, own]
@@ -86,10 +86,10 @@ class CompiledEngine:
     def _piece(self, move: _Move, own: tuple[str, ...]) -> Piece:
         read = {"step": (*_CARRIED, "ctrl"), "reset": ("qpos", "qvel")}[move]
         reads_time = move == "step" and "sensordata" in self._derived
-        own_sizes = {name: np.size(model_field(self._model, name)) for name in own}
+        own_sizes = {name: np.size(model_field(self.model, name)) for name in own}
         inputs = self._sizes((*read, "time") if reads_time else read) | own_sizes
         written = self._sizes((*(_CARRIED if move == "step" else ()), *self._derived))
-        plan = Plan(self._model, inputs, own, self._derived)
+        plan = Plan(self.model, inputs, own, self._derived)
         described = f"{move} {self._described} {own}"
         if move == "reset":
             write = partial(derived_program, plan)

@@ -4,7 +4,6 @@ import jax.numpy as jnp
 import pytest
 
 from core.environments import rewards
-from core.environments.mjcf import observations
 
 pytestmark = pytest.mark.usefixtures("without_rank_promotion")
 
@@ -83,9 +82,3 @@ def test_joint_limits_cost_what_lies_beyond_the_free_share() -> None:
 
 def test_contact_counts_geoms_and_not_contacts() -> None:
     assert value(rewards.contact(jnp.array([0.0, 4.0, 1.0]))) == 2.0
-
-
-def test_positions_may_be_counted_from_another_body() -> None:
-    xpos = jnp.array([[0.0, 0, 0], [1, 2, 3], [4, 6, 8]])
-    seen = observations.positions(xpos, jnp.array([1, 2]), 1)  # type: ignore[arg-type]
-    assert seen.tolist() == [0, 0, 0, 3, 4, 5]

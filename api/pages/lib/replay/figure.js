@@ -26,7 +26,7 @@ export class Figure {
    */
   constructor(scene, about, episode, isFirst) {
     this.about = about;
-    this.motion = new Motion(episode);
+    this.motion = episode.motion || new Motion(episode);
     this.root = clone(scene);
     this.world = this.root.getObjectByName("world");
     this.bodies = about.bodies.map((body) => this.root.getObjectByName(`body_${body}`));

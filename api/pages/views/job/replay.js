@@ -11,6 +11,9 @@ import { Empty, Failure, Loading } from "../../parts/states.js";
 
 const MOST_AT_ONCE = 8;
 
+/** Whether the page can step the job's body itself, so that it may be pushed. */
+export const canPush = (job) => job.artifacts.some((file) => file.role === "simulation" && file.metadata.can_run) && replaysOf(job).length > 0;
+
 /** The job's replays by step; that of a rollout has no step. */
 export const replaysOf = (job) =>
   job.artifacts.filter((file) => file.role === "replay").sort((a, b) => (a.step ?? Infinity) - (b.step ?? Infinity));
@@ -73,6 +76,7 @@ function Loaded({ job, files, file, query }) {
       <${Episodes} about=${shown.about} chosen=${wanted} isBeside=${isBeside} />
     <//>
     <${Steps} files=${files} file=${file} />
+    ${canPush(job) && html`<p><a href="#/jobs/${job.id}/push">Push it, and see whether it recovers</a></p>`}
   `;
 }
 

@@ -10,8 +10,9 @@ from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.ant.info import AntOptions
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
+from core.environments.simulation import Ends, Noise, Simulation, numbers
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
-from core.physics.model import brax_model
+from core.physics.model import brax_model, brax_spec
 
 _NUM_SUBSTEPS = 5
 
@@ -49,6 +50,19 @@ class Ant(MujocoEnv):
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
         return self._after(state.physics, physics, action, state.info)
+
+    def simulation(self) -> Simulation:
+        options, scale = self._options, self._options.reset_noise_scale
+        height = Ends(numbers("qpos", [2]), *options.healthy_z_range)
+        return self.simulated(
+            brax_spec("ant"),
+            observation=[
+                numbers("qpos", range(self._num_hidden, self.model.nq)),
+                numbers("qvel", range(self.model.nv)),
+            ],
+            noise=Noise(scale, scale, is_normal=True),
+            ends=[height] if options.terminate_when_unhealthy else [],
+        )
 
     def _after(
         self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]

@@ -9,8 +9,9 @@ from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.half_cheetah.info import HalfCheetahOptions
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start
+from core.environments.simulation import Noise, Simulation, numbers
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
-from core.physics.model import brax_model
+from core.physics.model import brax_model, brax_spec
 
 _NUM_SUBSTEPS = 5
 
@@ -43,6 +44,18 @@ class HalfCheetah(MujocoEnv):
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
         return self._after(state.physics, physics, action, state.info)
+
+    def simulation(self) -> Simulation:
+        scale = self._options.reset_noise_scale
+        return self.simulated(
+            brax_spec("half_cheetah"),
+            observation=[
+                numbers("qpos", range(self._num_hidden, self.model.nq)),
+                numbers("qvel", range(self.model.nv)),
+            ],
+            noise=Noise(scale, scale, is_normal=True),
+            ends=[],
+        )
 
     def _after(
         self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 
 from core.environments.locomotion.hopper.info import HopperOptions
 from core.environments.locomotion.planar import PlanarWalker, is_inside
+from core.environments.simulation import Ends, numbers
 from core.physics.engine import EngineBuilder, PhysicsState
-from core.physics.model import brax_model
 
 
 def make(options: HopperOptions, build_engine: EngineBuilder) -> PlanarWalker:
@@ -16,4 +16,8 @@ def make(options: HopperOptions, build_engine: EngineBuilder) -> PlanarWalker:
         joints = jnp.concatenate([physics.qpos[2:], physics.qvel])
         return jnp.all(is_inside(joints, options.healthy_state_range))
 
-    return PlanarWalker(brax_model("hopper"), options, build_engine, also_healthy=other_joints_are_healthy)
+    other_ends = [
+        Ends(numbers("qpos", range(2, 6)), *options.healthy_state_range),
+        Ends(numbers("qvel", range(6)), *options.healthy_state_range),
+    ]
+    return PlanarWalker("hopper", options, build_engine, other_joints_are_healthy, other_ends)

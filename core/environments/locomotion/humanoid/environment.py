@@ -10,11 +10,21 @@ import numpy as np
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.humanoid.info import HumanoidOptions
-from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control, travel
+from core.environments.mujoco_env import (
+    MujocoEnv,
+    control_range,
+    initial,
+    noisy_start,
+    scaled_to_control,
+    travel,
+)
+from core.environments.simulation import SHARE_VELOCITY, Ends, Noise, Simulation, numbers, rows
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
-from core.physics.model import brax_model
+from core.physics.model import brax_model, brax_spec
 
 _NUM_SUBSTEPS = 5
+# The six numbers of a symmetric matrix in `cinert` as its nine, row by row.
+_SYMMETRIC = (0, 3, 4, 3, 1, 5, 4, 5, 2)
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
 
 
@@ -55,6 +65,24 @@ class Humanoid(MujocoEnv):
         physics = self.engine.step(state.physics, control)
         return self._after(state.physics, physics, control, state.info)
 
+    def simulation(self) -> Simulation:
+        options, scale, model = self._options, self._options.reset_noise_scale, self.model
+        bodies = range(1, model.nbody)
+        height = Ends(numbers("qpos", [2]), *options.healthy_z_range)
+        return self.simulated(
+            brax_spec("humanoid"),
+            observation=[
+                numbers("qpos", range(self._num_hidden, model.nq)),
+                numbers("qvel", range(model.nv)),
+                rows("cinert", bodies, 10, [*_SYMMETRIC, 9]),
+                rows(SHARE_VELOCITY, bodies, 6),
+                numbers("qfrc_actuator", range(model.nv)),
+            ],
+            noise=Noise(scale, scale, is_normal=False),
+            ends=[height] if options.terminate_when_unhealthy else [],
+            control_range=control_range(model),
+        )
+
     def _after(
         self, before: PhysicsState, physics: PhysicsState, control: jax.Array, info: Mapping[str, jax.Array]
     ) -> State:
@@ -89,7 +117,7 @@ class Humanoid(MujocoEnv):
         # cinert: 6 of the inertia, 3 of mass times offset from the whole's centre of mass, 1 mass.
         inertia, moment = physics.derived["cinert"][1:, :6], physics.derived["cinert"][1:, 6:9]
         masses = physics.model.get("body_mass", self._masses)[1:, None]
-        symmetric = inertia[:, np.array([0, 3, 4, 3, 1, 5, 4, 5, 2])]
+        symmetric = inertia[:, np.array(_SYMMETRIC)]
         # cvel: angular velocity, then linear velocity at the whole's centre of mass.
         angular, linear = physics.derived["cvel"][1:, :3], physics.derived["cvel"][1:, 3:]
         own_linear = linear + jnp.cross(angular, moment / masses)

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 
 from core.environments.environment import State
 from core.environments.info import NoOptions
-from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, scaled_to_control
+from core.environments.mujoco_env import MujocoEnv, control_range, initial, noisy_start, scaled_to_control
+from core.environments.simulation import Ends, Noise, Simulation, numbers
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
-from core.physics.model import brax_model
+from core.physics.model import brax_model, brax_spec
 
 _NUM_SUBSTEPS = 2
 _NOISE = 0.01
@@ -44,6 +45,16 @@ class InvertedPendulum(MujocoEnv):
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, scaled_to_control(self.model, action))
         return self._after(physics, state.info)
+
+    def simulation(self) -> Simulation:
+        tilt = numbers("qpos", [1])
+        return self.simulated(
+            brax_spec("inverted_pendulum"),
+            observation=[numbers("qpos", range(self.model.nq)), numbers("qvel", range(self.model.nv))],
+            noise=Noise(_NOISE, _NOISE, is_normal=False),
+            ends=[Ends(tilt, -_LARGEST_TILT, _LARGEST_TILT)],
+            control_range=control_range(self.model),
+        )
 
     def _after(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> State:
         # Not rewards.upright, a cosine: Brax bounds the hinge's angle.

@@ -3,9 +3,8 @@
 from core.environments.locomotion.planar import PlanarWalker
 from core.environments.locomotion.walker2d.info import Walker2dOptions
 from core.physics.engine import EngineBuilder
-from core.physics.model import brax_model
 
 
 def make(options: Walker2dOptions, build_engine: EngineBuilder) -> PlanarWalker:
     """The planar walker under these options, moved by the engine that `build_engine` makes."""
-    return PlanarWalker(brax_model("walker2d"), options, build_engine)
+    return PlanarWalker("walker2d", options, build_engine)

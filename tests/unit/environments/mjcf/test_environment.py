@@ -17,7 +17,7 @@ from core.environments.mjcf.environment import Mjcf
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import JobFailed
 from core.physics.choose import engine_builder
-from core.physics.model import brax_model
+from core.physics.model import brax_spec
 from tests.unit.environments.mjcf.probe import KEY, MODEL, build, options
 
 # Half a turn about z: the body's x points to the world's -x.
@@ -204,10 +204,11 @@ ANT = {
 def test_the_ant_made_of_terms_is_the_ant() -> None:
     info = catalog.find("ant")
     builtin = catalog.make(info, catalog.parse_options(info, {}), engine_builder("native"))
-    model = brax_model("ant")
+    spec = brax_spec("ant")
+    model = spec.compile()
     chosen = catalog.parse_options(catalog.find("mjcf"), options(**ANT))
     assert isinstance(chosen, MjcfOptions)
-    made = Mjcf(chosen, inventory(model), model, engine_builder("native"))
+    made = Mjcf(chosen, inventory(model), spec, model, engine_builder("native"))
     assert (made.observation_size, made.dt) == (builtin.observation_size, pytest.approx(builtin.dt))
     step, again = jax.jit(jax.vmap(builtin.step)), jax.jit(jax.vmap(made.step))
     ants = jax.vmap(builtin.reset)(jax.random.split(jax.random.key(1), 16))

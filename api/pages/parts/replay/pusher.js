@@ -1,0 +1,132 @@
+/** A stage with a body that lives: its policy moves it, and whoever looks may push it. */
+
+import { html, useEffect, useRef, useState } from "../../lib/html.js";
+
+const PUSH_MS = 200;
+const LONGEST_PICTURE_MS = 500; // After a longer break nothing was drawn.
+const STRENGTHS = [0.25, 0.5, 1, 2];
+const SIDES = { left: [-1, 0], right: [1, 0], away: [0, 1], closer: [0, -1] };
+const KEYS = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "away", ArrowDown: "closer" };
+const ARROWS = { left: "←", right: "→", away: "↑", closer: "↓" };
+const isStill = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
+
+/**
+ * @param {object} modules Stage, Handle, LiveMotion, episodeOf, startPhysics.
+ * @param {object} shown scene, about (a replay's header), recipe, policy (bytes).
+ */
+export function Pusher({ modules, shown, name }) {
+  const canvas = useRef();
+  const parts = useRef({});
+  const [failure, setFailure] = useState(null);
+  const [phase, setPhase] = useState("starting");
+  const [story, setStory] = useState("MuJoCo is loaded (2.5 MB)…");
+  const [time, setTime] = useState(0);
+  const [isRunning, setRunning] = useState(!isStill());
+  const [strength, setStrength] = useState(0.5);
+
+  useEffect(() => {
+    const { about, recipe } = shown;
+    const motion = new modules.LiveMotion(about);
+    let news = null; // What the worker said last, until it is drawn.
+    let last = 0;
+    let told = 0;
+    let slow = 0;
+    const hear = (said) => {
+      if (said.fell !== undefined) return setStory(`It fell, or left its range, after ${said.fell.toFixed(1)} s; it starts again.`);
+      if (!motion.positions) begin(said);
+      motion.take(said);
+      slow = said.isSlow ? slow + 1 : 0;
+      if (slow === 30) setStory("This machine is slower than real time.");
+      news = said;
+    };
+    const begin = (said) => {
+      motion.take(said);
+      const { stage } = parts.current;
+      stage.setEpisodes(shown.scene, about, [modules.episodeOf(motion)], false);
+      parts.current.handle = new modules.Handle(stage, (pull) => parts.current.physics.say({ pull }));
+      setPhase("ready");
+      setStory("Take hold of the body and pull.");
+    };
+    // With each of the browser's pictures, so that the stage learns how long they take.
+    const draw = (at) => {
+      parts.current.frame = requestAnimationFrame(draw);
+      if (!news) return;
+      const { stage, handle } = parts.current;
+      handle.show(news.force, news.weight);
+      stage.show(news.time);
+      if (at - last < LONGEST_PICTURE_MS) stage.pace(at - last);
+      last = at;
+      Object.assign(canvas.current.dataset, { time: news.time, position: motion.position(about.bodies.indexOf(recipe.tracked_body)).join(" ") });
+      if (at - told > 100) {
+        setTime(news.time);
+        told = at;
+      }
+      news = null;
+    };
+    try {
+      const drawn = () => (canvas.current.dataset.pictures = Number(canvas.current.dataset.pictures || 0) + 1);
+      parts.current.stage = new modules.Stage(canvas.current, drawn);
+      parts.current.physics = modules.startPhysics(recipe, shown.policy, hear, setFailure);
+      parts.current.frame = requestAnimationFrame(draw);
+    } catch (error) {
+      setFailure(error);
+    }
+    return () => {
+      const { stage, handle, physics, frame } = parts.current;
+      cancelAnimationFrame(frame);
+      for (const part of [handle, stage]) part?.dispose();
+      physics?.end();
+      clearTimeout(parts.current.release);
+    };
+  }, []);
+
+  // Nobody sees a hidden page, so nothing moves there.
+  useEffect(() => {
+    const run = () => parts.current.physics?.say({ run: isRunning && !document.hidden });
+    if (phase === "ready") run();
+    document.addEventListener("visibilitychange", run);
+    return () => document.removeEventListener("visibilitychange", run);
+  }, [isRunning, phase]);
+
+  const say = (what) => parts.current.physics?.say(what);
+  const push = (side) => {
+    const force = parts.current.handle?.onTheGround(SIDES[side]).map((part) => part * strength);
+    if (!force) return;
+    say({ pull: { body: shown.recipe.tracked_body, force } });
+    setStory(`It was pushed: ${side}.`);
+    clearTimeout(parts.current.release);
+    parts.current.release = setTimeout(() => say({ pull: null }), PUSH_MS);
+  };
+  const restart = () => (say({ reset: true }), setStory("It starts again."));
+  const press = (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const act = { " ": () => setRunning(!isRunning), r: restart }[event.key] || (KEYS[event.key] && (() => push(KEYS[event.key])));
+    if (!act) return;
+    event.preventDefault();
+    act();
+  };
+  return html`<div class="replay push">
+    <div class="stage" tabindex="0" role="group" aria-label="${name}; keys are listed below" onKeyDown=${press}>
+      <canvas ref=${canvas} role="img" aria-label=${name}></canvas>
+      ${failure && html`<p class="state failure" role="alert">${failure.message}</p>`}
+    </div>
+    <div class="transport">
+      <button type="button" class="main" onClick=${() => setRunning(!isRunning)} aria-label=${isRunning ? "Pause" : "Play"}>${isRunning ? "❚❚" : "►"}</button>
+      <p><span role="status">${failure ? "" : story}</span> <span class="facts">${time.toFixed(1)} s</span></p>
+    </div>
+    <div class="tools" role="group" aria-label="Pushing">
+      ${Object.keys(SIDES).map((side) => html`<button type="button" disabled=${phase !== "ready"} onClick=${() => push(side)} aria-label="Push it ${side}">${ARROWS[side]}</button>`)}
+      <label>Strength
+        <select value=${strength} onChange=${(event) => setStrength(Number(event.target.value))}>
+          ${STRENGTHS.map((one) => html`<option value=${one}>${one} × its weight</option>`)}
+        </select>
+      </label>
+      <button type="button" disabled=${phase !== "ready"} onClick=${restart}>Start again</button>
+      <button type="button" onClick=${() => parts.current.stage?.resetView()}>Reset the view</button>
+    </div>
+    <details><summary>Mouse, touch and keys</summary>
+      <p class="facts">Drag the body to pull it, and beside it to turn the picture; drag with the right button or two fingers to move,
+      wheel or pinch to come closer. With the picture in focus: ← → ↑ ↓ push it for 0.2 s, as seen from here; space pauses; r starts again.</p>
+    </details>
+  </div>`;
+}

@@ -1,0 +1,112 @@
+"""What a program needs to step an environment's body with MuJoCo alone, as the page does (docs/push.md).
+
+It is a model, and data: which of MuJoCo's numbers are observed, how an action becomes a control, how an
+episode begins and ends. An environment states them; tests show that they give its own observation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+FORMAT, VERSION = "gaitway-simulation", 1
+# The reader computes it, [nbody, 6]: of each body, the velocity [3] of its own centre of mass times its share
+# of all masses, and its angular velocity [3].
+SHARE_VELOCITY = "share_velocity"
+# The action before this observation; zeros at the start of an episode.
+PREVIOUS_ACTION = "previous_action"
+# What an engine may change in the model's options.
+_SOLVER = ("solver", "iterations", "ls_iterations", "disableflags")
+
+
+class NotSimulated(Exception):
+    """The body cannot be stepped by its data alone. The sentence says why."""
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers of one array, [n]: x[places] − x[less] + add, each bounded to ± max_abs.
+
+    array: a field of MjData in MuJoCo's order, flattened; or `SHARE_VELOCITY` or `PREVIOUS_ACTION`.
+    """
+
+    array: str
+    places: Sequence[int]
+    less: Sequence[int] = ()
+    add: float = 0.0
+    max_abs: float | None = None
+
+
+@dataclass(frozen=True)
+class Ends:
+    """The episode ends when one of the numbers leaves [low, high]; None: no bound."""
+
+    numbers: Numbers
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """On an episode's start: uniform in ± position; uniform in ± velocity, or normal with that deviation."""
+
+    position: float
+    velocity: float
+    is_normal: bool
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A body, ready to be stepped.
+
+    model: XML, with the solver settings of the engine that trained. control_offset, control_gain [nu]: a
+    control is offset + gain · action, for num_substeps of the time step. qpos [nq]: where episodes begin.
+    """
+
+    model: str
+    num_substeps: int
+    tracked_body: int
+    control_offset: Sequence[float]
+    control_gain: Sequence[float]
+    observation: Sequence[Numbers]
+    qpos: Sequence[float]
+    noise: Noise
+    ends: Sequence[Ends] = field(default_factory=tuple)
+
+    def document(self) -> dict[str, Any]:
+        """As JSON, with numbers that are plain Python's."""
+        about = {"format": FORMAT, "version": VERSION, "mujoco": mujoco.mj_versionString()}
+        return {**about, **asdict(self)}
+
+
+def numbers(array: str, places: Sequence[int] | np.ndarray | range, **changes: Any) -> Numbers:
+    """`Numbers` at these places."""
+    return Numbers(array, [int(place) for place in places], **changes)
+
+
+def rows(
+    array: str, which: Sequence[int] | range, size: int, columns: Sequence[int] | None = None
+) -> Numbers:
+    """These rows of an array whose rows have `size` numbers, or some columns of each row."""
+    chosen = range(size) if columns is None else columns
+    return Numbers(array, [int(row) * size + column for row in which for column in chosen])
+
+
+def as_xml(spec: mujoco.MjSpec, stepped: mujoco.MjModel) -> str:
+    """The spec as XML, under the solver settings of `stepped`. Raises NotSimulated if it needs files."""
+    files = [one.file for one in (*spec.meshes, *spec.hfields, *spec.skins, *spec.textures) if one.file]
+    if files:
+        raise NotSimulated(
+            f"its model is more than one file (it has {files[0]}), and the page reads only one"
+        )
+    spec.compile()
+    before = {name: getattr(spec.option, name) for name in _SOLVER}
+    try:
+        for name in _SOLVER:
+            setattr(spec.option, name, getattr(stepped.opt, name))
+        return spec.to_xml()
+    finally:
+        for name, value in before.items():
+            setattr(spec.option, name, value)

@@ -1,0 +1,226 @@
+"""A trained body that the browser steps with MuJoCo: it stands, is pushed, falls and starts again."""
+
+import io
+import json
+from functools import cache
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from core.algorithms.export.contract import Origin, contract
+from core.algorithms.export.network import Layer, Network
+from core.algorithms.export.numpy_file import numpy_file
+from core.environments.mujoco_env import MujocoEnv
+from core.jobs.status import JobStatus
+from core.rendering.replay.replay import replay_of, scene_of
+from core.rendering.timeline import Motion
+from gaitway import exported_policy
+from tests.api.conftest import Attempt, Stack, job
+from tests.api.pages.conftest import MakeTab, Tab
+from tests.unit.environments.test_simulation import BODIES, of_the_catalog
+
+BINARY = "application/octet-stream"
+
+
+# What the page's modules make of a start and of the policy's actions; without the worker, outside the policy.
+STEPPED = """async ({recipe, policy, qpos, qvel, numSteps}) => {
+  const pages = document.querySelector("script[src]").src.replace("app.js", "");
+  const [{default: load}, {Simulation}, {readPolicy}] = await Promise.all(
+    ["vendor/mujoco.js", "lib/push/simulation.js", "lib/push/policy.js"].map((one) => import(pages + one)));
+  const bytes = new Uint8Array(policy).buffer;
+  const simulation = new Simulation(await load(), recipe, readPolicy(bytes));
+  simulation.data.qpos.set(qpos);
+  simulation.data.qvel.set(qvel);
+  simulation.begin();
+  const seen = [simulation.observe()];
+  const done = [];
+  while (done.length < numSteps) {
+    for (let i = 0; i < recipe.num_substeps; i++) simulation.step();
+    seen.push(simulation.observe());
+    done.push([...simulation.action]);
+  }
+  return [seen, done];
+}"""
+
+
+def policy_of(environment: MujocoEnv, scale: float) -> bytes:
+    """`policy.npz` of two layers with random weights; if the scale is 0, it does nothing."""
+    random = np.random.default_rng(0)
+    sizes = [(environment.observation_size, 16), (16, 2 * environment.action_size)]
+    layers = tuple(
+        Layer(
+            random.normal(0, scale, size).astype(np.float32),
+            random.normal(0, scale, size[1]).astype(np.float32),
+        )
+        for size in sizes
+    )
+    mean = np.full(environment.observation_size, 0.1, np.float32)
+    network = Network(mean, 2 * np.ones_like(mean), 5.0, layers, "swish", "state", 1)
+    return numpy_file(network, contract(network, Origin("ppo", "body", {}, environment.dt, 1)))
+
+
+@cache
+def files() -> dict[str, tuple[str, bytes]]:
+    """The role and content of an ant's files, whose policy does nothing."""
+    ant = of_the_catalog("ant")
+    qpos = np.array([ant.initial_qpos, ant.initial_qpos], float)
+    motion = Motion(np.array([0.0, 0.05]), qpos)
+    facts = {"num_steps": 1, "duration_s": 0.05, "terminated": False}
+    return {
+        "scene.glb": ("scene", scene_of(ant.model, qpos[0], ant.tracked_body)),
+        "replay.bin": ("replay", replay_of(ant.model, [motion], [np.zeros(1)], [facts], ant.tracked_body)),
+        "simulation.json": ("simulation", json.dumps(ant.simulation().document()).encode()),
+        "policy.npz": ("export", policy_of(ant, 0.0)),
+    }
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_the_browser_observes_and_acts_as_the_environment_does(
+    browser: Browser, stack: Stack, body: str
+) -> None:
+    environment = of_the_catalog(body)
+    policy = policy_of(environment, 0.3)
+    state = environment.reset(jax.random.key(3))
+    # The page's own policy forbids WebAssembly outside the worker.
+    page = browser.new_page(bypass_csp=True)
+    page.goto(f"http://127.0.0.1:{stack.port}/#/workers")
+    given = {
+        "recipe": environment.simulation().document(),
+        "policy": list(policy),
+        "qpos": np.asarray(state.physics.qpos).tolist(),
+        "qvel": np.asarray(state.physics.qvel).tolist(),
+        "numSteps": 3,
+    }
+    seen, done = page.evaluate(STEPPED, given)
+    page.context.close()
+    act = exported_policy.load(io.BytesIO(policy))
+    np.testing.assert_allclose(seen[0], state.obs, rtol=1e-3, atol=1e-3)
+    for observation, before, action in zip(seen[1:], seen, done, strict=False):
+        np.testing.assert_allclose(action, act(before), atol=1e-5)
+        state = environment.step(state, jax.numpy.array(action))
+        np.testing.assert_allclose(observation, state.obs, rtol=1e-2, atol=1e-2)
+
+
+@pytest.fixture
+def attempt(stack: Stack) -> Attempt:
+    return Attempt(stack, job(name="push", algorithm={"kind": "ppo", "num_timesteps": 1000}))
+
+
+@pytest.fixture
+def pushed(attempt: Attempt) -> str:
+    """The id of a finished job whose ant can be pushed."""
+    for name, (role, content) in files().items():
+        facts = {"can_run": True} if role == "simulation" else {}
+        attempt.keep(name, content, role=role, media_type=BINARY, metadata=facts)
+    attempt.end(JobStatus.SUCCEEDED)
+    return attempt.id
+
+
+def standing(tab: Tab, job_id: str) -> Page:
+    """The page, once MuJoCo has placed the body."""
+    page = tab.open(f"#/jobs/{job_id}/push")
+    expect(page.get_by_text("Take hold of the body and pull.")).to_be_visible(timeout=60_000)
+    return page
+
+
+def position(page: Page) -> Any:
+    """Where the torso is, [3] in m."""
+    said = page.locator("canvas").get_attribute("data-position") or ""
+    return np.array([float(part) for part in said.split()])
+
+
+def until(page: Page, condition: str) -> None:
+    """Wait for a condition on the torso's `x`, `y`, `z` and the `time`."""
+    page.wait_for_function(
+        f"""() => {{
+          const {{ position, time }} = document.querySelector("canvas").dataset;
+          const [x, y, z] = position.split(" ").map(Number);
+          return {condition};
+        }}"""
+    )
+
+
+def test_mujoco_is_loaded_only_here_and_under_a_policy_of_its_own(tab: Tab, pushed: str) -> None:
+    asked: list[str] = []
+    tab.page.on("request", lambda request: asked.append(request.url))
+    page = tab.open(f"#/jobs/{pushed}/replay?t=0")
+    link = page.get_by_role("link", name="Push it, and see whether it recovers")
+    expect(link).to_be_visible()
+    assert not [url for url in asked if "mujoco" in url]
+    link.click()
+    expect(page.get_by_text("Take hold of the body and pull.")).to_be_visible(timeout=60_000)
+    assert [url for url in asked if url.endswith("vendor/mujoco.wasm")]
+
+
+def test_a_body_falls_to_its_feet_and_a_push_moves_it(tab: Tab, pushed: str) -> None:
+    page = standing(tab, pushed)
+    # Who asks for less motion starts it.
+    page.get_by_role("button", name="Play").click()
+    until(page, "time > 1")
+    still = position(page)
+    # The camera looks along y: right is x. Twice the weight for 0.2 s is up to 4 m/s.
+    page.get_by_label("Strength").select_option("2")
+    page.get_by_role("button", name="Push it right").click()
+    until(page, f"x > {still[0] + 0.3}")
+    page.keyboard.press("Tab")
+    page.get_by_role("group", name="The trained body").focus()
+    here = position(page)
+    page.keyboard.press("ArrowLeft")
+    until(page, f"x < {here[0]}")
+    tab.picture("push-key")
+    page.keyboard.press("r")
+    expect(page.get_by_text("It starts again.")).to_be_visible()
+    page.keyboard.press("Space")
+    expect(page.get_by_role("button", name="Play")).to_be_visible()
+
+
+def test_a_drag_pulls_the_body_until_it_falls_and_it_starts_again(tab: Tab, pushed: str) -> None:
+    page = standing(tab, pushed)
+    page.get_by_role("button", name="Play").click()
+    until(page, "time > 0.5")
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y - 150, steps=5)
+    # Episodes of the ant end above 1 m.
+    until(page, "z > 0.9")
+    tab.picture("push-drag")
+    expect(page.get_by_text("It fell, or left its range, after")).to_be_visible()
+    page.mouse.up()
+    until(page, "time < 0.5")
+
+
+def test_a_body_that_cannot_be_pushed_says_why(tab: Tab, attempt: Attempt) -> None:
+    refusal = "This body cannot be pushed: it is made of dreams."
+    content = json.dumps({"refusal": refusal}).encode()
+    attempt.keep(
+        "simulation.json", content, role="simulation", media_type=BINARY, metadata={"can_run": False}
+    )
+    attempt.end(JobStatus.SUCCEEDED)
+    page = tab.open(f"#/jobs/{attempt.id}/push")
+    expect(page.get_by_text(refusal)).to_be_visible()
+    page = tab.open(f"#/jobs/{attempt.id}/replay")
+    expect(page.get_by_role("link", name="Push")).to_have_count(0)
+
+
+def test_a_model_that_mujoco_there_does_not_read_says_so(tab: Tab, attempt: Attempt) -> None:
+    for name, (role, content) in files().items():
+        changed = content.replace(b"<worldbody>", b"<world_of_tomorrow>") if role == "simulation" else content
+        facts = {"can_run": True} if role == "simulation" else {}
+        attempt.keep(name, changed, role=role, media_type=BINARY, metadata=facts)
+    page = tab.open(f"#/jobs/{attempt.id}/push")
+    expect(page.get_by_role("alert")).to_contain_text("cannot run this model of MuJoCo", timeout=60_000)
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1280, True), (380, False)])
+def test_the_view_is_accessible_and_fits(make_tab: MakeTab, pushed: str, width: int, dark: bool) -> None:
+    tab = make_tab(width, dark)
+    standing(tab, pushed)
+    assert tab.violations() == []
+    assert tab.overflow() == 0
+    tab.picture(f"push-{width}-{'dark' if dark else 'light'}")

@@ -1,0 +1,166 @@
+"""What a simulation says of a body gives its environment's own observation, in MuJoCo alone."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from core.environments import catalog
+from core.environments.mujoco_env import MujocoEnv
+from core.environments.simulation import PREVIOUS_ACTION, SHARE_VELOCITY, Ends, NotSimulated, Numbers, as_xml
+from core.physics.choose import engine_builder
+
+BODIES = ["ant", "half_cheetah", "hopper", "humanoid", "inverted_pendulum", "walker2d"]
+NUM_ENVS, NUM_STEPS = 20, 10
+
+CART = """
+<mujoco>
+  <option timestep="0.01"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1"/>
+    <body name="cart" pos="0 0 1">
+      <freejoint/>
+      <geom type="box" size="0.2 0.1 0.1" mass="2"/>
+      <body name="arm" pos="0.2 0 0">
+        <joint name="elbow" type="hinge" axis="0 1 0" range="-1 1" limited="true" damping="0.1"/>
+        <geom name="hand" type="capsule" size="0.03" fromto="0 0 0 0.3 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="elbow" joint="elbow" ctrlrange="-1 3" ctrllimited="true" gear="0.5"/></actuator>
+  <sensor><gyro site="none" name="gyro"/></sensor>
+</mujoco>
+""".replace('<geom type="box"', '<site name="none"/><geom type="box"')
+SEEN = [
+    {"kind": "qpos"},
+    {"kind": "qvel"},
+    {"kind": "previous_action"},
+    {"kind": "sensors"},
+    {"kind": "body_positions", "relative": True},
+    {"kind": "body_orientations", "bodies": ["arm"]},
+    {"kind": "cvel", "bodies": ["arm", "cart"]},
+    {"kind": "cinert"},
+    {"kind": "qfrc_actuator"},
+]
+ENDS = [{"kind": "upright", "least": 0.2}, {"kind": "contact", "geoms": ["hand"]}]
+
+
+def of_the_catalog(name: str, options: Mapping[str, Any] | None = None, engine: Any = "native") -> MujocoEnv:
+    info, read = catalog.resolve(name, options or {})
+    made = catalog.make(info, read, engine_builder(engine))
+    assert isinstance(made, MujocoEnv)
+    return made
+
+
+def of_a_user(folder: Path, text: str = CART, **options: Any) -> MujocoEnv:
+    file = folder / "model.xml"
+    file.write_text(text)
+    info, read = catalog.resolve("mjcf", {"model": "sha256:" + "0" * 64, **options})
+    made = catalog.make(info, read, engine_builder("native"), file)
+    assert isinstance(made, MujocoEnv)
+    return made
+
+
+def read(numbers: Numbers, model: mujoco.MjModel, data: mujoco.MjData, action: Any) -> NDArray[np.float64]:
+    """The numbers [n], as docs/push.md describes them."""
+    if numbers.array == PREVIOUS_ACTION:
+        array = np.asarray(action, float)
+    elif numbers.array == SHARE_VELOCITY:
+        mass = np.maximum(data.cinert[:, 9:], 1e-9)
+        own = data.cvel[:, 3:] + np.cross(data.cvel[:, :3], data.cinert[:, 6:9] / mass)
+        array = np.concatenate([own * mass / model.body_mass.sum(), data.cvel[:, :3]], axis=1).ravel()
+    else:
+        array = np.ravel(getattr(data, numbers.array))
+    values = array[np.array(numbers.places, int)] + numbers.add
+    if numbers.less:
+        values = values - array[np.array(numbers.less, int)]
+    return values if numbers.max_abs is None else np.clip(values, -numbers.max_abs, numbers.max_abs)
+
+
+def check(environment: MujocoEnv) -> None:
+    """Observations and ends are those of the environment, after each step from each of its states."""
+    simulation = environment.simulation()
+    model = mujoco.MjModel.from_xml_string(simulation.model)
+    data = mujoco.MjData(model)
+
+    def seen(ends: Ends | None, action: Any) -> NDArray[np.float64]:
+        parts = simulation.observation if ends is None else [ends.numbers]
+        return np.concatenate([read(one, model, data, action) for one in parts])
+
+    state = jax.jit(jax.vmap(environment.reset))(jax.random.split(jax.random.key(0), NUM_ENVS))
+    step = jax.jit(jax.vmap(environment.step))
+    actions = jax.random.uniform(
+        jax.random.key(1), (NUM_STEPS, NUM_ENVS, environment.action_size), minval=-1, maxval=1
+    )
+    for action in actions:
+        after = step(state, action)
+        for one in range(NUM_ENVS):
+            mujoco.mj_resetData(model, data)
+            for name in ("qpos", "qvel", "act", "qacc_warmstart"):
+                getattr(data, name)[:] = getattr(state.physics, name)[one]
+            data.ctrl[:] = simulation.control_offset + simulation.control_gain * np.asarray(action[one])
+            mujoco.mj_step(model, data, simulation.num_substeps)
+            for stage in (
+                mujoco.mj_fwdPosition,
+                mujoco.mj_sensorPos,
+                mujoco.mj_fwdVelocity,
+                mujoco.mj_sensorVel,
+            ):
+                stage(model, data)
+            np.testing.assert_allclose(seen(None, action[one]), after.obs[one], rtol=1e-3, atol=1e-3)
+            outside = [
+                ((values := seen(ends, action[one])) < (-np.inf if ends.low is None else ends.low)).any()
+                or (values > (np.inf if ends.high is None else ends.high)).any()
+                for ends in simulation.ends
+            ]
+            assert any(outside) == bool(after.done[one])
+        state = after
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_simulation_gives_the_bodys_observation(body: str) -> None:
+    check(of_the_catalog(body))
+
+
+def test_options_change_what_a_simulation_says() -> None:
+    options = {"exclude_current_positions_from_observation": False, "terminate_when_unhealthy": False}
+    ant = of_the_catalog("ant", options)
+    assert ant.simulation().ends == []
+    check(ant)
+
+
+def test_a_users_terms_are_said_in_mujocos_numbers(tmp_path: Path) -> None:
+    options = {"observation": SEEN, "termination": ENDS}
+    environment = of_a_user(tmp_path, **options, reset={"position_noise": 0.3})
+    check(environment)
+    # ±1 are the ends of the control's range, −1 and 3.
+    simulation = environment.simulation()
+    assert (list(simulation.control_offset), list(simulation.control_gain)) == ([1.0], [2.0])
+
+
+def test_a_model_of_several_files_says_why_it_has_none(tmp_path: Path) -> None:
+    text = CART.replace(
+        "<worldbody>", '<asset><texture name="t" type="2d" file="wood.png"/></asset><worldbody>'
+    )
+    spec = mujoco.MjSpec.from_string(text)
+    with pytest.raises(NotSimulated, match=r"more than one file \(it has wood.png\)"):
+        as_xml(spec, mujoco.MjModel.from_xml_string(CART))
+
+
+def test_another_environment_says_why_it_has_none() -> None:
+    with pytest.raises(NotSimulated, match="only the training has"):
+        of_the_catalog("reacher").simulation()
+
+
+def test_the_model_has_the_solver_that_the_engine_has() -> None:
+    ant = of_the_catalog("ant", engine="mjx")
+    model = mujoco.MjModel.from_xml_string(ant.simulation().model)
+    assert (model.opt.iterations, model.opt.ls_iterations) == (1, 4)
+    assert model.opt.disableflags == int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    np.testing.assert_allclose(model.body_mass, ant.model.body_mass, rtol=1e-5)
+    np.testing.assert_allclose(model.body_inertia, ant.model.body_inertia, rtol=1e-5)

@@ -1,0 +1,38 @@
+"""What the page needs to step a trained body itself, as `simulation.json` (docs/push.md)."""
+
+import json
+from typing import Any
+
+from core.algorithms.catalog import ALGORITHMS
+from core.environments.environment import Environment
+from core.environments.mujoco_env import MujocoEnv
+from core.environments.simulation import NotSimulated
+from core.environments.wrappers.base import Wrapped
+from worker.training.event_writer import EventWriter
+
+NAME = "simulation.json"
+
+
+def keep_simulation(algorithm: str, environment: Environment, events: EventWriter) -> None:
+    """Keep the file, which says why if the body cannot be stepped; no file where no policy is exported."""
+    if ALGORITHMS[algorithm].no_export is not None:
+        return
+    try:
+        document = _document(environment)
+    except NotSimulated as error:
+        document = {"refusal": f"This body cannot be pushed: {error}."}
+    content = json.dumps(document, separators=(",", ":")).encode()
+    facts = {"can_run": "refusal" not in document}
+    events.keep(NAME, content, "simulation", "application/json", metadata=facts)
+
+
+def _document(environment: Environment) -> dict[str, Any]:
+    """Of the body as its model says; a randomised one differs from it in each episode."""
+    while isinstance(environment, Wrapped):
+        environment = environment.environment
+    if not isinstance(environment, MujocoEnv):
+        raise NotSimulated("its environment is that of another package")
+    try:
+        return environment.simulation().document()
+    except (ValueError, RuntimeError) as error:  # Models of users may have anything in them.
+        raise NotSimulated(f"its model cannot be written as XML: {error}") from error
