@@ -86,7 +86,9 @@ def test_no_file_names_a_home_of_one_machine() -> None:
     if listed.returncode != 0:
         pytest.skip("not a git checkout")
     homes = re.compile(rb"(?<![\w.])/(?:home|Users|root|work)/[\w.-]+")
-    files = [ROOT / name.decode() for name in listed.stdout.split(b"\0") if name]
+    names = [name.decode() for name in listed.stdout.split(b"\0") if name]
+    # What others wrote may: Emscripten has a home in the file system that it keeps in memory.
+    files = [ROOT / name for name in names if not name.startswith("api/pages/vendor/")]
     guilty = [
         str(file.relative_to(ROOT))
         for file in files
