@@ -247,8 +247,8 @@ class WorkerSettings(StoreSettings):
         ge=1,
         le=64,
         description="The most trials of a sweep, differing only in numbers, that a device trains together; "
-        "1: each trains alone. By default 16 on a GPU and 1 on a CPU, where it is not faster, and "
-        "only alone is a resumed run equal to an uninterrupted one bit for bit.",
+        "1: each trains alone. By default 16 on a GPU and 1 on a CPU, where only alone is a resumed run equal "
+        "to an uninterrupted one bit for bit.",
     )
     models: Confinement = Field(
         "confined",
