@@ -242,13 +242,13 @@ class WorkerSettings(StoreSettings):
         "compiles, once, so that the first such job starts as fast as the next. `gaitway up` and Docker "
         "Compose say ant where this is not set; empty: none.",
     )
-    cohort: int | None = Field(
-        None,
+    cohort: int = Field(
+        1,
         ge=1,
         le=64,
         description="The most trials of a sweep, differing only in numbers, that a device trains together; "
-        "1: each trains alone. By default 16 on a GPU and 1 on a CPU, where only alone is a resumed run equal "
-        "to an uninterrupted one bit for bit.",
+        "1: each trains alone. Try 16 on a GPU, where it has not been measured yet. On a CPU, only alone is a "
+        "resumed run equal to an uninterrupted one bit for bit.",
     )
     models: Confinement = Field(
         "confined",

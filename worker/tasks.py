@@ -11,7 +11,6 @@ import structlog
 
 from core.adapters.connect import job_store, object_store
 from core.configuration import read
-from core.environments.info import Device
 from core.errors import JobUnreadable, Misconfigured, NotFound, Unavailable
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cohort import companions
@@ -38,8 +37,6 @@ log = structlog.get_logger()
 
 # How long a worker that cannot start a job leaves the queue to others.
 _PAUSE_S = 5.0
-# How many trials of a sweep train together at most, where GAITWAY_COHORT does not say.
-_COHORT: dict[Device, int] = {"cpu": 1, "gpu": 16}
 
 
 def run_attempt(job_id: str, attempt: int) -> None:
@@ -122,11 +119,11 @@ def _companions(
     job: Job, device: str, settings: WorkerSettings, store: JobStore, claim: Callable[..., Claim | None]
 ) -> Sequence[Claim]:
     """The jobs that train together with this one, claimed; none where the record is unavailable just now."""
-    kind = kind_of(device)
-    most = settings.cohort or _COHORT[kind]
     claims = list[Claim]()
+    if settings.cohort == 1:
+        return claims
     with suppress(Unavailable):
-        for other in companions(job, store, kind, _this_worker(store), most - 1):
+        for other in companions(job, store, kind_of(device), _this_worker(store), settings.cohort - 1):
             with suppress(NotFound, JobUnreadable):
                 if (found := claim(other.id, other.next_attempt, secret=new_secret())) is not None:
                     claims.append(found)

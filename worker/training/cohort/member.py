@@ -25,10 +25,12 @@ from worker.training.train import follow
 def train_as_member(
     task: Task, spec: TrainSpec, events: EventWriter, stopping: StopRequest, connection: Connection
 ) -> bool:
-    """Like `train`. The cohort's process has the device; this one draws its videos on the CPU."""
+    """Like `train`. The cohort's process has the device and the engine; this one draws its videos on the CPU,
+    on whatever engine suits that."""
     run = MemberRun(connection, task)
     device: Device = "gpu" if gpu_indices(task.device) else "cpu"
-    built = build_environment(task.model_copy(update={"device": "cpu"}))
+    drawn = spec.model_copy(update={"physics": "auto"})
+    built = build_environment(task.model_copy(update={"device": "cpu", "spec": drawn}))
     begun = run.begun()
     trained_by = replace(
         built, engine=begun.engine, engine_reason=begun.engine_reason, device_name=begun.device
