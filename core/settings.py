@@ -247,8 +247,8 @@ class WorkerSettings(StoreSettings):
         ge=1,
         le=64,
         description="The most trials of a sweep, differing only in numbers, that a device trains together; "
-        "1: each trains alone. Try 16 on a GPU, where it has not been measured yet. On a CPU, only alone is a "
-        "resumed run equal to an uninterrupted one bit for bit.",
+        "1: each trains alone. Try 16 on a GPU, where it has not been measured yet. On a CPU, a resumed run "
+        "equals an uninterrupted one bit for bit only alone.",
     )
     models: Confinement = Field(
         "confined",
