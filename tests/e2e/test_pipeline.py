@@ -86,8 +86,10 @@ SMALL_DQN: dict[str, Any] = {
 # What a training job keeps in any case.
 KEPT = {
     *("checkpoint", "export", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory"),
-    *("video", "replay", "scene"),
+    *("video", "replay", "scene", "simulation"),
 }
+# And what only a policy of the usual form has.
+FOR_ELSEWHERE = {"export", "simulation"}
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +228,7 @@ def test_a_deep_q_network_goes_the_same_way(client: Client, tmp_path: Path) -> N
     job = client.wait(client.submit(SMALL_DQN).id, timeout=110)
     assert job.succeeded, job.message
     assert (job.progress.step, job.progress.total) == (6400, 6400)
-    assert {a.role for a in job.artifacts} == KEPT - {"export"}
+    assert {a.role for a in job.artifacts} == KEPT - FOR_ELSEWHERE
     assert [a.step for a in client.checkpoints(job.id)] == [1280 * i for i in range(1, 6)]
     names = {name for row in client.metrics(job.id) for name in row.values}
     assert {"eval/episode_reward", "training/sps", "training/epsilon", "training/q_value"} <= names
@@ -262,7 +264,7 @@ def test_a_table_goes_the_same_way_as_a_network(client: Client, tmp_path: Path) 
     assert job.succeeded, job.message
     assert (job.progress.step, job.progress.total) == (4000, 4000)
     assert job.progress.metrics["training/episodes"] == 80
-    assert {a.role for a in job.artifacts} == KEPT - {"export"} | {"tables"}
+    assert {a.role for a in job.artifacts} == KEPT - FOR_ELSEWHERE | {"tables"}
     with pytest.raises(Rejected, match=r"`tables.npz` of an ended job is that table"):
         client.export_policy(job.id, "onnx", tmp_path)
     assert job.artifact("q_table.png") is not None
@@ -360,7 +362,7 @@ def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(
     ended = client.wait(job.id, timeout=110)
     assert (ended.status, ended.reason) == ("cancelled", "user_cancelled")
     kept = {artifact.role for artifact in ended.artifacts}
-    assert kept == (KEPT - {"export"} if small is SMALL_DQN else KEPT)
+    assert kept == (KEPT - FOR_ELSEWHERE if small is SMALL_DQN else KEPT)
     checkpoint, policy = ended.newest("checkpoint"), ended.newest("policy")
     assert checkpoint is not None
     assert policy is not None
