@@ -123,17 +123,19 @@ def _companions(
     if settings.cohort == 1:
         return claims
     with suppress(Unavailable):
-        for other in companions(job, store, kind_of(device), _this_worker(store), settings.cohort - 1):
+        workers = store.workers()
+        here = _this_worker(workers)
+        for other in companions(job, store, kind_of(device), here, workers, settings.cohort - 1):
             with suppress(NotFound, JobUnreadable):
                 if (found := claim(other.id, other.next_attempt, secret=new_secret())) is not None:
                     claims.append(found)
     return claims
 
 
-def _this_worker(store: JobStore) -> WorkerInfo | None:
+def _this_worker(workers: Sequence[WorkerInfo]) -> WorkerInfo | None:
     """The worker whose work-horse this is, as it announced itself."""
     here = (socket.gethostname(), os.getppid())
-    return next((worker for worker in store.workers() if (worker.host, worker.pid) == here), None)
+    return next((worker for worker in workers if (worker.host, worker.pid) == here), None)
 
 
 def _why_left_to_others(job: Job, store: JobStore) -> str | None:

@@ -7,10 +7,8 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import base64
 import io
 import json
-import tempfile
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,9 +18,7 @@ from playwright.sync_api import Browser
 
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result
-from bench.service.page import chromium
-from bench.service.replay import published
-from bench.stack.processes import running
+from bench.service.replay import PICTURES, published, stack_and_browser
 from core.algorithms.catalog import resolve
 from core.algorithms.events import Progress
 from core.algorithms.export.contract import Origin, contract
@@ -41,7 +37,6 @@ from gaitway import exported_policy
 _BODIES = {"ant": 60.0, "half_cheetah": 60.0, "hopper": 60.0, "walker2d": 60.0, "humanoid": 60.0}
 _STARTS = 32
 _SECONDS = 6.0
-_PICTURES = "() => Number(document.querySelector('canvas').dataset.pictures || 0)"
 # Episodes from given starts, on the page's own modules: states [T+1], actions [T], of each.
 _ROLLED = """async ({recipe, policy, starts, numSteps}) => {
   const pages = document.querySelector("script[src]").src.replace("app.js", "");
@@ -75,11 +70,7 @@ def measure(options: Options) -> Result:
     rows: list[dict[str, Any]] = []
     figures: list[Figure] = []
     bodies = {"ant": 3.0} if options.quick else _BODIES
-    with (
-        tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder,
-        running(Path(folder, "stack")) as parts,
-        chromium("--enable-unsafe-swiftshader") as browser,
-    ):
+    with stack_and_browser() as (parts, browser):
         for body, seconds in bodies.items():
             policy, num_steps = _trained(body, seconds)
             environment = _environment(body, "native")
@@ -215,8 +206,8 @@ def _seen(browser: Browser, url: str, job_id: str) -> tuple[float, float]:
     page.locator("canvas[data-pictures]").wait_for()
     first = time.perf_counter() - began
     page.wait_for_timeout(1000 * _SECONDS)  # Until it has found how much this machine can draw.
-    before, since = page.evaluate(_PICTURES), time.perf_counter()
+    before, since = page.evaluate(PICTURES), time.perf_counter()
     page.wait_for_timeout(1000 * _SECONDS)
-    drawn = (page.evaluate(_PICTURES) - before) / (time.perf_counter() - since)
+    drawn = (page.evaluate(PICTURES) - before) / (time.perf_counter() - since)
     page.context.close()
     return first, drawn

@@ -7,7 +7,8 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import hashlib
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ from core.storage import keys
 
 _BODIES = ("ant", "rodent", "brittle_star")
 _WIDTH, _HEIGHT = 1280, 900
-_PICTURES = "() => Number(document.querySelector('canvas').dataset.pictures || 0)"
+PICTURES = "() => Number(document.querySelector('canvas').dataset.pictures || 0)"
 
 
 def measure(options: Options) -> Result:
@@ -41,11 +42,7 @@ def measure(options: Options) -> Result:
     seconds = 1.0 if options.quick else 10.0
     rows: list[dict[str, Any]] = []
     figures: list[Figure] = []
-    with (
-        tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder,
-        running(Path(folder, "stack")) as parts,
-        chromium("--enable-unsafe-swiftshader") as browser,
-    ):
+    with stack_and_browser() as (parts, browser):
         for body in _BODIES:
             files, costs = _written(body, seconds, 1 if options.quick else 5)
             named: dict[str, tuple[ArtifactRole, bytes]] = {
@@ -118,6 +115,17 @@ def _motion(model: mujoco.MjModel, dt: float, seconds: float) -> Motion:
     return Motion(dt * np.arange(steps + 1), np.array(qpos))
 
 
+@contextmanager
+def stack_and_browser() -> Generator[tuple[Parts, Browser]]:
+    """The embedded stack, in a folder that goes afterwards, and a Chromium that draws in software."""
+    with (
+        tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder,
+        running(Path(folder, "stack")) as parts,
+        chromium("--enable-unsafe-swiftshader") as browser,
+    ):
+        yield parts, browser
+
+
 def published(parts: Parts, body: str, files: Mapping[str, tuple[ArtifactRole, bytes]]) -> str:
     """A job with these files; its id."""
     settings = settings_of(parts)
@@ -160,8 +168,8 @@ def _played(browser: Browser, url: str, job_id: str, seconds: float) -> dict[str
     first = time.perf_counter() - began
     page.get_by_role("button", name="Play").click()
     page.wait_for_timeout(1000 * min(seconds, 6.0))  # Until it has found how much this machine can draw.
-    before, since = page.evaluate(_PICTURES), time.perf_counter()
+    before, since = page.evaluate(PICTURES), time.perf_counter()
     page.wait_for_timeout(1000 * min(seconds, 6.0))
-    drawn = (page.evaluate(_PICTURES) - before) / (time.perf_counter() - since)
+    drawn = (page.evaluate(PICTURES) - before) / (time.perf_counter() - since)
     page.context.close()
     return {"first_picture_s": first, "frames_per_s": drawn}

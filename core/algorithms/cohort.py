@@ -4,7 +4,6 @@ One program moves all of them: `jax.vmap` of the program of one, as PureJaxRL do
 Policy Optimisation, 2022). A member's result equals that of its own run except for rounding.
 """
 
-import time
 from collections.abc import Generator, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
@@ -15,14 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.algorithms.algorithm import Algorithm, S
-from core.algorithms.compiled_functions import CompiledFunctions, trace_cohort
+from core.algorithms.compiled_functions import CompiledFunctions, in_phases, trace_cohort
 from core.algorithms.divergence import diverged
-from core.algorithms.events import Evaluated, Event, Phase, Progress
+from core.algorithms.events import Evaluated, Event, Progress
 from core.algorithms.loop import Loop, check_finite
-from core.algorithms.schedule import Schedule
 from core.errors import JobFailed
 
-# What one member sees at one moment of the run: an event, or the end of it as a failure.
+# A member's number, with an event of its run or the failure that ended it.
 Seen = tuple[int, Event | JobFailed]
 
 
@@ -38,11 +36,7 @@ class CohortRun(Generic[S]):
         self, algorithms: Sequence[Algorithm[S]], *, checkpoint_every_steps: int | None, epoch_s: float = 1.0
     ) -> None:
         self._algorithms = algorithms
-        settings = algorithms[0].settings
-        schedule = Schedule(
-            settings.num_updates, settings.env_steps_per_update, settings.num_evals, checkpoint_every_steps
-        )
-        self._loop = Loop(schedule, epoch_s)
+        self._loop = Loop.of(algorithms[0].settings, checkpoint_every_steps, epoch_s)
         self._seeds = _stacked([one.seed for one in algorithms])
         self._hyperparameters = _stacked([one.hyperparameters for one in algorithms])
         self._updates = np.zeros(len(algorithms), int)
@@ -97,7 +91,7 @@ class CohortRun(Generic[S]):
         return self._state
 
     def _of(self, member: int) -> S:
-        return jax.tree.map(lambda x: x[member], self._begun)
+        return _row(member, self._begun)
 
     def _as_seen(self, event: Event, member: int) -> Event:
         if isinstance(event, Progress | Evaluated):
@@ -105,13 +99,10 @@ class CohortRun(Generic[S]):
         return event
 
     def _prepare(self) -> Generator[Sequence[Seen], None, CompiledFunctions[S]]:
-        started = time.perf_counter()
-        compile_all = trace_cohort(self._algorithms[0], self._seeds, self._hyperparameters)
-        traced = time.perf_counter()
-        functions = compile_all()
-        compiled = time.perf_counter()
+        trace_all = partial(trace_cohort, self._algorithms[0], self._seeds, self._hyperparameters)
+        functions, phases = in_phases(trace_all)
         self._state = functions.init(self._seeds)
-        for phase in (Phase("trace", traced - started), Phase("compile", compiled - traced)):
+        for phase in phases:
             yield [(member, phase) for member in sorted(self._live)]
         return functions
 

@@ -1,5 +1,6 @@
 """The compiled functions of a run: traced and compiled once, before the first step."""
 
+import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ from jax.stages import Compiled, Lowered
 from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.epoch import updates_until
 from core.algorithms.evaluation import EpisodeTotals
+from core.algorithms.events import Phase
 from core.environments.wrappers.vectorized import ENVS
 
 
@@ -29,15 +31,24 @@ class CompiledFunctions(Generic[S]):
     evaluate: Callable[[Any, jax.Array, jax.Array], EpisodeTotals]
 
 
+def in_phases(
+    trace_all: Callable[[], Callable[[], CompiledFunctions[S]]],
+) -> tuple[CompiledFunctions[S], Sequence[Phase]]:
+    """The functions, and how long tracing and compiling them took. trace_all: traces, as `trace` does."""
+    started = time.perf_counter()
+    compile_all = trace_all()
+    traced = time.perf_counter()
+    functions = compile_all()
+    compiled = time.perf_counter()
+    return functions, (Phase("trace", traced - started), Phase("compile", compiled - traced))
+
+
 def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
     """Trace every function; calling the result compiles them, side by side.
 
     Evaluations have few environments, so they run on the first device, with a copy of what they need.
     """
-
-    def epoch(state: S, hyperparameters: Any, until: jax.Array) -> tuple[S, dict[str, jax.Array], Failure]:
-        return updates_until(algorithm.update, state, hyperparameters, until)
-
+    epoch = _epoch(algorithm)
     count = jax.ShapeDtypeStruct((), jnp.int32)
     state = jax.eval_shape(algorithm.init, algorithm.seed)
     init_options, epoch_options = _where(algorithm, state)
@@ -48,7 +59,7 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
     )
 
     def compile_all() -> CompiledFunctions[S]:
-        init, epoch, evaluate = compile_side_by_side(lowered)
+        init, epoch, evaluate = _compiled_side_by_side(lowered)
         return CompiledFunctions(init, epoch, algorithm.sharding.on_the_first(evaluate))
 
     return compile_all
@@ -61,22 +72,26 @@ def trace_cohort(
 
     algorithm: any of them, for one device. seeds, hyperparameters: of all runs, stacked.
     """
-
-    def epoch(state: S, hyperparameters: Any, until: jax.Array) -> tuple[S, dict[str, jax.Array], Failure]:
-        return updates_until(algorithm.update, state, hyperparameters, until)
-
+    epoch = jax.vmap(_epoch(algorithm), (0, 0, None))
     count = jax.ShapeDtypeStruct((), jnp.int32)
     init, evaluate = jax.vmap(algorithm.init), jax.vmap(algorithm.evaluate)
     state = jax.eval_shape(init, seeds)
     lowered = (
         jax.jit(init).lower(seeds),
-        jax.jit(jax.vmap(epoch, (0, 0, None)), donate_argnums=0).lower(state, hyperparameters, count),
+        jax.jit(epoch, donate_argnums=0).lower(state, hyperparameters, count),
         jax.jit(evaluate).lower(algorithm.evaluated(state), state.eval_key, state.num_updates),
     )
-    return lambda: CompiledFunctions(*compile_side_by_side(lowered))
+    return lambda: CompiledFunctions(*_compiled_side_by_side(lowered))
 
 
-def compile_side_by_side(lowered: Iterable[Lowered]) -> Sequence[Compiled]:
+def _epoch(algorithm: Algorithm[S]) -> Callable[[S, Any, jax.Array], tuple[S, dict[str, jax.Array], Failure]]:
+    def epoch(state: S, hyperparameters: Any, until: jax.Array) -> tuple[S, dict[str, jax.Array], Failure]:
+        return updates_until(algorithm.update, state, hyperparameters, until)
+
+    return epoch
+
+
+def _compiled_side_by_side(lowered: Iterable[Lowered]) -> Sequence[Compiled]:
     """The compiled programs; each is compiled in a thread of its own."""
     options = compiler_options()
     with ThreadPoolExecutor() as pool:

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 
+from core.algorithms.algorithm import RunSettings
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.schedule import Schedule
 from core.errors import JobFailed
@@ -22,6 +23,14 @@ class Loop:
         self._schedule = schedule
         self._epoch_s = epoch_s
         self._training_s = self._evaluation_s = 0.0
+
+    @classmethod
+    def of(cls, settings: RunSettings, checkpoint_every_steps: int | None, epoch_s: float) -> "Loop":
+        """The loop of a run under these settings."""
+        schedule = Schedule(
+            settings.num_updates, settings.env_steps_per_update, settings.num_evals, checkpoint_every_steps
+        )
+        return cls(schedule, epoch_s)
 
     @property
     def step(self) -> int:

@@ -4,7 +4,6 @@ The caller keeps control: it pulls events, and between two of them it may store,
 more), or ask for a checkpoint of the current state.
 """
 
-import time
 from collections.abc import Generator, Mapping
 from functools import partial
 from typing import Any, Generic
@@ -15,11 +14,10 @@ from numpy.typing import NDArray
 
 from core.algorithms.algorithm import Algorithm, S
 from core.algorithms.catalog import ALGORITHMS, loaded
-from core.algorithms.compiled_functions import CompiledFunctions, place, trace
+from core.algorithms.compiled_functions import CompiledFunctions, in_phases, place, trace
 from core.algorithms.divergence import diverged
-from core.algorithms.events import Event, Phase
+from core.algorithms.events import Event
 from core.algorithms.loop import Loop
-from core.algorithms.schedule import Schedule
 from core.algorithms.spec import BaseSpec
 from core.environments.environment import Environment
 
@@ -67,13 +65,9 @@ class Run(Generic[S]):
         resume: bytes | None = None,
         epoch_s: float = 1.0,
     ) -> None:
-        settings = algorithm.settings
         self._algorithm = algorithm
         self._hyperparameters = jax.device_put(algorithm.hyperparameters, algorithm.sharding.of_axes())
-        schedule = Schedule(
-            settings.num_updates, settings.env_steps_per_update, settings.num_evals, checkpoint_every_steps
-        )
-        self._loop = Loop(schedule, epoch_s)
+        self._loop = Loop.of(algorithm.settings, checkpoint_every_steps, epoch_s)
         self._state: S | None = None
         self._functions: CompiledFunctions[S] | None = None
         if resume is not None:
@@ -139,15 +133,10 @@ class Run(Generic[S]):
         self._loop.resume(progress)
 
     def _prepare(self) -> Generator[Event, None, CompiledFunctions[S]]:
-        started = time.perf_counter()
-        compile_all = trace(self._algorithm)
-        traced = time.perf_counter()
-        functions = compile_all()
-        compiled = time.perf_counter()
+        functions, phases = in_phases(partial(trace, self._algorithm))
         if self._state is None:
             self._state = functions.init(self._algorithm.seed)
-        yield Phase("trace", traced - started)
-        yield Phase("compile", compiled - traced)
+        yield from phases
         return functions
 
     def _train(self, functions: CompiledFunctions[S], until: int) -> dict[str, float]:

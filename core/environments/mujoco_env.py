@@ -54,7 +54,7 @@ class MujocoEnv(ABC):
     def step(self, state: State, action: jax.Array) -> State: ...
 
     def simulation(self) -> Simulation:
-        """What a program needs to step this body with MuJoCo alone. Raises NotSimulated."""
+        """The data with which a program steps this body by MuJoCo alone. Raises NotSimulated."""
         raise NotSimulated("what it observes is computed by code that only the training has")
 
     def simulated(

@@ -1,4 +1,4 @@
-"""What a program needs to step an environment's body with MuJoCo alone, as the page does (docs/push.md).
+"""The data with which a program steps an environment's body by MuJoCo alone, as the page does (docs/push.md).
 
 It is a model, and data: which of MuJoCo's numbers are observed, how an action becomes a control, how an
 episode begins and ends. An environment states them; tests show that they give its own observation.
@@ -17,7 +17,7 @@ FORMAT, VERSION = "gaitway-simulation", 1
 SHARE_VELOCITY = "share_velocity"
 # The action before this observation; zeros at the start of an episode.
 PREVIOUS_ACTION = "previous_action"
-# What an engine may change in the model's options.
+# The options of a model that an engine may change.
 _SOLVER = ("solver", "iterations", "ls_iterations", "disableflags")
 
 

@@ -26,12 +26,17 @@ _SHARE_OF_MEMORY = 0.25
 
 
 def companions(
-    job: Job, store: JobStore, device: Device, here: WorkerInfo | None, at_most: int
+    job: Job,
+    store: JobStore,
+    device: Device,
+    here: WorkerInfo | None,
+    workers: Sequence[WorkerInfo],
+    at_most: int,
 ) -> Sequence[Job]:
     """Queued trials of the queued job's sweep that can train together with it, oldest first.
 
-    device: the kind that this worker has. here: this worker, as far as it is known. at_most: how many may be
-    returned; fewer are where the device's memory, or other workers that are free, leave fewer for this one.
+    device: the kind that this worker has. here: this worker, as far as it is known; workers: all. at_most:
+    how many may be returned; the device's memory, or free workers, may leave fewer for this one.
     """
     sweep, shape = job.spec.labels.get(SWEEP), shape_of(job, device)
     if sweep is None or shape is None or at_most < 1:
@@ -42,16 +47,16 @@ def companions(
         for one in reversed(queued)
         if isinstance(one, Job) and one.id != job.id and shape_of(one, device) == shape
     ]
-    free = [worker for worker in fitting(job, store.workers()) if _is_free(worker, here)]
+    free = [worker for worker in fitting(job, workers) if _is_free(worker, here)]
     share = -(-(len(found) + 1) // (len(free) + 1))
     return found[: min(at_most, share - 1, _room(job, device, here) - 1)]
 
 
 def shape_of(job: Job, device: Device) -> dict[str, Any] | None:
-    """What jobs have in common that can train together; None for a job that trains alone.
+    """A key that is equal for jobs that can train together; None for a job that trains alone.
 
-    Alone train a job that was begun before, or from another's checkpoint, on several GPUs, or with a user's
-    own model; and one whose algorithm takes no numbers as arguments.
+    A job trains alone if it was begun before, resumes from another job's checkpoint, asks for several GPUs or
+    has a user's own model, or if its algorithm takes no numbers as arguments.
     """
     spec = job.spec
     if not isinstance(spec, TrainSpec) or not spec.algorithm.arguments:

@@ -22,6 +22,7 @@ from core.errors import (
 )
 from core.jobs import submission
 from core.jobs.cancellation import cancel
+from core.jobs.cohort import SWEEP
 from core.jobs.job import Job
 from core.jobs.queue import JobQueue
 from core.jobs.spec import JobSpec, TrainSpec
@@ -157,8 +158,7 @@ class SweepController:
     def _like_its_source(self, spec: JobSpec) -> JobSpec:
         """The job with the hyperparameters that the job it resumes from had, where it says none itself.
 
-        What is tuned may be another value on another device or in a later version, and would not fit the
-        checkpoint.
+        Another device or a later version may have other tuned values, which would not fit the checkpoint.
         """
         if not isinstance(spec, TrainSpec) or spec.source is None:
             return spec
@@ -179,7 +179,7 @@ class SweepController:
 
 def labels_of(sweep: Sweep, number: int, own: Mapping[str, str]) -> dict[str, str]:
     """The labels of a trial's job: its own, the sweep's, and which trial of which sweep it is."""
-    return {**own, **sweep.spec.labels, "sweep": sweep.id, "trial": str(number)}
+    return {**own, **sweep.spec.labels, SWEEP: sweep.id, "trial": str(number)}
 
 
 def _sentence(error: ValidationError | Rejected) -> str:

@@ -25,7 +25,7 @@ _LARGEST_SEED = 2**31 - 1
 
 @dataclass(frozen=True)
 class Beginning:
-    """What a trial begins with.
+    """A trial's starting point.
 
     settings: of its job, besides `parameters`. parent, inherited_steps: as in `Trial`.
     """

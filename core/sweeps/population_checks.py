@@ -1,4 +1,4 @@
-"""What a sweep by population-based training asks of its job and its axes, besides what every sweep does."""
+"""The requirements of population-based training on a sweep's job and axes, besides those of every sweep."""
 
 from collections.abc import Iterator
 
@@ -21,7 +21,7 @@ _MAX_TRIED = 16
 
 
 def problems_of_population(spec: SweepSpec, info: EnvironmentInfo) -> list[Problem]:
-    """What is wrong with a sweep by `pbt`, or with a `population` beside another method."""
+    """The problems of a sweep by `pbt`, and of a `population` beside another method."""
     population = spec.population
     if spec.method != "pbt":
         detail = f"`population` is for the method `pbt`, and this sweep has `{spec.method}`; leave it out."

@@ -78,7 +78,7 @@ def test_a_loser_resumes_from_the_winners_checkpoint(stack: Stack, look: Callabl
     assert min(abs(factor - one) for one in (0.8, 1.2)) < 1e-9
     spec = stack.http.get(f"/jobs/{loser['job']}").json()["spec"]
     assert spec["resume_from"]["job"] == winner.id
-    # What is tuned for another device would not fit the checkpoint, so its values are the parent's.
+    # Values tuned for another device would not fit the checkpoint, so the child has its parent's.
     assert spec["algorithm"]["policy_hidden_layer_sizes"] == [5]
     assert spec["algorithm"]["num_timesteps"] == 10_240
     assert spec["algorithm"]["learning_rate"] == loser["parameters"][RATE]

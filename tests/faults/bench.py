@@ -14,7 +14,7 @@ from pydantic import SecretStr
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs import feeds
-from core.jobs.attempts import claim_attempt, new_secret
+from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
 from core.jobs.job import Job
 from core.jobs.spec import JOB_SPEC
@@ -70,7 +70,7 @@ class Bench:
         spec = JOB_SPEC.validate_python({"kind": "train", "environment": "ant", **fields})
         return submit(spec, store=self.store, queue=self.queue)
 
-    def supervisor(self, job: Job, behaviour: str) -> Supervisor:
+    def claim(self, job: Job) -> Claim:
         claim = claim_attempt(
             job.id,
             self.store.get(job.id).next_attempt,
@@ -81,6 +81,10 @@ class Bench:
             secret=new_secret(),
         )
         assert claim is not None
+        return claim
+
+    def supervisor(self, job: Job, behaviour: str) -> Supervisor:
+        claim = self.claim(job)
         return Supervisor(claim, self.settings, "cpu", ("slot",), (sys.executable, str(PROBE), behaviour))
 
     def run(self, behaviour: str, **fields: Any) -> Job:

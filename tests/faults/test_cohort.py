@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.reasons import Reason
@@ -33,24 +32,10 @@ def jobs_of(bench: Bench, number: int) -> Sequence[Job]:
     return [bench.submit(**{**said, "seed": seed}) for seed in range(number)]
 
 
-def claimed(bench: Bench, job: Job) -> Claim:
-    claim = claim_attempt(
-        job.id,
-        1,
-        "w",
-        store=bench.store,
-        objects=bench.objects,
-        lease=bench.settings.lease,
-        secret=new_secret(),
-    )
-    assert claim is not None
-    return claim
-
-
 @contextmanager
 def running(bench: Bench, jobs: Sequence[Job]) -> Iterator[Cohort]:
     """Inside the block, each has a checkpoint; after it, the cohort has ended."""
-    claims = [claimed(bench, job) for job in jobs]
+    claims = [bench.claim(job) for job in jobs]
     cohort = Cohort(claims, jobs[0].spec.environment, bench.settings, "cpu", ("slot",))
     thread = threading.Thread(target=cohort.run)
     thread.start()
@@ -118,7 +103,7 @@ def test_a_device_that_another_process_holds_costs_every_job_one_attempt(bench: 
     jobs = jobs_of(bench, 2)
     bench.settings = bench.settings.model_copy(update={"grace": bench.settings.heartbeat})
     with slot(bench.settings.data_dir.absolute() / "locks" / "slot.lock", 0.0):
-        claims = [claimed(bench, job) for job in jobs]
+        claims = [bench.claim(job) for job in jobs]
         Cohort(claims, jobs[0].spec.environment, bench.settings, "cpu", ("slot",)).run()
     for job in (bench.store.get(job.id) for job in jobs):
         assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_LOST)

@@ -100,12 +100,8 @@ def train_member(real: Process, claim: Claim, job: Job) -> None:
     claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "All done.")
 
 
-def work(real: Process, train: Train = train) -> bool:
-    """A worker takes what waits and does it; False if nothing waits."""
-    dispatch = real.queue.take()
-    if dispatch is None:
-        return False
-    claim = claim_attempt(
+def claim_of(real: Process, dispatch: Any) -> Claim | None:
+    return claim_attempt(
         dispatch.job_id,
         dispatch.attempt,
         "worker",
@@ -114,6 +110,14 @@ def work(real: Process, train: Train = train) -> bool:
         lease=LEASE,
         secret=new_secret(),
     )
+
+
+def work(real: Process, train: Train = train) -> bool:
+    """A worker takes what waits and does it; False if nothing waits."""
+    dispatch = real.queue.take()
+    if dispatch is None:
+        return False
+    claim = claim_of(real, dispatch)
     real.queue.remove(dispatch.job_id, dispatch.attempt)
     if claim is None:
         return True
@@ -240,15 +244,7 @@ def test_what_runs_is_pruned_and_keeps_its_values(real: Process) -> None:
 
 def claimed(real: Process) -> Any:
     dispatch = real.queue.take()
-    claim = claim_attempt(
-        dispatch.job_id,
-        dispatch.attempt,
-        "worker",
-        store=real.store,
-        objects=real.objects,
-        lease=LEASE,
-        secret=new_secret(),
-    )
+    claim = claim_of(real, dispatch)
     assert claim is not None
     claim.start(device="cpu")
     return claim, dispatch.job_id

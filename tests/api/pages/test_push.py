@@ -25,7 +25,7 @@ from tests.unit.environments.test_simulation import BODIES, of_the_catalog
 BINARY = "application/octet-stream"
 
 
-# What the page's modules make of a start and of the policy's actions; without the worker, outside the policy.
+# The page's own modules observe and act from a start, without the worker that the page runs them in.
 STEPPED = """async ({recipe, policy, qpos, qvel, numSteps}) => {
   const pages = document.querySelector("script[src]").src.replace("app.js", "");
   const [{default: load}, {Simulation}, {readPolicy}] = await Promise.all(
@@ -157,7 +157,7 @@ def test_mujoco_is_loaded_only_here_and_under_a_policy_of_its_own(tab: Tab, push
 
 def test_a_body_falls_to_its_feet_and_a_push_moves_it(tab: Tab, pushed: str) -> None:
     page = standing(tab, pushed)
-    # Who asks for less motion starts it.
+    # The tests' browser asks for less motion, so the page opens paused.
     page.get_by_role("button", name="Play").click()
     until(page, "time > 1")
     still = position(page)

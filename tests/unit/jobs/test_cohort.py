@@ -96,9 +96,14 @@ def test_a_worker_takes_the_trials_of_one_sweep_oldest_first(job_store: Postgres
     submitted(job_store, algorithm={"num_envs": 512})
     here = worker("here")
     job_store.announce(here, timedelta(minutes=1))
-    assert [one.id for one in companions(first, job_store, "gpu", here, 15)] == [second.id, third.id]
-    assert [one.id for one in companions(first, job_store, "gpu", here, 1)] == [second.id]
-    assert companions(first, job_store, "gpu", here, 0) == []
+    assert [one.id for one in companions(first, job_store, "gpu", here, job_store.workers(), 15)] == [
+        second.id,
+        third.id,
+    ]
+    assert [one.id for one in companions(first, job_store, "gpu", here, job_store.workers(), 1)] == [
+        second.id
+    ]
+    assert companions(first, job_store, "gpu", here, job_store.workers(), 0) == []
 
 
 def test_it_leaves_their_share_to_workers_that_are_free(job_store: PostgresJobStore) -> None:
@@ -106,7 +111,9 @@ def test_it_leaves_their_share_to_workers_that_are_free(job_store: PostgresJobSt
     here = worker("here")
     for one in (here, worker("free"), worker("busy", job="another")):
         job_store.announce(one, timedelta(minutes=1))
-    assert len(companions(first, job_store, "gpu", here, 15)) == 2  # Three of six, and the first is one.
+    assert (
+        len(companions(first, job_store, "gpu", here, job_store.workers(), 15)) == 2
+    )  # Three of six, and the first is one.
 
 
 def test_it_takes_no_more_than_fit_into_its_memory(job_store: PostgresJobStore) -> None:
@@ -115,4 +122,4 @@ def test_it_takes_no_more_than_fit_into_its_memory(job_store: PostgresJobStore) 
     needed = memory_for(first.spec)["gpu"].bytes
     here = worker("here", memory_bytes=4 * 3 * needed)
     job_store.announce(here, timedelta(minutes=1))
-    assert len(companions(first, job_store, "gpu", here, 15)) == 2
+    assert len(companions(first, job_store, "gpu", here, job_store.workers(), 15)) == 2
