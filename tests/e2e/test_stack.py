@@ -1,5 +1,6 @@
 """The stack as a user starts it: it comes up, tells, mends itself, and leaves nothing behind."""
 
+import json
 import os
 import re
 import signal
@@ -21,6 +22,7 @@ import pytest
 from core.adapters.postgres import schema
 from core.adapters.postgres.connection import connect_postgres
 from gaitway.service.embedded.postgres import Postgres
+from gaitway.service.embedded.processes import free_ports
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 
@@ -185,6 +187,16 @@ def test_a_port_in_use_is_refused_before_anything_starts(launch: Launch) -> None
     assert stack.process.returncode == 1
     assert f"Port {port} is in use" in told
     assert not stack.data.exists()
+
+
+def test_no_server_takes_the_port_of_the_api(launch: Launch, tmp_path: Path) -> None:
+    """Filers answer at /readyz, too: with one at this port, the stack would seem to be up without its API."""
+    ports = free_ports(10)
+    objects = tmp_path / DATA / "objects"
+    objects.mkdir(parents=True)
+    (objects / "ports.json").write_text(json.dumps(ports))  # As if weed had had them in the last run.
+    url = launch("--port", str(ports[6])).url()
+    assert httpx.get(f"{url}/readyz").json() == {"status": "ok"}
 
 
 def test_a_second_stack_on_the_same_data_is_refused_with_the_first_ones_id(launch: Launch) -> None:

@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import signal
+import socket
 import sys
 import time
 from collections import deque
@@ -19,7 +20,7 @@ from typing import IO, Self
 from core.errors import EXIT_STATUS, Unavailable
 from gaitway.service.embedded.folders import private_folder
 from gaitway.service.embedded.interruption import Interruption
-from gaitway.service.embedded.processes import ServerFailed, ServerProcess, are_free
+from gaitway.service.embedded.processes import ServerFailed, ServerProcess
 from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.stopped import StoppedProcesses
 from gaitway.service.embedded.version_01 import report_if_left
@@ -156,22 +157,24 @@ class Stack:
         return 0.25 * 2 ** len(member.restarts)
 
     def _start(self) -> None:
-        port = _choose_port(self._wanted_port)
-        self._folder = private_folder(self._folder)
-        self._lock = lock_folder(self._folder)
-        report_if_left(self._folder, self._report)
-        servers = EmbeddedServers(self._folder)
-        self._weed = servers.weed
-        # They import their modules while the servers start.
-        reconciler = self._add_module("reconciler", "worker.reconciler")
-        api = self._add_module("api", "api.main", "--port", str(port))
-        # PostgreSQL last: its first launch returns only after it has made its files.
-        for server in reversed(servers.all):
-            self._servers.append(_Member(server.process, server.launch, server.stop))
-            server.launch()
-        with self._interruption.allowed():
-            # Other processes would take a missing database or bucket for a wrong setting.
-            servers.wait_ready()
+        # Held until the API takes it: else a SeaweedFS may choose it, and that answers at /readyz, too.
+        with _take_port(self._wanted_port) as held:
+            port = held.getsockname()[1]
+            self._folder = private_folder(self._folder)
+            self._lock = lock_folder(self._folder)
+            report_if_left(self._folder, self._report)
+            servers = EmbeddedServers(self._folder)
+            self._weed = servers.weed
+            # They import their modules while the servers start.
+            reconciler = self._add_module("reconciler", "worker.reconciler")
+            api = self._add_module("api", "api.main", "--port", str(port))
+            # PostgreSQL last: its first launch returns only after it has made its files.
+            for server in reversed(servers.all):
+                self._servers.append(_Member(server.process, server.launch, server.stop))
+                server.launch()
+            with self._interruption.allowed():
+                # Other processes would take a missing database or bucket for a wrong setting.
+                servers.wait_ready()
         self._where_servers_are = json.dumps(servers.environment())
         for process in (reconciler, api):
             process.send_input(self._where_servers_are)
@@ -228,14 +231,14 @@ class Stack:
             members.clear()
 
 
-def _choose_port(wanted: int | None) -> int:
+def _take_port(wanted: int | None) -> socket.socket:
+    """A listener at the API's port. Raises ServerFailed where it is in use."""
+    ports = [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + _PORTS_TRIED)
+    for port in ports:
+        with suppress(OSError):
+            return socket.create_server(("127.0.0.1", port))
     if wanted is not None:
-        if not are_free([wanted]):
-            raise ServerFailed(f"Port {wanted} is in use; choose another, or none to take the next free one.")
-        return wanted
-    for port in range(FIRST_PORT, FIRST_PORT + _PORTS_TRIED):
-        if are_free([port]):
-            return port
+        raise ServerFailed(f"Port {wanted} is in use; choose another, or none to take the next free one.")
     raise ServerFailed(f"No port from {FIRST_PORT} to {FIRST_PORT + _PORTS_TRIED - 1} is free; name one.")
 
 
