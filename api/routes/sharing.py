@@ -85,12 +85,15 @@ def export_job(job_id: JobId, service: ServiceDep) -> Response:
 )
 def report_job(job_id: JobId, service: ServiceDep) -> Response:
     """A report on the job for people: one HTML file with curves, video, settings, versions, attempts and the
-    end of the log. It needs no network and runs no script, so that it can be sent and kept."""
+    end of the log. It needs no network, so that it can be sent and kept. Only its replay runs scripts."""
     job = service.store.get(job_id)
     opened = ExitStack()
-    pieces: Iterator[bytes] = opened.enter_context(open_report(job, service)).pieces()
+    report = opened.enter_context(open_report(job, service))
+    pieces: Iterator[bytes] = report.pieces()
+    scripts = " allow-scripts" * (report.policy != POLICY)
     headers = {
         **_HEADERS,
+        "Content-Security-Policy": f"{report.policy}; sandbox{scripts}",
         "Content-Disposition": f'inline; filename="{job_id}.html"',
         "Content-Type": "text/html; charset=utf-8",
     }

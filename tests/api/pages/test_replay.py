@@ -125,7 +125,7 @@ def test_the_browser_reads_the_poses_that_the_worker_wrote(tab: Tab, attempt: At
     read: Sequence[Any] = page.evaluate(
         """async (href) => {
           const lib = document.querySelector("script[src]").src.replace("app.js", "lib/replay/");
-          const { openReplay } = await import(lib + "file.js");
+          const { openReplay } = await import(lib + "fetching.js");
           const { Motion } = await import(lib + "motion.js");
           const motion = new Motion(await (await openReplay(href)).episode(0));
           const found = [];

@@ -15,6 +15,8 @@ from core.rendering.mp4 import Mp4Writer
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.pages.conftest import Tab
 from tests.api.pages.test_job_view import measure
+from tests.api.pages.test_replay import drawn, keep, pictures
+from tests.api.pages.test_replay import scene as scene
 
 EVIL = '<img src=x onerror="document.title=1">'
 
@@ -43,12 +45,18 @@ class Reader:
 def reader(browser: Browser, tmp_path: Path) -> Iterator[Reader]:
     context = browser.new_context(offline=True, viewport={"width": 1000, "height": 800})
     reader = Reader(context.new_page(), tmp_path)
-    reader.page.on("console", lambda message: reader.complaints.append(message.text))
+    # Reading a picture takes time without a GPU: no complaint.
+    reader.page.on(
+        "console",
+        lambda message: None if "ReadPixels" in message.text else reader.complaints.append(message.text),
+    )
     reader.page.on("pageerror", lambda error: reader.complaints.append(str(error)))
     reader.page.on(
         "request",
         lambda request: (
-            None if request.url.startswith(("file:", "data:")) else reader.complaints.append(request.url)
+            None
+            if request.url.startswith(("file:", "data:", "blob:"))
+            else reader.complaints.append(request.url)
         ),
     )
     yield reader
@@ -107,6 +115,37 @@ def test_a_job_that_runs_or_failed_and_has_no_video_has_a_report_where_markup_is
     page.set_viewport_size({"width": 380, "height": 700})
     wider = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
     assert page.evaluate(wider) == 0
+
+
+def test_a_report_replays_the_body_without_a_network(stack: Stack, reader: Reader, scene: bytes) -> None:
+    attempt = Attempt(stack, job(name="rolls"))
+    keep(attempt, scene, 100, num_episodes=2)
+    attempt.end()
+    page = drawn(reader.open(stack, attempt.id))
+    count = pictures(page)
+    page.wait_for_function("n => Number(document.querySelector('canvas').dataset.pictures) > n", arg=count)
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("slider", name="Moment").fill("0.5")
+    expect(page.get_by_text("0.50 s of 1.00 s · return 10.0")).to_be_visible()
+    page.get_by_label("Episode").select_option("All, side by side")
+    expect(page.get_by_text("return 10.0, 10.0")).to_be_visible()
+    page.get_by_label("Speed").select_option("2 ×")
+    page.set_viewport_size({"width": 380, "height": 700})
+    assert page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") == 0
+
+
+def test_a_report_says_why_it_has_no_replay(
+    stack: Stack, reader: Reader, scene: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attempt = Attempt(stack, job())
+    keep(attempt, scene, 100)
+    [poses] = [file for file in stack.store.get(attempt.id).artifacts if file.role == "replay"]
+    stack.objects.delete_prefix(poses.key)
+    page = reader.open(stack, attempt.id)
+    expect(page.get_by_text("The object store no longer has it.")).to_be_visible()
+    monkeypatch.setattr("api.sharing.report._MOST_REPLAY_BYTES", 1000)
+    page = reader.open(stack, attempt.id)
+    expect(page.get_by_text("It is larger than 1.0 kB")).to_be_visible()
 
 
 def test_the_page_of_a_job_shares_and_exports_it(stack: Stack, tab: Tab) -> None:

@@ -2,11 +2,9 @@
 
 import { MeshPhongMaterial, NoColorSpace, TextureLoader } from "../../vendor/three.js";
 import { GLTFLoader } from "../../vendor/three-gltf-loader.js";
-import { send } from "../api.js";
 
-/** The scene's root at an address. Raises Problem, Away, or Error if it is no glTF. */
-export async function loadScene(href) {
-  const bytes = await (await send(href)).arrayBuffer();
+/** The scene's root. bytes: ArrayBuffer. Raises Error if they are no glTF. */
+export async function readScene(bytes) {
   const loader = new GLTFLoader();
   // The default loader fetches pictures from memory, which the Content-Security-Policy takes for another host.
   loader.register((parser) => {

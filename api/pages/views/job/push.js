@@ -23,10 +23,9 @@ async function load(job, signal) {
   const replay = replaysOf(job).at(-1);
   if (!replay) return { refusal: "This job has no replay, which has the body's looks: its video is null, or its log says why." };
   // three.js and what uses it are loaded here; MuJoCo by the worker.
-  const [{ Stage }, { loadScene }, { openReplay }, { Handle }, physics] = await Promise.all([
+  const [{ Stage }, { loadScene, openReplay }, { Handle }, physics] = await Promise.all([
     import("../../lib/replay/stage.js"),
-    import("../../lib/replay/scene.js"),
-    import("../../lib/replay/file.js"),
+    import("../../lib/replay/fetching.js"),
     import("../../lib/push/handle.js"),
     import("../../lib/push/body.js"),
   ]);

@@ -40,7 +40,7 @@ function NoReplay({ job, step }) {
 
 function Loaded({ job, files, file, query }) {
   // three.js and what uses it are loaded here, when a replay is opened.
-  const modules = useLive(() => Promise.all([import("../../lib/replay/stage.js"), import("../../lib/replay/scene.js"), import("../../lib/replay/file.js")]), []);
+  const modules = useLive(() => Promise.all([import("../../lib/replay/stage.js"), import("../../lib/replay/fetching.js")]), []);
   const numbers = query.getAll("episode").map(Number).filter((number) => number >= 1).slice(0, MOST_AT_ONCE);
   const isBeside = query.get("beside") === "1";
   const wanted = numbers.length ? numbers : [1];
@@ -85,7 +85,7 @@ const at = (step) => (step === null ? "" : ` at step ${count(step)}`);
 /** The scene is the same for all of a job's replays. */
 const scenes = new Map();
 
-async function load([, { loadScene }, { openReplay }], job, file, wanted, signal) {
+async function load([, { loadScene, openReplay }], job, file, wanted, signal) {
   const address = `/jobs/${job.id}/replay/scene`;
   const { sha256 } = job.artifacts.find((one) => one.role === "scene") || {};
   const known = `${job.id} ${sha256}`;

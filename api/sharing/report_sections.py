@@ -1,0 +1,140 @@
+"""The sections of a report that are text and curves."""
+
+import json
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
+from html import escape
+from typing import Any, cast
+
+from api.dependencies import Service
+from api.sharing.curve_svg import RETURNS, curve_svg, lines_of
+from api.sharing.export import versions
+from api.views import MetricsRow
+from core.jobs import feeds
+from core.jobs.filled_in import filled_in
+from core.jobs.job import Job
+
+_POINTS = 400
+_LOG_LINES = 200
+
+
+def facts(job: Job) -> str:
+    """What the job is and how it stands, below its name."""
+    told = [job.spec.kind, job.spec.environment.id, job.id, str(job.status)]
+    if job.progress.total:
+        told.append(f"{job.progress.step:,} of {job.progress.total:,} steps")
+    if job.started_at is not None:
+        told.append(f"started {_moment(job.started_at)}")
+    if job.started_at is not None and job.finished_at is not None:
+        told.append(f"ran {(job.finished_at - job.started_at).total_seconds():,.0f} s")
+    told += [f"{name}: {value}" for name, value in job.spec.labels.items()]
+    lines = f'<p class="soft">{escape(" · ".join(told))}</p>'
+    if not job.status.is_final:
+        lines += "<p>The job has not ended: this is how it stood when the file was made.</p>"
+    elif job.reason is not None and job.reason != "completed":
+        lines += f"<p><strong>{escape(str(job.reason))}</strong>: {escape(job.message or '')}</p>"
+    return lines
+
+
+def sections(job: Job, service: Service) -> Iterator[str]:
+    """The sections below the pictures, in order."""
+    yield _curves(job, service)
+    yield section("Attempts", _attempts(job)) if job.attempts else ""
+    yield section("Settings", _settings(job, service))
+    yield section("Versions", _table(("", "Version"), _flat(versions(job))))
+    yield section("Files", _files(job)) if job.artifacts else ""
+    yield section("End of the log", f'<pre tabindex="0">{escape(_log(job, service))}</pre>')
+
+
+def _curves(job: Job, service: Service) -> str:
+    with service.curves.curves(job.id, None) as (curves, _):
+        rows = curves.thinned(None, _POINTS, None, None)
+    names = sorted({name for row in rows for name in row.values} - set(RETURNS))
+    if not rows:
+        return section("Curves", "<p>Nothing was measured.</p>")
+    others = "".join(curve_svg(lines_of(rows, [name]), name) for name in names)
+    more = (
+        f'<details><summary>{len(names)} other metrics</summary><div class="halves">{others}</div></details>'
+    )
+    return section("Return", curve_svg(lines_of(rows, RETURNS), "Return") + _bests(rows) + more * bool(names))
+
+
+def _bests(rows: Sequence[MetricsRow]) -> str:
+    lines = lines_of(rows, RETURNS)
+    found = [(one.name, f"{one.values[-1]:.6g}", f"{max(one.values):.6g}") for one in lines]
+    return _table(("Metric", "Last", "Best"), found) if found else ""
+
+
+def _attempts(job: Job) -> str:
+    rows = [
+        (
+            str(one.number),
+            one.worker,
+            one.device or "–",
+            one.engine or "–",
+            _moment(one.started_at),
+            f"{one.reason}: {one.message or ''}" if one.reason else "still running",
+        )
+        for one in job.attempts
+    ]
+    return _table(("#", "Worker", "Device", "Engine", "Started", "Ended because"), rows)
+
+
+def _settings(job: Job, service: Service) -> str:
+    """Every setting, and whether the job said it."""
+    sent = {path for path, _ in _flat(job.spec.model_dump(mode="json", exclude_unset=True))}
+    rows = [
+        (path, value, "sent" if path in sent else "filled in")
+        for path, value in _flat(filled_in(job, service.store))
+    ]
+    return (
+        f"<details><summary>All {len(rows)}</summary>{_table(('Setting', 'Value', 'From'), rows)}</details>"
+    )
+
+
+def _files(job: Job) -> str:
+    rows = [(one.name, str(one.role), size_in_words(one.size), one.sha256) for one in job.artifacts]
+    return _table(("Name", "Role", "Size", "SHA-256"), rows)
+
+
+def _log(job: Job, service: Service) -> str:
+    lines = deque[str](maxlen=_LOG_LINES)
+    for page in feeds.read_pages(job.id, "logs", store=service.store, objects=service.objects):
+        lines.extend(str(entry.data.get("text", "")) for entry in page)
+    return "\n".join(lines) or "The log is empty."
+
+
+def section(title: str, content: str) -> str:
+    """content: HTML."""
+    return f"<section><h2>{title}</h2>{content}</section>"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f'<div class="table"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _flat(document: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Each leaf of a document with its path; lists of plain values are leaves."""
+    if isinstance(document, Mapping) and document:
+        for name, value in cast("Mapping[str, Any]", document).items():
+            yield from _flat(value, f"{path}.{name}" if path else name)
+    elif isinstance(document, list) and any(isinstance(item, dict) for item in cast("list[Any]", document)):
+        for number, value in enumerate(cast("list[Any]", document)):
+            yield from _flat(value, f"{path}.{number}")
+    else:
+        yield path, document if isinstance(document, str) else json.dumps(document, ensure_ascii=False)
+
+
+def size_in_words(size: int) -> str:
+    """size: bytes."""
+    for number, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if size >= number:
+            return f"{size / number:.1f} {unit}"
+    return f"{size} bytes"
+
+
+def _moment(time: datetime) -> str:
+    return f"{time:%Y-%m-%d %H:%M:%S} UTC"
