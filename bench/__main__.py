@@ -17,6 +17,7 @@ from bench.measure.result import Options, Result
 DEFAULT = {
     "physics": "bench.cpu.physics",
     "compiled": "bench.cpu.compiled",
+    "own_models": "bench.cpu.own_models",
     "gate": "bench.cpu.gate",
     "training": "bench.cpu.training",
     "corridor": "bench.cpu.corridor",

@@ -1,9 +1,9 @@
 """Engines under one body, in turns: `python -m bench.ours.run_steps FOLDER`.
 
-Request: environment; engines, the one to judge first; num_envs, how many to step, for each measurement;
-rounds; steps_per_call, the control steps in a compiled loop; own_settings, whether every engine solves under
-the model's own settings. Bodies move under random controls from their start, and are measured after a second
-of their time, when they touch what they fall on.
+Request: environment, or model: the file of a user's own body; engines, the one to judge first; num_envs, how
+many to step, for each measurement; rounds; steps_per_call, the control steps in a compiled loop;
+own_settings, whether every engine solves under the model's own settings. Bodies move under random controls
+from their start, and are measured after a second of their time, when they touch what they fall on.
 """
 
 import time
@@ -44,7 +44,7 @@ def _stepped(request: dict[str, Any]) -> dict[str, Any]:
     for num_envs in request["num_envs"]:
         loops = dict[str, Callable[[], Any]]()
         for engine in request["engines"]:
-            body = _body(request["environment"], engine_builder(engine), own_settings=request["own_settings"])
+            body = _body(request, engine_builder(engine))
             loop = _loop(body, num_envs, request["steps_per_call"])
             first = jax.block_until_ready(loop())
             again = jax.block_until_ready(loop())
@@ -71,7 +71,7 @@ def _ready_s(request: dict[str, Any], engine: EngineName) -> float:
     jax.block_until_ready(jax.jit(jnp.sin)(jnp.ones(num_envs)))  # JAX itself is ready before.
     jax.clear_caches()
     began = time.perf_counter()
-    body = _body(request["environment"], engine_builder(engine), own_settings=request["own_settings"])
+    body = _body(request, engine_builder(engine))
     sizes = (body.model.nq, body.model.nv, body.model.nu)
     qpos, qvel, ctrl = (jnp.zeros((num_envs, size)) for size in sizes)
     shapes = jax.eval_shape(jax.vmap(body.engine.reset), qpos, qvel)
@@ -89,20 +89,36 @@ class _Body:
     dt: float
 
 
-def _body(environment: str, build: Any, *, own_settings: bool) -> _Body:
+def _body(request: dict[str, Any], build: Any) -> _Body:
     """The engine that the environment asks for."""
     from core.environments import catalog
 
     made = list[_Body]()
 
     def build_and_keep(model: Any, num_substeps: int, derived: tuple[str, ...], **more: Any) -> Any:
-        engine = build(model, num_substeps, derived, **({} if own_settings else more))
+        engine = build(model, num_substeps, derived, **({} if request["own_settings"] else more))
         made.append(_Body(engine, model, num_substeps * model.opt.timestep))
         return engine
 
-    info = catalog.find(environment)
-    catalog.make(info, catalog.parse_options(info, {}), build_and_keep)
+    if path := request.get("model"):
+        with TemporaryDirectory() as folder:
+            _make_own(Path(path), Path(folder, "model"), build_and_keep)
+    else:
+        info = catalog.find(request["environment"])
+        catalog.make(info, catalog.parse_options(info, {}), build_and_keep)
     return made[0]
+
+
+def _make_own(source: Path, sent: Path, build: Any) -> None:
+    """A user's environment of terms that fit every body. sent: where the model is put as one file."""
+    import mujoco
+
+    from core.environments import catalog
+
+    sent.write_text(mujoco.MjSpec.from_file(str(source)).to_xml())
+    terms = {"reward": [{"kind": "alive"}], "termination": []}
+    info = catalog.find("mjcf")
+    catalog.make(info, catalog.parse_options(info, {"model": f"sha256:{'0' * 64}", **terms}), build, sent)
 
 
 def _loop(body: _Body, num_envs: int, steps: int) -> Callable[[], Any]:

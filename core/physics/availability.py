@@ -58,9 +58,12 @@ def share_states(one: str, other: str) -> bool:
     return (one == "warp") == (other == "warp")
 
 
+CHOOSE_ANOTHER = "Choose another engine, or omit `physics`."
+
+
 def beyond_compiled(reason: str) -> str:
     """The sentence that refuses the engine `compiled`. reason: that of `compiled.coverage.uncovered`."""
-    return f"The engine 'compiled' cannot run the model: {reason}. Choose another engine, or omit `physics`."
+    return f"The engine 'compiled' cannot run the model: {reason}. {CHOOSE_ANOTHER}"
 
 
 NEWTON_ALONE = "its job asks for the solver 'cg', and 'compiled' has Newton's alone"

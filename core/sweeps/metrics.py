@@ -33,6 +33,8 @@ def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
     own = _terms().get(spec.environment.id)
     known = set(_ROLLOUT)
     if not isinstance(spec, RolloutSpec):
+        if metric.startswith("eval/") and spec.algorithm.num_evals == 0:
+            return f"The job makes no evaluations (its `num_evals` is 0), so it reports no metric {metric!r}."
         algorithm = spec.algorithm.algorithm()
         known = _EVALUATION | _TRAINING | {f"training/{name}" for name in _OF_ALGORITHMS.get(algorithm, ())}
         known |= {f"eval/episode_{name}" for name in own or ()}

@@ -15,13 +15,14 @@ import jax
 
 from core.algorithms.catalog import resolve
 from core.devices import gpu_indices
+from core.documents import Strict
 from core.environments import catalog
 from core.environments.environment import Environment
 from core.environments.info import Device, EnvironmentInfo
 from core.environments.wrappers.domain_randomization import randomize
 from core.errors import JobFailed
 from core.jobs.spec import JobSpec, RolloutSpec, TrainSpec
-from core.physics.availability import EngineChoice, choose, share_states
+from core.physics.availability import CHOOSE_ANOTHER, EngineChoice, EngineName, choose, share_states
 from core.physics.choose import engine_builder
 from core.reasons import Reason
 from worker.protocol import Started, Task
@@ -95,21 +96,47 @@ def build_environment(task: Task) -> BuiltEnvironment:
     if task.model:
         info = replace(info, cannot_run=task.engines_that_cannot)
     num_envs = _num_envs(task.spec, info, device) // num_devices
-    choice = choose(task.spec.physics, device, num_envs, info.rules_on(device), info.cannot_run)
-    if task.spec.physics == "auto":
-        choice = _that_can_go_on(choice, task)
-    if choice.name == "warp":
-        keep_warp_kernels()
-    if choice.name == "compiled":
-        keep_machine_code()
-    model = Path(task.model).absolute() if task.model else None  # It is in the spool, our working directory.
-    environment = catalog.make(info, options, engine_builder(choice.name), model)
-    environment = randomize(environment, task.spec.randomization)
+    choice = _choice(task, info, device, num_envs)
+    try:
+        environment = _made(task, info, options, choice.name)
+    except JobFailed as failed:
+        if not _may_take_another(task, choice, failed):
+            raise
+        info = replace(info, cannot_run={**info.cannot_run, choice.name: failed.detail})
+        why = failed.detail.removesuffix(CHOOSE_ANOTHER).strip()
+        choice = replace(_choice(task, info, device, num_envs), reason=why)
+        environment = _made(task, info, options, choice.name)
     name = _named(found[:num_devices]) if device == "gpu" else f"cpu × {len(os.sched_getaffinity(0))}"
     engine, reason = choice.name, choice.reason
     if info.own_physics:
         engine, reason = info.own_physics, f"{info.id} brings its own physics."
     return BuiltEnvironment(info, environment, device, name, engine, reason, num_devices)
+
+
+def _choice(task: Task, info: EnvironmentInfo, device: Device, num_envs: int) -> EngineChoice:
+    choice = choose(task.spec.physics, device, num_envs, info.rules_on(device), info.cannot_run)
+    return _that_can_go_on(choice, task) if task.spec.physics == "auto" else choice
+
+
+def _made(task: Task, info: EnvironmentInfo, options: Strict, engine: EngineName) -> Environment:
+    """The environment on an engine. Raises JobFailed."""
+    if engine == "warp":
+        keep_warp_kernels()
+    if engine == "compiled":
+        keep_machine_code()
+    model = Path(task.model).absolute() if task.model else None  # It is in the spool, our working directory.
+    environment = catalog.make(info, options, engine_builder(engine), model)
+    environment = randomize(environment, task.spec.randomization)
+    if model is not None:
+        # Only a reset shows whether the engine has what the job randomises.
+        jax.eval_shape(environment.reset, jax.random.key(0))
+    return environment
+
+
+def _may_take_another(task: Task, choice: EngineChoice, failed: JobFailed) -> bool:
+    """Whether `auto` took `compiled` for a user's model, of which it lacks what the job reads or randomises."""
+    is_free = task.spec.physics == "auto" and task.begun_on is None and task.model is not None
+    return is_free and choice.name == "compiled" and failed.reason == Reason.BAD_MODEL
 
 
 def _that_can_go_on(choice: EngineChoice, task: Task) -> EngineChoice:

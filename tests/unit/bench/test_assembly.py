@@ -17,7 +17,7 @@ BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
     *("layouts", "gpu_layouts", "gpu_cohort"),
-    *("q_learning", "gpu_q_learning", "exercises", "compiled", "gate", "gpu_gate", "gpu_sac"),
+    *("q_learning", "gpu_q_learning", "exercises", "compiled", "own_models", "gate", "gpu_gate", "gpu_sac"),
 )
 SECONDS = {
     "epoch": [0.010],
@@ -40,7 +40,8 @@ def answered(module: str, request: Mapping[str, Any], *, timeout_s: float) -> di
             "compiled": {"16": [60.0, 80.0], "1": [3.0, 3.0]},
             "native": {"16": [20.0, 20.0], "1": [1.0, 2.0]},
         }
-        return {"rates": rates, "began_at": 0.0, "process_s": 9.0}
+        ready = {"compiled": 5.0, "native": 2.0}
+        return {"rates": rates, "ready_s": ready, "began_at": 0.0, "process_s": 9.0}
     if module == "bench.ours.train_layouts":
         trial = {"speed": 2.0, "passed": 0.75, "way": 0.9, "fell": 0.25}
         own = {"training": [(50, 0.9), (100, 1.0)], "rewards": [], "curriculum": [], "wall_s": 10.0}

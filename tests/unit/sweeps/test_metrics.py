@@ -59,6 +59,7 @@ def test_what_a_job_reports_may_be_an_objective(spec: JobSpec, metrics: Sequence
         (job("inverted_pendulum"), "eval/forward_speed", None),
         (job(kind="rollout", policy={"kind": "random"}), "training/sps", None),
         (job({"id": "mjcf", "options": {"model": "sha256:" + "0" * 64}}), "eval/nothing", None),
+        (job(algorithm={"kind": "ppo", "num_evals": 0}), "eval/episode_reward", "num_evals"),
     ],
 )
 def test_what_it_does_not_report_is_refused_with_what_it_does(

@@ -1,7 +1,10 @@
-"""What a training process finds of the GPUs that its worker serves."""
+"""The environment of a task: on which GPUs of its worker, and on which engine."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import pytest
@@ -92,3 +95,69 @@ def test_the_record_has_the_versions_of_what_the_engine_needs() -> None:
     for engine, also in (("native", set[str]()), ("warp", {"warp-lang"}), ("compiled", {"llvmlite"})):
         versions = replace(native, engine=engine).started().details["versions"]
         assert set(versions) == {"jax", "brax", "mujoco", "mujoco-mjx"} | also
+
+
+# A ball on the floor; `far` looks for the nearest geom, which `compiled` does not compute.
+OWN = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1"/>
+    <body name="wheel" pos="1 0 1">
+      <joint name="axle"/>
+      <geom type="sphere" size="0.1" contype="0" conaffinity="0"/>
+    </body>
+    <body name="ball" pos="0 0 0.1">
+      <freejoint/>
+      <geom name="ball" type="sphere" size="0.1"/>
+      <site name="eye" pos="0 0 0.2"/>
+    </body>
+  </worldbody>
+  <actuator><general name="motor" joint="axle" dyntype="filterexact" dynprm="0.1"/></actuator>
+  <sensor><rangefinder name="far" site="eye"/></sensor>
+</mujoco>
+"""
+OPTIONS = {"model": f"sha256:{'0' * 64}", "reward": [{"kind": "alive"}], "termination": []}
+
+
+def own(folder: Path, options: Mapping[str, Any] = {}, **fields: Any) -> Task:
+    """A training of the model on a CPU, as its worker hands it on."""
+    (folder / "model").write_text(OWN)
+    environment = {"id": "mjcf", "options": {**OPTIONS, **options}}
+    spec = JOB_SPEC.validate_python({"kind": "train", "environment": environment, **fields})
+    return Task(job_id="j", attempt=1, spec=spec, device="cpu", model=str(folder / "model"))
+
+
+def test_auto_takes_compiled_for_a_users_model_with_many_environments(tmp_path: Path) -> None:
+    assert build_environment(own(tmp_path)).engine == "compiled"
+    few = {"kind": "ppo", "num_envs": 32, "batch_size": 32, "num_minibatches": 1}
+    assert build_environment(own(tmp_path, algorithm=few)).engine == "native"
+    refused = own(tmp_path).model_copy(update={"engines_that_cannot": {"compiled": "It is too large."}})
+    assert build_environment(refused).engine == "native"
+    begun = own(tmp_path).model_copy(update={"begun_on": "native"})
+    assert build_environment(begun).engine == "native"
+
+
+READS = {"observation": [{"kind": "sensors"}]}
+LAGS = [{"field": "actuator_dynprm", "operation": "scale", "range": [0.5, 2.0]}]
+
+
+@pytest.mark.parametrize(
+    ("options", "fields", "why"),
+    [
+        (READS, {}, "sensordata: its sensor 'far' is of the kind rangefinder"),
+        ({}, {"randomization": LAGS}, "actuator_dynprm: its actuator 'motor' is an exact filter"),
+    ],
+)
+def test_where_compiled_lacks_what_a_job_reads_or_randomises_auto_takes_native_and_says_why(
+    tmp_path: Path, options: Mapping[str, Any], fields: Mapping[str, Any], why: str
+) -> None:
+    built = build_environment(own(tmp_path, options, **fields))
+    assert built.engine == "native"
+    assert built.engine_reason == f"The engine 'compiled' cannot run the model: {why}."
+    with pytest.raises(JobFailed, match=why.partition(":")[0]):
+        build_environment(own(tmp_path, options, physics="compiled", **fields))
+
+
+def test_what_no_engine_can_run_fails_as_before(tmp_path: Path) -> None:
+    with pytest.raises(JobFailed, match="has no body 'nobody'"):
+        build_environment(own(tmp_path, {"root": "nobody"}))

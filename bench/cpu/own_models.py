@@ -1,0 +1,118 @@
+"""Users' own models: physics compiled for each beside C MuJoCo, over bodies that are not in the catalog."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from statistics import median
+
+import mujoco
+
+from bench.measure import comparison
+from bench.measure.result import Figure, Options, Result, Table, at_least
+from bench.measure.runs import Run, Runs, Work
+from bench.measure.statistics import spread
+from core.physics.compiled.coverage import uncovered
+
+_ROBOT = Path(__file__).parents[2] / "examples" / "quadruped.xml"
+_ENGINES = ("compiled", "native")
+# What the rule of the catalog's row `mjcf` asks for at least, first.
+_NUM_ENVS = (64, 16, 256)
+
+
+def measure(options: Options) -> Result:
+    """Each body in its own process, which steps it by both engines in turns."""
+    bodies = _bodies(options)
+    beyond = {name: why for name, path in bodies.items() if (why := uncovered(_read(path))) is not None}
+    runs = Runs("own_models", options)
+    runs.make(
+        [
+            Work(name, "bench.ours.run_steps", _request(path, options), about_s=60)
+            for name, path in bodies.items()
+            if name not in beyond
+        ]
+    )
+    return Result(
+        name="own_models",
+        title="Users' own models on the CPU",
+        command="./run bench own_models",
+        quick=options.quick,
+        machine=runs.where(),
+        figures=[
+            _figure(name, runs.done.get(name), runs.failed.get(name)) for name in bodies if name not in beyond
+        ],
+        table=_table(runs.done),
+        rows=comparison.step_rows(runs.done),
+        notes=[*_notes(beyond), *runs.notes()],
+        unfinished=runs.left,
+    )
+
+
+def _bodies(options: Options) -> dict[str, Path]:
+    """The robot of the tutorial, and dm_control's suite."""
+    found = {"the tutorial's quadruped": _ROBOT}
+    spec = find_spec("dm_control.suite")
+    if spec is None or spec.origin is None or options.quick:
+        return found
+    return {**found, **{path.stem: path for path in sorted(Path(spec.origin).parent.glob("*.xml"))}}
+
+
+def _read(path: Path) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(path))
+
+
+def _num_envs(options: Options) -> list[int]:
+    return [4] if options.quick else list(_NUM_ENVS)
+
+
+def _request(path: Path, options: Options) -> dict[str, object]:
+    return {
+        "model": str(path),
+        "engines": list(_ENGINES),
+        "num_envs": _num_envs(options),
+        "rounds": 2 if options.quick else 5,
+        "steps_per_call": 5 if options.quick else 50,
+        "own_settings": False,
+    }
+
+
+def _figure(body: str, run: Run | None, why: str | None) -> Figure:
+    name = f"{body}: `compiled` ÷ `native`"
+    if run is None:
+        return Figure(name=name, value=None, unit="×", target=at_least(1), missing=why or "not measured")
+    return Figure.of(name, spread(_quotients(run, min(run["rates"]["native"], key=_rank))), "×", at_least(1))
+
+
+def _rank(num_envs: str) -> int:
+    """The rule's number of environments comes first."""
+    return _NUM_ENVS.index(int(num_envs)) if int(num_envs) in _NUM_ENVS else len(_NUM_ENVS)
+
+
+def _quotients(run: Run, num_envs: str) -> list[float]:
+    """`compiled` over `native`, round by round."""
+    ours, theirs = (run["rates"][engine][num_envs] for engine in _ENGINES)
+    return [one / other for one, other in zip(ours, theirs, strict=True)]
+
+
+def _table(done: dict[str, Run]) -> Table | None:
+    if not done:
+        return None
+    rows = list[list[str]]()
+    for body, run in done.items():
+        for num in sorted(run["rates"]["native"], key=int):
+            steps = [f"{median(run['rates'][engine][num]):,.0f}" for engine in _ENGINES]
+            ready = [f"{run['ready_s'][engine]:.1f}" for engine in _ENGINES]
+            rows.append([body, f"{int(num):,}", *steps, f"{median(_quotients(run, num)):.1f}", *ready])
+    rates = [f"`{engine}`, control steps/s" for engine in _ENGINES]
+    waits = [f"`{engine}`, s to its first step" for engine in _ENGINES]
+    return Table(headings=["body", "environments", *rates, "ratio", *waits], rows=rows)
+
+
+def _notes(beyond: dict[str, str]) -> list[str]:
+    notes = [
+        f"The figures are of {_NUM_ENVS[0]} environments, from which on `auto` takes `compiled`. Each model "
+        "is used as one file with default options, without a body's own task. Environments move under random "
+        "controls, a second after their start. At least 1 is the target, since `auto` takes it.",
+    ]
+    if beyond:
+        told = "; ".join(f"{name} ({why})" for name, why in beyond.items())
+        notes.append(f"`compiled` cannot run the suite's other bodies: {told}.")
+    return notes
