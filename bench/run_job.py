@@ -1,6 +1,6 @@
 """A job without the service: its training process alone, on a machine that has no stores.
 
-`python -m bench.run_job FOLDER SPEC.json [--gpu [N]] [--set PATH=VALUE]` fills FOLDER while the job
+`python -m bench.run_job FOLDER SPEC.json [--model FILE] [--gpu [N]] [--set PATH=VALUE]` fills FOLDER while the job
 runs, so that an interrupted job leaves what it has so far: its files, `metrics.jsonl`, and `job.json` with
 what the process reported about itself; `curve.png` comes at the end. The video is drawn as in the service.
 `bench/jobs` and `examples` have jobs.
@@ -9,6 +9,7 @@ what the process reported about itself; `curve.png` comes at the end. The video 
 import argparse
 import json
 import os
+import shutil
 import threading
 import time
 from pathlib import Path
@@ -34,6 +35,7 @@ def main() -> None:
         metavar="N",
         help="on the first GPU, or the first N, of CUDA_VISIBLE_DEVICES if it is set; else on the CPU",
     )
+    parser.add_argument("--model", type=Path, help="the user's own model that the job names, as sent")
     parser.add_argument(
         "--set",
         dest="assignments",
@@ -50,7 +52,10 @@ def main() -> None:
         assigned(document, text)
     spec = JOB_SPEC.validate_json(json.dumps(document))
     device = gpus(arguments.gpu) if arguments.gpu else "cpu"
-    task = Task(job_id="bench", attempt=1, spec=spec, device=device)
+    if arguments.model:
+        shutil.copyfile(arguments.model, folder / "model")  # The process may read no other file.
+    model = "model" if arguments.model else None
+    task = Task(job_id="bench", attempt=1, spec=spec, device=device, model=model)
     (folder / "task.json").write_text(task.model_dump_json())
     began = time.perf_counter()
     process = TrainingProcess(TRAINING, folder, folder / "data", device, [])
