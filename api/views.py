@@ -16,8 +16,8 @@ from core.errors import Rejected
 from core.jobs.job import Artifact, ArtifactRole, Job, Progress, UnreadableJob
 from core.jobs.spec import SentSpec
 from core.jobs.status import JobStatus
-from core.jobs.store import WorkerInfo
 from core.jobs.waiting import what_it_waits_for
+from core.jobs.workers import WorkerInfo
 from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.rendering.camera import TRACK

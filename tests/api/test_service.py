@@ -30,7 +30,7 @@ from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.settings import ApiSettings, StoreSettings, WorkerSettings
 from core.storage import keys
