@@ -72,6 +72,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "announce": lambda jobs: jobs.announce(worker("a"), LEASE),
         "withdraw": lambda jobs: jobs.withdraw("a"),
         "workers": lambda jobs: jobs.workers(),
+        "list_workers": lambda jobs: jobs.list_workers(),
         "tidy": lambda jobs: jobs.tidy(),
         "ping": lambda jobs: jobs.ping(),
         "find_model": lambda jobs: jobs.find_model(MODEL),
@@ -81,6 +82,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "delete_model": lambda jobs: jobs.delete_model(MODEL),
         "num_waiting_models": lambda jobs: jobs.num_waiting_models(),
         "models": lambda jobs: jobs.models(),
+        "list_models": lambda jobs: jobs.list_models(),
     }
 
 

@@ -52,7 +52,7 @@ class Either:
         portal = self._portal
         if portal is None:
             return method
-        if name in ("list", "events", "logs", "sweeps"):
+        if name in ("list", "events", "logs", "sweeps", "models", "workers"):
             return lambda *args, **more: _items(method(*args, **more), portal)
 
         async def call(args: tuple[Any, ...], more: dict[str, Any]) -> Any:

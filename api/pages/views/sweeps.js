@@ -6,6 +6,7 @@ import { html } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { href } from "../lib/route.js";
 import { isOver, objectivesOf, title } from "../lib/sweep.js";
+import { Pages } from "../parts/pages.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 import { Status } from "../parts/status.js";
 
@@ -30,10 +31,7 @@ export default function Sweeps({ query }) {
       <thead><tr><th>Sweep</th><th>Method</th><th>Status</th><th class="number">Trials</th><th>Best</th><th>Began</th></tr></thead>
       <tbody>${data.items.map((sweep) => html`<${Row} key=${sweep.id} sweep=${sweep} />`)}</tbody>
     </table></div>`}
-    <nav class="pages" aria-label="Pages of sweeps">
-      ${cursor && html`<a href="#/sweeps">Newest</a>`}
-      ${data.next && html`<a href=${href(["sweeps"], { cursor: data.next })} rel="next">Older sweeps</a>`}
-    </nav>
+    <${Pages} path=${["sweeps"]} query=${query} next=${data.next} name="Pages of sweeps" first="Newest" more="Older sweeps" />
   </div>`;
 }
 
