@@ -18,6 +18,7 @@ from core.jobs.spec import SentSpec
 from core.jobs.status import JobStatus
 from core.jobs.waiting import what_it_waits_for
 from core.jobs.workers import WorkerInfo
+from core.sweeps.metrics import metrics_of
 from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.rendering.camera import TRACK
@@ -213,11 +214,14 @@ class EnvironmentDetails(EnvironmentView):
     more than its defaults on this environment is left out.
     observation, action: their numbers in order, with units and bounds; empty where they depend on a model
     that the options do not name.
+    metrics: what a job reports, by algorithm and for `rollout`; without the terms of a reward that depend on
+    options, `eval/episode_…`.
     """
 
     observation: Sequence[Slice]
     action: Sequence[Slice]
     defaults: Mapping[str, Mapping[Device, Mapping[str, Any]]]
+    metrics: Mapping[str, Sequence[str]]
 
     @classmethod
     def of(cls, info: EnvironmentInfo) -> Self:
@@ -227,6 +231,7 @@ class EnvironmentDetails(EnvironmentView):
             observation=info.spaces.observation,
             action=info.spaces.action,
             defaults=_by_algorithm_and_device(lambda kind, device: _defaults(kind, info, device)),
+            metrics={kind or "rollout": sorted(metrics_of(info.id, kind)) for kind in (*ALGORITHMS, None)},
         )
 
 

@@ -27,9 +27,7 @@ def models(stack: Stack) -> None:
     """More than a page of them, sent one second after the other."""
     for second, model_id in enumerate(IDS):
         at = NOON + timedelta(seconds=second)
-        record = ModelRecord(
-            id=model_id, status="ready", media_type="application/xml", size=7, created_at=at
-        )
+        record = ModelRecord(id=model_id, status="ready", media_type="application/xml", size=7, created_at=at)
         stack.store.add_model(record)
 
 

@@ -261,7 +261,18 @@ def test_a_setting_that_does_not_fit_is_refused_and_counts(stack: Stack, look: C
         (
             {"parameters": {"algorithm.learning_rate": {"low": 1e-3, "high": 1e-4, "points": 3}}},
             "/parameters/algorithm.learning_rate",
-            None,
+            "`algorithm.learning_rate`: `low` must be below `high`; for a single value, set it in `job`.",
+        ),
+        ({"parameters": {"seed": {"low": 1}}}, "/parameters/seed/high", "`high` is missing."),
+        (
+            {"parameters": {"seed": "1, 2"}},
+            "/parameters/seed",
+            "`seed`: must be an object, not '1, 2'.",
+        ),
+        (
+            {"objective": {"metric": ""}},
+            "/objective/metric",
+            "`metric`: string should have at least 1 character.",
         ),
         (
             {"objective": {"metric": "eval/episode_rewrd"}},
