@@ -7,9 +7,10 @@ from fastapi import APIRouter, Path, Query
 from pydantic import Field
 
 from api.dependencies import Parameters, ServiceDep
+from api.environment_views import AlgorithmView, EnvironmentDetails, EnvironmentView
 from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
 from api.problems import refusals
-from api.views import AlgorithmView, EnvironmentDetails, EnvironmentView, Listing
+from api.views import Listing
 from core.algorithms.catalog import ALGORITHMS
 from core.environments.catalog import ENVIRONMENTS
 from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
