@@ -21,11 +21,15 @@ export default function Sweeps({ query }) {
   );
   if (!data) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="sweeps" />`;
   return html`<div class="stack">
-    <h1>Sweeps</h1>
+    <div class="title">
+      <h1>Sweeps</h1>
+      <a class="button" href="#/sweeps/new">Start a sweep</a>
+    </div>
     ${error && html`<${Failure} error=${error} again=${again} />`}
     ${!data.items.length && html`<${Empty}>
       <p>No sweeps yet.</p>
-      <p>Start one from a shell: <code>gaitway sweep sweep.json</code>, or by <a href="/docs">POST /sweeps</a></p>
+      <p><a class="button" href="#/sweeps/new">Start the first one</a></p>
+      <p>Or from a shell: <code>gaitway sweep sweep.json</code></p>
     <//>`}
     ${data.items.length > 0 && html`<div class="card table" tabindex="0" role="region" aria-label="Sweeps"><table>
       <thead><tr><th>Sweep</th><th>Method</th><th>Status</th><th class="number">Trials</th><th>Best</th><th>Began</th></tr></thead>
