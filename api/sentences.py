@@ -97,6 +97,11 @@ def _sentence(error: Mapping[str, Any], known: Sequence[str]) -> str:
             tags = [tag.strip(" '") for tag in error["ctx"]["expected_tags"].split(",")]
             tag = str(error["ctx"]["tag"])
             return f"`{_discriminator(error)}` is {shown(tag)}{_hint(tag, tags)}"
+        case "too_short":
+            least, items = error["ctx"]["min_length"], error["ctx"]["actual_length"]
+            return (
+                f"`{name}` needs at least {least} item{'' if least == 1 else 's'}, and has {items or 'none'}."
+            )
         case "string_pattern_mismatch":
             return f"`{name}` must match {error['ctx']['pattern']}, not be {shown(error['input'])}."
         case _:

@@ -263,6 +263,7 @@ def test_a_setting_that_does_not_fit_is_refused_and_counts(stack: Stack, look: C
             "/parameters/algorithm.learning_rate",
             "`algorithm.learning_rate`: `low` must be below `high`; for a single value, set it in `job`.",
         ),
+        ({"parameters": {"seed": []}}, "/parameters/seed", "`seed` needs at least 1 item, and has none."),
         ({"parameters": {"seed": {"low": 1}}}, "/parameters/seed/high", "`high` is missing."),
         (
             {"parameters": {"seed": "1, 2"}},

@@ -40,10 +40,20 @@ export function asWritten({ environment, labels, ...job }) {
   };
 }
 
-/** The draft of a document as `POST /sweeps` takes it. */
-export function draftOf({ objective, ...document }) {
-  return { method: "random", parameters: {}, ...document, job: asWritten(document.job), objectives: [objective ?? {}].flat() };
+/** The draft of a document as `POST /sweeps` takes it, or `GET /sweeps/{id}` shows it. */
+export function draftOf(document) {
+  const { objective, budget, ...said } = withoutNulls(document);
+  return {
+    method: "random",
+    ...said,
+    ...(budget && { budget: withoutNulls(budget) }),
+    parameters: Object.fromEntries(Object.entries(document.parameters || {}).map(([path, axis]) => [path, Array.isArray(axis) ? axis : withoutNulls(axis)])),
+    job: asWritten(document.job),
+    objectives: [objective ?? {}].flat(),
+  };
 }
+
+const withoutNulls = (document) => Object.fromEntries(Object.entries(document).filter(([, value]) => value !== null));
 
 /** The document to send. */
 export function documentOf({ name, labels, job, method, parameters, objectives, budget, ...others }) {

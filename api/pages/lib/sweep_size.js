@@ -33,23 +33,25 @@ function numTrials({ method, parameters, population, budget }, fields) {
   return number === null || number === Infinity ? null : Math.min(number, most);
 }
 
-/** The most steps of a trial; null where they are not known. */
-function stepsOfTrial({ job }, environment) {
+/** The steps of a trial on each device that it may run on; null where they are not known. */
+function lengthsOf({ job }, environment) {
   if (job.kind === "rollout") return null;
-  const kind = job.algorithm?.kind || "ppo";
   const said = job.algorithm?.num_timesteps;
-  const planned = devicesOf(job).map((device) => environment?.defaults?.[kind]?.[device]?.num_timesteps);
-  return Number.isFinite(said) ? said : planned.every(Number.isFinite) ? Math.max(...planned) : null;
+  if (Number.isFinite(said)) return [said];
+  const defaults = environment?.defaults?.[job.algorithm?.kind || "ppo"];
+  const planned = devicesOf(job).map((device) => defaults?.[device]?.num_timesteps);
+  return planned.every(Number.isFinite) ? planned : null;
 }
 
 /**
- * @returns {{trials: number | null, steps: number | null, each: number | null, isMost: boolean}}
- *   each: the steps of one trial; isMost: whether it may be fewer.
+ * @returns {{trials: number | null, steps: number | null, each: number | null, dependsOnDevice: boolean, isMost: boolean}}
+ *   each: the steps of one trial, on the device on which it takes most; isMost: whether all may be fewer.
  */
 export function sizeOf(draft, fields, environment) {
   const trials = numTrials(draft, fields);
   const length = draft.parameters[LENGTH];
-  const one = stepsOfTrial(draft, environment);
+  const lengths = lengthsOf(draft, environment);
+  const one = lengths && Math.max(...lengths);
   const isPopulation = draft.method === "pbt";
   let each = isPopulation && one !== null ? Math.ceil(one / (draft.population?.generations || 1)) : one;
   let steps = trials === null || one === null ? null : isPopulation ? trials * (one / draft.population.generations) : trials * one;
@@ -60,6 +62,7 @@ export function sizeOf(draft, fields, environment) {
     each = null;
   }
   const limit = draft.budget?.steps > 0 ? draft.budget.steps : Infinity;
-  const isMost = Boolean(draft.pruning) || limit < steps || draft.budget?.gpu_hours > 0;
-  return { trials, each, steps: steps === null ? (limit === Infinity ? null : limit) : Math.min(steps, limit), isMost };
+  const dependsOnDevice = lengths !== null && Math.min(...lengths) < one;
+  const isMost = dependsOnDevice || Boolean(draft.pruning) || limit < steps || draft.budget?.gpu_hours > 0;
+  return { trials, each, dependsOnDevice, steps: steps === null ? (limit === Infinity ? null : limit) : Math.min(steps, limit), isMost };
 }

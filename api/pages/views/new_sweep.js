@@ -60,8 +60,8 @@ function Form({ all, environments, begun, given, jobs }) {
   };
   useEffect(() => problem && summary.current?.focus(), [problem]);
   return html`
-    <h1>Start a sweep</h1>
-    <p class="facts">A sweep runs one job many times with other settings; each run is a trial, and a job of its own.</p>
+    <div class="title"><h1>Start a sweep</h1>
+      <p class="facts">A sweep runs one job many times with other settings; each run is a trial, and a job of its own.</p></div>
     <form class="form" onSubmit=${submit} novalidate>
       <div class="stack">
         ${problem && html`<${Errors} problem=${problem} box=${summary} />`}

@@ -22,7 +22,7 @@ export function Axes({ draft, setDraft, errors, known, environment }) {
     adder.current?.focus();
   };
   const here = errors.filter(({ pointer }) => pointer === "/parameters");
-  return html`<fieldset><legend>Axes</legend>
+  return html`<fieldset class="part"><legend>Axes</legend>
     ${!Object.keys(parameters).length && html`<p class="facts">Nothing varies yet: add a setting of the job.</p>`}
     ${here.map(({ detail }) => html`<p class="error">${detail}</p>`)}
     <div class="stack">
@@ -46,15 +46,15 @@ function Add({ select, fields, environment, job, add }) {
   const [path, setPath] = useState("");
   const isThere = fields.some((field) => field.path === path);
   const take = () => (add(path), setPath(""));
-  return html`<div class="tools">
-    <label>Setting <select ref=${select} value=${isThere ? path : ""} onChange=${({ target }) => setPath(target.value)}>
+  return html`<div class="adder">
+    <div class="field"><label for="setting">Setting</label><select id="setting" ref=${select} value=${isThere ? path : ""} onChange=${({ target }) => setPath(target.value)}>
       <option value="">Choose a setting</option>
       ${Object.entries(grouped(fields, environment, job)).map(
         ([group, found]) => html`<optgroup key=${group} label=${GROUPS[group]}>
           ${found.map((field) => html`<option key=${field.path} value=${field.path}>${field.path.slice(group.length)} (${kindOf(field)}${now(field)})</option>`)}
         </optgroup>`,
       )}
-    </select></label>
+    </select></div>
     <button type="button" disabled=${!isThere} onClick=${take}>Add the axis</button>
   </div>`;
 }

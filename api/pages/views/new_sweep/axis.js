@@ -11,7 +11,7 @@ export function Axis({ path, axis, method, field, isKnown, errors, isNew, set, r
   const box = useRef();
   const id = useId();
   const pointer = `/parameters/${path.replaceAll("~", "~0").replaceAll("/", "~1")}`;
-  const wrong = errors.filter((error) => error.pointer === pointer || /^\/\d+$/.test(error.pointer.slice(pointer.length)) && error.pointer.startsWith(pointer));
+  const wrong = errors.filter((error) => error.pointer === pointer || (error.pointer.startsWith(`${pointer}/`) && /^\d+$/.test(error.pointer.slice(pointer.length + 1))));
   const isRange = !Array.isArray(axis);
   const isRangePossible = isRange || !field || isNumeric(field);
   const choices = field && choicesOf(field);
@@ -23,15 +23,17 @@ export function Axis({ path, axis, method, field, isKnown, errors, isNew, set, r
     <legend><code>${path}</code></legend>
     <p class="facts">${field ? `${kindOf(field)}; the job has ${field.now === undefined ? "none" : told(field.now)}` : ""}${field?.schema.description ? `. ${field.schema.description}` : ""}</p>
     ${!isKnown && html`<p class="error">The job has no such setting: remove this axis, or take another job.</p>`}
-    ${isRangePossible && html`<div class="tools" role="group" aria-label="What ${path} takes">
-      <button type="button" aria-pressed=${!isRange} onClick=${() => isRange && set([])}>Values</button>
-      <button type="button" aria-pressed=${isRange} onClick=${() => isRange || set({})}>A range</button>
-    </div>`}
+    <div class="tools">
+      ${isRangePossible && html`<span class="actions" role="group" aria-label="What ${path} takes">
+        <button type="button" aria-pressed=${!isRange} onClick=${() => isRange && set([])}>Values</button>
+        <button type="button" aria-pressed=${isRange} onClick=${() => isRange || set({})}>A range</button>
+      </span>`}
+      <button type="button" class="plain remove" onClick=${remove} aria-label="Remove the axis ${path}">Remove</button>
+    </div>
     ${isRange && html`<${Range} path=${path} axis=${axis} method=${method} errors=${errors} pointer=${pointer} set=${set} isWrong=${wrong.length > 0} />`}
     ${!isRange && choices && html`<${Choices} choices=${choices} axis=${axis} set=${set} />`}
     ${!isRange && !choices && html`<${Values} path=${path} axis=${axis} field=${field} set=${set} described=${said} />`}
     ${wrong.length > 0 && html`<p class="error" id=${said}>${wrong.map(({ detail }) => detail).join(" ")}</p>`}
-    <p class="actions"><button type="button" onClick=${remove} aria-label="Remove the axis ${path}">Remove</button></p>
   </fieldset>`;
 }
 

@@ -14,8 +14,8 @@ export function JobPart({ all, draft, setDraft, errors, environments, environmen
   const change = (next) => setDraft((before) => ({ ...before, job: next(before.job) }));
   const own = errors.filter(({ pointer }) => /^\/job(\/|$)/.test(pointer)).map((error) => ({ ...error, pointer: error.pointer.slice("/job".length) }));
   const [isOpen, setOpen] = useState(false);
-  return html`<fieldset><legend>Job</legend>
-    <p><strong>${environmentOf(draft.job)}</strong>${` · ${algorithmOf(draft.job) || draft.job.kind}`}${draft.job.name ? ` · ${draft.job.name}` : ""}</p>
+  return html`<fieldset class="part"><legend>Job</legend>
+    <p><strong>${environmentOf(draft.job)}</strong>${` · ${algorithmOf({ kind: draft.job.kind, spec: draft.job }) || draft.job.kind}`}${draft.job.name ? ` · ${draft.job.name}` : ""}</p>
     <${Source} draft=${draft} setDraft=${setDraft} given=${given} jobs=${jobs} />
     ${own.map(({ pointer, detail }) => html`<p class="error" key=${pointer}>${detail}</p>`)}
     <details open=${isOpen || own.length > 0} onToggle=${(event) => setOpen(event.target.open)}>

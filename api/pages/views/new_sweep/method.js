@@ -16,7 +16,7 @@ export function MethodPart(fields) {
   const schema = all.SweepSpec.properties;
   const wrong = errors.filter(({ pointer }) => pointer === "/method");
   return html`
-    <fieldset><legend>Method</legend>
+    <fieldset class="part"><legend>Method</legend>
       <div class="choices">${Object.entries(METHODS).map(
         ([name, text]) => html`<label key=${name} class="tick"><input type="radio" name="method" value=${name} checked=${name === method} onChange=${() => set(["method"], name)} />
           <span><strong>${name}</strong> <span class="facts">${text}</span></span></label>`,

@@ -14,7 +14,7 @@ export function Objectives({ all, document, set, errors, environment }) {
   // The service names a single objective without a number.
   const here = errors.map((error) => ({ ...error, pointer: error.pointer.replace(isAlone ? /^\/objective(?=\/)/ : /^\/objective(?=\/\d)/, isAlone ? "/objectives/0" : "/objectives") }));
   const remove = (at) => set(["objectives"], objectives.filter((_, i) => i !== at));
-  return html`<fieldset><legend>Objective</legend>
+  return html`<fieldset class="part"><legend>Objective</legend>
     ${errors.filter(({ pointer }) => pointer === "/objective").map(({ detail }) => html`<p class="error">${detail}</p>`)}
     ${shown.map((objective, i) => {
       const put = ([, , name], value) => set(["objectives"], objectives.map((one, at) => (at === i ? withPart(one, name, value) : one)));

@@ -11,13 +11,13 @@ const UNKNOWN = {
 };
 
 export function Size({ document, known, environment }) {
-  const { trials, each, steps, isMost } = sizeOf(document, known, environment);
+  const { trials, each, dependsOnDevice, steps, isMost } = sizeOf(document, known, environment);
   const parallel = document.budget?.parallel ?? 4;
   return html`<section class="card" aria-label="Size" role="status"><h2>${trials === null ? "Size" : `${number(trials)} trial${trials === 1 ? "" : "s"}`}</h2>
     ${trials === null && html`<p class="facts">${UNKNOWN[document.method]}</p>`}
     ${trials > MOST_TRIALS && html`<p class="error">A sweep has ${number(MOST_TRIALS)} trials at most: take fewer values, or random draws.</p>`}
     <ul class="facts">
-      ${each !== null && html`<li>${number(each)} environment steps each</li>`}
+      ${each !== null && html`<li>${dependsOnDevice ? "up to " : ""}${number(each)} environment steps each${dependsOnDevice ? ", by the device" : ""}</li>`}
       ${steps !== null && html`<li>${number(Math.round(steps))} steps in all${isMost ? ", at most" : ""}</li>`}
       ${trials !== null && html`<li>${number(Math.min(parallel, trials))} at the same time</li>`}
     </ul>
