@@ -47,6 +47,8 @@ function Form({ all, environments, begun, given, jobs }) {
   const set = (path, value) => setDraft((before) => put(before, path, value));
   const fields = { all, document: draft, set, errors: problem?.errors || [] };
   const schema = all.SweepSpec.properties;
+  // Of another draft, nothing was refused yet.
+  const renew = (next) => (setDraft(next), setProblem(null));
   const submit = async (event) => {
     event.preventDefault();
     setBusy(true);
@@ -65,7 +67,7 @@ function Form({ all, environments, begun, given, jobs }) {
     <form class="form" onSubmit=${submit} novalidate>
       <div class="stack">
         ${problem && html`<${Errors} problem=${problem} box=${summary} />`}
-        <${JobPart} all=${all} draft=${draft} setDraft=${setDraft} errors=${fields.errors} environments=${environments} environment=${environment} given=${given} jobs=${jobs} />
+        <${JobPart} all=${all} draft=${draft} setDraft=${setDraft} renew=${renew} errors=${fields.errors} environments=${environments} environment=${environment} given=${given} jobs=${jobs} />
         <${Axes} draft=${draft} setDraft=${setDraft} errors=${fields.errors} known=${known} environment=${environment.data} />
         <${MethodPart} ...${fields} />
         <${Objectives} ...${fields} environment=${environment.data} />

@@ -42,7 +42,7 @@ def _chromium() -> str:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """Ended with the module: Playwright's event loop runs in this thread, which others' tests need."""
-    expect.set_options(timeout=5_000)
+    expect.set_options(timeout=20_000)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=_chromium(), args=_FLAGS)
         yield browser
@@ -94,7 +94,7 @@ def make_tab(browser: Browser, stack: Stack) -> Iterator[MakeTab]:
             reduced_motion="reduce",
             bypass_csp=False,
         )
-        context.set_default_timeout(5_000)
+        context.set_default_timeout(20_000)
         tab = Tab(context.new_page(), f"http://127.0.0.1:{port}")
 
         def only_ours(route: Route, request: Request) -> None:

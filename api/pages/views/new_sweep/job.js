@@ -10,13 +10,14 @@ import { JobFields } from "../submit/job.js";
 
 const SOURCES = { example: "An example", job: "Another job", text: "Pasted JSON" };
 
-export function JobPart({ all, draft, setDraft, errors, environments, environment, given, jobs }) {
+/** renew: puts another draft in the place of this one; setDraft changes it. */
+export function JobPart({ all, draft, setDraft, renew, errors, environments, environment, given, jobs }) {
   const change = (next) => setDraft((before) => ({ ...before, job: next(before.job) }));
   const own = errors.filter(({ pointer }) => /^\/job(\/|$)/.test(pointer)).map((error) => ({ ...error, pointer: error.pointer.slice("/job".length) }));
   const [isOpen, setOpen] = useState(false);
   return html`<fieldset class="part"><legend>Job</legend>
     <p><strong>${environmentOf(draft.job)}</strong>${` · ${algorithmOf({ kind: draft.job.kind, spec: draft.job }) || draft.job.kind}`}${draft.job.name ? ` · ${draft.job.name}` : ""}</p>
-    <${Source} draft=${draft} setDraft=${setDraft} given=${given} jobs=${jobs} />
+    <${Source} draft=${draft} renew=${renew} given=${given} jobs=${jobs} />
     ${own.map(({ pointer, detail }) => html`<p class="error" key=${pointer}>${detail}</p>`)}
     <details open=${isOpen || own.length > 0} onToggle=${(event) => setOpen(event.target.open)}>
       <summary>Environment, algorithm and other settings of the job</summary>
@@ -26,7 +27,7 @@ export function JobPart({ all, draft, setDraft, errors, environments, environmen
   </fieldset>`;
 }
 
-function Source({ draft, setDraft, given, jobs }) {
+function Source({ draft, renew, given, jobs }) {
   const [source, setSource] = useState("example");
   const [error, setError] = useState(null);
   const choose = (name) => () => (setSource(name), setError(null));
@@ -34,19 +35,19 @@ function Source({ draft, setDraft, given, jobs }) {
     <div class="tools" role="group" aria-label="Where the job comes from">
       ${Object.entries(SOURCES).map(([name, text]) => html`<button type="button" key=${name} aria-pressed=${name === source} onClick=${choose(name)}>${text}</button>`)}
     </div>
-    ${source === "example" && html`<${FromExample} given=${given} setDraft=${setDraft} />`}
-    ${source === "job" && html`<${FromJob} jobs=${jobs} setDraft=${setDraft} setError=${setError} />`}
-    ${source === "text" && html`<${FromText} draft=${draft} setDraft=${setDraft} setError=${setError} />`}
+    ${source === "example" && html`<${FromExample} given=${given} renew=${renew} />`}
+    ${source === "job" && html`<${FromJob} jobs=${jobs} renew=${renew} setError=${setError} />`}
+    ${source === "text" && html`<${FromText} draft=${draft} renew=${renew} setError=${setError} />`}
     ${error && html`<${Failure} error=${error} />`}
   `;
 }
 
 /** Examples are whole sweeps. */
-function FromExample({ given, setDraft }) {
+function FromExample({ given, renew }) {
   const [name, setName] = useState("");
   const take = ({ target }) => {
     setName(target.value);
-    if (target.value) setDraft(draftOf(given[target.value]));
+    if (target.value) renew(draftOf(given[target.value]));
   };
   return html`<div class="field">
     <label for="example">Example of a sweep</label>
@@ -57,7 +58,7 @@ function FromExample({ given, setDraft }) {
   </div>`;
 }
 
-function FromJob({ jobs, setDraft, setError }) {
+function FromJob({ jobs, renew, setError }) {
   const [id, setId] = useState("");
   const take = async ({ target }) => {
     setId(target.value);
@@ -65,7 +66,7 @@ function FromJob({ jobs, setDraft, setError }) {
     if (!target.value) return;
     try {
       const job = await get(`/jobs/${encodeURIComponent(target.value)}`);
-      setDraft((before) => ({ ...before, job: asWritten(job.spec) }));
+      renew((before) => ({ ...before, job: asWritten(job.spec) }));
     } catch (error) {
       setError(error);
     }
@@ -81,11 +82,11 @@ function FromJob({ jobs, setDraft, setError }) {
   </div>`;
 }
 
-function FromText({ draft, setDraft, setError }) {
+function FromText({ draft, renew, setError }) {
   const [text, setText] = useState("");
   const take = () => {
     try {
-      setDraft(readDraft(text, draft));
+      renew(readDraft(text, draft));
       setError(null);
     } catch (error) {
       setError(error);
