@@ -56,7 +56,7 @@ class WorkerStore(Protocol):
         ...
 
     def list_workers(self, *, cursor: str | None = None, limit: int = 50) -> WorkerPage:
-        """Some of them, ordered by name. cursor: the `next_cursor` of an earlier page; Rejected for any other.
+        """Some of them, ordered by name. cursor: that of an earlier page; Rejected for any other.
 
         A report that this version cannot read counts and is left out, so a page may have fewer than `limit`.
         """
