@@ -12,20 +12,18 @@ const TAKEN = {
   tpe: ["pruning", "seed"],
   pbt: ["population", "seed"],
 };
+const EMPTY = { method: "grid", parameters: {}, objectives: [{}] };
 // A trial's own; a sweep over such a job gives others.
 const OF_TRIALS = ["sweep", "trial"];
 
-/** The draft that an address asks for: a sweep `again`, a `job` as JSON, one to begin `from`, or an `environment`. */
+/** The draft that an address asks for: a sweep `again`, a `job` as JSON, one to begin `from`, or an `environment`. Raises an Error. */
 export async function draftFrom(query) {
   if (query.get("again")) return draftOf((await get(`/sweeps/${encodeURIComponent(query.get("again"))}`)).spec);
   const written = query.get("job");
-  if (written) return draftOver(JSON.parse(written));
+  if (written) return readDraft(written, EMPTY);
   const job = await fromAddress(query);
-  return { ...draftOver(job), ...(query.get("from") && { name: `${title({ name: job.name, kind: job.kind, spec: job })}, swept` }) };
+  return { ...EMPTY, job: asWritten(job), ...(query.get("from") && { name: `${title({ name: job.name, kind: job.kind, spec: job })}, swept` }) };
 }
-
-/** A draft with this job and without axes. */
-export const draftOver = (job) => ({ job: asWritten(job), method: "grid", parameters: {}, objectives: [{}] });
 
 /** The job as the form writes it. */
 export function asWritten({ environment, labels, ...job }) {

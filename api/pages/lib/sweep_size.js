@@ -14,8 +14,14 @@ export function numValues(axis, isFractional) {
   if (!(points >= 1)) return null;
   if (isFractional || ![low, high].every(Number.isInteger) || points === 1) return points;
   // Whole numbers between close bounds come more than once; each counts once.
-  const between = (share) => (log ? low * (high / low) ** share : low + (high - low) * share);
-  return new Set(Array.from({ length: points }, (_, i) => Math.round(between(i / (points - 1))))).size;
+  const between = (share) => (log ? Math.exp((1 - share) * Math.log(low) + share * Math.log(high)) : (1 - share) * low + share * high);
+  return new Set(Array.from({ length: points }, (_, i) => rounded(between(i / (points - 1))))).size;
+}
+
+/** To the nearest whole number, halves to the even one, as the service rounds. */
+function rounded(value) {
+  const up = Math.round(value);
+  return up - value === 0.5 && up % 2 !== 0 ? up - 1 : up;
 }
 
 /** Trials in all, or the most of them; null where that is not known. */

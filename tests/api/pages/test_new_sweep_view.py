@@ -1,4 +1,4 @@
-"""The form that starts a sweep, and the one that resumes an ended sweep."""
+"""The form that starts a sweep."""
 
 import ast
 import json
@@ -6,14 +6,16 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
+from pydantic import JsonValue, TypeAdapter
 
-from core.jobs.status import JobStatus
-from core.reasons import Reason
-from core.sweeps.controller import SweepController
-from tests.api.conftest import Attempt, Stack, job
+from api.page_files import page_files
+from core.sweeps.axes import num_combinations
+from core.sweeps.spec import Axis
+from tests.api.conftest import Stack, job
 from tests.api.pages.conftest import MakeTab, Tab
 
 RATE = "algorithm.learning_rate"
+AXIS: TypeAdapter[Axis] = TypeAdapter(Axis)
 
 
 def add(page: Page, path: str) -> None:
@@ -211,6 +213,31 @@ def test_an_axis_that_the_job_does_not_have_is_said_at_once(tab: Tab) -> None:
     expect(page.get_by_text("The job has no such setting")).to_be_visible()
 
 
+def test_the_page_counts_the_values_of_an_axis_as_the_service_does(tab: Tab) -> None:
+    page = tab.open("#/sweeps/new")
+    axes: list[tuple[JsonValue, bool]] = [
+        (["a", "b", [1, 2]], False),
+        ({"low": 0.1, "high": 0.3, "step": 0.1}, True),
+        ({"low": 5, "high": 21, "step": 5}, False),
+        ({"low": 1e-5, "high": 1e-2, "log": True, "points": 7}, True),
+        ({"low": 1, "high": 4, "points": 9}, False),
+        ({"low": 0, "high": 5, "points": 3}, False),
+        ({"low": 1, "high": 100, "log": True, "points": 20}, False),
+        ({"low": 3, "high": 9, "points": 1}, False),
+    ]
+    counted = page.evaluate(
+        """async ([path, axes]) => {
+            const { numValues } = await import(path);
+            return axes.map(([axis, isFractional]) => numValues(axis, isFractional));
+        }""",
+        [f"/pages/{page_files().version}/lib/sweep_size.js", axes],
+    )
+    of_service = [num_combinations({"a": AXIS.validate_python(axis)}) for axis, _ in axes]
+    # By hand: 0.1, 0.2, 0.3; 5, 10, 15, 20; 1, 2, 3, 4 from nine; 0, 2.5 (to 2) and 5.
+    assert counted[1:3] + counted[4:6] == [3, 4, 4, 3]
+    assert counted == of_service
+
+
 def test_a_form_that_was_begun_goes_on_as_a_sweep_and_the_sweep_as_python(tab: Tab) -> None:
     page = tab.open("#/submit?environment=hopper")
     page.get_by_label("seed", exact=True).fill("7")
@@ -232,71 +259,9 @@ def test_a_form_that_was_begun_goes_on_as_a_sweep_and_the_sweep_as_python(tab: T
     }
 
 
-@pytest.fixture
-def ended(stack: Stack) -> dict[str, Any]:
-    """A sweep of two random trials, which have ended, and so has it."""
-    said = {
-        "name": "two draws",
-        "job": {"kind": "train", "environment": "ant", "algorithm": {"num_timesteps": 1000}},
-        "method": "random",
-        "parameters": {RATE: {"low": 1e-4, "high": 1e-2, "log": True}},
-        "budget": {"jobs": 2, "parallel": 2},
-    }
-    found = stack.http.post("/sweeps", json=said).json()
-    controller = SweepController(stack.store, stack.queue, stack.objects)
-    controller.look()
-    for trial in stack.store.trials([found["id"]])[found["id"]]:
-        Attempt(stack, stack.store.get(trial.job or ""), is_new=False).end(JobStatus.FAILED, Reason.DIVERGED)
-    controller.look()
-    controller.look()
-    return stack.http.get(found["links"]["self"]).json()
-
-
-def test_an_ended_sweep_is_resumed_under_another_budget(
-    stack: Stack, tab: Tab, ended: dict[str, Any]
-) -> None:
-    assert ended["status"] == "succeeded"
-    page = tab.open(f"#/sweeps/{ended['id']}")
-    expect(page.get_by_role("button", name="Cancel")).to_have_count(0)
-    page.get_by_text("Resume under another budget").click()
-    expect(page.get_by_text("2 trials with 0 steps")).to_be_visible()
-    expect(page.get_by_label("jobs", exact=True)).to_have_value("2")
-    page.get_by_role("button", name="Resume", exact=True).click()
-    expect(page.get_by_text("Its budget of jobs is used, so no further trial would start")).to_be_visible()
-    assert tab.violations() == []
-    page.get_by_label("jobs", exact=True).fill("5")
-    page.get_by_label("steps", exact=True).fill("1")
-    page.get_by_role("button", name="Resume", exact=True).click()
-    expect(page.get_by_label("steps", exact=True)).to_have_attribute("aria-invalid", "true")
-    page.get_by_label("steps", exact=True).fill("")
-    page.get_by_role("button", name="Resume", exact=True).click()
-    expect(page.get_by_role("button", name="Cancel")).to_be_visible()
-    expect(page.get_by_text("Resume under another budget")).to_have_count(0)
-    resumed = stack.http.get(ended["links"]["self"]).json()
-    assert (resumed["status"], resumed["spec"]["budget"]["jobs"]) == ("running", 5)
-    # And from there cancelled: nothing of it runs, so that is its end at the next look.
-    page.get_by_role("button", name="Cancel").click()
-    page.get_by_role("button", name="Yes, cancel").click()
-    expect(page.get_by_text("cancelling").first).to_be_visible()
-    SweepController(stack.store, stack.queue, stack.objects).look()
-    expect(page.get_by_text("Resume under another budget")).to_be_visible()
-
-
-def test_a_sweep_like_another_is_written_from_its_page(tab: Tab, ended: dict[str, Any]) -> None:
-    page = tab.open(f"#/sweeps/{ended['id']}")
-    page.get_by_role("link", name="Start one like it").click()
-    expect(page.get_by_role("heading", name="Start a sweep")).to_be_visible()
-    found = document(page)
-    assert found["parameters"] == {RATE: {"low": 1e-4, "high": 1e-2, "log": True}}
-    assert found["budget"] == {"jobs": 2, "parallel": 2}
-    assert found["job"]["algorithm"] == {"num_timesteps": 1000}
-
-
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1200, 380])
-def test_the_form_is_accessible_and_fits(
-    make_tab: MakeTab, ended: dict[str, Any], width: int, dark: bool
-) -> None:
+def test_the_form_is_accessible_and_fits(make_tab: MakeTab, width: int, dark: bool) -> None:
     tab = make_tab(width, dark)
     page = tab.open("#/sweeps/new")
     expect(page.locator("main h1")).to_be_visible()
@@ -315,8 +280,3 @@ def test_the_form_is_accessible_and_fits(
     expect(page.get_by_label("num envs", exact=True)).to_be_visible()
     assert (tab.violations(), tab.overflow()) == ([], 0)
     tab.picture(f"new_sweep-pbt-{width}-{'dark' if dark else 'light'}")
-    page = tab.open(f"#/sweeps/{ended['id']}")
-    page.get_by_text("Resume under another budget").click()
-    expect(page.get_by_label("jobs", exact=True)).to_be_visible()
-    assert (tab.violations(), tab.overflow()) == ([], 0)
-    tab.picture(f"resume-{width}-{'dark' if dark else 'light'}")
