@@ -17,7 +17,7 @@ export function Size({ document, known, environment }) {
     ${trials === null && html`<p class="facts">${UNKNOWN[document.method]}</p>`}
     ${trials > MOST_TRIALS && html`<p class="error">A sweep has ${number(MOST_TRIALS)} trials at most: take fewer values, or random draws.</p>`}
     <ul class="facts">
-      ${each !== null && html`<li>${dependsOnDevice ? "up to " : ""}${number(each)} environment steps each${dependsOnDevice ? ", by the device" : ""}</li>`}
+      ${each !== null && html`<li>${dependsOnDevice ? "up to " : ""}${number(each)} environment steps each${dependsOnDevice ? ", depending on the device" : ""}</li>`}
       ${steps !== null && html`<li>${number(Math.round(steps))} steps in all${isMost ? ", at most" : ""}</li>`}
       ${trials !== null && html`<li>${number(Math.min(parallel, trials))} at the same time</li>`}
     </ul>
