@@ -18,6 +18,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
+from core.jobs.workers import WorkerStore
 from core.user_models.store import ModelStore
 from gaitway.service.embedded.postgres import Postgres
 from tests.contract.recording import (
@@ -141,7 +142,8 @@ def eventually(call: Callable[[], object]) -> object:
 
 
 def test_every_method_of_the_record_is_called_here() -> None:
-    methods = {name for kind in (JobStore, ModelStore) for name in vars(kind) if not name.startswith("_")}
+    kinds = (JobStore, ModelStore, WorkerStore)
+    methods = {name for kind in kinds for name in vars(kind) if not name.startswith("_")}
     assert methods == set(calls(queued_job().claimed("w", queued_job().created_at)))
 
 
