@@ -14,7 +14,7 @@ from api.views import Listing
 from core.algorithms.catalog import ALGORITHMS
 from core.environments.catalog import ENVIRONMENTS
 from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
-from core.jobs.workers import WorkerInfo
+from core.jobs.workers import WORKER_NAME, WorkerInfo
 
 router = APIRouter(tags=["catalog"])
 
@@ -86,7 +86,13 @@ def list_algorithms() -> Listing[AlgorithmView]:
 class ListedWorkers(Parameters):
     """A part of the listing."""
 
-    cursor: str | None = Field(None, max_length=200, description="The `next` of an earlier page.")
+    # The pattern documents; the store's own check gives a better message.
+    cursor: str | None = Field(
+        None,
+        max_length=200,
+        description="The `next` of an earlier page.",
+        json_schema_extra={"pattern": f"^{WORKER_NAME}$"},
+    )
     limit: int = Field(50, ge=1, le=200)
 
 

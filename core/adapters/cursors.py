@@ -5,11 +5,11 @@ from datetime import UTC, datetime, timedelta
 
 from core.errors import JobNotFound, Problem, Rejected
 from core.jobs.job import check_job_id
+from core.jobs.workers import WORKER_NAME
 from core.user_models.record import ModelRecord
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MODEL = re.compile(r"([0-9]{1,17})-(sha256:[0-9a-f]{64})")
-_LONGEST_NAME = 200
 
 
 def check_cursor(cursor: str) -> str:
@@ -35,7 +35,7 @@ def check_model_cursor(cursor: str) -> tuple[datetime, str]:
 
 def check_worker_cursor(cursor: str) -> str:
     """The name of the last worker of a page; raises Rejected if no worker can have this name."""
-    if not 0 < len(cursor) <= _LONGEST_NAME or not cursor.isprintable():
+    if re.fullmatch(WORKER_NAME, cursor) is None:
         raise _refusal()
     return cursor
 

@@ -7,6 +7,8 @@ from typing import Literal, Protocol
 
 from core.documents import Stored
 
+# A worker names itself by its host, its device and a few random digits.
+WORKER_NAME = "[!-~]{1,200}"
 WorkerState = Literal["ready", "testing", "device_failed"]
 
 

@@ -81,7 +81,7 @@ class TestWorkers:
         jobs.withdraw("a")
         assert [one.name for one in jobs.list_workers(cursor=first.next_cursor).workers] == ["b", "c"]
 
-    @pytest.mark.parametrize("cursor", ["", "a\0b", "a\nb", "9" * 300])
+    @pytest.mark.parametrize("cursor", ["", "a\0b", "a b", "ä", "9" * 201])
     def test_what_is_no_workers_name_is_refused(self, jobs: JobStore, cursor: str) -> None:
         with pytest.raises(Rejected, match="not one that this listing gave") as refused:
             jobs.list_workers(cursor=cursor)
