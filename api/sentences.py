@@ -25,10 +25,12 @@ def body_problems(
     should be."""
     found: dict[str, list[str]] = {}
     for error in errors:
-        pointer = _pointer(error, document)
+        place = _place(error, document)
+        pointer = _pointer(error, place)
         if pointer not in found and len(found) == _MAX_PROBLEMS:
             break
-        found.setdefault(pointer, []).append(_sentence(error, _fields_at(error["loc"][:-1], kind)))
+        known = _fields_at(error["loc"][:-1], kind)
+        found.setdefault(pointer, []).append(_sentence({**error, "loc": place}, known))
     return [Problem(pointer, _joined(sentences)) for pointer, sentences in found.items()]
 
 
@@ -58,9 +60,9 @@ def shown(value: Any) -> str:
             return "an array"
 
 
-def _pointer(error: Mapping[str, Any], document: Any) -> str:
+def _place(error: Mapping[str, Any], document: Any) -> Location:
     """The error's place in the client's document, without pydantic's union tags and key marks."""
-    pointer, here = "", document
+    place, here = list[int | str](), document
     last = len(error["loc"]) - 1
     for position, part in enumerate(error["loc"]):
         if isinstance(here, dict) and part in here:
@@ -69,7 +71,12 @@ def _pointer(error: Mapping[str, Any], document: Any) -> str:
             here = cast("list[Any]", here)[part]
         elif position < last or error["type"] != "missing":
             continue
-        pointer += f"/{_escaped(part)}"
+        place.append(part)
+    return tuple(place)
+
+
+def _pointer(error: Mapping[str, Any], place: Location) -> str:
+    pointer = "".join(f"/{_escaped(part)}" for part in place)
     if error["type"].startswith("union_tag"):
         pointer += f"/{_discriminator(error)}"
     return pointer
@@ -90,6 +97,11 @@ def _sentence(error: Mapping[str, Any], known: Sequence[str]) -> str:
             tags = [tag.strip(" '") for tag in error["ctx"]["expected_tags"].split(",")]
             tag = str(error["ctx"]["tag"])
             return f"`{_discriminator(error)}` is {shown(tag)}{_hint(tag, tags)}"
+        case "too_short":
+            least, items = error["ctx"]["min_length"], error["ctx"]["actual_length"]
+            return (
+                f"`{name}` needs at least {least} item{'' if least == 1 else 's'}, and has {items or 'none'}."
+            )
         case "string_pattern_mismatch":
             return f"`{name}` must match {error['ctx']['pattern']}, not be {shown(error['input'])}."
         case _:

@@ -215,8 +215,8 @@ class AsyncClient:
     async def model(self, model_id: str) -> ModelView:
         return await self._transport.do(self._calls.model(model_id))
 
-    async def models(self) -> Sequence[ModelView]:
-        return await self._transport.do(self._calls.models())
+    def models(self, *, limit: int | None = None) -> AsyncIterator[ModelView]:
+        return self._transport.each(self._calls.models(limit))
 
     async def delete_model(self, model_id: str) -> None:
         await self._transport.do(self._calls.delete_model(model_id))
@@ -247,8 +247,8 @@ class AsyncClient:
     ) -> EnvironmentView:
         return await self._transport.do(self._calls.environment(environment, options))
 
-    async def workers(self) -> Sequence[WorkerView]:
-        return await self._transport.do(self._calls.workers())
+    def workers(self, *, limit: int | None = None) -> AsyncIterator[WorkerView]:
+        return self._transport.each(self._calls.workers(limit))
 
     async def health(self) -> Mapping[str, Any]:
         return await self._transport.do(self._calls.health())

@@ -100,13 +100,7 @@ class Calls:
         return self._sweep("GET", _sweep_path(sweep_id))
 
     def sweeps(self, limit: int | None, status: str | None) -> Feed:
-        return _paged(limit, lambda cursor, number: self._page_of_sweeps(cursor, number, status))
-
-    def _page_of_sweeps(self, cursor: str | None, limit: int, status: str | None) -> Call[Page[SweepView]]:
-        params = {"limit": limit, "status": status, "cursor": cursor}
-        asked = {name: value for name, value in params.items() if value is not None}
-        answer = yield from self._ask("GET", "/sweeps", params=asked)
-        return Page[SweepView].model_validate_json(answer.content)
+        return self._all("/sweeps", SweepView, limit, {"status": status} if status is not None else {})
 
     def cancel_sweep(self, sweep_id: str) -> Call[SweepView]:
         return self._sweep("POST", _sweep_path(sweep_id, "cancel"))
@@ -290,8 +284,8 @@ class Calls:
         response = yield from self._ask("GET", f"/models/{quote(model_id, safe=':')}")
         return ModelView.model_validate_json(response.content)
 
-    def models(self) -> Call[Sequence[ModelView]]:
-        return self._items("/models", ModelView)
+    def models(self, limit: int | None) -> Feed:
+        return self._all("/models", ModelView, limit)
 
     def delete_model(self, model_id: str) -> Call[None]:
         yield from self._ask("DELETE", f"/models/{quote(model_id, safe=':')}")
@@ -332,8 +326,8 @@ class Calls:
         answer = yield from self._ask("GET", f"/environments/{quote(environment)}", params=asked)
         return EnvironmentView.model_validate_json(answer.content)
 
-    def workers(self) -> Call[Sequence[WorkerView]]:
-        return self._items("/workers", WorkerView)
+    def workers(self, limit: int | None) -> Feed:
+        return self._all("/workers", WorkerView, limit)
 
     def health(self) -> Call[Mapping[str, Any]]:
         return (yield from self._ask("GET", "/readyz")).json()
@@ -348,6 +342,19 @@ class Calls:
     def _items(self, path: str, view: type[AnyView]) -> Call[Sequence[AnyView]]:
         answer = yield from self._ask("GET", path)
         return [view.model_validate(item) for item in answer.json()["items"]]
+
+    def _all(
+        self, path: str, view: type[AnyView], limit: int | None, filters: Mapping[str, Any] | None = None
+    ) -> Feed:
+        """The items of a listing, page by page, at most `limit`."""
+
+        def page(cursor: str | None, number: int) -> Call[Page[AnyView]]:
+            asked = {**(filters or {}), "limit": number} | ({"cursor": cursor} if cursor else {})
+            answer = yield from self._ask("GET", path, params=asked)
+            found = answer.json()
+            return Page(items=[view.model_validate(item) for item in found["items"]], next=found.get("next"))
+
+        return _paged(limit, page)
 
     def _has_ended(self, job_id: str) -> Call[bool]:
         return (yield from self.get(job_id)).is_final

@@ -303,9 +303,9 @@ class Client:
         """A model with its contents."""
         return self._transport.do(self._calls.model(model_id))
 
-    def models(self) -> Sequence[ModelView]:
-        """All models."""
-        return self._transport.do(self._calls.models())
+    def models(self, *, limit: int | None = None) -> Iterator[ModelView]:
+        """Models, the last sent first, fetched page by page as needed; at most `limit`."""
+        return self._transport.each(self._calls.models(limit))
 
     def delete_model(self, model_id: str) -> None:
         """Remove a model. Raises Conflict while an unfinished job needs it."""
@@ -346,9 +346,9 @@ class Client:
         """
         return self._transport.do(self._calls.environment(environment, options))
 
-    def workers(self) -> Sequence[WorkerView]:
-        """The workers that have sent a heartbeat lately."""
-        return self._transport.do(self._calls.workers())
+    def workers(self, *, limit: int | None = None) -> Iterator[WorkerView]:
+        """The workers that have sent a heartbeat lately, by name; at most `limit`."""
+        return self._transport.each(self._calls.workers(limit))
 
     def health(self) -> Mapping[str, Any]:
         """The service's readiness. Raises Unavailable when a part of it is unavailable."""

@@ -29,7 +29,8 @@ from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.jobs.job import utc_now
 from core.jobs.needs import packages_here
 from core.jobs.queue import queue_names
-from core.jobs.store import JobStore, WorkerInfo
+from core.jobs.store import JobStore
+from core.jobs.workers import WorkerInfo
 from core.settings import WorkerSettings
 from core.telemetry import configure_logging
 from core.variables import variable

@@ -16,8 +16,9 @@ from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cohort import companions
 from core.jobs.job import Job
 from core.jobs.needs import kind_of, packages_here
-from core.jobs.store import JobStore, WorkerInfo
+from core.jobs.store import JobStore
 from core.jobs.waiting import why_left_to_others
+from core.jobs.workers import WorkerInfo
 from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings

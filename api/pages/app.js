@@ -6,23 +6,23 @@ import { href, useRoute } from "./lib/route.js";
 import { applyTheme, toggleTheme, useDark } from "./lib/theme.js";
 import { Failure } from "./parts/states.js";
 
-// Each view is loaded when it is first shown.
+// The module of each view, which is loaded when it is first shown.
 const VIEWS = {
-  jobs: ({ path }) => (path.length ? import("./views/job.js") : import("./views/jobs.js")),
-  compare: () => import("./views/compare.js"),
-  sweeps: ({ path }) => (path.length ? import("./views/sweep.js") : import("./views/sweeps.js")),
-  submit: () => import("./views/submit.js"),
-  models: () => import("./views/models.js"),
-  workers: () => import("./views/workers.js"),
+  jobs: ([id]) => (id ? "job" : "jobs"),
+  compare: () => "compare",
+  sweeps: ([id]) => (id === "new" ? "new_sweep" : id ? "sweep" : "sweeps"),
+  submit: () => "submit",
+  models: () => "models",
+  workers: () => "workers",
 };
 const NAMES = { jobs: "Jobs", sweeps: "Sweeps", submit: "Submit", models: "Models", workers: "Workers" };
 
 function useView(name, path) {
   const [view, setView] = useState({});
-  const key = `${name}/${path.length > 0}`;
+  const key = VIEWS[name](path);
   useEffect(() => {
     let isWanted = true;
-    VIEWS[name]({ path }).then(
+    import(`./views/${key}.js`).then(
       (module) => isWanted && setView({ key, Component: module.default }),
       (error) => isWanted && setView({ key, error }),
     );

@@ -4,15 +4,17 @@ import inspect
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
+from pydantic import Field
 
-from api.dependencies import ServiceDep
+from api.dependencies import Parameters, ServiceDep
+from api.environment_views import AlgorithmView, EnvironmentDetails, EnvironmentView
 from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
 from api.problems import refusals
-from api.views import AlgorithmView, EnvironmentDetails, EnvironmentView, Listing
+from api.views import Listing
 from core.algorithms.catalog import ALGORITHMS
 from core.environments.catalog import ENVIRONMENTS
 from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WORKER_NAME, WorkerInfo
 
 router = APIRouter(tags=["catalog"])
 
@@ -81,7 +83,21 @@ def list_algorithms() -> Listing[AlgorithmView]:
     )
 
 
-@router.get("/workers", responses=refusals(RecordsUnavailable))
-def list_workers(service: ServiceDep) -> Listing[WorkerInfo]:
-    """The workers that have sent a heartbeat lately."""
-    return Listing[WorkerInfo](items=service.store.workers())
+class ListedWorkers(Parameters):
+    """A part of the listing."""
+
+    # The pattern documents; the store's own check gives a better message.
+    cursor: str | None = Field(
+        None,
+        max_length=200,
+        description="The `next` of an earlier page.",
+        json_schema_extra={"pattern": f"^{WORKER_NAME}$"},
+    )
+    limit: int = Field(50, ge=1, le=200)
+
+
+@router.get("/workers", responses=refusals(Rejected, RecordsUnavailable))
+def list_workers(listed: Annotated[ListedWorkers, Query()], service: ServiceDep) -> Listing[WorkerInfo]:
+    """The workers that have sent a heartbeat lately, by name."""
+    page = service.store.list_workers(cursor=listed.cursor, limit=listed.limit)
+    return Listing[WorkerInfo](items=page.workers, next=page.next_cursor)

@@ -30,8 +30,9 @@ from core.jobs.deletion import delete
 from core.jobs.job import JOB_ID, Job, UnreadableJob
 from core.jobs.spec import JobKind, Text
 from core.jobs.status import JobStatus
-from core.jobs.store import JobQuery, WorkerInfo
+from core.jobs.store import JobQuery
 from core.jobs.submission import submit
+from core.jobs.workers import WorkerInfo
 
 router = APIRouter(tags=["jobs"])
 

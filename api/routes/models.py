@@ -1,21 +1,20 @@
 """Users' own models: upload one, see its contents, delete it."""
 
 import time
-from collections.abc import Sequence
 from datetime import datetime
 from typing import Annotated, Any, Self
 
 from anyio import sleep
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
-from api.dependencies import Service, ServiceDep
+from api.dependencies import Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, TooManyModels, UnsupportedMediaType
 from api.problems import refusals
 from api.uploads import Upload, receiving
 from api.views import Listing, View
-from core.errors import BadModel, ModelInUse, ModelNotFound, RecordsUnavailable, StorageUnavailable
+from core.errors import BadModel, ModelInUse, ModelNotFound, RecordsUnavailable, Rejected, StorageUnavailable
 from core.jobs.model_removal import remove_model
 from core.user_models import library
 from core.user_models.record import Description, ModelRecord, ModelStatus
@@ -46,6 +45,19 @@ _BODY: dict[str, Any] = {
 ModelId = Annotated[
     str, Path(description="The id that `POST /models` returned.", examples=["sha256:9f86d08188…"])
 ]
+
+
+class Listed(Parameters):
+    """A part of the listing."""
+
+    # The pattern documents; the store's own check gives a better message.
+    cursor: str | None = Field(
+        None,
+        max_length=100,
+        description="The `next` of an earlier page.",
+        json_schema_extra={"pattern": "^[0-9]{1,17}-sha256:[0-9a-f]{64}$"},
+    )
+    limit: int = Field(50, ge=1, le=200)
 
 
 class ModelView(View):
@@ -122,11 +134,12 @@ async def add_model(
     return ModelView.of(record)
 
 
-@router.get("/models", responses=refusals(RecordsUnavailable))
-def list_models(service: ServiceDep) -> Listing[ModelView]:
-    """All models."""
-    items: Sequence[ModelView] = [ModelView.of(record) for record in service.store.models()]
-    return Listing[ModelView](items=items)
+@router.get("/models", responses=refusals(Rejected, RecordsUnavailable))
+def list_models(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listing[ModelView]:
+    """Models, the last sent first."""
+    page = service.store.list_models(cursor=listed.cursor, limit=listed.limit)
+    items = [ModelView.of(record) for record in page.models]
+    return Listing[ModelView](items=items, next=page.next_cursor)
 
 
 @router.get("/models/{model_id}", responses=refusals(ModelNotFound, RecordsUnavailable))

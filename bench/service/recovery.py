@@ -67,7 +67,7 @@ def measure(options: Options) -> Result:
 
 def _lost_worker(stack: Stack) -> Row:
     with Client(stack.url) as client:
-        until(lambda: len(client.workers()) >= 2)
+        until(lambda: len(list(client.workers())) >= 2)
         job = client.submit(
             environment="ant",
             algorithm={"kind": "ppo", "num_timesteps": 100_000_000},
@@ -89,8 +89,7 @@ def _lost_worker(stack: Stack) -> Row:
 
 
 def _pids_with(client: Client, job_id: str) -> list[int]:
-    workers = client.workers()
-    return [worker.pid for worker in workers if worker.job == job_id and worker.pid is not None]
+    return [worker.pid for worker in client.workers() if worker.job == job_id and worker.pid is not None]
 
 
 def _until_it_trains(client: Client, job_id: str, since: float) -> Iterator[Event]:

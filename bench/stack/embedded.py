@@ -81,13 +81,10 @@ def _wait_ready(stack: Stack, launcher: subprocess.Popen[bytes], workers: int, l
         if launcher.poll() is not None:
             break
         with suppress(httpx.HTTPError):
-            ready = httpx.get(f"{stack.url}/readyz", timeout=2, trust_env=False).is_success
-            if (
-                ready
-                and len(httpx.get(f"{stack.url}/workers", timeout=2, trust_env=False).json()["items"])
-                >= workers
-            ):
-                return
+            if httpx.get(f"{stack.url}/readyz", timeout=2, trust_env=False).is_success:
+                there = httpx.get(f"{stack.url}/workers?limit=200", timeout=2, trust_env=False)
+                if len(there.json()["items"]) >= workers:
+                    return
         time.sleep(0.1)
     last = log.read_text(errors="replace")[-2000:]
     raise RuntimeError(f"The stack was not ready within {_START_S:.0f} s; it said:\n{last}")

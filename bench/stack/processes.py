@@ -71,7 +71,7 @@ def _wait_ready(url: str, workers: int, processes: dict[str, ServerProcess]) -> 
             process.check()
         with suppress(httpx.HTTPError):
             if httpx.get(f"{url}/readyz", timeout=2, trust_env=False).is_success:
-                there = httpx.get(f"{url}/workers", timeout=2, trust_env=False).json()["items"]
+                there = httpx.get(f"{url}/workers?limit=200", timeout=2, trust_env=False).json()["items"]
                 if len(there) >= workers:
                     return
         time.sleep(0.1)

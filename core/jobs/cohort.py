@@ -16,8 +16,9 @@ from core.jobs.needs import memory_for
 from core.jobs.own_model import model_of
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
-from core.jobs.store import JobQuery, JobStore, WorkerInfo
+from core.jobs.store import JobQuery, JobStore
 from core.jobs.waiting import fitting
+from core.jobs.workers import WorkerInfo
 
 # The label that a sweep's trials share.
 SWEEP = "sweep"

@@ -1,4 +1,4 @@
-"""The interface of the record: jobs, their feeds, leases and dispatches, and the workers."""
+"""The interface of the record: jobs, their feeds, leases and dispatches."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from core.errors import Problem, Rejected
 from core.jobs.job import Job, Progress, UnreadableJob
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
+from core.jobs.workers import WorkerStore
 from core.user_models.store import ModelStore
 
 Channel = Literal["events", "logs"]
-WorkerState = Literal["ready", "testing", "device_failed"]
 _LONGEST_ID = 18
 ENTRY_ID = f"[0-9]{{0,{_LONGEST_ID}}}"
 
@@ -41,28 +41,6 @@ def entry_number(entry_id: str) -> int:
         sentence = f"{entry_id[:64]!r} is not the id of an entry of this feed."
         raise Rejected(sentence, [Problem("/after", sentence)])
     return int(entry_id)
-
-
-class WorkerInfo(Stored):
-    """A worker's report on itself, which it sends at every heartbeat.
-
-    state: a `ready` worker takes jobs or has one; it takes none while it tests its device, or after that has
-    failed a test. problem: a sentence on that failure. memory_bytes: of each of its devices, where known.
-    packages: the optional packages that it has; null if a worker of an older version did not report them.
-    """
-
-    name: str
-    host: str
-    pid: int
-    device: str
-    queues: tuple[str, ...] = ()
-    job: str | None = None
-    state: WorkerState = "ready"
-    problem: str | None = None
-    memory_bytes: int | None = None
-    packages: tuple[str, ...] | None = None
-    started_at: datetime
-    seen_at: datetime
 
 
 class JobQuery(Stored):
@@ -138,7 +116,7 @@ class Mark:
     num_logs: int
 
 
-class JobStore(ModelStore, Protocol):
+class JobStore(ModelStore, WorkerStore, Protocol):
     """The record. Every method raises RecordsUnavailable when the store cannot be reached.
 
     Each write is one transaction. `save` is a compare-and-set on the version; `renew` and `record` carry an
@@ -299,14 +277,6 @@ class JobStore(ModelStore, Protocol):
     def replace_chunk(self, job_id: str, lost: Chunk, found: Chunk) -> None:
         """Replace the object of the same entries; does nothing if that was done already."""
         ...
-
-    def announce(self, worker: WorkerInfo, ttl: timedelta) -> None: ...
-
-    def withdraw(self, name: str) -> None:
-        """Forget a worker that has gone."""
-        ...
-
-    def workers(self) -> Sequence[WorkerInfo]: ...
 
     def tidy(self) -> None:
         """Forget expired idempotency keys and workers."""

@@ -8,7 +8,7 @@ from core.jobs.job import Job
 from core.jobs.needs import how_to_install, kind_of, memory_for, packages_for
 from core.jobs.queue import queue_name
 from core.jobs.status import JobStatus
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 
 
 def what_it_waits_for(job: Job, workers: Sequence[WorkerInfo]) -> str | None:

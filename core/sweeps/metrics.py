@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from functools import cache
 from importlib.resources import files
 
@@ -25,23 +25,33 @@ _OF_ALGORITHMS = {
 }
 
 
+def metrics_of(environment: str, algorithm: str | None) -> Set[str]:
+    """The metrics that a job on the environment reports. algorithm: None for a rollout.
+
+    Where an environment's terms depend on its options, they are not among them.
+    """
+    if algorithm is None:
+        return _ROLLOUT
+    terms = _terms().get(environment)
+    known = _EVALUATION | _TRAINING | {f"training/{name}" for name in _OF_ALGORITHMS.get(algorithm, ())}
+    known |= {f"eval/episode_{name}" for name in terms or ()}
+    if terms is not None and "x_velocity" not in terms:
+        known.discard("eval/forward_speed")
+    return known
+
+
 def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
     """Why the job does not report this metric, as a sentence; None if it does, or may.
 
     An environment whose terms depend on its options is not in the table: any term of an episode passes.
     """
-    own = _terms().get(spec.environment.id)
-    known = set(_ROLLOUT)
-    if not isinstance(spec, RolloutSpec):
-        if metric.startswith("eval/") and spec.algorithm.num_evals == 0:
-            return f"The job makes no evaluations (its `num_evals` is 0), so it reports no metric {metric!r}."
-        algorithm = spec.algorithm.algorithm()
-        known = _EVALUATION | _TRAINING | {f"training/{name}" for name in _OF_ALGORITHMS.get(algorithm, ())}
-        known |= {f"eval/episode_{name}" for name in own or ()}
-        if own is not None and "x_velocity" not in own:
-            known.discard("eval/forward_speed")
-        if metric.startswith("eval/episode_") and own is None:
-            return None
+    if not isinstance(spec, RolloutSpec) and spec.algorithm.num_evals == 0 and metric.startswith("eval/"):
+        return f"The job makes no evaluations (its `num_evals` is 0), so it reports no metric {metric!r}."
+    algorithm = None if isinstance(spec, RolloutSpec) else spec.algorithm.algorithm()
+    known = metrics_of(spec.environment.id, algorithm)
+    is_open = algorithm is not None and spec.environment.id not in _terms()
+    if is_open and metric.startswith("eval/episode_"):
+        return None
     if metric in known:
         return None
     near = difflib.get_close_matches(metric, sorted(known), n=1, cutoff=0.6) or ["eval/episode_reward"]

@@ -1,8 +1,8 @@
 """The specification of a sweep: a job, the axes along which its settings vary, and when to stop."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, JsonValue, TypeAdapter, model_validator
+from pydantic import Discriminator, Field, JsonValue, Tag, TypeAdapter, model_validator
 
 from core.documents import Strict
 from core.jobs.spec import LabelName, Seed, SentSpec, Text
@@ -44,8 +44,16 @@ class Range(Strict):
         return all(isinstance(one, int) for one in (self.low, self.high, self.step or 0))
 
 
+def _form(value: Any) -> str:
+    """Which of two forms was meant, so that a refusal speaks of that one alone."""
+    return "list" if isinstance(value, list) else "object"
+
+
 Choices = Annotated[list[JsonValue], Field(min_length=1, max_length=MAX_TRIALS)]
-Axis = Choices | Range
+Axis = Annotated[
+    Annotated[Choices, Tag("list")] | Annotated[Range, Tag("object")],
+    Discriminator(_form),
+]
 AxisName = Annotated[str, Field(min_length=1, max_length=200, examples=["algorithm.learning_rate"])]
 
 
@@ -180,7 +188,11 @@ class SweepSpec(Strict):
         max_length=64,
         description="Values, or a range, by the field's path in the job, such as `algorithm.learning_rate`.",
     )
-    objective: Objective | Annotated[list[Objective], Field(min_length=1, max_length=4)] = Objective()
+    objective: Annotated[
+        Annotated[list[Objective], Field(min_length=1, max_length=4), Tag("list")]
+        | Annotated[Objective, Tag("object")],
+        Discriminator(_form),
+    ] = Objective()
     budget: Budget = Budget()
     pruning: Pruning | None = None
     population: Population | None = Field(default=None, description="For the method `pbt`.")

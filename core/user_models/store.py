@@ -1,9 +1,18 @@
 """The interface of the records of users' own models."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from core.user_models.record import ModelRecord
+
+
+@dataclass(frozen=True)
+class ModelPage:
+    """Some models, newest first, and the cursor of the next page; None at the end."""
+
+    models: Sequence[ModelRecord]
+    next_cursor: str | None
 
 
 class ModelStore(Protocol):
@@ -35,4 +44,11 @@ class ModelStore(Protocol):
 
     def models(self) -> Sequence[ModelRecord]:
         """All models, ordered by id."""
+        ...
+
+    def list_models(self, *, cursor: str | None = None, limit: int = 50) -> ModelPage:
+        """Some of them, the last sent first. cursor: the `next_cursor` of an earlier page.
+
+        Raises Rejected for any other.
+        """
         ...

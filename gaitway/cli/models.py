@@ -26,9 +26,13 @@ def add(
 
 
 @models.command("list")
-def list_all(context: typer.Context, as_json: AsJson = False) -> None:
-    """List all models."""
-    found = list(client_of(context).models())
+def list_all(
+    context: typer.Context,
+    limit: Annotated[int | None, typer.Option("--limit", "-n", min=1, help="By default, all.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List models, the last sent first."""
+    found = list(client_of(context).models(limit=limit))
     if as_json:
         print_json(found)
         return

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from core.jobs.queue import queue_names
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from tests.api.conftest import NOON, Stack
 from tests.api.problems import pointers, problem
 

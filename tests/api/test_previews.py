@@ -13,7 +13,7 @@ import pytest
 
 from api.routes import previews as route
 from core.jobs.queue import queue_names
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from core.previews import library
 from core.previews.record import PreviewRequest
 from core.rendering.request import RenderFailure

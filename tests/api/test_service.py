@@ -30,7 +30,7 @@ from core.jobs.attempts import claim_attempt, new_secret
 from core.jobs.job import Artifact
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.settings import ApiSettings, StoreSettings, WorkerSettings
 from core.storage import keys
@@ -145,6 +145,7 @@ def test_the_environments_of_a_package_are_listed_by_themselves(stack: Stack) ->
         }
     ]
     assert cheetah.pop("action")[0]["size"] == 6
+    assert "eval/episode_reward" in cheetah.pop("metrics")["sac"]
     assert cheetah in listed
     assert (cheetah["observation_size"], cheetah["tuned"]["ppo"]["gpu"]["num_envs"]) == (17, 2048)
     assert stack.http.get("/environments/brax%2Fant").json()["options"]["properties"]["backend"]
@@ -198,10 +199,10 @@ def test_every_code_belongs_to_one_error() -> None:
 
 
 def test_a_defect_is_answered_without_its_internals(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
-    def defect() -> None:
+    def defect(**_: object) -> None:
         raise ZeroDivisionError("secret internals")
 
-    monkeypatch.setattr(stack.store, "workers", defect)
+    monkeypatch.setattr(stack.store, "list_workers", defect)
     answer = stack.http.get("/workers", headers={"X-Request-ID": "mine-1"})
     assert problem(answer, 500, "unexpected-error")["correlation_id"] == "mine-1"
     assert answer.headers["X-Request-ID"] == "mine-1"

@@ -5,7 +5,7 @@ from datetime import timedelta
 import pytest
 
 from core.jobs.queue import queue_names
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from tests.api.conftest import NOON, Stack
 
 _SENTENCE = "No worker has exactly 4 GPUs: the workers here have cpu."

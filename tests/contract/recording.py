@@ -12,7 +12,8 @@ import psycopg
 from core.jobs.job import Artifact, Job, new_job_id
 from core.jobs.spec import JOB_SPEC
 from core.jobs.status import JobStatus
-from core.jobs.store import Chunk, Entry, JobStore, WorkerInfo
+from core.jobs.store import Chunk, Entry, JobStore
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.user_models.record import ModelRecord
 

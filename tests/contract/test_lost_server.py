@@ -18,6 +18,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsRefuse, RecordsUnavailable
 from core.jobs.job import Job
 from core.jobs.store import Chunk, Dispatch, Idempotency, JobQuery, JobStore
+from core.jobs.workers import WorkerStore
 from core.user_models.store import ModelStore
 from gaitway.service.embedded.postgres import Postgres
 from tests.contract.recording import (
@@ -72,6 +73,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "announce": lambda jobs: jobs.announce(worker("a"), LEASE),
         "withdraw": lambda jobs: jobs.withdraw("a"),
         "workers": lambda jobs: jobs.workers(),
+        "list_workers": lambda jobs: jobs.list_workers(),
         "tidy": lambda jobs: jobs.tidy(),
         "ping": lambda jobs: jobs.ping(),
         "find_model": lambda jobs: jobs.find_model(MODEL),
@@ -81,6 +83,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "delete_model": lambda jobs: jobs.delete_model(MODEL),
         "num_waiting_models": lambda jobs: jobs.num_waiting_models(),
         "models": lambda jobs: jobs.models(),
+        "list_models": lambda jobs: jobs.list_models(),
     }
 
 
@@ -139,7 +142,8 @@ def eventually(call: Callable[[], object]) -> object:
 
 
 def test_every_method_of_the_record_is_called_here() -> None:
-    methods = {name for kind in (JobStore, ModelStore) for name in vars(kind) if not name.startswith("_")}
+    kinds = (JobStore, ModelStore, WorkerStore)
+    methods = {name for kind in kinds for name in vars(kind) if not name.startswith("_")}
     assert methods == set(calls(queued_job().claimed("w", queued_job().created_at)))
 
 

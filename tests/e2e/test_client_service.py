@@ -246,6 +246,7 @@ def test_the_cli_brings_a_body_and_shows_what_is_in_it(stack: Stack, tmp_path: P
         assert said in added
     assert gaitway(stack, "models", "show", model).stdout == added
     assert model in gaitway(stack, "models", "list").stdout
+    assert model in gaitway(stack, "models", "list", "--limit", "1").stdout
     assert model in gaitway(stack, "models", "delete", model).stdout
     assert gaitway(stack, "models", "list").stdout == "No models.\n"
 

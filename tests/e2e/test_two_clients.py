@@ -52,7 +52,7 @@ class Either:
         portal = self._portal
         if portal is None:
             return method
-        if name in ("list", "events", "logs", "sweeps"):
+        if name in ("list", "events", "logs", "sweeps", "models", "workers"):
             return lambda *args, **more: _items(method(*args, **more), portal)
 
         async def call(args: tuple[Any, ...], more: dict[str, Any]) -> Any:
@@ -188,7 +188,7 @@ def _bodies(stack: Stack, client: Either, folder: Path) -> None:
     file.write_bytes(XML)
     with validating_worker(stack, status="ready", description=DESCRIPTION):
         model = client.add_model(file)
-    assert client.model(model.id) == client.models()[0]
+    assert client.model(model.id) == next(client.models())
     client.delete_model(model.id)
     assert list(client.models()) == []
     with drawing_worker(stack):

@@ -16,7 +16,7 @@ from core.jobs.job import utc_now
 from core.jobs.queue import queue_names
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from core.settings import WorkerSettings
 from tests.faults.bench import wait_until
 from tests.faults.outages import submitted

@@ -15,7 +15,7 @@ from pathlib import Path
 import structlog
 
 from core.devices import gpu_indices
-from core.jobs.store import WorkerState
+from core.jobs.workers import WorkerState
 from core.reasons import Reason
 from core.retry import CalledOff, pause
 from worker.host.child import environment, kill, launch, tail

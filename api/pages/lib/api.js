@@ -47,6 +47,20 @@ export async function get(path, query = {}, { signal, maxAge } = {}) {
   return (await send(withQuery(path, query), { signal, maxAge })).json();
 }
 
+const MOST = 200; // Items a page, as the service allows.
+
+/** Every item of a listing, page after page. */
+export async function everyItem(path, options) {
+  const items = [];
+  let cursor = null;
+  do {
+    const page = await get(path, { cursor, limit: MOST }, options);
+    items.push(...page.items);
+    cursor = page.next;
+  } while (cursor);
+  return items;
+}
+
 /** The answer's document, or null if it has none. */
 export async function post(path, document) {
   const body = document === undefined ? undefined : JSON.stringify(document);

@@ -4,17 +4,17 @@ import { get } from "./api.js";
 
 let document;
 
-/** The schemas of the OpenAPI document, asked for once. */
-export async function schemas() {
-  document ??= get("/openapi.json").then(
-    (found) => found.components.schemas,
-    (error) => {
-      document = undefined;
-      throw error;
-    },
-  );
+/** The OpenAPI document, asked for once. */
+export async function openapi() {
+  document ??= get("/openapi.json").catch((error) => {
+    document = undefined;
+    throw error;
+  });
   return document;
 }
+
+/** Its schemas by name. */
+export const schemas = async () => (await openapi()).components.schemas;
 
 /** What a reference stands for; other members of the schema (a default, a description) take precedence. */
 export function resolve(schema, all) {

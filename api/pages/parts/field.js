@@ -8,8 +8,9 @@ const NULL = "null";
 
 /**
  * @param {{all: object, document: object, set: (path: string[], value: any) => void, errors: object[],
- *   path: string[], schema: object, planned?: any, isOpen?: boolean}} field
+ *   path: string[], schema: object, planned?: any, isOpen?: boolean, none?: string, suggestions?: string[]}} field
  *   planned: the value that the service takes if none is said; by default the schema's.
+ *   none: what it means to choose no form. suggestions: some values; others may be typed.
  */
 export function Field(field) {
   const { all, path, schema: given } = field;
@@ -65,7 +66,7 @@ function Choice(field) {
   return html`<div class="field wide">
     <label for=${id}>${words(name)}</label>
     <select id=${id} value=${chosen} onChange=${choose}>
-      ${isNullable && html`<option value="">by default</option>`}
+      ${isNullable && html`<option value="">${field.none || "by default"}</option>`}
       ${Object.keys(forms).map((form) => html`<option value=${form}>${form}</option>`)}
     </select>
     ${schema.description && html`<p class="facts">${schema.description}</p>`}
@@ -85,7 +86,7 @@ function Input(field) {
     <label for=${id}>${words(name)}</label>
     ${schema.enum || schema.type === "boolean"
       ? html`<${Select} common=${common} said=${said} planned=${planned} options=${schema.enum || [true, false]} onChange=${(value) => set(path, value)} />`
-      : html`<${Text} common=${common} said=${said} planned=${planned} schema=${schema} isNullable=${isNullable} onChange=${(value) => set(path, value)} />`}
+      : html`<${Text} common=${common} said=${said} planned=${planned} schema=${schema} isNullable=${isNullable} suggestions=${field.suggestions} onChange=${(value) => set(path, value)} />`}
     ${schema.description && html`<p class="facts" id="${id}-about">${schema.description}</p>`}
     ${wrong.length > 0 && html`<p class="error" id="${id}-error">${wrong.map(({ detail }) => detail).join(" ")}</p>`}
   </div>`;
@@ -103,7 +104,7 @@ function Select({ common, said, planned, options, onChange }) {
 }
 
 /** Text for a number, a word, a list or an object; what cannot be read stays text, and the service says why. */
-function Text({ common, said, planned, schema, isNullable, onChange }) {
+function Text({ common, said, planned, schema, isNullable, suggestions, onChange }) {
   const [typed, setTyped] = useState(null); // What was typed while it is being typed.
   const isText = schema.type === "string";
   const shown = typed ?? (said === undefined ? "" : isText && said !== null ? said : JSON.stringify(said));
@@ -112,9 +113,11 @@ function Text({ common, said, planned, schema, isNullable, onChange }) {
     onChange(read(target.value, isText, isNullable));
   };
   const isNumber = schema.type === "integer" || schema.type === "number";
-  return html`<input ...${common} type="text" inputmode=${isNumber ? "decimal" : undefined} value=${shown}
+  const list = suggestions?.length ? `${common.id}-list` : undefined;
+  return html`<input ...${common} type="text" list=${list} inputmode=${isNumber ? "decimal" : undefined} value=${shown}
     placeholder=${planned === undefined || planned === null ? example(schema) : isText ? planned : JSON.stringify(planned)}
-    onInput=${type} onBlur=${() => setTyped(null)} />`;
+    onInput=${type} onBlur=${() => setTyped(null)} />
+    ${list && html`<datalist id=${list}>${suggestions.map((one) => html`<option key=${one} value=${one}></option>`)}</datalist>`}`;
 }
 
 function read(text, isText, isNullable) {

@@ -63,6 +63,7 @@ function Head({ job, again }) {
       <h1>${title(job)}</h1>
       <div class="actions">
         <a class="button" href=${href(["submit"], { from: job.id })}>Run again</a>
+        <a class="button" href=${href(["sweeps", "new"], { from: job.id })}>Sweep over these settings</a>
         <a class="button" href=${job.links.report} target="_blank" rel="noopener" title="A report as one HTML file">Share</a>
         <a class="button" href=${job.links.export} download=${`${job.id}.zip`} title="All that is needed to run it again elsewhere, as a zip">Export</a>
         ${!isOver(job) && html`<${Confirm} text="Cancel" question="Stop it, and keep its work so far?" onYes=${cancel} />`}

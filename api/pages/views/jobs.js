@@ -6,6 +6,7 @@ import { html, useEffect, useRef, useState } from "../lib/html.js";
 import { algorithmOf, environmentOf, isOver, newest, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
 import { change, href } from "../lib/route.js";
+import { Pages } from "../parts/pages.js";
 import { Sparkline } from "../parts/sparkline.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 import { Labels, Progress, Status } from "../parts/status.js";
@@ -37,7 +38,7 @@ export default function Jobs({ query }) {
     html`<ul class="jobs" aria-label="Jobs">
       ${data.items.map((job) => html`<${Row} key=${job.id} job=${job} picked=${picked} />`)}
     </ul>`}
-    ${data && html`<${Pages} query=${query} next=${data.next} />`}
+    ${data && html`<${Pages} path=${["jobs"]} query=${query} next=${data.next} name="Pages of jobs" first="Newest" more="Older jobs" />`}
     ${picked.length > 0 && html`<${Picked} ids=${picked} />`}
   `;
 }
@@ -130,18 +131,6 @@ const Nothing = ({ isFiltered }) =>
           <p><a class="button" href="#/submit">Submit the first one</a></p>
           <p>Or from a shell: <code>gaitway submit train --environment ant</code></p>`}
   <//>`;
-
-function Pages({ query, next }) {
-  const at = (cursor) => {
-    const parts = new URLSearchParams(query);
-    parts.delete("cursor");
-    if (cursor) parts.set("cursor", cursor);
-    return href(["jobs"], parts);
-  };
-  return html`<nav class="pages" aria-label="Pages of jobs">
-    ${query.get("cursor") && html`<a href=${at(null)}>Newest</a>`} ${next && html`<a href=${at(next)} rel="next">Older jobs</a>`}
-  </nav>`;
-}
 
 const Picked = ({ ids }) =>
   html`<div class="picked" role="status">

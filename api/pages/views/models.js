@@ -6,15 +6,18 @@ import { html, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { href } from "../lib/route.js";
 import { Confirm } from "../parts/confirm.js";
+import { Pages } from "../parts/pages.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 
+const LIMIT = 50;
 const LISTS = ["bodies", "joints", "actuators", "sensors", "cameras"];
 const isSettling = (model) => model.status === "validating" || (model.status === "ready" && !model.description?.complete);
 
-export default function Models() {
+export default function Models({ query }) {
+  const cursor = query.get("cursor");
   const { data, error, again } = useLive(
-    (signal) => get("/models", {}, { signal }),
-    [],
+    (signal) => get("/models", { cursor, limit: LIMIT }, { signal }),
+    [cursor],
     (found) => (found.items.some(isSettling) ? 1500 : 15_000),
   );
   return html`<div class="stack">
@@ -22,8 +25,9 @@ export default function Models() {
     <${Drop} onAdded=${again} />
     ${error && html`<${Failure} error=${error} again=${again} />`}
     ${!data && !error && html`<${Loading} what="models" />`}
-    ${data && !data.items.length && html`<${Empty}><p>No models yet. A model is a robot of your own, as MJCF or URDF.</p><//>`}
+    ${data && !data.items.length && !cursor && html`<${Empty}><p>No models yet. A model is a robot of your own, as MJCF or URDF.</p><//>`}
     ${data && html`<div class="grid">${data.items.map((model) => html`<${Model} key=${model.id} model=${model} again=${again} />`)}</div>`}
+    ${data && html`<${Pages} path=${["models"]} query=${query} next=${data.next} name="Pages of models" first="Newest" more="Older models" />`}
   </div>`;
 }
 

@@ -14,6 +14,7 @@ import { BestSoFar } from "./sweep/best.js";
 import { Groups } from "./sweep/groups.js";
 import { Importance } from "./sweep/importance.js";
 import { Parallel } from "./sweep/parallel.js";
+import { Resume } from "./sweep/resume.js";
 import { Trials } from "./sweep/trials.js";
 
 const MOST_COMPARED = 20;
@@ -32,6 +33,7 @@ export default function Sweep({ path, query }) {
   return html`<div class="stack">
     <${Head} sweep=${sweep} again=${again} />
     ${error && html`<${Failure} error=${error} again=${again} />`}
+    <${Resume} key=${sweep.status} sweep=${sweep} again=${again} />
     <div class="halves">
       <${BestSoFar} sweep=${sweep} />
       <${Importance} sweep=${sweep} />
@@ -54,6 +56,7 @@ function Head({ sweep, again }) {
       <h1>${title(sweep)}</h1>
       <span class="actions">
         ${best.length > 1 && html`<a class="button" href=${compared(best)}>Curves of the best ${best.length}</a>`}
+        <a class="button" href=${href(["sweeps", "new"], { again: sweep.id })}>Start one like it</a>
         ${sweep.status === "running" && html`<${Confirm} text="Cancel" question="Cancel the sweep and its trials?" isDangerous onYes=${cancel} />`}
       </span>
     </div>

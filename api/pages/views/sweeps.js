@@ -6,6 +6,7 @@ import { html } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { href } from "../lib/route.js";
 import { isOver, objectivesOf, title } from "../lib/sweep.js";
+import { Pages } from "../parts/pages.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 import { Status } from "../parts/status.js";
 
@@ -20,20 +21,21 @@ export default function Sweeps({ query }) {
   );
   if (!data) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="sweeps" />`;
   return html`<div class="stack">
-    <h1>Sweeps</h1>
+    <div class="title">
+      <h1>Sweeps</h1>
+      <a class="button" href="#/sweeps/new">Start a sweep</a>
+    </div>
     ${error && html`<${Failure} error=${error} again=${again} />`}
     ${!data.items.length && html`<${Empty}>
       <p>No sweeps yet.</p>
-      <p>Start one from a shell: <code>gaitway sweep sweep.json</code>, or by <a href="/docs">POST /sweeps</a></p>
+      <p><a class="button" href="#/sweeps/new">Start the first one</a></p>
+      <p>Or from a shell: <code>gaitway sweep sweep.json</code></p>
     <//>`}
     ${data.items.length > 0 && html`<div class="card table" tabindex="0" role="region" aria-label="Sweeps"><table>
       <thead><tr><th>Sweep</th><th>Method</th><th>Status</th><th class="number">Trials</th><th>Best</th><th>Began</th></tr></thead>
       <tbody>${data.items.map((sweep) => html`<${Row} key=${sweep.id} sweep=${sweep} />`)}</tbody>
     </table></div>`}
-    <nav class="pages" aria-label="Pages of sweeps">
-      ${cursor && html`<a href="#/sweeps">Newest</a>`}
-      ${data.next && html`<a href=${href(["sweeps"], { cursor: data.next })} rel="next">Older sweeps</a>`}
-    </nav>
+    <${Pages} path=${["sweeps"]} query=${query} next=${data.next} name="Pages of sweeps" first="Newest" more="Older sweeps" />
   </div>`;
 }
 

@@ -1,35 +1,42 @@
 /** Workers, and the queue: what waits, and why. */
 
-import { get } from "../lib/api.js";
+import { everyItem, get } from "../lib/api.js";
 import { ago, bytes, moment } from "../lib/format.js";
 import { html } from "../lib/html.js";
 import { environmentOf, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
+import { Pages } from "../parts/pages.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 
 const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside" };
 
-export default function Workers() {
-  const { data, error, again } = useLive(load, [], 3000);
+const LIMIT = 50;
+
+export default function Workers({ query }) {
+  const cursor = query.get("cursor");
+  const { data, error, again } = useLive((signal) => load(cursor, signal), [cursor], 3000);
   if (!data) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="workers" />`;
   return html`<div class="stack">
     <h1>Workers</h1>
     ${error && html`<${Failure} error=${error} again=${again} />`}
-    ${!data.workers.length && html`<${Empty}>
+    ${!data.all.length && html`<${Empty}>
       <p>No worker is running, so jobs wait.</p>
       <p>Start one with <code>python -m worker.main</code>, or the whole service with <code>./run up</code>.</p>
     <//>`}
     <div class="grid">${data.workers.map((worker) => html`<${Worker} key=${worker.name} worker=${worker} />`)}</div>
-    <${Queue} queued=${data.queued} workers=${data.workers} />
+    <${Pages} path=${["workers"]} query=${query} next=${data.next} name="Pages of workers" first="First workers" more="More workers" />
+    <${Queue} queued=${data.queued} workers=${data.all} />
   </div>`;
 }
 
-async function load(signal) {
-  const [workers, queued] = await Promise.all([
-    get("/workers", {}, { signal }),
+/** A page of workers, and the queue: why a job waits depends on all workers, whichever are shown. */
+async function load(cursor, signal) {
+  const [page, queued] = await Promise.all([
+    get("/workers", { cursor, limit: LIMIT }, { signal }),
     get("/jobs", { status: "queued", limit: 100 }, { signal }),
   ]);
-  return { workers: workers.items, queued };
+  const isWhole = !cursor && !page.next;
+  return { workers: page.items, next: page.next, all: isWhole ? page.items : await everyItem("/workers", { signal }), queued };
 }
 
 const Worker = ({ worker }) => html`<section class="card">

@@ -1,11 +1,10 @@
 """The record in PostgreSQL."""
 
-from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import datetime, timedelta
 
 from psycopg.errors import UniqueViolation
-from sqlalchemy import Connection, Engine, select
+from sqlalchemy import Engine, select
 from sqlalchemy.exc import DataError, IntegrityError
 
 from core.adapters.cursors import check_cursor
@@ -20,12 +19,13 @@ from core.adapters.postgres import (
     references,
     saving,
     submissions,
-    sweeps,
     workers,
 )
 from core.adapters.postgres.clock import Clock
-from core.adapters.postgres.errors import Breaker
+from core.adapters.postgres.model_part import PostgresModels
+from core.adapters.postgres.sweep_part import PostgresSweeps
 from core.adapters.postgres.tables import NOW, pulse
+from core.adapters.postgres.worker_part import PostgresWorkers
 from core.errors import JobExists, JobNotFound, JobUnreadable, LeaseLost
 from core.jobs.job import Job, Progress, UnreadableJob, check_job_id
 from core.jobs.status import JobStatus
@@ -39,29 +39,21 @@ from core.jobs.store import (
     JobQuery,
     Mark,
     Page,
-    WorkerInfo,
 )
-from core.sweeps.store import SweepPage
-from core.sweeps.sweep import Sweep, SweepStatus, Trial
-from core.user_models.record import ModelRecord
 
 # Built once: it is a part of every claim.
 _SELECT_NOW = select(NOW)
 
 
-class PostgresJobStore:
+class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
     """A SweepStore, and so a JobStore, for many processes; thread-safe.
-
-    The engine comes from `connect_postgres`.
 
     Each method is one transaction, or a few statements that are one each; the statements are in the modules
     beside this one. clock_age: how long `now` extrapolates from the database's last answer.
     """
 
     def __init__(self, engine: Engine, *, clock_age: timedelta = timedelta(seconds=1)) -> None:
-        self._engine = engine
-        self._autocommit = engine.execution_options(isolation_level="AUTOCOMMIT")
-        self._breaker = Breaker()
+        super().__init__(engine)
         self._clock = Clock(self._time, clock_age)
 
     def close(self) -> None:
@@ -248,98 +240,7 @@ class PostgresJobStore:
         with self._transaction() as connection:
             feeds.replace_chunk(connection, job_id, lost, found)
 
-    # ---- models ----------------------------------------------------------------------------------
-
-    def find_model(self, model_id: str) -> ModelRecord:
-        with self._statements() as connection:
-            return models.find(connection, model_id)
-
-    def add_model(self, record: ModelRecord) -> None:
-        with self._transaction() as connection:
-            models.add(connection, record)
-
-    def model_dispatched(self, model_id: str) -> None:
-        self.dispatched([Dispatch("model", model_id)])
-
-    def settle_model(self, record: ModelRecord) -> None:
-        with self._transaction() as connection:
-            models.settle(connection, record)
-
-    def delete_model(self, model_id: str) -> None:
-        with self._transaction() as connection:
-            models.forget(connection, model_id)
-
-    def num_waiting_models(self) -> int:
-        with self._statements() as connection:
-            return len(models.waiting(connection))
-
-    def models(self) -> Sequence[ModelRecord]:
-        with self._statements() as connection:
-            return models.every(connection)
-
-    # ---- sweeps ----------------------------------------------------------------------------------
-
-    def add_sweep(self, sweep: Sweep, idempotency: Idempotency | None = None) -> Sweep:
-        with self._transaction() as connection:
-            return sweeps.add(connection, sweep, idempotency)
-
-    def get_sweep(self, sweep_id: str) -> Sweep:
-        with self._statements() as connection:
-            return sweeps.get(connection, sweep_id)
-
-    def save_sweep(self, sweep: Sweep) -> None:
-        with self._statements() as connection:
-            sweeps.save(connection, sweep)
-
-    def delete_sweep(self, sweep_id: str, version: int) -> None:
-        with self._statements() as connection:
-            sweeps.remove(connection, sweep_id, version)
-
-    def list_sweeps(
-        self, *, status: SweepStatus | None = None, cursor: str | None = None, limit: int = 50
-    ) -> SweepPage:
-        before = None if cursor is None else check_cursor(cursor)
-        with self._statements() as connection:
-            found = sweeps.newest(connection, status, before, limit + 1)
-        return SweepPage(found[:limit], found[limit - 1].id if len(found) > limit else None)
-
-    def active_sweeps(self) -> Sequence[Sweep]:
-        with self._statements() as connection:
-            return sweeps.active(connection)
-
-    def trials(self, sweep_ids: Collection[str]) -> Mapping[str, Sequence[Trial]]:
-        if not sweep_ids:
-            return {}
-        with self._statements() as connection:
-            return sweeps.trials_of(connection, sweep_ids)
-
-    def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
-        if not job_ids:
-            return {}
-        with self._statements() as connection:
-            return sweeps.jobs_of(connection, job_ids)
-
-    def add_trial(self, sweep_id: str, trial: Trial, job: Job | None) -> bool:
-        with self._transaction() as connection:
-            return sweeps.add_trial(connection, sweep_id, trial, job)
-
-    def save_trial(self, sweep_id: str, trial: Trial) -> bool:
-        with self._statements() as connection:
-            return sweeps.save_trial(connection, sweep_id, trial)
-
-    # ---- workers ---------------------------------------------------------------------------------
-
-    def announce(self, worker: WorkerInfo, ttl: timedelta) -> None:
-        with self._statements() as connection:
-            workers.announce(connection, worker, ttl)
-
-    def withdraw(self, name: str) -> None:
-        with self._statements() as connection:
-            workers.withdraw(connection, name)
-
-    def workers(self) -> Sequence[WorkerInfo]:
-        with self._statements() as connection:
-            return workers.every(connection)
+    # ---- upkeep ----------------------------------------------------------------------------------
 
     def tidy(self) -> None:
         with self._transaction() as connection:
@@ -355,14 +256,3 @@ class PostgresJobStore:
     def _time(self) -> datetime:
         with self._statements() as connection:
             return connection.execute(_SELECT_NOW).scalar_one()
-
-    @contextmanager
-    def _transaction(self) -> Generator[Connection]:
-        with self._breaker.reaching(), self._engine.connect() as connection, connection.begin():
-            yield connection
-
-    @contextmanager
-    def _statements(self) -> Generator[Connection]:
-        """Each statement is its own transaction, which saves the round trips of BEGIN and COMMIT."""
-        with self._breaker.reaching(), self._autocommit.connect() as connection:
-            yield connection

@@ -6,7 +6,7 @@ from typing import Any
 
 import structlog
 from pydantic import ValidationError
-from sqlalchemy import Connection, Row, delete, select, update
+from sqlalchemy import Connection, Row, delete, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres.rows import columns, words
@@ -59,6 +59,15 @@ def forget(connection: Connection, model_id: str) -> None:
 
 def every(connection: Connection) -> Sequence[ModelRecord]:
     return [_record(row) for row in connection.execute(select(models).order_by(models.c.id))]
+
+
+def newest(connection: Connection, before: tuple[datetime, str] | None, limit: int) -> Sequence[ModelRecord]:
+    """The newest models, of those that were sent before this moment; ids order those of one moment."""
+    place = tuple_(models.c.created_at, models.c.id)
+    wanted = select(models).order_by(models.c.created_at.desc(), models.c.id.desc()).limit(limit)
+    if before is not None:
+        wanted = wanted.where(place < tuple_(*before))
+    return [_record(row) for row in connection.execute(wanted)]
 
 
 def waiting(connection: Connection) -> Sequence[Dispatch]:

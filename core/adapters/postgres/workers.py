@@ -2,17 +2,20 @@
 
 from collections.abc import Sequence
 from datetime import timedelta
+from typing import Any
 
 import structlog
 from pydantic import ValidationError
-from sqlalchemy import Connection, delete, select
+from sqlalchemy import Connection, Row, delete, select
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres.rows import interval
 from core.adapters.postgres.tables import NOW, workers
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo, WorkerPage
 
 log = structlog.get_logger()
+
+_PRESENT = select(workers.c.name, workers.c.said).where(workers.c.gone_at > NOW).order_by(workers.c.name)
 
 
 def announce(connection: Connection, worker: WorkerInfo, ttl: timedelta) -> None:
@@ -29,16 +32,26 @@ def withdraw(connection: Connection, name: str) -> None:
 
 
 def every(connection: Connection) -> Sequence[WorkerInfo]:
-    """All workers that this version can read; the others are logged and left out."""
-    wanted = select(workers.c.said).where(workers.c.gone_at > NOW).order_by(workers.c.name)
-    found: list[WorkerInfo] = []
-    for text in connection.execute(wanted).scalars():
-        try:
-            found.append(WorkerInfo.model_validate_json(text))
-        except ValidationError as error:
-            log.warning("worker_unreadable", problem=str(error))
-    return found
+    """All workers that this version can read, by name; the others are logged and left out."""
+    return _readable(connection.execute(_PRESENT).all())
+
+
+def page(connection: Connection, after: str | None, limit: int) -> WorkerPage:
+    """Workers whose names follow `after`. The cursor counts those that cannot be read, too."""
+    wanted = _PRESENT if after is None else _PRESENT.where(workers.c.name > after)
+    rows = connection.execute(wanted.limit(limit + 1)).all()
+    return WorkerPage(_readable(rows[:limit]), rows[limit - 1].name if len(rows) > limit else None)
 
 
 def forget_gone(connection: Connection) -> None:
     connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
+
+
+def _readable(rows: Sequence[Row[Any, Any]]) -> list[WorkerInfo]:
+    found: list[WorkerInfo] = []
+    for row in rows:
+        try:
+            found.append(WorkerInfo.model_validate_json(row.said))
+        except ValidationError as error:
+            log.warning("worker_unreadable", problem=str(error))
+    return found

@@ -6,7 +6,7 @@ from playwright.sync_api import Page, expect
 
 from core.jobs.job import Job, Progress
 from core.jobs.status import JobStatus
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from tests.api.conftest import NOON, Attempt, Stack, job
 from tests.api.pages.conftest import MakeTab, Tab

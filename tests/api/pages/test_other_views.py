@@ -5,12 +5,16 @@ import csv
 import io
 import json
 import shlex
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
 
-from tests.api.conftest import Attempt, Stack, job
+from core.jobs.queue import queue_names
+from core.jobs.workers import WorkerInfo
+from core.user_models.record import ModelRecord
+from tests.api.conftest import NOON, Attempt, Stack, job
 from tests.api.pages.conftest import MakeTab, Tab
 
 
@@ -155,6 +159,43 @@ def test_a_model_that_is_no_model_is_refused_with_the_services_words(tab: Tab) -
         {"name": "robot.zip", "mimeType": "application/zip", "buffer": b"<mujoco/>"}
     )
     expect(page.get_by_role("alert")).to_contain_text("not a zip")
+
+
+def test_models_and_workers_come_page_by_page_and_jobs_wait_for_all_workers(stack: Stack, tab: Tab) -> None:
+    """Of 51 workers, the last is free: the job waits because others come first, whichever page is shown."""
+    for number in range(51):
+        sent = NOON + timedelta(seconds=number)
+        stack.store.announce(
+            WorkerInfo(
+                name=f"w{number:02}",
+                host="h",
+                pid=1,
+                device="cpu",
+                queues=queue_names("cpu"),
+                job=None if number == 50 else f"{number:012x}-0000000000",
+                started_at=sent,
+                seen_at=sent,
+            ),
+            timedelta(minutes=1),
+        )
+        record = ModelRecord(
+            id=f"sha256:{number:064x}", status="ready", media_type="application/xml", size=7, created_at=sent
+        )
+        stack.store.add_model(record)
+    stack.store.add(job())
+    page = tab.open("#/workers")
+    expect(page.get_by_role("heading", level=2)).to_have_count(51)  # 50 workers, and the queue
+    expect(page.get_by_role("region", name="Queue")).to_contain_text("Jobs before it come first.")
+    page.get_by_role("link", name="More workers").click()
+    expect(page.get_by_role("heading", name="w50")).to_be_visible()
+    expect(page.get_by_role("heading", level=2)).to_have_count(2)
+    page.get_by_role("link", name="First workers").click()
+    expect(page.get_by_role("heading", name="w00")).to_be_visible()
+    page = tab.open("#/models")
+    expect(page.get_by_text(f"sha256:{50:064x}")).to_be_visible()
+    page.get_by_role("link", name="Older models").click()
+    expect(page.get_by_text(f"sha256:{0:064x}")).to_be_visible()
+    expect(page.get_by_role("link", name="Train it")).to_have_count(1)
 
 
 def test_the_http_interface_is_there_without_another_network(tab: Tab) -> None:

@@ -12,8 +12,8 @@ from core.jobs.job import Job
 from core.jobs.needs import memory_for
 from core.jobs.queue import queue_names
 from core.jobs.spec import JOB_SPEC
-from core.jobs.store import WorkerInfo
 from core.jobs.submission import submit
+from core.jobs.workers import WorkerInfo
 from tests.unit.jobs.making import NOON, make_job
 
 TRIAL = {"labels": {"sweep": "s"}}

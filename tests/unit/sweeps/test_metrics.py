@@ -8,7 +8,7 @@ import pytest
 from core.environments import catalog
 from core.jobs.spec import JOB_SPEC, JobSpec
 from core.physics.choose import engine_builder
-from core.sweeps.metrics import _terms, refusal_of_metric
+from core.sweeps.metrics import _terms, metrics_of, refusal_of_metric
 
 # The others take some seconds each.
 _QUICK = ("ant", "half_cheetah", "inverted_pendulum", "reacher")
@@ -69,3 +69,13 @@ def test_what_it_does_not_report_is_refused_with_what_it_does(
     assert refusal is not None
     assert f"reports no metric {metric!r}" in refusal
     assert near is None or f"`{near}`" in refusal
+
+
+def test_what_is_listed_for_an_environment_and_an_algorithm_is_accepted() -> None:
+    job = {"kind": "train", "environment": "half_cheetah", "algorithm": {"kind": "sac"}}
+    listed = metrics_of("half_cheetah", "sac")
+    assert {"eval/episode_reward_run", "eval/forward_speed", "training/q_value"} <= listed
+    assert "training/v_loss" not in listed
+    assert {refusal_of_metric(JOB_SPEC.validate_python(job), metric) for metric in listed} == {None}
+    assert "eval/episode_reward_std" in metrics_of("half_cheetah", None)
+    assert "training/sps" not in metrics_of("half_cheetah", None)

@@ -14,7 +14,7 @@ import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import EXIT_STATUS, Misconfigured
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from core.settings import WorkerSettings
 from tests.unit.worker.environments import environment
 from worker.fleet import Member

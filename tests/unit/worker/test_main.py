@@ -17,7 +17,7 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs.attempts import Claim
 from core.jobs.status import JobStatus
-from core.jobs.store import WorkerInfo
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.settings import WorkerSettings
 from tests.contract.recording import held, queued_job

@@ -1,0 +1,98 @@
+/** A sweep that is being written: what the form holds, and the document that is sent. */
+
+import { get } from "./api.js";
+import { fromAddress } from "./draft.js";
+import { environmentOf, optionsOf, title } from "./job.js";
+import { openapi } from "./schemas.js";
+
+/** What only some methods take; the form keeps it meanwhile. */
+const TAKEN = {
+  grid: ["pruning"],
+  random: ["pruning", "seed"],
+  tpe: ["pruning", "seed"],
+  pbt: ["population", "seed"],
+};
+const EMPTY = { method: "grid", parameters: {}, objectives: [{}] };
+// A trial's own; a sweep over such a job gives others.
+const OF_TRIALS = ["sweep", "trial"];
+
+/** The draft that an address asks for: a sweep `again`, a `job` as JSON, one to begin `from`, or an `environment`. Raises an Error. */
+export async function draftFrom(query) {
+  if (query.get("again")) return draftOf((await get(`/sweeps/${encodeURIComponent(query.get("again"))}`)).spec);
+  const written = query.get("job");
+  if (written) return readDraft(written, EMPTY);
+  const job = await fromAddress(query);
+  return { ...EMPTY, job: asWritten(job), ...(query.get("from") && { name: `${title({ name: job.name, kind: job.kind, spec: job })}, swept` }) };
+}
+
+/** The job as the form writes it. */
+export function asWritten({ environment, labels, ...job }) {
+  const spec = { environment };
+  const options = optionsOf(spec);
+  const own = Object.fromEntries(Object.entries(labels || {}).filter(([name]) => !OF_TRIALS.includes(name)));
+  return {
+    kind: "train",
+    ...job,
+    ...(Object.keys(own).length && { labels: own }),
+    environment: { id: environmentOf(spec), ...(Object.keys(options).length && { options }) },
+  };
+}
+
+/** The draft of a document as `POST /sweeps` takes it, or `GET /sweeps/{id}` shows it. */
+export function draftOf(document) {
+  const { objective, budget, ...said } = withoutNulls(document);
+  return {
+    method: "random",
+    ...said,
+    ...(budget && { budget: withoutNulls(budget) }),
+    parameters: Object.fromEntries(Object.entries(document.parameters || {}).map(([path, axis]) => [path, Array.isArray(axis) ? axis : withoutNulls(axis)])),
+    job: asWritten(document.job),
+    objectives: [objective ?? {}].flat(),
+  };
+}
+
+const withoutNulls = (document) => Object.fromEntries(Object.entries(document).filter(([, value]) => value !== null));
+
+/** The document to send. */
+export function documentOf({ name, labels, job, method, parameters, objectives, budget, ...others }) {
+  const wanted = objectives.slice(0, method === "pbt" ? 1 : undefined);
+  const [first] = wanted;
+  return {
+    ...(name !== undefined && { name }),
+    ...(labels !== undefined && { labels }),
+    job,
+    method,
+    parameters: Object.fromEntries(Object.entries(parameters).map(([path, axis]) => [path, axisOf(axis, method)])),
+    ...(wanted.length > 1 ? { objective: wanted } : Object.keys(first).length > 0 && { objective: first }),
+    ...(budget !== undefined && { budget }),
+    ...Object.fromEntries(TAKEN[method].filter((part) => others[part] !== undefined).map((part) => [part, others[part]])),
+  };
+}
+
+/** Only grids have points; whether an axis may have them, the service says. */
+function axisOf(axis, method) {
+  if (Array.isArray(axis) || method === "grid") return axis;
+  const { points, ...range } = axis;
+  return range;
+}
+
+/** What text stands for: a job, or a whole sweep, as JSON. Raises an Error with a sentence. */
+export function readDraft(text, before) {
+  let found;
+  try {
+    found = JSON.parse(text);
+  } catch (error) {
+    throw new Error(`This is not JSON: ${error.message}`);
+  }
+  const isSweep = typeof found?.job === "object" && found.job !== null;
+  const job = isSweep ? found.job : found;
+  if (!job?.environment) throw new Error("This is neither a job nor a sweep: a job has an `environment`, and a sweep a `job`.");
+  return isSweep ? draftOf(found) : { ...before, job: asWritten(job) };
+}
+
+/** The examples of sweeps in the service's OpenAPI document: {name: document}. */
+export async function examples() {
+  const { paths } = await openapi();
+  const { examples: found } = paths["/sweeps"].post.requestBody.content["application/json"];
+  return Object.fromEntries(Object.entries(found).map(([name, { value }]) => [name, value]));
+}

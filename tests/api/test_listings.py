@@ -1,0 +1,79 @@
+"""Models and workers page by page, over HTTP and by the client."""
+
+from datetime import timedelta
+
+import pytest
+
+from core.jobs.workers import WorkerInfo
+from core.user_models.record import ModelRecord
+from gaitway import Client
+from tests.api.conftest import NOON, Stack
+from tests.api.problems import pointers, problem
+
+NAMES = [f"w{number:02}" for number in range(60)]
+IDS = [f"sha256:{number:064x}" for number in range(60)]
+
+
+@pytest.fixture
+def workers(stack: Stack) -> None:
+    """More than a page of them."""
+    for name in NAMES:
+        worker = WorkerInfo(name=name, host="h", pid=1, device="cpu", started_at=NOON, seen_at=NOON)
+        stack.store.announce(worker, timedelta(minutes=1))
+
+
+@pytest.fixture
+def models(stack: Stack) -> None:
+    """More than a page of them, sent one second after the other."""
+    for second, model_id in enumerate(IDS):
+        at = NOON + timedelta(seconds=second)
+        record = ModelRecord(id=model_id, status="ready", media_type="application/xml", size=7, created_at=at)
+        stack.store.add_model(record)
+
+
+@pytest.mark.usefixtures("workers")
+def test_workers_come_by_name_and_without_a_cursor_fifty_of_them(stack: Stack) -> None:
+    first = stack.http.get("/workers").json()
+    assert ([item["name"] for item in first["items"]], first["next"]) == (NAMES[:50], "w49")
+    rest = stack.http.get("/workers", params={"cursor": first["next"]}).json()
+    assert ([item["name"] for item in rest["items"]], rest["next"]) == (NAMES[50:], None)
+    assert len(stack.http.get("/workers", params={"limit": 7}).json()["items"]) == 7
+
+
+@pytest.mark.usefixtures("models")
+def test_models_come_newest_first_and_without_a_cursor_fifty_of_them(stack: Stack) -> None:
+    first = stack.http.get("/models").json()
+    rest = stack.http.get("/models", params={"cursor": first["next"]}).json()
+    assert [item["id"] for item in first["items"] + rest["items"]] == IDS[::-1]
+    assert (len(first["items"]), rest["next"]) == (50, None)
+
+
+@pytest.mark.usefixtures("workers", "models")
+def test_the_client_reads_on_until_the_end_or_its_limit(stack: Stack) -> None:
+    with Client(f"http://127.0.0.1:{stack.port}") as client:
+        assert [one.name for one in client.workers()] == NAMES
+        assert [one.name for one in client.workers(limit=2)] == NAMES[:2]
+        assert [one.id for one in client.models()] == IDS[::-1]
+        assert [one.id for one in client.models(limit=2)] == IDS[:-3:-1]
+
+
+@pytest.mark.parametrize("path", ["/workers", "/models"])
+@pytest.mark.parametrize(
+    ("query", "pointer"),
+    [
+        ("limit=0", "/limit"),
+        ("limit=201", "/limit"),
+        ("crusor=a", "/crusor"),
+        ("cursor=", "/cursor"),
+        ("cursor=%00", "/cursor"),
+        ("cursor=" + "9" * 300, "/cursor"),
+    ],
+)
+def test_another_part_is_refused_with_its_place(stack: Stack, path: str, query: str, pointer: str) -> None:
+    document = problem(stack.http.get(f"{path}?{query}"), 422, "invalid-request")
+    assert pointers(document) == [pointer]
+
+
+def test_a_models_id_is_no_cursor_and_the_refusal_says_what_to_do(stack: Stack) -> None:
+    document = problem(stack.http.get("/models", params={"cursor": IDS[0]}), 422, "invalid-request")
+    assert "leave it out to begin with the first page" in document["detail"]
