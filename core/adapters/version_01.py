@@ -1,4 +1,4 @@
-"""The jobs and models that version 0.1 stored. `gaitway import` reads them; nothing here writes.
+"""The jobs and models that version 0.1 stored. `gaitway import-0.1` reads them; nothing here writes.
 
 Redis had the live records:
 

@@ -133,7 +133,7 @@ def _of_models(
     batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     for name, infos in batch.items():
-        # A model of version 0.1 has its record beside it, which `gaitway import` may still need.
+        # A model of version 0.1 has its record beside it, which `gaitway import-0.1` may still need.
         is_kept = any(keys.is_description(info.key) for info in infos)
         if not is_kept and all(_is_older(info, before) for info in infos) and not _is_model(name, store):
             yield from _remove([info.key for info in infos], before, objects, seen)

@@ -8,7 +8,18 @@ from core.errors import RecordsUnavailable, StorageUnavailable
 
 _WRITES = frozenset(
     {
-        *("add", "import_job", "save", "take_back", "delete", "beat", "dispatched", "renew", "record", "replace_by_chunk"),
+        *(
+            "add",
+            "import_job",
+            "save",
+            "take_back",
+            "delete",
+            "beat",
+            "dispatched",
+            "renew",
+            "record",
+            "replace_by_chunk",
+        ),
         *("copied", "restore", "replace_chunk", "announce", "withdraw", "tidy"),
         *("add_sweep", "save_sweep", "delete_sweep", "add_trial", "save_trial"),
         *("enqueue", "remove"),
