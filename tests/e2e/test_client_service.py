@@ -299,7 +299,7 @@ def test_the_cli_shares_and_exports_a_job(stack: Stack, tmp_path: Path) -> None:
     assert f"job {attempt.id} of a service with Gaitway" in shown.stdout
     assert "exported_unfinished" in shown.stdout
     refused = gaitway(stack, "import", spec)
-    assert (refused.exit_code, "not a zip file" in refused.stderr) == (1, True)
+    assert (refused.exit_code, "not a zip file" in refused.stderr) == (2, True)
 
 
 def test_an_import_sends_the_users_own_model_first(stack: Stack, client: Client, tmp_path: Path) -> None:
