@@ -1,14 +1,28 @@
 """A run comes back from its export, and its training continues to the same bits."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from core.environments import trajectory
 from gaitway.client import Client
 from gaitway.views import JobView
+from tests.compiling import compiling_quickly
+from tests.e2e.conftest import serving
 from tests.e2e.test_pipeline import SMALL, rolled_out
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """A client of a stack whose trainings run for moments."""
+    with pytest.MonkeyPatch.context() as environment:
+        for name, value in compiling_quickly().items():
+            environment.setenv(name, value)
+        with serving(tmp_path_factory.mktemp("stack")) as client:
+            yield client
 
 
 def trained(client: Client, num_timesteps: int, **more: Any) -> JobView:
@@ -26,6 +40,7 @@ def final_checkpoint(job: JobView) -> tuple[int | None, str]:
     return found.step, found.sha256
 
 
+@pytest.mark.timeout(300)
 def test_a_training_continues_from_its_import_to_the_same_bits(client: Client, tmp_path: Path) -> None:
     original = trained(client, 6400, name="from here", labels={"project": "gaits"})
     undisturbed = trained(client, 12_800, resume_from={"job": original.id})
