@@ -73,9 +73,7 @@ def test_filters_stand_in_the_address_and_come_back_with_it(stack: Stack, tab: T
     expect(page.locator(".job")).to_have_count(1)
 
 
-def test_an_export_becomes_a_job_that_says_where_it_was_run(
-    stack: Stack, tab: Tab, exported: bytes
-) -> None:
+def test_an_export_becomes_a_job_that_says_where_it_was_run(stack: Stack, tab: Tab, exported: bytes) -> None:
     page = tab.open()
     page.get_by_text("Import an export").click()
     chooser = page.get_by_label("The zip that “Export” of a job gives")
