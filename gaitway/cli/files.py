@@ -1,4 +1,4 @@
-"""`gaitway video`, `export`, `share`, `download`: fetch a job's files, or all of it; `import` brings it back."""
+"""`gaitway video`, `export`, `share`, `download`, `import`: fetch the files of a job, or move all of it."""
 
 import sys
 from collections.abc import Callable
