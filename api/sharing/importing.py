@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
+from itertools import chain
 from math import isfinite
 from typing import Annotated, Any, TypeVar
 
@@ -94,6 +95,7 @@ class _Progress(Stored):
     step: Step = 0
     total: Step = 0
     steps_per_second: float | None = None
+    eta_s: float | None = None
     # Null where one was not finite.
     metrics: dict[str, float | None] = {}
 
@@ -143,6 +145,7 @@ def read_run(archive: Archive, service: Service) -> Run:
     version = _parsed(archive, "versions.json", _Versions).service.gaitway
     archive.document("spec.json")  # Every export has one; the record has the specification as it was sent.
     rows = _Feed(partial(_rows, archive))
+    _check_feed(rows, "metrics.jsonl")
     end = record.finished_at or _last_moment(record, rows)
     now = service.store.now()
     job = _job(record, end, Origin(job=record.id, version=version, imported_at=now))
@@ -150,7 +153,6 @@ def read_run(archive: Archive, service: Service) -> Run:
     files = _files(archive, contents, record, job.id)
     job = job.model_copy(update={"artifacts": tuple(file.artifact for file in files)})
     logs = _Feed(partial(_log, archive, end))
-    _check_feed(rows, "metrics.jsonl")
     _check_feed(logs, "log.txt")
     return Run(job, files, _Feed(partial(_events, rows, job)), logs)
 
@@ -221,7 +223,7 @@ def _last_moment(record: _Record, rows: _Feed) -> datetime:
     """The latest time that the export has of a run that had not ended."""
     found = [record.created_at, record.started_at]
     found += [time for attempt in record.attempts for time in (attempt.started_at, attempt.ended_at)]
-    return max([time for time in found if time is not None] + [row.time for row in rows])
+    return max(chain((time for time in found if time is not None), (row.time for row in rows)))
 
 
 def _check_job(job: Job, service: Service) -> None:

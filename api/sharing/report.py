@@ -102,6 +102,8 @@ def _facts(job: Job) -> str:
         facts.append(f"started {_moment(job.started_at)}")
     if job.started_at is not None and job.finished_at is not None:
         facts.append(f"ran {(job.finished_at - job.started_at).total_seconds():,.0f} s")
+    if (origin := job.imported_from) is not None:
+        facts.append(f"imported: job {origin.job} of a service with Gaitway {origin.version}")
     facts += [f"{name}: {value}" for name, value in job.spec.labels.items()]
     told = f'<p class="soft">{escape(" · ".join(facts))}</p>'
     if not job.status.is_final:
