@@ -2,29 +2,29 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import partial
 from itertools import chain
 from math import isfinite
-from typing import Annotated, Any, TypeVar
+from typing import TypeVar
 
-from pydantic import AwareDatetime, BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 
 from api.dependencies import Service
 from api.sharing.archive import Archive
+from api.sharing.documents import Contents, Format, Record, Row, Versions
 from api.sharing.export import FORMAT
 from api.submissions import parse
 from core.algorithms.catalog import reported
-from core.documents import Stored
 from core.environments import catalog
 from core.errors import BadExport, EnvironmentNotFound, ModelNotFound, Rejected
 from core.jobs.checks import chosen
 from core.jobs.entries import status_entry
 from core.jobs.filled_in import filled_in
 from core.jobs.importing import ImportedFile, Run
-from core.jobs.job import Artifact, ArtifactRole, Attempt, Job, Origin, Progress, new_job_id
-from core.jobs.spec import JOB_SPEC, JobId, JobSpec
+from core.jobs.job import Artifact, Attempt, Job, Origin, Progress, new_job_id
+from core.jobs.spec import JOB_SPEC, JobSpec
 from core.jobs.status import JobStatus
 from core.jobs.store import Entry
 from core.reasons import Reason
@@ -37,94 +37,6 @@ _FILES = "files/"
 # All entries of a feed are stored in one transaction.
 _MOST_ENTRIES = 2_000_000
 _UNFINISHED = "It was {status} when it was exported; this is what it had then."
-
-# Times that PostgreSQL stores and Python reads.
-Moment = Annotated[
-    AwareDatetime, Field(ge=datetime(1970, 1, 1, tzinfo=UTC), lt=datetime(3000, 1, 1, tzinfo=UTC))
-]
-Step = Annotated[int, Field(ge=0, le=10**18)]
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-
-
-class _Format(Stored):
-    format: int = FORMAT
-
-
-class _File(Stored):
-    path: str
-    sha256: Sha256
-    size: Annotated[int, Field(ge=0)]
-
-
-class _Contents(Stored):
-    files: tuple[_File, ...]
-
-
-class _Package(Stored):
-    gaitway: Annotated[str, Field(max_length=100)]
-
-
-class _Versions(Stored):
-    service: _Package
-
-
-class _Artifact(Stored):
-    name: Annotated[str, Field(pattern=r"^[^/\\]+$", max_length=200)]
-    role: ArtifactRole
-    # It becomes a header of answers.
-    media_type: Annotated[str, Field(pattern=r"^[A-Za-z0-9.+-]+/[A-Za-z0-9.+-]+$", max_length=100)]
-    size: int
-    sha256: Sha256
-    step: Step | None = None
-    metadata: dict[str, Any] = {}
-
-
-class _Attempt(Stored):
-    number: int
-    worker: str
-    device: str | None = None
-    engine: str | None = None
-    details: dict[str, Any] = {}
-    started_at: Moment
-    ended_at: Moment | None = None
-    reason: Reason | None = None
-    message: str | None = None
-
-
-class _Progress(Stored):
-    step: Step = 0
-    total: Step = 0
-    steps_per_second: float | None = None
-    eta_s: float | None = None
-    # Null where one was not finite.
-    metrics: dict[str, float | None] = {}
-
-
-class _Record(Stored):
-    """`job.json`: a JobView."""
-
-    id: JobId
-    spec: dict[str, Any]
-    status: JobStatus
-    reason: Reason | None = None
-    message: str | None = None
-    created_at: Moment
-    started_at: Moment | None = None
-    finished_at: Moment | None = None
-    progress: _Progress = _Progress()
-    attempts: tuple[_Attempt, ...] = ()
-    artifacts: tuple[_Artifact, ...] = ()
-
-
-class _Row(Stored):
-    """A line of `metrics.jsonl`."""
-
-    step: Step
-    time: Moment
-    values: dict[str, float | None]
-
-
-_ROW: TypeAdapter[_Row] = TypeAdapter(_Row)
 
 
 @dataclass(frozen=True)
@@ -140,9 +52,9 @@ class _Feed:
 def read_run(archive: Archive, service: Service) -> Run:
     """The run under a new id. All of the archive has been read and checked. Raises BadExport."""
     _check_format(archive)
-    contents = _parsed(archive, "contents.json", _Contents)
-    record = _parsed(archive, "job.json", _Record)
-    version = _parsed(archive, "versions.json", _Versions).service.gaitway
+    contents = _parsed(archive, "contents.json", Contents)
+    record = _parsed(archive, "job.json", Record)
+    version = _parsed(archive, "versions.json", Versions).service.gaitway
     archive.document("spec.json")  # Every export has one; the record has the specification as it was sent.
     rows = _Feed(partial(_rows, archive))
     _check_feed(rows, "metrics.jsonl")
@@ -158,7 +70,7 @@ def read_run(archive: Archive, service: Service) -> Run:
 
 
 def _check_format(archive: Archive) -> None:
-    found = _parsed(archive, "contents.json", _Format).format
+    found = _parsed(archive, "contents.json", Format).format
     if found > FORMAT:
         raise BadExport(
             f"A newer version of Gaitway wrote this export: it has the format {found}, and this service "
@@ -179,7 +91,7 @@ def _unreadable(name: str, error: ValidationError) -> BadExport:
     return BadExport(f"{name} is not that of an export: {place}{': ' if place else ''}{first['msg']}.")
 
 
-def _job(record: _Record, end: datetime, origin: Origin) -> Job:
+def _job(record: Record, end: datetime, origin: Origin) -> Job:
     """The record under a new id, without files. One that had not ended has ended with its export."""
     if [attempt.number for attempt in record.attempts] != list(range(1, len(record.attempts) + 1)):
         raise BadExport("job.json is not that of an export: its attempts are not numbered 1, 2, 3, ….")
@@ -210,7 +122,7 @@ def _job(record: _Record, end: datetime, origin: Origin) -> Job:
     return held.ended(JobStatus.CANCELLED, Reason.EXPORTED_UNFINISHED, message, end)
 
 
-def _spec(record: _Record) -> JobSpec:
+def _spec(record: Record) -> JobSpec:
     try:
         return parse(to_json(record.spec), JOB_SPEC)
     except Rejected as error:
@@ -219,7 +131,7 @@ def _spec(record: _Record) -> JobSpec:
         ) from None
 
 
-def _last_moment(record: _Record, rows: _Feed) -> datetime:
+def _last_moment(record: Record, rows: _Feed) -> datetime:
     """The latest time that the export has of a run that had not ended."""
     found = [record.created_at, record.started_at]
     found += [time for attempt in record.attempts for time in (attempt.started_at, attempt.ended_at)]
@@ -250,7 +162,7 @@ def _check_job(job: Job, service: Service) -> None:
         ) from error
 
 
-def _files(archive: Archive, contents: _Contents, record: _Record, job_id: str) -> list[ImportedFile]:
+def _files(archive: Archive, contents: Contents, record: Record, job_id: str) -> list[ImportedFile]:
     """The files that the record and the archive have; the model's is checked only."""
     listed = {file.path for file in contents.files}
     if len(listed) < len(contents.files):
@@ -291,7 +203,7 @@ def _events(rows: _Feed, job: Job) -> Iterator[Entry]:
 def _rows(archive: Archive) -> Iterator[Entry]:
     for number, line in enumerate(archive.lines("metrics.jsonl"), 1):
         try:
-            row = _ROW.validate_json(line)
+            row = Row.model_validate_json(line)
         except ValidationError as error:
             raise _unreadable(f"metrics.jsonl, line {number},", error) from None
         yield Entry(kind="metrics", time=row.time, data={"step": row.step, "values": row.values})
