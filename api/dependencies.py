@@ -34,6 +34,7 @@ class Service:
     lists: of jobs, as they were sent in the last moments.
     acknowledgements: of dispatches that the queue has received.
     num_uploads: models that are being received now.
+    num_imports: exports that are being received or stored now.
     """
 
     settings: ApiSettings
@@ -42,6 +43,7 @@ class Service:
     objects: ObjectStore
     stopping: bool = False
     num_uploads: int = 0
+    num_imports: int = 0
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))
     watcher: JobWatcher = field(init=False)
     curves: CurveCache = field(init=False)

@@ -71,7 +71,8 @@ class BodyTooLarge(EdgeError):
 
 
 class UnsupportedMediaType(EdgeError):
-    """Send a job as application/json, and a model as application/xml or application/zip."""
+    """Send a job as application/json, a model as application/xml or application/zip, and an export as
+    application/zip."""
 
     status = 415
     code = "unsupported-media-type"
@@ -107,6 +108,21 @@ class TooManyModels(EdgeError):
     @property
     def headers(self) -> dict[str, str]:
         return {"Retry-After": "30"}
+
+
+class TooManyImports(EdgeError):
+    """Exports may be of gigabytes, and each waits on the disk of the API until it is imported."""
+
+    status = 429
+    code = "too-many-imports"
+    title = "Too many exports are being imported"
+
+    def __init__(self, most: int) -> None:
+        super().__init__(f"{most} exports, the maximum, are being imported; send this one later.", most=most)
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Retry-After": "5"}
 
 
 class RangeNotSatisfiable(EdgeError):

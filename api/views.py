@@ -63,6 +63,14 @@ class AttemptView(View):
     message: str | None
 
 
+class OriginView(View):
+    """The service that a job was exported from. job: its id there; version: of Gaitway there."""
+
+    job: str
+    version: str
+    imported_at: datetime
+
+
 class JobView(View):
     """A job as it is now.
 
@@ -91,6 +99,11 @@ class JobView(View):
         description="What a queued job lacks, if no present worker could run it; only `GET` returns it.",
         examples=["No worker has exactly 4 GPUs: the workers here have cpu, gpu:0."],
     )
+    imported_from: OriginView | None = Field(
+        None,
+        description="Where an imported job was run. Ids in its `spec` are of that service; `attempts` and "
+        "times are those of the run there.",
+    )
     progress: Progress
     attempts: Sequence[AttemptView]
     artifacts: Sequence[ArtifactView]
@@ -115,6 +128,7 @@ class JobView(View):
             finished_at=job.finished_at,
             not_before=job.not_before,
             waiting_for=None if workers is None else what_it_waits_for(job, workers),
+            imported_from=None if job.imported_from is None else OriginView.model_validate(job.imported_from),
             progress=job.progress,
             attempts=[AttemptView.model_validate(attempt) for attempt in job.attempts],
             artifacts=[ArtifactView.of(job.id, artifact) for artifact in job.artifacts],

@@ -71,6 +71,16 @@ class BadModel(Rejected):
         super().__init__(detail, [Problem("", detail)])
 
 
+class BadExport(Rejected):
+    """A file that is not a whole export, or of a job that this service cannot have."""
+
+    code = "bad-export"
+    title = "The export cannot be imported"
+
+    def __init__(self, detail: str) -> None:
+        super().__init__(detail, [Problem("", detail)])
+
+
 class Unavailable(GaitwayError):
     code = "unavailable"
     title = "Not available now"

@@ -164,6 +164,12 @@ class ApiSettings(StoreSettings):
     max_waiting_models: int = Field(
         32, gt=0, description="How many models may wait for validation; further ones are refused."
     )
+    max_import_bytes: int = Field(
+        2**32,
+        gt=0,
+        description="Largest export that `POST /jobs/import` accepts, in bytes, as it is sent and as it is "
+        "unpacked. It waits in the API's temporary folder (`TMPDIR`), at most two at a time in each process.",
+    )
     api_processes: int = Field(
         0,
         ge=0,

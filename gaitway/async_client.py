@@ -207,6 +207,11 @@ class AsyncClient:
     async def share(self, job_id: str, path: str | Path | None = None) -> Path:
         return await self._transport.do(self._calls.share(job_id, path))
 
+    async def import_job(
+        self, path: str | Path, *, idempotency_key: str | None = None, timeout: float = 600.0
+    ) -> JobView:
+        return await self._transport.do(self._calls.import_job(path, idempotency_key, timeout))
+
     # Users' own models
 
     async def add_model(self, path: str | Path, timeout: float = 120.0) -> ModelView:

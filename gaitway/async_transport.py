@@ -1,6 +1,7 @@
 """HTTP for `AsyncClient`: takes the steps of calls in an event loop."""
 
 from collections.abc import AsyncGenerator, AsyncIterator
+from pathlib import Path
 from typing import Any, TypeVar
 
 import anyio
@@ -9,7 +10,7 @@ import httpx
 
 from gaitway.errors import problem_of
 from gaitway.steps import Call, Course, Feed, Found, Open, Read, Run, Send, Sleep, Step
-from gaitway.transport import Address, is_refusal, reachable
+from gaitway.transport import PIECE_BYTES, Address, is_refusal, reachable
 
 Result = TypeVar("Result")
 
@@ -59,11 +60,12 @@ class AsyncTransport(Address):
         match step:
             case Send(request):
                 with reachable(self.base_url):
-                    return await self._http.send(self.build(self._http, request))
+                    return await self._http.send(self.build(self._http, request, _pieces_of))
             case Open(request):
                 await opened.close()
                 with reachable(self.base_url):
-                    response = await self._http.send(self.build(self._http, request), stream=True)
+                    built = self.build(self._http, request, _pieces_of)
+                    response = await self._http.send(built, stream=True)
                     opened.response = response
                     if is_refusal(response):
                         await response.aread()
@@ -77,6 +79,13 @@ class AsyncTransport(Address):
                 return None
             case Run(function):
                 return await anyio.to_thread.run_sync(function)
+
+
+async def _pieces_of(path: Path) -> AsyncIterator[bytes]:
+    """The file in pieces, read by other threads."""
+    async with await anyio.open_file(path, "rb") as file:
+        while piece := await file.read(PIECE_BYTES):
+            yield piece
 
 
 class _AsyncOpened:

@@ -4,6 +4,7 @@ Their methods have the names of these, and their descriptions stand in `Client`.
 """
 
 import json
+import shutil
 import tempfile
 import time
 import uuid
@@ -13,6 +14,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 from urllib.parse import quote
+from zipfile import BadZipFile, ZipFile
 
 import httpx
 from pydantic import BaseModel
@@ -262,6 +264,22 @@ class Calls:
         target = _target(f"{job_id}.html", path)
         return (yield from save(self.retry, job_path(job_id, "report.html"), target))
 
+    def import_job(self, path: str | Path, idempotency_key: str | None, timeout: float) -> Call[JobView]:
+        file = Path(path)
+        with tempfile.TemporaryDirectory(prefix="gaitway-") as folder:
+            for model in (yield Run(partial(_models_in, file, Path(folder)))):
+                yield from self.add_model(model, timeout)
+        headers = {
+            "Content-Type": "application/zip",
+            "Idempotency-Key": idempotency_key or uuid.uuid4().hex,
+        }
+        # The service answers once it has read all of the file and stored it.
+        return (
+            yield from self._job(
+                Request("POST", "/jobs/import", file=file, headers=headers, read_timeout_s=timeout)
+            )
+        )
+
     # Users' own models
 
     def add_model(self, path: str | Path, timeout: float) -> Call[ModelView]:
@@ -381,6 +399,20 @@ class Calls:
         if artifact is None:
             raise NotFound(404, {"detail": f"Job {job_id} does not list the file at {href}."})
         return artifact
+
+
+def _models_in(archive: Path, folder: Path) -> list[Path]:
+    """The models in an export, unpacked into the folder; of a file that is no zip, the service says so."""
+    try:
+        with ZipFile(archive) as opened:
+            infos = [info for info in opened.infolist() if info.filename.startswith("model/")]
+            models = [folder / f"model-{number}" for number in range(len(infos))]
+            for info, model in zip(infos, models, strict=True):
+                with opened.open(info) as source, model.open("wb") as target:
+                    shutil.copyfileobj(source, target)
+    except BadZipFile:
+        return []
+    return models
 
 
 def preview_query(

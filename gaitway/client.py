@@ -282,12 +282,25 @@ class Client:
         return self._transport.do(self._calls.export_policy(job_id, format, path, on_bytes))
 
     def export(self, job_id: str, path: str | Path | None = None) -> Path:
-        """Download all that is needed to run the job again elsewhere, as a zip (docs/sharing.md)."""
+        """Download all that is needed to run the job again elsewhere, as a zip (docs/sharing.md).
+
+        `import_job` makes a job of it on another service."""
         return self._transport.do(self._calls.export(job_id, path))
 
     def share(self, job_id: str, path: str | Path | None = None) -> Path:
         """Download a report on the job: one HTML file with curves and video, which needs no network."""
         return self._transport.do(self._calls.share(job_id, path))
+
+    def import_job(
+        self, path: str | Path, *, idempotency_key: str | None = None, timeout: float = 600.0
+    ) -> JobView:
+        """Make an ended job of an export, from this service or another: others can resume from it.
+
+        The user's own model in it is sent first. Retries of the request create only one job; idempotency_key
+        extends this to several calls. timeout: seconds for the service to store it. Raises Rejected where the
+        file is no whole export, or the service cannot have such a job (docs/sharing.md).
+        """
+        return self._transport.do(self._calls.import_job(path, idempotency_key, timeout))
 
     # Users' own models
 

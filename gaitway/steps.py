@@ -7,6 +7,7 @@ written once (in `gaitway.calls`).
 
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 Params = Mapping[str, Any]
@@ -15,13 +16,14 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Request:
-    """One HTTP request. read_timeout_s: by default the client's."""
+    """One HTTP request. file: its content, sent in pieces. read_timeout_s: by default the client's."""
 
     method: str
     path: str
     params: Params | None = None
     json: Any = None
     content: bytes | None = None
+    file: Path | None = None
     headers: Mapping[str, str] | None = None
     read_timeout_s: float | None = None
 

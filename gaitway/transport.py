@@ -1,8 +1,9 @@
 """HTTP for `Client`: takes the steps of calls in the calling thread."""
 
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import AsyncIterable, Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 import httpx
@@ -11,6 +12,8 @@ from gaitway.errors import Unreachable, problem_of
 from gaitway.steps import Call, Course, Feed, Found, Open, Read, Request, Run, Send, Sleep, Step
 
 Result = TypeVar("Result")
+
+PIECE_BYTES = 2**20
 
 
 class Address:
@@ -31,16 +34,26 @@ class Address:
             "trust_env": not is_here,
         }
 
-    def build(self, http: httpx.Client | httpx.AsyncClient, request: Request) -> httpx.Request:
+    def build(
+        self,
+        http: httpx.Client | httpx.AsyncClient,
+        request: Request,
+        pieces_of: Callable[[Path], Iterable[bytes] | AsyncIterable[bytes]],
+    ) -> httpx.Request:
+        """pieces_of: how the client reads a file that it sends."""
         seconds = self.timeout.as_dict()
         timeout = httpx.Timeout(**{**seconds, "read": request.read_timeout_s or seconds["read"]})
+        content, headers = request.content, dict(request.headers or {})
+        if request.file is not None:
+            content = pieces_of(request.file)
+            headers["Content-Length"] = str(request.file.stat().st_size)
         return http.build_request(
             request.method,
             request.path,
             params=request.params,
             json=request.json,
-            content=request.content,
-            headers=request.headers,
+            content=content,
+            headers=headers,
             timeout=timeout,
         )
 
@@ -88,11 +101,12 @@ class Transport(Address):
         match step:
             case Send(request):
                 with reachable(self.base_url):
-                    return self._http.send(self.build(self._http, request))
+                    return self._http.send(self.build(self._http, request, pieces_of))
             case Open(request):
                 opened.close()
                 with reachable(self.base_url):
-                    response = opened.response = self._http.send(self.build(self._http, request), stream=True)
+                    built = self.build(self._http, request, pieces_of)
+                    response = opened.response = self._http.send(built, stream=True)
                     if is_refusal(response):
                         response.read()
                         raise problem_of(response)
@@ -124,6 +138,13 @@ class _Opened:
         if self.response is not None:
             self.response.close()
         self.response = self._pieces = None
+
+
+def pieces_of(path: Path) -> Iterator[bytes]:
+    """The file in pieces."""
+    with path.open("rb") as file:
+        while piece := file.read(PIECE_BYTES):
+            yield piece
 
 
 def is_refusal(response: httpx.Response) -> bool:

@@ -57,6 +57,14 @@ class AttemptView(View):
     message: str | None = None
 
 
+class OriginView(View):
+    """The service that a job was exported from. job: its id there; version: of Gaitway there."""
+
+    job: str
+    version: str
+    imported_at: datetime
+
+
 class JobView(View):
     """A job as it was when it was read; read it again for news.
 
@@ -75,6 +83,7 @@ class JobView(View):
     finished_at: datetime | None = None
     not_before: datetime | None = None
     waiting_for: str | None = None
+    imported_from: OriginView | None = None
     progress: ProgressView = ProgressView()
     attempts: tuple[AttemptView, ...] = ()
     artifacts: tuple[ArtifactView, ...] = ()

@@ -4,20 +4,38 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Response
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from starlette.responses import StreamingResponse
 
-from api.dependencies import JobId, Parameters, ServiceDep
+from api.dependencies import JobId, Parameters, Service, ServiceDep
+from api.errors import BodyTooLarge, TooManyImports, UnsupportedMediaType
 from api.files import PiecesResponse
 from api.problems import refusals
+from api.sharing.archive import open_archive
 from api.sharing.curve_svg import RETURNS, curve_svg, lines_of
 from api.sharing.export import export, first_read
+from api.sharing.importing import read_run
 from api.sharing.report import POLICY, open_report
 from api.sharing.zip_stream import zip_stream
-from core.errors import JobNotFound, JobUnreadable, RecordsUnavailable, Rejected, StorageUnavailable
+from api.submissions import IdempotencyKey
+from api.uploads import Upload, receiving
+from api.views import JobView
+from core.errors import (
+    BadExport,
+    IdempotencyKeyReused,
+    JobNotFound,
+    JobUnreadable,
+    RecordsUnavailable,
+    Rejected,
+    StorageUnavailable,
+)
 from core.jobs.filled_in import filled_in
+from core.jobs.importing import import_run
+from core.jobs.job import Job
 from core.jobs.spec import Text
+from core.jobs.store import Idempotency
 
 router = APIRouter(tags=["sharing"])
 
@@ -28,6 +46,24 @@ _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": f"{POLICY}; sandbox",
     "X-Content-Type-Options": "nosniff",
+}
+
+
+_ZIP_TYPES = ("application/zip", "application/x-zip-compressed")
+_IMPORTS_AT_ONCE = 2
+_ZIP_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            _ZIP_TYPES[0]: {
+                "schema": {
+                    "type": "string",
+                    "format": "binary",
+                    "description": "As `GET /jobs/{job_id}/export` gives it.",
+                }
+            }
+        },
+    }
 }
 
 
@@ -73,6 +109,52 @@ def export_job(job_id: JobId, service: ServiceDep) -> Response:
     members = first_read(export(service.store.get(job_id), service))
     headers = {"Content-Disposition": f'attachment; filename="{job_id}.zip"', "Cache-Control": "no-store"}
     return StreamingResponse(zip_stream(members), headers=headers, media_type="application/zip")
+
+
+@router.post(
+    "/jobs/import",
+    status_code=201,
+    response_model=JobView,
+    openapi_extra=_ZIP_BODY,
+    response_description="The job, which has ended; others may resume from it",
+    responses=refusals(
+        IdempotencyKeyReused,
+        BodyTooLarge,
+        UnsupportedMediaType,
+        TooManyImports,
+        BadExport,
+        RecordsUnavailable,
+        StorageUnavailable,
+    ),
+)
+async def import_job(request: Request, key: IdempotencyKey, service: ServiceDep) -> Response:
+    """Make an ended job of an export, of this service or another: others resume from it, and roll it out.
+
+    Its files, metrics and log are there under a new id, and `imported_from` says where it was run. A job that
+    was exported before its end is `cancelled`, with the reason `exported_unfinished`.
+    """
+    said = request.headers.get("content-type", "")
+    if said.partition(";")[0].strip().lower() not in _ZIP_TYPES:
+        raise UnsupportedMediaType(said, what="an export", accepted=_ZIP_TYPES[:1])
+    if service.num_imports >= _IMPORTS_AT_ONCE:
+        raise TooManyImports(_IMPORTS_AT_ONCE)
+    service.num_imports += 1
+    try:
+        async with receiving(request, service.settings.max_import_bytes) as upload:
+            job = await run_sync(_import, upload, key, service)
+    finally:
+        service.num_imports -= 1
+    headers = {"Location": f"/jobs/{job.id}"}
+    return Response(JobView.of(job).model_dump_json(), 201, headers, media_type="application/json")
+
+
+def _import(upload: Upload, key: str | None, service: Service) -> Job:
+    idempotency = None if key is None else Idempotency(key, upload.sha256)
+    if idempotency is not None and (known := service.store.remembered(idempotency)) is not None:
+        return known
+    with open_archive(upload.path, service.settings.max_import_bytes) as archive:
+        run = read_run(archive, service)
+        return import_run(run, store=service.store, objects=service.objects, idempotency=idempotency)
 
 
 @router.get(

@@ -20,6 +20,8 @@ from core.jobs.own_model import model_of
 from core.jobs.store import Channel, Entry
 from core.storage import keys
 
+# Raised when a reader of before could misunderstand it.
+FORMAT = 1
 # Of these only the newest file goes along.
 _NEWEST_ALONE = ("checkpoint", "video", "poster")
 # Roles whose content is in the zip already, in a form that every program reads.
@@ -29,9 +31,8 @@ _EXPECTED = {"train": ("checkpoint", "policy", "video"), "rollout": ("trajectory
 _README = (
     "This is {what}, job {id} of a Gaitway service; contents.json lists all files with their SHA-256, and "
     "what is missing and why.\n"
-    "To run it again on any service, from its first step: gaitway submit --file spec.json{model}. To "
-    'continue from its newest checkpoint, on a service that has the job: "resume_from": {{"job": "{id}"}} '
-    "in spec.json.\n"
+    "To have it on another service, with its newest checkpoint to resume from and to roll out: gaitway "
+    "import {id}.zip. To run it again from its first step: gaitway submit --file spec.json{model}.\n"
     "To look at it: metrics.csv, log.txt, files/video.mp4; a program elsewhere acts by files/policy.npz or "
     "files/policy.onnx.\n"
 )
@@ -41,6 +42,7 @@ _README = (
 class _Contents:
     """The files that are in the zip, and those that are not, with the reason."""
 
+    format: int = FORMAT
     files: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     missing: list[dict[str, str]] = field(default_factory=list[dict[str, str]])
 

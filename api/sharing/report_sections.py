@@ -28,6 +28,8 @@ def facts(job: Job) -> str:
         told.append(f"started {_moment(job.started_at)}")
     if job.started_at is not None and job.finished_at is not None:
         told.append(f"ran {(job.finished_at - job.started_at).total_seconds():,.0f} s")
+    if (origin := job.imported_from) is not None:
+        told.append(f"imported: job {origin.job} of a service with Gaitway {origin.version}")
     told += [f"{name}: {value}" for name, value in job.spec.labels.items()]
     lines = f'<p class="soft">{escape(" · ".join(told))}</p>'
     if not job.status.is_final:

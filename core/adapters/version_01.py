@@ -1,4 +1,4 @@
-"""The jobs and models that version 0.1 stored. `gaitway import` reads them; nothing here writes.
+"""The jobs and models that version 0.1 stored. `gaitway import-0.1` reads them; nothing here writes.
 
 Redis had the live records:
 
@@ -30,11 +30,11 @@ from typing import Any
 from pydantic import ValidationError
 from redis import Redis
 
-from core.adapters.entries import status_entry
 from core.adapters.postgres.submissions import SeenKey
 from core.adapters.redis.errors import reaching_redis
 from core.documents import Stored
 from core.errors import JobNotFound, JobUnreadable, ObjectNotFound
+from core.jobs.entries import status_entry
 from core.jobs.job import Artifact, Job, Progress, check_job_id
 from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry
@@ -229,7 +229,7 @@ class Version01:
                 )
         if job.finished_at is None:
             return measured
-        return [*measured, status_entry(job).model_copy(update={"time": job.finished_at})]
+        return [*measured, status_entry(job, job.finished_at)]
 
     def _retold_logs(self, job: Job) -> Sequence[Entry]:
         time = job.finished_at or job.created_at

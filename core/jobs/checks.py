@@ -1,6 +1,7 @@
 """Checks before a job is stored: each refusal names the place and the remedy."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -241,5 +242,9 @@ def _free_options(spec: JobSpec) -> tuple[str, ...]:
 
 
 def _without(environment: EnvironmentSpec, free: Sequence[str]) -> tuple[str, dict[str, Any]]:
-    """The environment's id, and its options without these."""
-    return environment.id, {name: value for name, value in environment.options.items() if name not in free}
+    """The environment's id, and its options with their defaults, without these."""
+    options = environment.options
+    # An option that this version refuses may be of a job of another version.
+    with suppress(EnvironmentNotFound, Rejected):
+        options = catalog.resolve(environment.id, options)[1].model_dump(mode="json")
+    return environment.id, {name: value for name, value in options.items() if name not in free}

@@ -91,6 +91,17 @@ class Attempt(Stored):
     message: str | None = None
 
 
+class Origin(Stored):
+    """Where an imported job was run. job: its id on that service; version: of Gaitway there.
+
+    Ids in the job's specification are those of that service.
+    """
+
+    job: str
+    version: str
+    imported_at: datetime
+
+
 class UnreadableJob(Stored):
     """The readable part of a record that this version does not understand. problem: a sentence."""
 
@@ -126,6 +137,7 @@ class Job(Stored):
     attempts: tuple[Attempt, ...] = ()
     artifacts: tuple[Artifact, ...] = ()
     progress: Progress = Progress()
+    imported_from: Origin | None = None
 
     @property
     def token(self) -> str:

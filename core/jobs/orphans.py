@@ -41,9 +41,12 @@ def sweep(*, store: JobStore, objects: ObjectStore, grace: timedelta = GRACE) ->
     A round through a large bucket takes minutes. It yields after each step: a page of the listing with two
     queries, or one object removed.
 
+    Files of an import that was interrupted before it reached the record are removed, too: the folder of an
+    unknown job holds them alone, while one that was recorded has a copy of its record, or a part of a feed.
+
     Three kinds of objects are left alone, because a database that was restored to an older moment has
-    forgotten them, and `gaitway recover` can bring them back: those of jobs that the record does not know;
-    all of a job whose copy is newer than its record; and those that a job's copy names.
+    forgotten them, and `gaitway recover` can bring them back: those of other jobs that the record does not
+    know; all of a job whose copy is newer than its record; and those that a job's copy names.
     """
     before = store.now() - grace
     seen = _Seen()
@@ -97,6 +100,9 @@ def _of_jobs(
             unnamed = [info.key for info in files if info.key not in named and _is_older(info, before)]
             orphans = _not_in_the_copy(job_id, unnamed, known[job_id], objects, seen)
             yield from _remove(orphans, before, objects, seen)
+        elif all(keys.is_imported(info.key) for info in infos):
+            old = [info.key for info in infos if _is_older(info, before)]
+            yield from _remove(old, before, objects, seen)
         else:
             seen.unknown_jobs += 1
             seen.unknown_objects += len(infos)
@@ -127,7 +133,7 @@ def _of_models(
     batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     for name, infos in batch.items():
-        # A model of version 0.1 has its record beside it, which `gaitway import` may still need.
+        # A model of version 0.1 has its record beside it, which `gaitway import-0.1` may still need.
         is_kept = any(keys.is_description(info.key) for info in infos)
         if not is_kept and all(_is_older(info, before) for info in infos) and not _is_model(name, store):
             yield from _remove([info.key for info in infos], before, objects, seen)

@@ -134,6 +134,21 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         an id that exists. Keys are remembered for 24 hours."""
         ...
 
+    def import_job(
+        self,
+        job: Job,
+        events: Iterable[Entry],
+        logs: Iterable[Entry],
+        *,
+        idempotency: Idempotency | None = None,
+    ) -> bool:
+        """Store an ended job with its feeds, all of it or nothing: an error in reading the feeds is raised.
+
+        False if the id exists or the key is remembered; see `add`. Raises JobUnreadable where the store
+        cannot hold the record.
+        """
+        ...
+
     def remembered(self, idempotency: Idempotency) -> Job | None:
         """The job that an earlier submission with this key created, if any. Raises IdempotencyKeyReused."""
         ...

@@ -1,6 +1,7 @@
 """The bucket's layout, in one place.
 
 jobs/<id>/attempts/<n>/<hash>/<name>           an attempt's files, by the hash of their bytes
+jobs/<id>/imported/<hash>/<name>               a file that came with an import, by the hash of its bytes
 jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from entry <first> on
 jobs/<id>/record.json                          a copy of the record, for `gaitway recover`
 models/<hash>/source                           a user's own model, as it was sent
@@ -44,6 +45,14 @@ def is_description(key: str) -> bool:
 
 def artifact(job_id: str, attempt: int, sha256: str, name: str) -> str:
     return f"jobs/{job_id}/attempts/{attempt}/{sha256[:16]}/{name}"
+
+
+def imported(job_id: str, sha256: str, name: str) -> str:
+    return f"jobs/{job_id}/imported/{sha256[:16]}/{name}"
+
+
+def is_imported(key: str) -> bool:
+    return key.split("/")[2] == "imported"
 
 
 def chunk(job_id: str, channel: str, first: int, sha256: str) -> str:

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,15 @@ class ObjectStore(Protocol):
 
     def put_file(self, key: str, path: Path, *, media_type: str = "application/octet-stream") -> None:
         """Store a file without holding it in memory."""
+        ...
+
+    def put_stream(
+        self, key: str, stream: IO[bytes], size: int, *, media_type: str = "application/octet-stream"
+    ) -> None:
+        """Store the next `size` bytes of the stream, of which a few MiB are in memory at a time.
+
+        Nothing is stored if reading them raises an error, which is passed on.
+        """
         ...
 
     def get(self, key: str) -> bytes:

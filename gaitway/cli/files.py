@@ -1,5 +1,6 @@
-"""`gaitway video`, `export`, `share`, `download`: fetch a job's files, or all of it."""
+"""`gaitway video`, `export`, `share`, `download`, `import`: fetch the files of a job, or move all of it."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
 
 from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
+from gaitway.cli.jobs import origin
 from gaitway.downloading import OnBytes
 
 Output = Annotated[
@@ -71,6 +73,23 @@ def download(
     client = client_of(context)
     full_id = job_id(client, job)
     _told(_with_bar(lambda on_bytes: client.download(full_id, name, output, on_bytes=on_bytes)), as_json)
+
+
+def import_job(
+    context: typer.Context,
+    file: Annotated[
+        Path,
+        typer.Argument(exists=True, dir_okay=False, help="As `gaitway export JOB --format zip` made it."),
+    ],
+    as_json: AsJson = False,
+) -> None:
+    """Make an ended job of an export, to resume from and to roll out; its model is sent, too."""
+    job = client_of(context).import_job(file)
+    if as_json:
+        print_json(job)
+        return
+    print(job.id)
+    print(f"{job.status}; {origin(job)}", file=sys.stderr)
 
 
 def _with_bar(fetch: Callable[[OnBytes], Path]) -> Path:

@@ -53,6 +53,14 @@ def show(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
         console.print(Text(line), soft_wrap=True)
 
 
+def origin(job: JobView) -> str | None:
+    """Where an imported job was run."""
+    found = job.imported_from
+    if found is None:
+        return None
+    return f"{found.imported_at:%Y-%m-%d %H:%M}, job {found.job} of a service with Gaitway {found.version}"
+
+
 def cancel(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
     """Stop a job; checkpoint, metrics and video up to now are kept."""
     client = client_of(context)
@@ -107,6 +115,7 @@ def _lines(job: JobView) -> list[str]:
         "finished": job.finished_at,
         "again at": job.not_before,
         "waiting": job.waiting_for,
+        "imported": origin(job),
         "progress": f"{job.progress.step:,} of {job.progress.total:,} steps" if job.progress.total else "",
     }
     lines += [f"  {name + ':':<10}{value}" for name, value in facts.items() if value]

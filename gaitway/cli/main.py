@@ -50,6 +50,7 @@ for command in (
     sweeps.sweep,
 ):
     app.command()(command)
+app.command("import")(files.import_job)
 app.add_typer(models.models, name="models")
 app.add_typer(sweeps.sweeps, name="sweeps")
 service.add_commands(app)

@@ -1,4 +1,4 @@
-"""`gaitway import`: brings the jobs and models of version 0.1 into the record, once. Composition root.
+"""`gaitway import-0.1`: brings the jobs and models of version 0.1 into the record, once. Composition root.
 
 Nothing of version 0.1 is changed: its keys in Redis and its objects stay as they are.
 """

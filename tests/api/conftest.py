@@ -216,3 +216,16 @@ class Attempt:
 
     def end(self, status: JobStatus = JobStatus.SUCCEEDED, reason: Reason = Reason.COMPLETED) -> None:
         self.claim.end(status, reason, "It came to its end.")
+
+
+@pytest.fixture
+def exported(stack: Stack) -> bytes:
+    """The export of a job that succeeded, and of which this service then keeps nothing."""
+    from tests.api.exports import trained
+
+    attempt = trained(stack)
+    attempt.end()
+    archive = stack.http.get(f"/jobs/{attempt.id}/export").content
+    assert stack.http.delete(f"/jobs/{attempt.id}").status_code == 204
+    assert stack.is_empty()
+    return archive

@@ -1,6 +1,7 @@
 """What every ObjectStore promises, on each of them."""
 
 import hashlib
+import io
 import random
 import resource
 import time
@@ -8,6 +9,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import cast
+from zipfile import BadZipFile
 
 import pytest
 from minio import Minio
@@ -145,6 +147,27 @@ class TestEveryStore:
         assert max(sizes) <= MIB
         with objects.open("film.mp4", 9 * MIB, 100) as pieces:
             assert b"".join(pieces) == body[9 * MIB : 9 * MIB + 100]
+
+    def test_a_stream_gives_the_bytes_from_where_it_is(self, objects: ObjectStore) -> None:
+        body = random.Random(0).randbytes(9 * MIB + 17)
+        stream = io.BytesIO(body)
+        stream.seek(16)
+        objects.put_stream("part", stream, len(body) - 17, media_type="video/mp4")
+        assert objects.info("part") == ObjectInfo("part", len(body) - 17, "video/mp4")
+        assert objects.get("part") == body[16:-1]
+        objects.put_stream("empty", io.BytesIO(), 0)
+        assert objects.get("empty") == b""
+
+    def test_a_stream_that_breaks_stores_nothing(self, objects: ObjectStore) -> None:
+        class Broken(io.BytesIO):
+            def read(self, size: int | None = -1) -> bytes:
+                if self.tell() + (size or 0) > 10 * MIB:
+                    raise BadZipFile("broken")
+                return super().read(size)
+
+        with pytest.raises(BadZipFile, match="broken"):
+            objects.put_stream("part", Broken(bytes(20 * MIB)), 20 * MIB)
+        assert list(objects.list("")) == []
 
     def test_a_reader_may_leave_early(self, objects: ObjectStore) -> None:
         objects.put("big", bytes(5 * MIB))

@@ -294,6 +294,27 @@ def test_the_cli_shares_and_exports_a_job(stack: Stack, tmp_path: Path) -> None:
     assert again.exit_code == 0, again.output
     assert again.stdout.strip() != attempt.id
     assert gaitway(stack, "share", "019aa3c2f0b9-5be0c1d2e9").exit_code == 1
+    brought = gaitway(stack, "import", str(archive))
+    assert brought.exit_code == 0, brought.output
+    shown = gaitway(stack, "show", brought.stdout.strip())
+    assert f"job {attempt.id} of a service with Gaitway" in shown.stdout
+    assert "exported_unfinished" in shown.stdout
+    refused = gaitway(stack, "import", spec)
+    assert (refused.exit_code, "not a zip file" in refused.stderr) == (2, True)
+
+
+def test_an_import_sends_the_users_own_model_first(stack: Stack, client: Client, tmp_path: Path) -> None:
+    file = tmp_path / "ball.xml"
+    file.write_bytes(XML)
+    with validating_worker(stack, status="ready", description=DESCRIPTION):
+        model = client.add_model(file).id
+        attempt = Attempt(stack, job(environment={"id": "mjcf", "options": {"model": model}}))
+        attempt.end()
+        archive = client.export(attempt.id, tmp_path)
+        client.delete(attempt.id)
+        client.delete_model(model)
+        assert client.import_job(archive).succeeded
+    assert [found.id for found in client.models()] == [model]
 
 
 def test_the_cli_fetches_files_and_cancels(stack: Stack, tmp_path: Path) -> None:

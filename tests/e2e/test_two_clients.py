@@ -175,7 +175,14 @@ def _files(stack: Stack, client: Either, folder: Path) -> None:
     assert client.poster(attempt.id, folder).read_bytes() == b"still"
     assert client.export_policy(attempt.id, "numpy", folder).read_bytes() == b"npz"
     assert client.load_policy(attempt.id)(jnp.zeros(3)).shape == (2,)
-    assert client.export(attempt.id, folder).read_bytes().startswith(b"PK")
+    archive = client.export(attempt.id, folder)
+    assert archive.read_bytes().startswith(b"PK")
+    brought = client.import_job(archive, idempotency_key="i")
+    assert client.import_job(archive, idempotency_key="i").id == brought.id
+    assert (brought.imported_from.job, brought.succeeded) == (attempt.id, True)
+    assert client.download(brought.id, "step-5.ckpt", folder).read_bytes() == b"state"
+    with pytest.raises(Rejected, match="not a zip file"):
+        client.import_job(folder / "step-5.ckpt")
     shared = client.share(attempt.id, folder / "a" / "b.html")
     assert shared.read_text().startswith("<!doctype html>")
     with pytest.raises(NotFound):

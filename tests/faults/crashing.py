@@ -8,11 +8,22 @@ from core.errors import RecordsUnavailable, StorageUnavailable
 
 _WRITES = frozenset(
     {
-        *("add", "save", "take_back", "delete", "beat", "dispatched", "renew", "record", "replace_by_chunk"),
+        *(
+            "add",
+            "import_job",
+            "save",
+            "take_back",
+            "delete",
+            "beat",
+            "dispatched",
+            "renew",
+            "record",
+            "replace_by_chunk",
+        ),
         *("copied", "restore", "replace_chunk", "announce", "withdraw", "tidy"),
         *("add_sweep", "save_sweep", "delete_sweep", "add_trial", "save_trial"),
         *("enqueue", "remove"),
-        *("put", "put_file", "delete_prefix"),
+        *("put", "put_file", "put_stream", "delete_prefix"),
     }
 )
 

@@ -74,12 +74,19 @@ function Head({ job, again }) {
       <${Status} job=${job} />
       <span class="facts">${job.kind} · <a href=${href(["jobs"], { environment })}>${environment}</a>${algorithmOf(job) ? ` · ${algorithmOf(job)}` : ""} · ${job.id}</span>
       <span class="facts"><time datetime=${job.created_at} title=${moment(job.created_at)}>${times(job)}</time></span>
+      <${Origin} job=${job} />
       <${Progress} job=${job} />
     </div>
     <${Labels} labels=${job.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
     ${problem && html`<${Failure} error=${problem} />`}
     <${Message} job=${job} />
   `;
+}
+
+function Origin({ job }) {
+  if (!job.imported_from) return null;
+  const { job: id, version, imported_at: time } = job.imported_from;
+  return html`<span class="facts">imported ${moment(time)}: job ${id} of a service with Gaitway ${version}</span>`;
 }
 
 function Message({ job }) {

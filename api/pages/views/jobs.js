@@ -6,6 +6,7 @@ import { html, useEffect, useRef, useState } from "../lib/html.js";
 import { algorithmOf, environmentOf, isOver, newest, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
 import { change, href } from "../lib/route.js";
+import { Import } from "../parts/import.js";
 import { Pages } from "../parts/pages.js";
 import { Sparkline } from "../parts/sparkline.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
@@ -39,6 +40,7 @@ export default function Jobs({ query }) {
       ${data.items.map((job) => html`<${Row} key=${job.id} job=${job} picked=${picked} />`)}
     </ul>`}
     ${data && html`<${Pages} path=${["jobs"]} query=${query} next=${data.next} name="Pages of jobs" first="Newest" more="Older jobs" />`}
+    <${Import} />
     ${picked.length > 0 && html`<${Picked} ids=${picked} />`}
   `;
 }

@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock
+from typing import IO
 
 from core.adapters.s3.keys import PIECE_BYTES, check_readable, check_writable
 from core.errors import ObjectNotFound
@@ -29,6 +30,11 @@ class MemoryObjectStore:
 
     def put_file(self, key: str, path: Path, *, media_type: str = "application/octet-stream") -> None:
         self.put(check_writable(key), path.read_bytes(), media_type=media_type)
+
+    def put_stream(
+        self, key: str, stream: IO[bytes], size: int, *, media_type: str = "application/octet-stream"
+    ) -> None:
+        self.put(check_writable(key), stream.read(size), media_type=media_type)
 
     def get(self, key: str) -> bytes:
         return self._found(key)[0]

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from sqlalchemy import Connection, select, update
 from sqlalchemy.dialects.postgresql import insert
 
-from core.adapters.entries import status_entry
 from core.adapters.postgres import dispatch, feeds, loading, rows, saving
 from core.adapters.postgres.tables import jobs
+from core.jobs.entries import status_entry
 from core.jobs.job import Job, UnreadableJob, utc_now
 from core.jobs.store import Chunk, Entry
 

@@ -84,15 +84,14 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
         events: Iterable[Entry],
         logs: Iterable[Entry],
         keys: Sequence[submissions.SeenKey] = (),
+        *,
+        idempotency: Idempotency | None = None,
     ) -> bool:
-        """Store a job of an earlier version, ended or queued, with its feeds and the keys of its submission.
-
-        All of it or nothing; False if the job is already there. Raises JobUnreadable where PostgreSQL
-        refuses it.
-        """
+        """As in the seam; version 0.1 also has queued jobs, and `keys`, those of the job's submission."""
         try:
             with self._transaction() as connection:
-                submissions.add(connection, job)
+                if not submissions.add(connection, job, idempotency):
+                    return False
                 feeds.append_all(connection, job.id, "events", events)
                 feeds.append_all(connection, job.id, "logs", logs)
                 for key in keys:

@@ -47,6 +47,7 @@ def new_job_values(job: Job) -> Values:
         "spec": json.dumps(job.model_dump(mode="json", include={"spec"})["spec"]),
         "created_at": job.created_at,
         "progress": None if job.progress == Progress() else job.progress.model_dump_json(),
+        "imported_from": None if job.imported_from is None else job.imported_from.model_dump_json(),
     }
 
 
@@ -84,6 +85,7 @@ def read_job(
             "attempts": [_attempt_of(attempt) for attempt in attempts],
             "artifacts": [_artifact_of(artifact) for artifact in artifacts],
             "progress": _progress(row.progress),
+            "imported_from": None if row.imported_from is None else from_json(row.imported_from),
         }
         return Job.model_validate({**own, **found})
     except ValueError as error:  # JSON's and pydantic's errors are of this kind.

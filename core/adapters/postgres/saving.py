@@ -7,10 +7,10 @@ from typing import Any, NoReturn
 from sqlalchemy import Connection, case, delete, exists, select, update
 from sqlalchemy.dialects.postgresql import insert
 
-from core.adapters.entries import status_entry
 from core.adapters.postgres import dispatch, feeds, rows
 from core.adapters.postgres.tables import NOW, artifacts, attempts, jobs
 from core.errors import JobNotFound, StaleJob
+from core.jobs.entries import status_entry
 from core.jobs.job import Attempt, Job
 from core.jobs.status import JobStatus
 

@@ -65,6 +65,7 @@ jobs = Table(
     _moment("finished_at"),
     _moment("not_before"),
     Column("progress", Text),
+    Column("imported_from", Text),
     Column("token", Text, nullable=False, server_default=""),
     _moment("lease_until"),
     Column("num_attempts", Integer, nullable=False, server_default="0"),

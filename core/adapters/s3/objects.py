@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
+from typing import IO, BinaryIO, cast
 
 from minio import Minio
 from minio.deleteobjects import DeleteObject
@@ -40,9 +41,19 @@ class S3ObjectStore:
 
     def put_file(self, key: str, path: Path, *, media_type: str = _ANY) -> None:
         check_writable(key)
+        with path.open("rb") as file:
+            self.put_stream(key, file, path.stat().st_size, media_type=media_type)
+
+    def put_stream(self, key: str, stream: IO[bytes], size: int, *, media_type: str = _ANY) -> None:
+        check_writable(key)
         with self._reaching(key):
-            self._client.fput_object(
-                self._bucket, key, str(path), content_type=media_type, part_size=_PART_BYTES
+            self._client.put_object(
+                self._bucket,
+                key,
+                cast("BinaryIO", stream),
+                size,
+                content_type=media_type,
+                part_size=_PART_BYTES,
             )
 
     def get(self, key: str) -> bytes:

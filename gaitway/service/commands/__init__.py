@@ -10,6 +10,6 @@ def add_to(app: typer.Typer) -> None:
     """Add them to the program."""
     for command in (doctor.doctor, recover.recover, services.up):
         app.command()(command)
-    app.command("import")(import_data.import_data)
+    app.command("import-0.1")(import_data.import_data)
     for command in (services.demo, services.api, services.worker):
         app.command(context_settings=PASS_ON)(command)

@@ -1,4 +1,4 @@
-"""`gaitway import`: imports the data of version 0.1."""
+"""`gaitway import-0.1`: imports the data of version 0.1."""
 
 import logging
 from pathlib import Path
@@ -42,7 +42,7 @@ def import_data(
     except Misconfigured as error:
         raise wrong_usage(error.detail) from None
     except Unavailable as error:
-        complain(f"{error.detail} Then run `gaitway import` again: it resumes where it stopped.")
+        complain(f"{error.detail} Then run `gaitway import-0.1` again: it resumes where it stopped.")
         raise typer.Exit(1) from None
     except (ImportRefused, ServerFailed) as error:
         complain(str(error))

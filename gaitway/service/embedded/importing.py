@@ -1,4 +1,4 @@
-"""Imports what the embedded stack of version 0.1 left in its folder: `gaitway import --data DIR`."""
+"""Imports what the embedded stack of version 0.1 left in its folder: `gaitway import-0.1 --data DIR`."""
 
 from pathlib import Path
 

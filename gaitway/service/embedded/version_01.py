@@ -13,7 +13,7 @@ def report_if_left(data_dir: Path, report: Callable[[str], None]) -> None:
     if has_records(data_dir):
         report(
             f"{data_dir} has jobs of version 0.1, which are not listed until they are imported: end the "
-            f"service, run `gaitway import --data {shlex.quote(str(data_dir))}`, and start it again."
+            f"service, run `gaitway import-0.1 --data {shlex.quote(str(data_dir))}`, and start it again."
         )
 
 

@@ -73,6 +73,20 @@ def test_filters_stand_in_the_address_and_come_back_with_it(stack: Stack, tab: T
     expect(page.locator(".job")).to_have_count(1)
 
 
+def test_an_export_becomes_a_job_that_says_where_it_was_run(stack: Stack, tab: Tab, exported: bytes) -> None:
+    page = tab.open()
+    page.get_by_text("Import an export").click()
+    chooser = page.get_by_label("The zip that “Export” of a job gives")
+    chooser.set_input_files({"name": "a.zip", "mimeType": "application/zip", "buffer": b"PK"})
+    expect(page.get_by_role("alert")).to_contain_text("This is not a zip file")
+    assert tab.violations() == []
+    chooser.set_input_files({"name": "a.zip", "mimeType": "application/zip", "buffer": exported})
+    expect(page.get_by_role("heading", name="first")).to_be_visible()
+    origin = re.compile("imported .*: job 019aa3c2f0b1-5be0c1d2e3 of a service with Gaitway")
+    expect(page.get_by_text(origin)).to_be_visible()
+    expect(page.locator(".status").first).to_have_text("succeeded")
+
+
 def test_older_jobs_are_a_page_away(stack: Stack, tab: Tab) -> None:
     for number in range(30):
         stack.store.add(numbered(number, name=f"job {number}"))

@@ -454,7 +454,7 @@ def test_version_01_is_taken_over(project: Project, checkout: Path) -> None:
         upgraded.compose(*loading, stdin=data)
         with_old_data.compose("down")
 
-        said = with_old_data.compose("run", "--rm", "-T", "reconciler", "gaitway", "import")
+        said = with_old_data.compose("run", "--rm", "-T", "reconciler", "gaitway", "import-0.1")
         assert f"Jobs: {len(jobs)} imported" in said
         upgraded.compose("up", "--detach", "api", "reconciler")
         upgraded.wait_until_it_accepts(ROLLOUT, 60)

@@ -1,4 +1,4 @@
-"""`gaitway import`: what version 0.1 itself wrote (version_01/data.json) becomes part of the record."""
+"""`gaitway import-0.1`: what version 0.1 itself wrote (version_01/data.json) becomes part of the record."""
 
 import base64
 import hashlib
@@ -651,7 +651,7 @@ def command(*arguments: str, **environment: str) -> "subprocess.CompletedProcess
     code = "from gaitway.cli.main import app; app()"
     base = {name: value for name, value in os.environ.items() if not name.startswith("GAITWAY_")}
     return subprocess.run(
-        [sys.executable, "-c", code, "import", *arguments],
+        [sys.executable, "-c", code, "import-0.1", *arguments],
         env={**base, **environment},
         capture_output=True,
         text=True,
@@ -703,7 +703,7 @@ class TestFolder:
     def test_its_data_are_imported_once(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         reminded: list[str] = []
         report_if_left(folder, reminded.append)
-        assert f"gaitway import --data {folder}" in reminded[0]
+        assert f"gaitway import-0.1 --data {folder}" in reminded[0]
         said: list[str] = []
         assert import_folder(folder, said.append)
         assert "Jobs: 8 imported, 0 in the record before, 0 not readable." in said

@@ -1,0 +1,31 @@
+/** Brings an export to this service, and shows the job that comes of it. */
+
+import { send } from "../lib/api.js";
+import { bytes } from "../lib/format.js";
+import { html, useState } from "../lib/html.js";
+import { go } from "../lib/route.js";
+import { Failure } from "./states.js";
+
+export function Import() {
+  const [state, setState] = useState({});
+  const bring = async ({ target: input }) => {
+    const [file] = input.files;
+    if (!file) return;
+    setState({ text: `Sending ${file.name} (${bytes(file.size)})…` });
+    try {
+      const job = await (await send("/jobs/import", { method: "POST", body: file, type: "application/zip" })).json();
+      go(["jobs", job.id]);
+    } catch (error) {
+      setState({ error });
+    }
+    input.value = "";
+  };
+  return html`<details class="import">
+    <summary>Import an export</summary>
+    <label class="field">The zip that “Export” of a job gives, here or on another service:
+      <input type="file" accept=".zip" onChange=${bring} />
+    </label>
+    <p role="status">${state.text || ""}</p>
+    ${state.error && html`<${Failure} error=${state.error} />`}
+  </details>`;
+}

@@ -1,0 +1,215 @@
+"""An export, as `api.sharing.export` writes it, becomes a job of this service."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from itertools import chain
+from math import isfinite
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import to_json
+
+from api.dependencies import Service
+from api.sharing.archive import Archive
+from api.sharing.documents import Contents, Format, Record, Row, Versions
+from api.sharing.export import FORMAT
+from api.submissions import parse
+from core.algorithms.catalog import reported
+from core.environments import catalog
+from core.errors import BadExport, EnvironmentNotFound, ModelNotFound, Rejected
+from core.jobs.checks import chosen
+from core.jobs.entries import status_entry
+from core.jobs.filled_in import filled_in
+from core.jobs.importing import ImportedFile, Run
+from core.jobs.job import Artifact, Attempt, Job, Origin, Progress, new_job_id
+from core.jobs.spec import JOB_SPEC, JobSpec
+from core.jobs.status import JobStatus
+from core.jobs.store import Entry
+from core.reasons import Reason
+from core.storage import keys
+from core.user_models import library
+
+Document = TypeVar("Document", bound=BaseModel)
+
+_FILES = "files/"
+# All entries of a feed are stored in one transaction.
+_MOST_ENTRIES = 2_000_000
+_UNFINISHED = "It was {status} when it was exported; this is what it had then."
+
+
+@dataclass(frozen=True)
+class _Feed:
+    """Entries that are read from the archive each time."""
+
+    read: Callable[[], Iterator[Entry]]
+
+    def __iter__(self) -> Iterator[Entry]:
+        return self.read()
+
+
+def read_run(archive: Archive, service: Service) -> Run:
+    """The run under a new id. All of the archive has been read and checked. Raises BadExport."""
+    _check_format(archive)
+    contents = _parsed(archive, "contents.json", Contents)
+    record = _parsed(archive, "job.json", Record)
+    version = _parsed(archive, "versions.json", Versions).service.gaitway
+    archive.document("spec.json")  # Every export has one; the record has the specification as it was sent.
+    rows = _Feed(partial(_rows, archive))
+    _check_feed(rows, "metrics.jsonl")
+    end = record.finished_at or _last_moment(record, rows)
+    now = service.store.now()
+    job = _job(record, end, Origin(job=record.id, version=version, imported_at=now))
+    _check_job(job, service)
+    files = _files(archive, contents, record, job.id)
+    job = job.model_copy(update={"artifacts": tuple(file.artifact for file in files)})
+    logs = _Feed(partial(_log, archive, end))
+    _check_feed(logs, "log.txt")
+    return Run(job, files, _Feed(partial(_events, rows, job)), logs)
+
+
+def _check_format(archive: Archive) -> None:
+    found = _parsed(archive, "contents.json", Format).format
+    if found > FORMAT:
+        raise BadExport(
+            f"A newer version of Gaitway wrote this export: it has the format {found}, and this service "
+            f"reads formats up to {FORMAT}. Import it into a newer one."
+        )
+
+
+def _parsed(archive: Archive, name: str, kind: type[Document]) -> Document:
+    try:
+        return kind.model_validate_json(archive.document(name))
+    except ValidationError as error:
+        raise _unreadable(name, error) from None
+
+
+def _unreadable(name: str, error: ValidationError) -> BadExport:
+    first = error.errors(include_url=False)[0]
+    place = "/".join(map(str, first["loc"]))
+    return BadExport(f"{name} is not that of an export: {place}{': ' if place else ''}{first['msg']}.")
+
+
+def _job(record: Record, end: datetime, origin: Origin) -> Job:
+    """The record under a new id, without files. One that had not ended has ended with its export."""
+    if [attempt.number for attempt in record.attempts] != list(range(1, len(record.attempts) + 1)):
+        raise BadExport("job.json is not that of an export: its attempts are not numbered 1, 2, 3, ….")
+    attempts = [
+        Attempt(**dict(attempt), token=Job.token_of(attempt.number, "imported"))
+        for attempt in record.attempts
+    ]
+    progress = record.progress
+    metrics = progress.metrics.items()
+    measured = {name: value for name, value in metrics if value is not None and isfinite(value)}
+    job = Job(
+        id=new_job_id(origin.imported_at),
+        spec=_spec(record),
+        status=record.status,
+        reason=record.reason,
+        message=record.message,
+        created_at=record.created_at,
+        started_at=record.started_at,
+        finished_at=end,
+        attempts=tuple(attempts),
+        progress=Progress.model_validate({**dict(progress), "metrics": measured}),
+        imported_from=origin,
+    )
+    if job.status.is_final:
+        return job
+    held = job.model_copy(update={"status": JobStatus.CANCELLING})
+    message = _UNFINISHED.format(status=record.status)
+    return held.ended(JobStatus.CANCELLED, Reason.EXPORTED_UNFINISHED, message, end)
+
+
+def _spec(record: Record) -> JobSpec:
+    try:
+        return parse(to_json(record.spec), JOB_SPEC)
+    except Rejected as error:
+        raise BadExport(
+            f"This version of Gaitway does not accept the job's specification: {error.detail}"
+        ) from None
+
+
+def _last_moment(record: Record, rows: _Feed) -> datetime:
+    """The latest time that the export has of a run that had not ended."""
+    found = [record.created_at, record.started_at]
+    found += [time for attempt in record.attempts for time in (attempt.started_at, attempt.ended_at)]
+    return max(chain((time for time in found if time is not None), (row.time for row in rows)))
+
+
+def _check_job(job: Job, service: Service) -> None:
+    """Refuse a job that could be stored and then not be used."""
+    environment = job.spec.environment
+    try:
+        if catalog.find(environment.id).takes_model:
+            library.find(str(environment.options.get("model")), service.store)
+        chosen(environment, service.store)
+        for attempt in job.attempts:
+            if "hyperparameters" in attempt.details:
+                reported(attempt.details["hyperparameters"])
+        filled_in(job, service.store)
+    except ModelNotFound as error:
+        raise BadExport(
+            f"The job uses the model {error.facts['model']}, which this service does not have: unpack the "
+            "zip, send the model by `gaitway models add model/*`, and import the zip again."
+        ) from None
+    except (EnvironmentNotFound, Rejected) as error:
+        raise BadExport(f"This service cannot have the job: {error.detail}") from None
+    except (KeyError, TypeError, ValueError) as error:  # pydantic's errors are ValueErrors.
+        raise BadExport(
+            "This version of Gaitway does not know the hyperparameters that an attempt used."
+        ) from error
+
+
+def _files(archive: Archive, contents: Contents, record: Record, job_id: str) -> list[ImportedFile]:
+    """The files that the record and the archive have; the model's is checked only."""
+    listed = {file.path for file in contents.files}
+    if len(listed) < len(contents.files):
+        raise BadExport("contents.json lists a file twice.")
+    if unlisted := {name for name in archive.names if name.startswith((_FILES, "model/"))} - listed:
+        raise BadExport(f"contents.json does not list {min(unlisted)}.")
+    known = {f"{_FILES}{artifact.name}": artifact for artifact in record.artifacts}
+    found: list[ImportedFile] = []
+    for file in contents.files:
+        archive.check(file.path, file.sha256, file.size)
+        if not file.path.startswith(_FILES):
+            continue
+        artifact = known.get(file.path)
+        if artifact is None or (artifact.sha256, artifact.size) != (file.sha256, file.size):
+            raise BadExport(f"job.json does not name {file.path} with the hash of contents.json.")
+        key = keys.imported(job_id, file.sha256, artifact.name)
+        found.append(ImportedFile(Artifact(**dict(artifact), key=key), partial(archive.open, file.path)))
+    return found
+
+
+def _check_feed(feed: _Feed, name: str) -> None:
+    """Read all of it, before anything is stored."""
+    for number, _ in enumerate(feed, 1):
+        if number > _MOST_ENTRIES:
+            raise BadExport(f"{name} has more than {_MOST_ENTRIES:,} lines.")
+
+
+def _events(rows: _Feed, job: Job) -> Iterator[Entry]:
+    """The metrics, where they come from, and the end."""
+    yield from rows
+    origin = job.imported_from
+    assert origin is not None  # noqa: S101
+    text = f"Imported: this is job {origin.job} of a service with Gaitway {origin.version}."
+    yield Entry(kind="note", time=origin.imported_at, data={"text": text})
+    yield status_entry(job, job.finished_at)
+
+
+def _rows(archive: Archive) -> Iterator[Entry]:
+    for number, line in enumerate(archive.lines("metrics.jsonl"), 1):
+        try:
+            row = Row.model_validate_json(line)
+        except ValidationError as error:
+            raise _unreadable(f"metrics.jsonl, line {number},", error) from None
+        yield Entry(kind="metrics", time=row.time, data={"step": row.step, "values": row.values})
+
+
+def _log(archive: Archive, time: datetime) -> Iterator[Entry]:
+    """An export has no times of lines: all get that of the run's end."""
+    for line in archive.lines("log.txt"):
+        yield Entry(kind="line", time=time, data={"text": line.decode(errors="replace")})

@@ -1,0 +1,153 @@
+"""What is no whole export, or too much, is refused with its reason and leaves nothing behind."""
+
+import io
+import struct
+import tempfile
+from pathlib import Path
+from zipfile import ZIP_BZIP2, ZipFile
+
+import pytest
+
+from tests.api.conftest import Stack
+from tests.api.exports import Change, bring, changed, edit, sent_in_pieces, with_file, without
+from tests.api.problems import problem
+
+BAD: dict[str, tuple[Change, str]] = {
+    "no spec.json": (without("spec.json"), "The zip has no spec.json"),
+    "no contents.json": (without("contents.json"), "The zip has no contents.json"),
+    "no log": (without("log.txt"), "The zip has no log.txt"),
+    "no checkpoint": (
+        without("files/checkpoint-200.ckpt"),
+        "The zip has no files/checkpoint-200.ckpt",
+    ),
+    "another hash": (
+        with_file("files/policy", b"polity"),
+        "files/policy does not have the SHA-256",
+    ),
+    "another size": (
+        with_file("files/policy", b"policy."),
+        "files/policy has 7 bytes, and contents.json says 6",
+    ),
+    "not in the record": (edit("job.json", artifacts=[]), "job.json does not name files/policy"),
+    "not listed": (with_file("files/more", b""), "contents.json does not list files/more"),
+    "not JSON": (with_file("job.json", b"{"), "job.json is not that of an export"),
+    "a number too long": (edit("job.json", created_at="0001-01-01T00:00:00Z"), "created_at"),
+    "unknown status": (edit("job.json", status="dreaming"), "job.json is not that of an export: status"),
+    "a header": (edit("job.json", artifacts__0__media_type="a/b\r\nX: y"), "artifacts/0/media_type"),
+    "a path as a name": (edit("job.json", artifacts__0__name="../x"), "artifacts/0/name"),
+    "metrics": (
+        with_file("metrics.jsonl", b'{"step": -1}\n'),
+        "metrics.jsonl, line 1, is not that of an export: step",
+    ),
+    "a long line": (with_file("log.txt", bytes(2**18)), "log.txt has a line of more than"),
+    "U+0000": (edit("job.json", attempts__0__worker="a\0b"), "The record of the job cannot be stored"),
+    "a newer format": (edit("contents.json", format=2), "A newer version of Gaitway wrote this export"),
+    "an unknown field": (
+        edit("job.json", spec__gravity=0),
+        "This version of Gaitway does not accept the job's specification",
+    ),
+    "an unknown environment": (edit("job.json", spec__environment="yeti"), "no environment 'yeti'"),
+    "an unknown option": (
+        edit("job.json", spec__environment={"id": "ant", "options": {"wings": 2}}),
+        "This service cannot have the job",
+    ),
+    "unknown hyperparameters": (
+        edit("job.json", attempts__0__details={"hyperparameters": {"kind": "alchemy"}}),
+        "does not know the hyperparameters",
+    ),
+    "a model": (
+        edit("job.json", spec__environment={"id": "mjcf", "options": {"model": f"sha256:{'0' * 64}"}}),
+        "which this service does not have: unpack the zip, send the model by `gaitway models add model/*`",
+    ),
+    "a path up": (with_file("files/../../x", b""), "a file 'files/../../x'"),
+    "an absolute path": (with_file("/etc/passwd", b""), "a file '/etc/passwd'"),
+    "a path of Windows": (with_file("files\\x", b""), "an export has no such name"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_what_is_no_whole_export_is_refused_and_leaves_nothing(
+    stack: Stack, exported: bytes, what: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    change, sentence = BAD[what]
+    document = problem(bring(stack.http, changed(exported, change)), 422, "bad-export")
+    assert sentence in document["detail"]
+    assert stack.is_empty()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("cut", [0, 1, 22, 1000])
+def test_a_part_of_a_zip_is_refused(stack: Stack, exported: bytes, cut: int) -> None:
+    for archive in (exported[:cut], exported[: len(exported) - 1 - cut]):
+        document = problem(bring(stack.http, archive), 422, "bad-export")
+        assert "This is not a zip file, or only a part of one" in document["detail"]
+    assert stack.is_empty()
+
+
+def test_a_zip_with_a_flipped_byte_is_refused(stack: Stack, exported: bytes) -> None:
+    place = exported.index(b"files/video.mp4") + 2**20
+    flipped = exported[:place] + bytes([exported[place] ^ 1]) + exported[place + 1 :]
+    document = problem(bring(stack.http, flipped), 422, "bad-export")
+    assert "Bad CRC-32 for file 'files/video.mp4'" in document["detail"]
+    assert stack.is_empty()
+
+
+def test_a_zip_that_unpacks_to_too_much_is_refused_whatever_it_declares(
+    stack: Stack, exported: bytes
+) -> None:
+    limit = 2**22
+    stack.service.settings = stack.service.settings.model_copy(update={"max_import_bytes": limit})
+    archive = changed(exported, with_file("log.txt", b"\n" * limit))
+    assert len(archive) < limit
+    document = problem(bring(stack.http, archive), 422, "bad-export")
+    assert f"this service accepts {limit:,}" in document["detail"]
+    # The directory says that the log has one byte; the 32-bit size stands 24 bytes into its entry.
+    entry = archive.rindex(b"PK\x01\x02", 0, archive.rindex(b"log.txt"))
+    lying = archive[: entry + 24] + struct.pack("<L", 1) + archive[entry + 28 :]
+    document = problem(bring(stack.http, lying), 422, "bad-export")
+    assert "The zip is damaged" in document["detail"]
+    document = problem(bring(stack.http, bytes(limit + 1)), 413, "body-too-large")
+    assert document["limit_bytes"] == limit
+    assert stack.is_empty()
+
+
+def test_a_directory_of_a_million_entries_is_not_read(stack: Stack) -> None:
+    # An entry of the least length, again and again: 46 bytes, a million times.
+    entries = struct.pack("<4s6H3L5H2L", b"PK\x01\x02", *[0] * 16) * 10**4
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 0xFFFF, 0xFFFF, 100 * len(entries), 0, 0)
+    answer, peak = sent_in_pieces(stack, [*[entries] * 100, end])
+    assert "its directory is too long" in problem(answer, 422, "bad-export")["detail"]
+    assert peak < 2**24
+
+
+def test_another_kind_of_compression_and_a_name_twice_are_refused(stack: Stack, exported: bytes) -> None:
+    out = io.BytesIO()
+    with ZipFile(out, "w", ZIP_BZIP2) as archive:
+        archive.writestr("spec.json", b"{}")
+    document = problem(bring(stack.http, out.getvalue()), 422, "bad-export")
+    assert "compressed in another way" in document["detail"]
+    twice = io.BytesIO(exported)
+    with ZipFile(twice, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("spec.json", b"{}")
+    assert (
+        "two files of the same name"
+        in problem(bring(stack.http, twice.getvalue()), 422, "bad-export")["detail"]
+    )
+    assert stack.is_empty()
+
+
+def test_a_body_of_another_type_is_refused(stack: Stack, exported: bytes) -> None:
+    answer = bring(stack.http, exported, **{"Content-Type": "application/json"})
+    document = problem(answer, 415, "unsupported-media-type")
+    assert "Send an export as application/zip" in document["detail"]
+
+
+def test_no_more_than_two_are_imported_at_once(stack: Stack, exported: bytes) -> None:
+    stack.service.num_imports = 2
+    answer = bring(stack.http, exported)
+    assert problem(answer, 429, "too-many-imports")["most"] == 2
+    assert answer.headers["retry-after"] == "5"
+    stack.service.num_imports = 0
+    assert bring(stack.http, exported).status_code == 201
+    assert stack.service.num_imports == 0
