@@ -134,7 +134,7 @@ def _made(task: Task, info: EnvironmentInfo, options: Strict, engine: EngineName
 
 
 def _may_take_another(task: Task, choice: EngineChoice, failed: JobFailed) -> bool:
-    """Whether `auto` took `compiled` for a user's model, of which it lacks what the job reads or randomises."""
+    """Whether `auto` took `compiled` for a user's model, and it lacks what the job reads or randomises."""
     is_free = task.spec.physics == "auto" and task.begun_on is None and task.model is not None
     return is_free and choice.name == "compiled" and failed.reason == Reason.BAD_MODEL
 
