@@ -1,9 +1,9 @@
 """A job without the service: its training process alone, on a machine that has no stores.
 
-`python -m bench.run_job FOLDER SPEC.json [--model FILE] [--gpu [N]] [--set PATH=VALUE]` fills FOLDER while the
-job runs, so that an interrupted job leaves what it has so far: its files, `metrics.jsonl`, and `job.json` with
-what the process reported about itself; `curve.png` comes at the end. The video is drawn as in the service.
-`bench/jobs` and `examples` have jobs.
+`python -m bench.run_job FOLDER SPEC.json [--model FILE] [--gpu [N]] [--set PATH=VALUE]` fills FOLDER while
+the job runs, so that an interrupted job leaves what it has so far: its files, `metrics.jsonl`, and `job.json`
+with what the process reported about itself; `curve.png` comes at the end. The video is drawn as in the
+service. `bench/jobs` and `examples` have jobs.
 """
 
 import argparse
