@@ -21,10 +21,17 @@ _DESCRIPTION = """Train simulated bodies to walk: submit a training or a rollout
 Every refusal is `application/problem+json` (RFC 9457). Times are RFC 3339 in UTC; ids sort by time."""
 
 
-def create_app(settings: ApiSettings, *, store: SweepStore, queue: JobQueue, objects: ObjectStore) -> FastAPI:
-    """The service, built from these parts."""
+def create_app(
+    settings: ApiSettings,
+    *,
+    store: SweepStore,
+    queue: JobQueue,
+    objects: ObjectStore,
+    patient: ObjectStore | None = None,
+) -> FastAPI:
+    """The service, built from these parts. patient: the object store for requests that may take minutes."""
     app = interface()
-    app.state.service = Service(settings, store, queue, objects)
+    app.state.service = Service(settings, store, queue, objects, patient)
     app.add_middleware(Correlation, origin_check=OriginCheck(settings.hosts))
     return app
 
@@ -52,7 +59,13 @@ def build(settings: ApiSettings) -> FastAPI:
 
     # A client waits for each answer, so a store that does not answer is given up after two seconds.
     objects = object_store(settings, retries=1, timeout_s=2.0)
-    return create_app(settings, store=job_store(settings), queue=job_queue(settings), objects=objects)
+    return create_app(
+        settings,
+        store=job_store(settings),
+        queue=job_queue(settings),
+        objects=objects,
+        patient=object_store(settings),
+    )
 
 
 def from_environment() -> FastAPI:

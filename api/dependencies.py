@@ -33,6 +33,7 @@ class Service:
     curves: metrics for pictures.
     lists: of jobs, as they were sent in the last moments.
     acknowledgements: of dispatches that the queue has received.
+    patient: the object store again, for a request that may take minutes; by default `objects`.
     num_uploads: models that are being received now.
     num_imports: exports that are being received or stored now.
     """
@@ -41,6 +42,7 @@ class Service:
     store: SweepStore
     queue: JobQueue
     objects: ObjectStore
+    patient: ObjectStore | None = None
     stopping: bool = False
     num_uploads: int = 0
     num_imports: int = 0

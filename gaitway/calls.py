@@ -8,6 +8,7 @@ import shutil
 import tempfile
 import time
 import uuid
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -42,6 +43,8 @@ AnyView = TypeVar("AnyView", bound=BaseModel)
 
 _POLL_S = 0.5
 _PAGE = 100
+# Far beyond what a service takes: what an export holds is not unpacked unseen.
+_LARGEST_MODEL = 2**30
 _POLICY_FILES = {"numpy": "policy.npz", "onnx": "policy.onnx"}
 
 
@@ -402,15 +405,21 @@ class Calls:
 
 
 def _models_in(archive: Path, folder: Path) -> list[Path]:
-    """The models in an export, unpacked into the folder; of a file that is no zip, the service says so."""
+    """The models in an export, unpacked into the folder; of what is no whole zip, the service says so."""
     try:
         with ZipFile(archive) as opened:
-            infos = [info for info in opened.infolist() if info.filename.startswith("model/")]
+            infos = [
+                info
+                for info in opened.infolist()
+                if info.filename.startswith("model/")
+                and not info.is_dir()
+                and info.file_size <= _LARGEST_MODEL
+            ]
             models = [folder / f"model-{number}" for number in range(len(infos))]
             for info, model in zip(infos, models, strict=True):
                 with opened.open(info) as source, model.open("wb") as target:
                     shutil.copyfileobj(source, target)
-    except BadZipFile:
+    except (BadZipFile, zlib.error, RuntimeError):  # Also of an unknown compression, or with a password.
         return []
     return models
 

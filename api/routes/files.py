@@ -1,7 +1,7 @@
 """A job's files: videos, checkpoints, everything else."""
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import Field
@@ -35,7 +35,9 @@ class Picture(Parameters):
 
     def shows(self, artifact: Artifact) -> bool:
         facts = artifact.metadata
-        cameras = map(str, facts.get("cameras", [facts.get("camera", "")]))  # Older records name one.
+        named: object = facts.get("cameras", [facts.get("camera", "")])  # Older records name one.
+        # Of an import it may be anything.
+        cameras = [str(one) for one in cast("list[object]", named)] if isinstance(named, list) else []
         return self.step in (None, artifact.step) and (self.camera is None or self.camera in cameras)
 
 

@@ -41,7 +41,7 @@ router = APIRouter(tags=["sharing"])
 
 _REFUSALS = refusals(JobNotFound, JobUnreadable, RecordsUnavailable, StorageUnavailable)
 _CURVE_POINTS = 600
-# A report and a picture run nothing and reach nothing, also when they are opened from here.
+# A report and a picture run nothing but a report's replay, and reach nothing, also when opened from here.
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": f"{POLICY}; sandbox",
@@ -154,7 +154,8 @@ def _import(upload: Upload, key: str | None, service: Service) -> Job:
         return known
     with open_archive(upload.path, service.settings.max_import_bytes) as archive:
         run = read_run(archive, service)
-        return import_run(run, store=service.store, objects=service.objects, idempotency=idempotency)
+        objects = service.patient or service.objects
+        return import_run(run, store=service.store, objects=objects, idempotency=idempotency)
 
 
 @router.get(

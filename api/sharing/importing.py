@@ -34,8 +34,8 @@ from core.user_models import library
 Document = TypeVar("Document", bound=BaseModel)
 
 _FILES = "files/"
-# All entries of a feed are stored in one transaction.
-_MOST_ENTRIES = 2_000_000
+# All entries of a feed are stored in one transaction, and the search for feeds to compact sums over them.
+_MOST_ENTRIES = 300_000
 _UNFINISHED = "It was {status} when it was exported; this is what it had then."
 
 
@@ -88,6 +88,9 @@ def _parsed(archive: Archive, name: str, kind: type[Document]) -> Document:
 def _unreadable(name: str, error: ValidationError) -> BadExport:
     first = error.errors(include_url=False)[0]
     place = "/".join(map(str, first["loc"]))
+    if first["type"] in ("enum", "literal_error"):
+        known = f"This version of Gaitway does not know {first['input']!r:.100}, which {name} has at {place}"
+        return BadExport(f"{known}: import it into the version that made it, or a newer one.")
     return BadExport(f"{name} is not that of an export: {place}{': ' if place else ''}{first['msg']}.")
 
 

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import IO
 
-from core.errors import BadExport, JobUnreadable, RecordsUnavailable, StorageUnavailable
+from core.errors import BadExport, JobUnreadable, RecordsUnavailable, Rejected, StorageUnavailable
 from core.jobs.job import Artifact, Job
 from core.jobs.store import Entry, Idempotency, JobStore
 from core.storage import keys
@@ -43,7 +43,7 @@ def import_run(
         for file in run.files:
             artifact = file.artifact
             with file.open() as stream:
-                objects.put_stream(artifact.key, stream, artifact.size, media_type=artifact.media_type)
+                _put(artifact, stream, objects)
         job = _record(run, store, idempotency)
     except RecordsUnavailable:  # The record may be stored, and only the answer lost.
         raise
@@ -53,6 +53,13 @@ def import_run(
     if job is not run.job:
         _remove_files(run, objects)
     return job
+
+
+def _put(artifact: Artifact, stream: IO[bytes], objects: ObjectStore) -> None:
+    try:
+        objects.put_stream(artifact.key, stream, artifact.size, media_type=artifact.media_type)
+    except Rejected as error:
+        raise BadExport(f"The file {artifact.name[:100]!r} cannot be stored: {error.detail}") from error
 
 
 def _record(run: Run, store: JobStore, idempotency: Idempotency | None) -> Job:

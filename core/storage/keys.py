@@ -52,7 +52,7 @@ def imported(job_id: str, sha256: str, name: str) -> str:
 
 
 def is_imported(key: str) -> bool:
-    return key.split("/")[2] == "imported"
+    return key.split("/")[2:3] == ["imported"]
 
 
 def chunk(job_id: str, channel: str, first: int, sha256: str) -> str:

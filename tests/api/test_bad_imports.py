@@ -1,6 +1,7 @@
 """What is no whole export, or too much, is refused with its reason and leaves nothing behind."""
 
 import io
+import socket
 import struct
 import tempfile
 from pathlib import Path
@@ -32,7 +33,10 @@ BAD: dict[str, tuple[Change, str]] = {
     "not listed": (with_file("files/more", b""), "contents.json does not list files/more"),
     "not JSON": (with_file("job.json", b"{"), "job.json is not that of an export"),
     "a number too long": (edit("job.json", created_at="0001-01-01T00:00:00Z"), "created_at"),
-    "unknown status": (edit("job.json", status="dreaming"), "job.json is not that of an export: status"),
+    "unknown status": (
+        edit("job.json", status="dreaming"),
+        "does not know 'dreaming', which job.json has at status",
+    ),
     "a header": (edit("job.json", artifacts__0__media_type="a/b\r\nX: y"), "artifacts/0/media_type"),
     "a path as a name": (edit("job.json", artifacts__0__name="../x"), "artifacts/0/name"),
     "metrics": (
@@ -150,4 +154,20 @@ def test_no_more_than_two_are_imported_at_once(stack: Stack, exported: bytes) ->
     assert answer.headers["retry-after"] == "5"
     stack.service.num_imports = 0
     assert bring(stack.http, exported).status_code == 201
+    assert stack.service.num_imports == 0
+
+
+def test_an_upload_that_stops_coming_gives_its_place_up(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("api.uploads._LONGEST_PAUSE_S", 0.2)
+    head = (
+        f"POST /jobs/import HTTP/1.1\r\nHost: 127.0.0.1:{stack.port}\r\n"
+        "Content-Type: application/zip\r\nContent-Length: 1000\r\n\r\n"
+    )
+    with socket.create_connection(("127.0.0.1", stack.port), timeout=10) as connection:
+        connection.sendall(head.encode() + b"PK")
+        answer = connection.recv(2**16)
+    assert answer.startswith(b"HTTP/1.1 422")
+    assert b"stopped coming" in answer
     assert stack.service.num_imports == 0

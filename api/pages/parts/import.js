@@ -2,19 +2,22 @@
 
 import { send } from "../lib/api.js";
 import { bytes } from "../lib/format.js";
-import { html, useState } from "../lib/html.js";
+import { html, useEffect, useRef, useState } from "../lib/html.js";
 import { go } from "../lib/route.js";
 import { Failure } from "./states.js";
 
 export function Import() {
   const [state, setState] = useState({});
+  // It takes minutes, and whoever has gone on to another view stays there.
+  const isHere = useRef(true);
+  useEffect(() => () => (isHere.current = false), []);
   const bring = async ({ target: input }) => {
     const [file] = input.files;
     if (!file) return;
     setState({ text: `Sending ${file.name} (${bytes(file.size)})…` });
     try {
       const job = await (await send("/jobs/import", { method: "POST", body: file, type: "application/zip" })).json();
-      go(["jobs", job.id]);
+      if (isHere.current) go(["jobs", job.id]);
     } catch (error) {
       setState({ error });
     }

@@ -52,3 +52,10 @@ def test_every_store_keeps_these_keys() -> None:
     assert is_portable(keys.record(JOB))
     assert is_portable(keys.chunk(JOB, "events", 1, HASH))
     assert is_portable(keys.artifact(JOB, 12, HASH, "checkpoint-000000500000.npz"))
+
+
+def test_only_files_of_an_import_are_taken_for_such() -> None:
+    assert keys.is_imported(keys.imported(JOB, HASH, "policy"))
+    # The second is what consoles of S3 leave for a folder.
+    for other in (keys.artifact(JOB, 1, HASH, "imported"), "jobs/", "jobs/readme"):
+        assert not keys.is_imported(other)
