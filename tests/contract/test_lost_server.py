@@ -43,6 +43,7 @@ def calls(job: Job) -> Mapping[str, Call]:
     return {
         "now": lambda jobs: jobs.now(),
         "add": lambda jobs: jobs.add(queued_job()),
+        "import_job": lambda jobs: jobs.import_job(job, [], []),
         "remembered": lambda jobs: jobs.remembered(Idempotency("k", "b")),
         "find": lambda jobs: jobs.find(job.id),
         "get": lambda jobs: jobs.get(job.id),
