@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from html import escape
 
 from api.dependencies import Service
+from api.page_files import page_files
 from api.sharing.modules import embedded_modules
 from api.sharing.report_sections import facts, section, sections, size_in_words
 from core.errors import ObjectNotFound
@@ -30,11 +31,8 @@ h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem}
 .table{overflow-x:auto}table{border-collapse:collapse;width:100%}
 td,th{text-align:left;padding:.2rem .6rem .2rem 0;border-bottom:1px solid var(--line);vertical-align:top}
 pre{overflow:auto;max-height:24rem;border:1px solid var(--line);padding:.6rem}
-.replay .stage{height:min(60vh,92vw,34rem);border-radius:.5rem;overflow:hidden;background:var(--shade)}
-.replay canvas{display:block;width:100%;height:100%;touch-action:none;cursor:grab}
-.replay .transport{display:flex;gap:.8rem;align-items:end;margin:.6rem 0}
-.replay .slider{flex:1}.replay .slider input{width:100%;margin:0}
-.replay .tools{display:flex;flex-wrap:wrap;gap:.4rem 1rem;align-items:center;margin:.6rem 0}
+.replay .tools{display:flex;flex-wrap:wrap;gap:.4rem 1rem;align-items:center}
+.replay .slider input{width:100%;margin:0}
 .replay .facts{color:var(--soft)}.replay button,.replay select{font:inherit;min-height:2rem}
 """
 
@@ -95,8 +93,12 @@ def _head(job: Job, policy: str) -> str:
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{_STYLE}</style></head><body><h1>{title}</h1>"
+        f"<title>{title}</title><style>{_STYLE}{_replay_style()}</style></head><body><h1>{title}</h1>"
     )
+
+
+def _replay_style() -> str:
+    return page_files().by_path["style/replay.css"].content.decode()
 
 
 def _video(job: Job, film: Artifact | None, held: _Held | None) -> Iterator[bytes | _Held]:

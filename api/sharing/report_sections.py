@@ -20,7 +20,7 @@ _LOG_LINES = 200
 
 
 def facts(job: Job) -> str:
-    """What the job is and how it stands, below its name."""
+    """The lines below the title: the job's kind, state, times and labels."""
     told = [job.spec.kind, job.spec.environment.id, job.id, str(job.status)]
     if job.progress.total:
         told.append(f"{job.progress.step:,} of {job.progress.total:,} steps")

@@ -1,12 +1,12 @@
 """Physics compiled for one body beside C MuJoCo, on all cores of this machine; PPO and Q-learning on both."""
 
 from collections.abc import Sequence
-from statistics import median
 
 from bench.cpu import q_learning
 from bench.measure import comparison, requests
 from bench.measure.comparison import UNIT, rate
-from bench.measure.result import Figure, Options, Result, Table, at_least, at_most
+from bench.measure.engine_steps import ENGINES, quotients, steps_table
+from bench.measure.result import Figure, Options, Result, at_least, at_most
 from bench.measure.runs import Run, Runs, Work
 from bench.measure.statistics import ratios, spread
 from core.environments import catalog
@@ -18,7 +18,6 @@ _NUM_ENVS = 512
 # For these, `auto` decides by the number of environments; a rollout may have one.
 _FEWER = (1, 4, 16, 64, 256)
 _EQUAL = "equal-settings"
-_ENGINES = ("compiled", "native")
 _TRAINED, _STEPS, _NUM_EVALS = "ant", 491_520, 5
 
 
@@ -36,7 +35,7 @@ def measure(options: Options) -> Result:
     figures = [_figure(body, runs.done.get(body), runs.failed.get(body)) for body in bodies]
     if run := runs.done.get(_EQUAL):
         name = f"{bodies[0]}: both under the model's own solver settings"
-        figures.append(Figure.of(name, spread(_quotients(run, str(_envs(options)))), "×"))
+        figures.append(Figure.of(name, spread(quotients(run, str(_envs(options)))), "×"))
     trained = [pair for seed in seeds if (pair := _pair(runs.done, seed))]
     steps = {body: run for body in bodies if (run := runs.done.get(body))}
     return Result(
@@ -50,7 +49,7 @@ def measure(options: Options) -> Result:
             *_training_figures(requests.body(_TRAINED, options), trained),
             *_steered_figures(runs.done),
         ],
-        table=_table(steps),
+        table=steps_table(steps),
         rows=[
             *comparison.step_rows({name: run for name, run in runs.done.items() if "rates" in run}),
             *(comparison.row(name, run) for name, run in runs.done.items() if "training" in run),
@@ -68,7 +67,7 @@ def _request(body: str, options: Options, *, own_settings: bool = False) -> dict
     fewer = () if own_settings else ((1,) if options.quick else _FEWER)
     return {
         "environment": body,
-        "engines": list(_ENGINES),
+        "engines": list(ENGINES),
         "num_envs": [_envs(options), *fewer],
         "rounds": 2 if options.quick else 7,
         "steps_per_call": 5 if options.quick else 20,
@@ -89,7 +88,7 @@ def _trainings(seed: int, options: Options) -> list[Work]:
             requests.ours("cpu", body, engine, given, seed=seed),
             about_s=100,
         )
-        for engine in _ENGINES
+        for engine in ENGINES
     ]
     return works[:: -1 if seed % 2 else 1]
 
@@ -104,13 +103,13 @@ def _steered(options: Options) -> list[Work]:
             about_s=60,
             cache=f"star-{engine}",
         )
-        for engine in _ENGINES
+        for engine in ENGINES
     ]
 
 
 def _steered_figures(done: dict[str, Run]) -> list[Figure]:
-    rates = [rate(run["training"]) for engine in _ENGINES if (run := done.get(f"star-{engine}"))]
-    if len(rates) < len(_ENGINES):
+    rates = [rate(run["training"]) for engine in ENGINES if (run := done.get(f"star-{engine}"))]
+    if len(rates) < len(ENGINES):
         return []
     ours, theirs = rates
     unit = q_learning.CONTROL_STEPS
@@ -128,18 +127,12 @@ def _figure(body: str, run: Run | None, why: str | None) -> Figure:
         missing = why or catalog.find(body).cannot_run.get("compiled", "not measured")
         return Figure(name=name, value=None, unit="×", target=target, missing=missing)
     most = max(run["rates"]["native"], key=int)
-    return Figure.of(name, spread(_quotients(run, most)), "×", target)
-
-
-def _quotients(run: Run, num_envs: str) -> list[float]:
-    """`compiled` over `native`, round by round."""
-    ours, theirs = (run["rates"][engine][num_envs] for engine in _ENGINES)
-    return [one / other for one, other in zip(ours, theirs, strict=True)]
+    return Figure.of(name, spread(quotients(run, most)), "×", target)
 
 
 def _pair(done: dict[str, Run], seed: int) -> tuple[Run, Run] | None:
     """The trainings on `compiled` and on `native`."""
-    ours, theirs = (done.get(f"ppo-{engine}-{seed}") for engine in _ENGINES)
+    ours, theirs = (done.get(f"ppo-{engine}-{seed}") for engine in ENGINES)
     return (ours, theirs) if ours and theirs else None
 
 
@@ -167,18 +160,6 @@ def _training_figures(body: str, pairs: Sequence[tuple[Run, Run]]) -> list[Figur
         Figure.of_mean("return at the end on `native`", comparison.returns(theirs), ""),
         *comparison.versus("return on `compiled` − that on `native`", ours, theirs),
     ]
-
-
-def _table(done: dict[str, Run]) -> Table | None:
-    if not done:
-        return None
-    rows = list[list[str]]()
-    for body, run in done.items():
-        for num in sorted(run["rates"]["native"], key=int):
-            steps = [f"{median(run['rates'][engine][num]):,.0f}" for engine in _ENGINES]
-            rows.append([body, f"{int(num):,}", *steps, f"{median(_quotients(run, num)):.1f}"])
-    headings = ["body", "environments", *(f"`{engine}`, control steps/s" for engine in _ENGINES), "ratio"]
-    return Table(headings=headings, rows=rows)
 
 
 def _notes(options: Options, num_pairs: int) -> list[str]:

@@ -2,19 +2,18 @@
 
 from importlib.util import find_spec
 from pathlib import Path
-from statistics import median
 
 import mujoco
 
 from bench.measure import comparison
-from bench.measure.result import Figure, Options, Result, Table, at_least
+from bench.measure.engine_steps import ENGINES, quotients, steps_table
+from bench.measure.result import Figure, Options, Result, at_least
 from bench.measure.runs import Run, Runs, Work
 from bench.measure.statistics import spread
 from core.physics.compiled.coverage import uncovered
 
 _ROBOT = Path(__file__).parents[2] / "examples" / "quadruped.xml"
-_ENGINES = ("compiled", "native")
-# What the rule of the catalog's row `mjcf` asks for at least, first.
+# The first is the least for which the catalog lets `auto` take `compiled`.
 _NUM_ENVS = (64, 16, 256)
 
 
@@ -39,7 +38,7 @@ def measure(options: Options) -> Result:
         figures=[
             _figure(name, runs.done.get(name), runs.failed.get(name)) for name in bodies if name not in beyond
         ],
-        table=_table(runs.done),
+        table=steps_table(runs.done, with_start=True),
         rows=comparison.step_rows(runs.done),
         notes=[*_notes(beyond), *runs.notes()],
         unfinished=runs.left,
@@ -68,7 +67,7 @@ def _num_envs(options: Options) -> list[int]:
 def _request(path: Path, options: Options) -> dict[str, object]:
     return {
         "model": str(path),
-        "engines": list(_ENGINES),
+        "engines": list(ENGINES),
         "num_envs": _num_envs(options),
         "rounds": 2 if options.quick else 5,
         "steps_per_call": 5 if options.quick else 50,
@@ -80,32 +79,12 @@ def _figure(body: str, run: Run | None, why: str | None) -> Figure:
     name = f"{body}: `compiled` ÷ `native`"
     if run is None:
         return Figure(name=name, value=None, unit="×", target=at_least(1), missing=why or "not measured")
-    return Figure.of(name, spread(_quotients(run, min(run["rates"]["native"], key=_rank))), "×", at_least(1))
+    return Figure.of(name, spread(quotients(run, min(run["rates"]["native"], key=_rank))), "×", at_least(1))
 
 
 def _rank(num_envs: str) -> int:
     """The rule's number of environments comes first."""
     return _NUM_ENVS.index(int(num_envs)) if int(num_envs) in _NUM_ENVS else len(_NUM_ENVS)
-
-
-def _quotients(run: Run, num_envs: str) -> list[float]:
-    """`compiled` over `native`, round by round."""
-    ours, theirs = (run["rates"][engine][num_envs] for engine in _ENGINES)
-    return [one / other for one, other in zip(ours, theirs, strict=True)]
-
-
-def _table(done: dict[str, Run]) -> Table | None:
-    if not done:
-        return None
-    rows = list[list[str]]()
-    for body, run in done.items():
-        for num in sorted(run["rates"]["native"], key=int):
-            steps = [f"{median(run['rates'][engine][num]):,.0f}" for engine in _ENGINES]
-            ready = [f"{run['ready_s'][engine]:.1f}" for engine in _ENGINES]
-            rows.append([body, f"{int(num):,}", *steps, f"{median(_quotients(run, num)):.1f}", *ready])
-    rates = [f"`{engine}`, control steps/s" for engine in _ENGINES]
-    waits = [f"`{engine}`, s to its first step" for engine in _ENGINES]
-    return Table(headings=["body", "environments", *rates, "ratio", *waits], rows=rows)
 
 
 def _notes(beyond: dict[str, str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""What workers report on themselves, and the record's part for it."""
+"""The reports of workers on themselves, and the store that keeps them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

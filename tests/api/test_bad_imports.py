@@ -1,4 +1,4 @@
-"""What is no whole export, or too much, is refused with its reason and leaves nothing behind."""
+"""The service refuses bad and too large exports, says why, and keeps nothing of them."""
 
 import io
 import socket

@@ -7,6 +7,7 @@ import { fieldsOf } from "../lib/job_fields.js";
 import { useLive } from "../lib/live.js";
 import { go } from "../lib/route.js";
 import { schemas } from "../lib/schemas.js";
+import { useSubmission } from "../lib/submission.js";
 import { documentOf, draftFrom, examples } from "../lib/sweep_draft.js";
 import { Field } from "../parts/field.js";
 import { Failure, Loading } from "../parts/states.js";
@@ -38,28 +39,16 @@ async function load(query) {
 
 function Form({ all, environments, begun, given, jobs }) {
   const [draft, setDraft] = useState(begun);
-  const [problem, setProblem] = useState(null);
-  const [isBusy, setBusy] = useState(false);
   const summary = useRef();
   const environment = useEnvironment(draft.job.environment);
   const document = documentOf(draft);
+  const { problem, setProblem, isBusy, submit } = useSubmission(async () => go(["sweeps", (await post("/sweeps", document)).id]));
   const known = fieldsOf(draft.job, all, environment.data);
   const set = (path, value) => setDraft((before) => put(before, path, value));
   const fields = { all, document: draft, set, errors: problem?.errors || [] };
   const schema = all.SweepSpec.properties;
   // Of another draft, nothing was refused yet.
   const renew = (next) => (setDraft(next), setProblem(null));
-  const submit = async (event) => {
-    event.preventDefault();
-    setBusy(true);
-    try {
-      const sweep = await post("/sweeps", document);
-      go(["sweeps", sweep.id]);
-    } catch (refusal) {
-      setProblem(refusal);
-      setBusy(false);
-    }
-  };
   useEffect(() => problem && summary.current?.focus(), [problem]);
   return html`
     <div class="title"><h1>Start a sweep</h1>

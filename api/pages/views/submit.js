@@ -6,6 +6,7 @@ import { html, useEffect, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { go, href } from "../lib/route.js";
 import { schemas } from "../lib/schemas.js";
+import { useSubmission } from "../lib/submission.js";
 import { Failure, Loading } from "../parts/states.js";
 import { Body } from "./submit/body.js";
 import { AsCode } from "./submit/code.js";
@@ -25,21 +26,9 @@ async function load(query) {
 
 function Form({ all, environments, draft }) {
   const [document, setDocument] = useState(draft);
-  const [problem, setProblem] = useState(null);
-  const [isBusy, setBusy] = useState(false);
   const summary = useRef();
   const environment = useEnvironment(document.environment);
-  const submit = async (event) => {
-    event.preventDefault();
-    setBusy(true);
-    try {
-      const job = await post("/jobs", document);
-      go(["jobs", job.id]);
-    } catch (refusal) {
-      setProblem(refusal);
-      setBusy(false);
-    }
-  };
+  const { problem, isBusy, submit } = useSubmission(async () => go(["jobs", (await post("/jobs", document)).id]));
   useEffect(() => problem && summary.current?.focus(), [problem]);
   return html`
     <h1>Submit a job</h1>

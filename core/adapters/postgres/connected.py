@@ -1,4 +1,4 @@
-"""What each part of the record in PostgreSQL stands on."""
+"""The connections that all parts of the record in PostgreSQL share."""
 
 from collections.abc import Generator
 from contextlib import contextmanager

@@ -25,7 +25,7 @@ def add(page: Page, path: str) -> None:
 
 
 def document(page: Page) -> dict[str, Any]:
-    """What the form says that it will send."""
+    """The JSON that the form shows and will send."""
     return json.loads(page.get_by_role("region", name="The submission as JSON").inner_text())
 
 

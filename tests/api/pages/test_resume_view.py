@@ -1,4 +1,4 @@
-"""What the page of an ended sweep offers: to resume it, and to start one like it."""
+"""The page of an ended sweep: a form to resume it, and a link to start one like it."""
 
 import json
 from typing import Any

@@ -5,6 +5,7 @@ import { put } from "../../lib/draft.js";
 import { html, useState } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
 import { schemas } from "../../lib/schemas.js";
+import { useSubmission } from "../../lib/submission.js";
 import { Field } from "../../parts/field.js";
 import { Failure, Loading } from "../../parts/states.js";
 
@@ -21,23 +22,14 @@ export function Resume({ sweep, again }) {
 function Form({ sweep, again }) {
   const { data: all, error, again: retry } = useLive(schemas, []);
   const [document, setDocument] = useState({ budget: said(sweep.spec.budget) });
-  const [problem, setProblem] = useState(null);
-  const [isBusy, setBusy] = useState(false);
+  const { problem, isBusy, submit } = useSubmission(async () => {
+    await post(sweep.links.resume, { budget: {}, ...document });
+    again();
+  });
   if (!all) return error ? html`<${Failure} error=${error} again=${retry} />` : html`<${Loading} what="the form" />`;
-  const resume = async (event) => {
-    event.preventDefault();
-    setBusy(true);
-    try {
-      await post(sweep.links.resume, { budget: {}, ...document });
-      again();
-    } catch (refusal) {
-      setProblem(refusal);
-      setBusy(false);
-    }
-  };
   const steps = sweep.trials.reduce((sum, trial) => sum + trial.step, 0);
   const errors = problem?.errors || [];
-  return html`<form class="stack" onSubmit=${resume} novalidate>
+  return html`<form class="stack" onSubmit=${submit} novalidate>
     <p class="facts">The budget counts what the sweep has done: ${sweep.trials.length.toLocaleString("en")} trials with ${steps.toLocaleString("en")} steps.
       They stay as they are, and the next trial follows the last.</p>
     <${Field} all=${all} document=${document} errors=${errors} path=${["budget"]} schema=${{ $ref: "Budget" }} isOpen
