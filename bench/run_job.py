@@ -18,6 +18,7 @@ from typing import Any
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from gaitway.cli.submit import assigned
 from gaitway.plots import learning_curve
+from worker.compile_cache.local import CACHE
 from worker.host.child import TRAINING, TrainingProcess
 from worker.protocol import Advanced, Failed, Finished, Measured, Message, Noted, PhaseEnded, Started, Task
 
@@ -52,6 +53,7 @@ def main() -> None:
         assigned(document, text)
     spec = JOB_SPEC.validate_json(json.dumps(document))
     device = gpus(arguments.gpu) if arguments.gpu else "cpu"
+    (folder / CACHE).mkdir(exist_ok=True)  # Of a user's model, the process writes nowhere else.
     if arguments.model:
         shutil.copyfile(arguments.model, folder / "model")  # The process may read no other file.
     model = "model" if arguments.model else None

@@ -27,6 +27,7 @@ from core.algorithms.experience import (
 from core.algorithms.normalizer import init_normalizer, normalization
 from core.algorithms.ppo.failure import find_failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
+from core.algorithms.ppo.kernels import fitting
 from core.algorithms.ppo.learning_rate import adapt_to_kl
 from core.algorithms.ppo.loss import loss_of
 from core.algorithms.ppo.networks import init_params, make_networks
@@ -64,12 +65,14 @@ class Learner:
     """The pure functions of a run, for one environment and the settings that fix shapes.
 
     sharding: the devices that share it. Except for rounding, the results do not depend on them: random
-    numbers and minibatches are drawn for all environments at once, and then split.
+    numbers and minibatches are drawn for all environments at once, and then split. kernels: whether our own
+    may take the gradient steps where they can; False is for comparing.
     """
 
     environment: Environment
     settings: PPOSpec
     sharding: Sharding = ONE_DEVICE
+    kernels: bool = True
 
     def init(self, seed: jax.Array) -> TrainingState:
         """The state before the first update; seed: [] uint32."""
@@ -200,6 +203,11 @@ class Learner:
         Returns (parameters, optimiser, learning rate) and means of the losses.
         """
         settings = self.settings
+        if self._has_kernels:
+            from core.algorithms.ppo.kernels.learn import learn  # Pallas takes a while to load.
+
+            learnt, metrics = learn(settings, (state.params, state.optimizer), batch, hyperparameters, key)
+            return (*learnt, hyperparameters.learning_rate), metrics
         num_unrolls = settings.batch_size * settings.num_minibatches
         loss = loss_of(settings, self._networks(normalize=False), state.normalizer, hyperparameters)
 
@@ -241,6 +249,17 @@ class Learner:
             jax.random.split(key, settings.num_updates_per_batch),
         )
         return learnt, jax.tree.map(jnp.mean, metrics)
+
+    @property
+    def _has_kernels(self) -> bool:
+        """Whether kernels of our own take the gradient steps."""
+        environment = self.environment
+        return (
+            self.kernels
+            and self.sharding.mesh is None
+            and fitting.usable()
+            and fitting.fits(self.settings, environment.observation_size, environment.action_size)
+        )
 
     def _networks(self, *, normalize: bool) -> Any:
         environment = self.environment

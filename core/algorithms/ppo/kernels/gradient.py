@@ -1,0 +1,246 @@
+"""The gradient of PPO's loss on one minibatch, in three kernels for a GPU instead of a hundred.
+
+A gradient step on small networks is a chain of kernels that each take a few microseconds to begin. Here each
+block of threads takes a tile of rows through a whole network and back, and JAX differentiates what it does.
+
+Source of the loss: Schulman et al., Proximal Policy Optimization Algorithms (2017), eq. 9, with Brax's
+estimate of advantages (brax.training.agents.ppo.losses), whose numbers these are except for rounding.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton as plgpu
+
+from core.algorithms.ppo.kernels.layout import Layer, rounded_up
+from core.algorithms.ppo.kernels.sizes import Sizes
+from core.algorithms.ppo.kernels.tile import Tile, across, policy_loss, value
+
+# What the loss reads of the hyperparameters, in this order.
+HYPERPARAMETERS = (
+    "discounting",
+    "gae_lambda",
+    "reward_scaling",
+    "clipping_epsilon",
+    "entropy_cost",
+    "vf_loss_coefficient",
+)
+METRICS = (
+    "total_loss",
+    "policy_loss",
+    "v_loss",
+    "entropy_loss",
+    "kl_mean",
+    "policy_dist_mean_std",
+    "policy_dist_mean_loc",
+    "policy_dist_max_std",
+    "policy_dist_max_loc",
+    "policy_dist_min_std",
+    "policy_dist_min_loc",
+)
+# What a tile says for the metrics: six sums, then four largest values; the rest is padding.
+_NUM_SUMS, _NUM_LARGEST, _TOLD_BY_A_TILE = 6, 4, 16
+_NUM_WARPS = 4
+
+
+class Batch(NamedTuple):
+    """An update's unrolls [U], flattened, for the kernels to pick from.
+
+    observation: [U, T + 1, rounded obs], the last that after the unroll. action: [U, T, 3, rounded act]: the
+    action before tanh, the mean and the raw deviation that it was drawn from. told: [U, T, 4]: reward,
+    discount, truncation, log-probability.
+    """
+
+    observation: jax.Array
+    action: jax.Array
+    told: jax.Array
+
+
+class Chosen(NamedTuple):
+    """A minibatch. order: [minibatches * B] int32, the unrolls in the order of a pass. which: [1] int32, the
+    minibatch. noise: [U, T, rounded act], standard normal, from which the entropy is estimated."""
+
+    order: jax.Array
+    which: jax.Array
+    noise: jax.Array
+
+
+def gradient(
+    sizes: Sizes, params: jax.Array, batch: Batch, chosen: Chosen, hyper: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The loss's gradient [P] by the packed parameters [P], and the loss's parts [11], see METRICS.
+
+    hyper: [6], see HYPERPARAMETERS.
+    """
+    given = {"params": params, **batch._asdict(), **chosen._asdict(), "hyper": hyper}
+    given = {name: array.ravel() for name, array in given.items()}
+    samples, blocks, tiles = sizes.samples, sizes.num_blocks, sizes.num_tiles
+    lengths = {"values": samples + sizes.batch_size}
+    given |= _call(_values, sizes, (tiles + blocks,), given, lengths)
+    lengths = {"returns": samples, "advantages": samples, "sums": 2 * blocks}
+    given |= _call(_advantages, sizes, (blocks,), given, lengths)
+    lengths = {"gradients": tiles * sizes.layout.size, "metrics": tiles * _TOLD_BY_A_TILE}
+    found = _call(_gradients, sizes, (2, tiles), given, lengths)
+    summed = jnp.sum(found["gradients"].reshape(tiles, -1), axis=0)
+    return summed, _named(sizes, found["metrics"].reshape(tiles, -1), hyper)
+
+
+def _call(
+    kernel: Callable[[Sizes, Any], None],
+    sizes: Sizes,
+    grid: tuple[int, ...],
+    given: Mapping[str, jax.Array],
+    lengths: Mapping[str, int],
+) -> dict[str, jax.Array]:
+    """What the kernel writes, by its names. It gets all arrays, flat, as attributes of one object."""
+    names = [*given, *lengths]
+
+    def body(*refs: Any) -> None:
+        kernel(sizes, SimpleNamespace(**dict(zip(names, refs, strict=True))))
+
+    call = pl.pallas_call(
+        body,
+        out_shape=[jax.ShapeDtypeStruct((length,), jnp.float32) for length in lengths.values()],
+        grid=grid,
+        compiler_params=plgpu.CompilerParams(num_warps=_NUM_WARPS, num_stages=1),
+        interpret=sizes.interpret,
+        name=f"ppo{kernel.__name__}",
+    )
+    return dict(zip(lengths, call(*given.values()), strict=True))
+
+
+def _values(sizes: Sizes, refs: Any) -> None:
+    """The values [T + 1, B] of every observation."""
+    time, unrolls, at = _tile(sizes, refs, pl.program_id(0))
+    seen = _observed(sizes, refs, unrolls, time)
+    refs.values[at] = value(sizes, _weights(refs, sizes.layout.value), seen)
+
+
+def _advantages(sizes: Sizes, refs: Any) -> None:
+    """Generalised advantages [T, B], and the returns [T, B] that values are to have.
+
+    Source: Schulman et al., High-Dimensional Continuous Control Using Generalised Advantage Estimation
+    (2016).
+    """
+    block = pl.program_id(0)
+    columns = block * sizes.rows + jnp.arange(sizes.rows)
+    unrolls = refs.order[refs.which[0] * sizes.batch_size + columns]
+    discounting, gae_lambda, scaling = refs.hyper[0], refs.hyper[1], refs.hyper[2]
+
+    def back(step: Any, carry: Any) -> Any:
+        weighted, next_return, next_value, total, squares = carry
+        time = sizes.unroll_length - 1 - step
+        at = time * sizes.batch_size + columns
+        of_step = (unrolls * sizes.unroll_length + time) * 4
+        reward, discount, truncation = (refs.told[of_step + index] for index in range(3))
+        goes_on = discounting * (1 - (1 - discount) * (1 - truncation))
+        counts = 1 - truncation
+        said = refs.values[at]
+        error = (reward * scaling + goes_on * next_value - said) * counts
+        weighted = error + goes_on * counts * gae_lambda * weighted
+        wanted = weighted + said
+        advantage = (reward * scaling + goes_on * next_return - said) * counts
+        refs.returns[at] = wanted
+        refs.advantages[at] = advantage
+        return weighted, wanted, said, total + jnp.sum(advantage), squares + jnp.sum(advantage * advantage)
+
+    last = refs.values[sizes.samples + columns]
+    start = (jnp.zeros_like(last), last, last, jnp.float32(0), jnp.float32(0))
+    *_, total, squares = jax.lax.fori_loop(0, sizes.unroll_length, back, start)
+    refs.sums[2 * block] = total
+    refs.sums[2 * block + 1] = squares
+
+
+def _gradients(sizes: Sizes, refs: Any) -> None:
+    """What each tile of samples adds to the gradient [tiles, P], and to the metrics [tiles, 16]: one half of
+    the blocks takes the policy, the other the value network."""
+    number = pl.program_id(1)
+    time, unrolls, at = _tile(sizes, refs, number)
+    seen = _observed(sizes, refs, unrolls, time)
+    layers, told = sizes.layout, number * _TOLD_BY_A_TILE
+
+    def store(of_layers: Sequence[Layer], found: Any) -> None:
+        for layer, (kernel, bias) in zip(of_layers, found, strict=True):
+            start = number * layers.size
+            refs.gradients[start + layer.start + _places(layer)] = kernel
+            refs.gradients[start + layer.bias + jnp.arange(layer.columns)] = bias
+
+    @pl.when(pl.program_id(0) == 0)
+    def _() -> None:
+        row = unrolls * sizes.unroll_length + time
+        width, columns = rounded_up(sizes.action_size), across(sizes)
+        of_action = [refs.action[(row * 3 + index)[:, None] * width + columns] for index in range(3)]
+        noise = refs.noise[row[:, None] * width + columns]
+        advantage = _normalised(sizes, refs.advantages[at], refs.sums)
+        tile = Tile(seen, *of_action, noise, refs.told[row * 4 + 3], advantage)
+        loss = partial(policy_loss, sizes, tile, (refs.hyper[3], refs.hyper[4]))
+        found, parts = jax.grad(loss, has_aux=True)(_weights(refs, layers.policy))
+        store(layers.policy, found)
+        for index, part in enumerate(parts):
+            refs.metrics[told + 1 + index] = part
+
+    @pl.when(pl.program_id(0) == 1)
+    def _() -> None:
+        wanted, scale = refs.returns[at], 0.5 * refs.hyper[5] / sizes.samples
+
+        def loss(weights: Any) -> jax.Array:
+            error = wanted - value(sizes, weights, seen)
+            return jnp.sum(error * error) * scale
+
+        part, found = jax.value_and_grad(loss)(_weights(refs, layers.value))
+        store(layers.value, found)
+        refs.metrics[told] = part
+
+
+def _named(sizes: Sizes, of_tiles: jax.Array, hyper: jax.Array) -> jax.Array:
+    """[11], see METRICS. of_tiles: [tiles, 16]."""
+    sums = jnp.sum(of_tiles[:, :_NUM_SUMS], axis=0)
+    largest = jnp.max(of_tiles[:, _NUM_SUMS : _NUM_SUMS + _NUM_LARGEST], axis=0)
+    num_numbers = sizes.samples * sizes.action_size
+    scales = [1.0, 1 / sizes.samples, 0.0, 1 / sizes.samples, 1 / num_numbers, 1 / num_numbers]
+    v_loss, policy_loss, _, kl, std, loc = jnp.split(sums * jnp.array(scales), _NUM_SUMS)
+    entropy_loss = -hyper[4:5] * sums[2:3] / sizes.samples
+    signed = largest * jnp.array([1.0, 1.0, -1.0, -1.0])
+    total = policy_loss + v_loss + entropy_loss
+    return jnp.concatenate([total, policy_loss, v_loss, entropy_loss, kl, std, loc, signed])
+
+
+def _tile(sizes: Sizes, refs: Any, number: Any) -> tuple[Any, Any, Any]:
+    """Of a tile: its time, its unrolls [rows], and where its samples lie in arrays [T, B]."""
+    time = number // sizes.num_blocks
+    columns = (number % sizes.num_blocks) * sizes.rows + jnp.arange(sizes.rows)
+    return time, refs.order[refs.which[0] * sizes.batch_size + columns], time * sizes.batch_size + columns
+
+
+def _observed(sizes: Sizes, refs: Any, unrolls: Any, time: Any) -> jax.Array:
+    width = sizes.layout.value[0].rows
+    rows = unrolls * (sizes.unroll_length + 1) + time
+    return refs.observation[rows[:, None] * width + jnp.arange(width)[None, :]]
+
+
+def _weights(refs: Any, layers: Sequence[Layer]) -> list[tuple[jax.Array, jax.Array]]:
+    """Kernels and biases of a network."""
+    return [
+        (refs.params[layer.start + _places(layer)], refs.params[layer.bias + jnp.arange(layer.columns)])
+        for layer in layers
+    ]
+
+
+def _places(layer: Layer) -> jax.Array:
+    return jnp.arange(layer.rows)[:, None] * layer.columns + jnp.arange(layer.columns)[None, :]
+
+
+def _normalised(sizes: Sizes, advantage: jax.Array, sums: Any) -> jax.Array:
+    """Mean 0 and deviation 1 over the minibatch."""
+    total, squares = jnp.float32(0), jnp.float32(0)
+    for block in range(sizes.num_blocks):
+        total += sums[2 * block]
+        squares += sums[2 * block + 1]
+    mean = total / sizes.samples
+    variance = jnp.maximum(squares / sizes.samples - mean * mean, 0.0)
+    return (advantage - mean) / (jnp.sqrt(variance) + 1e-8)

@@ -1,0 +1,98 @@
+"""The passes over a batch by the kernels of `gradient`, for what `fitting.fits` says."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from core.algorithms.brax_training import PPONetworkParams, Transition
+from core.algorithms.brax_training import networks as brax_networks
+from core.algorithms.ppo.hyperparameters import Hyperparameters
+from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Batch, Chosen, gradient
+from core.algorithms.ppo.kernels.layout import Layout, rounded_up
+from core.algorithms.ppo.kernels.sizes import Sizes
+from core.algorithms.ppo.spec import PPOSpec
+
+ADAM = optax.scale_by_adam()
+
+Learnt = tuple[PPONetworkParams, optax.ScaleByAdamState]
+
+
+def learn(
+    settings: PPOSpec,
+    learnt: Learnt,
+    batch: Transition,
+    hyperparameters: Hyperparameters,
+    key: jax.Array,
+    *,
+    interpret: bool = False,
+) -> tuple[Learnt, dict[str, jax.Array]]:
+    """Parameters and optimiser after the passes over a batch [unrolls, unroll_length, ...] of normalised
+    observations, and means of the losses. interpret: run the kernels without a GPU, slowly."""
+    params, optimizer = learnt
+    sizes = _sizes(settings, batch, interpret=interpret)
+    layout, num_unrolls = sizes.layout, settings.batch_size * settings.num_minibatches
+    flat, width = _flattened(batch), rounded_up(sizes.action_size)
+    hyper = jnp.stack([getattr(hyperparameters, name) for name in HYPERPARAMETERS])
+    which = jnp.arange(settings.num_minibatches, dtype=jnp.int32)[:, None]
+
+    def drawn(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        order_key, loss_key = jax.random.split(key)
+        order = jax.random.permutation(order_key, num_unrolls).astype(jnp.int32)
+        return order, jax.random.normal(loss_key, (*batch.reward.shape, width))
+
+    def learn_pass(carry: Any, given: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
+        order, noise = given
+
+        def learn_minibatch(carry: Any, which: jax.Array) -> tuple[Any, Any]:
+            vector, optimizer = carry
+            found, metrics = gradient(sizes, vector, flat, Chosen(order, which, noise), hyper)
+            norm = jnp.sqrt(jnp.sum(found * found))
+            bound = hyperparameters.max_grad_norm
+            found = jnp.where(norm < bound, found, found / norm * bound)
+            direction, optimizer = ADAM.update(found, optimizer)
+            vector = vector - hyperparameters.learning_rate * direction
+            return (vector, optimizer), jnp.append(metrics, norm)
+
+        return jax.lax.scan(learn_minibatch, carry, which)
+
+    packed = optimizer._replace(mu=layout.pack(optimizer.mu), nu=layout.pack(optimizer.nu))
+    # The passes' orders are sorted side by side.
+    passes = jax.vmap(drawn)(jax.random.split(key, settings.num_updates_per_batch))
+    (vector, packed), metrics = jax.lax.scan(learn_pass, (layout.pack(params), packed), passes)
+    moments = {name: layout.unpack(getattr(packed, name), params) for name in ("mu", "nu")}
+    unpacked = (layout.unpack(vector, params), packed._replace(**moments))
+    means = jnp.mean(metrics, axis=(0, 1))
+    return unpacked, dict(zip((*METRICS, "grad_norm"), means, strict=True))
+
+
+def _sizes(settings: PPOSpec, batch: Transition, *, interpret: bool) -> Sizes:
+    extras: Any = batch.extras
+    action_size = extras["policy_extras"]["raw_action"].shape[-1]
+    hidden = settings.policy_hidden_layer_sizes, settings.value_hidden_layer_sizes
+    return Sizes(
+        Layout.of(batch.observation.shape[-1], action_size, *hidden),
+        brax_networks.ACTIVATION[settings.activation],
+        action_size,
+        settings.unroll_length,
+        settings.batch_size,
+        interpret,
+    )
+
+
+def _flattened(batch: Transition) -> Batch:
+    """Of a batch whose last axis of observations, [..., 1, obs], follows the unroll."""
+    extras: Any = batch.extras
+    acted, told = extras["policy_extras"], extras["state_extras"]
+    seen = jnp.concatenate([batch.observation, batch.next_observation], axis=1)
+    mean, deviation = jnp.split(acted["distribution_params"], 2, axis=-1)
+    return Batch(
+        _padded(seen),
+        jnp.stack([_padded(x) for x in (acted["raw_action"], mean, deviation)], axis=2),
+        jnp.stack([batch.reward, batch.discount, told["truncation"], acted["log_prob"]], axis=-1),
+    )
+
+
+def _padded(x: jax.Array) -> jax.Array:
+    return jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, rounded_up(x.shape[-1]) - x.shape[-1])])
