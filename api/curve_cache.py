@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from threading import Lock
 
@@ -13,6 +13,7 @@ from core.storage.objects import ObjectStore
 
 # 24 bytes each: 64 MB.
 _MAX_VALUES = 2_700_000
+_PAGE = 1000
 
 
 @dataclass
@@ -36,6 +37,9 @@ class CurveCache:
         self._objects = objects
         self._known = OrderedDict[str, _Known]()
         self._lock = Lock()
+        # Long feeds are read in turn. Parsing holds the interpreter, so side by side it is no faster, and the
+        # rest of this process, streams above all, would wait behind each of the threads.
+        self._turn = Lock()
 
     @contextmanager
     def curves(self, job_id: str, names: frozenset[str] | None) -> Generator[tuple[Curves, int]]:
@@ -60,13 +64,22 @@ class CurveCache:
         if not known.has(names):
             known.names = None if names is None or known.names is None else known.names | names
             known.last, known.curves = 0, Curves()
-        store, objects = self._store, self._objects
-        for page in feeds.read_pages(job_id, "events", store=store, objects=objects, after=known.last):
-            for entry in page:
-                if entry.kind == "metrics":
-                    known.curves.add(entry, known.names)
-            if page:
-                known.last = int(page[-1].id)
+        turn: AbstractContextManager[object] = nullcontext()  # The news of a feed are one page.
+        is_end = False
+        while not is_end:
+            with turn:
+                is_end = self._read_page(job_id, known)
+            turn = self._turn
+
+    def _read_page(self, job_id: str, known: _Known) -> bool:
+        """Whether it was the last page."""
+        page = feeds.read_page(job_id, "events", known.last, _PAGE, store=self._store, objects=self._objects)
+        for entry in page.entries:
+            if entry.kind == "metrics":
+                known.curves.add(entry, known.names)
+        if page.entries:
+            known.last = int(page.entries[-1].id)
+        return page.is_end
 
     def _forget(self, job_id: str) -> None:
         with self._lock:

@@ -9,6 +9,7 @@ from pydantic import Field, JsonValue
 
 from api.views import View
 from core.jobs.job import Job, UnreadableJob
+from core.sweeps import pbt
 from core.sweeps.advance import num_trials
 from core.sweeps.groups import best, by_seed
 from core.sweeps.judging import judged
@@ -107,7 +108,7 @@ class SweepDetails(SweepView):
         present = _present(sweep, trials, jobs, now)
         return cls(
             **_facts(sweep, present, jobs),
-            trials=[_view(trial, jobs, sweep.spec) for trial in present],
+            trials=_views(sweep.spec, present, jobs),
             groups=[GroupView.model_validate(one) for one in by_seed(present, len(sweep.spec.objectives))],
             importance=sweep.importance,
             importance_note=sweep.importance_note,
@@ -119,12 +120,19 @@ def _present(sweep: Sweep, trials: Sequence[Trial], jobs: Jobs, now: datetime) -
     return [judged(trial, jobs.get(trial.job or ""), sweep.spec.objectives, now) for trial in trials]
 
 
-def _view(trial: Trial, jobs: Jobs, spec: SweepSpec) -> TrialView:
-    return TrialView.of(trial, jobs.get(trial.job or ""), spec.generation_of(trial.number))
+def _views(spec: SweepSpec, trials: Sequence[Trial], jobs: Jobs) -> Sequence[TrialView]:
+    """Of all trials."""
+    population = spec.population
+    generations = [None] * len(trials) if population is None else pbt.generations(population, trials)
+    return [
+        TrialView.of(trial, jobs.get(trial.job or ""), generation)
+        for trial, generation in zip(trials, generations, strict=True)
+    ]
 
 
 def _facts(sweep: Sweep, trials: Sequence[Trial], jobs: Jobs) -> dict[str, Any]:
     here, spec = f"/sweeps/{sweep.id}", sweep.spec
+    views = {view.number: view for view in _views(spec, trials, jobs)}
     links = {"self": here, "jobs": f"/jobs?label=sweep:{sweep.id}"}
     links |= {"resume": f"{here}/resume"} if sweep.status.is_final else {"cancel": f"{here}/cancel"}
     return {
@@ -132,8 +140,8 @@ def _facts(sweep: Sweep, trials: Sequence[Trial], jobs: Jobs) -> dict[str, Any]:
         "name": spec.name,
         "labels": spec.labels,
         "spec": spec.model_dump(mode="json"),
-        "num_trials": dict(Counter(_view(trial, jobs, spec).status for trial in trials)),
-        "max_trials": num_trials(spec),
-        "best": [_view(trial, jobs, spec) for trial in best(trials, spec.objectives)],
+        "num_trials": dict(Counter(view.status for view in views.values())),
+        "max_trials": num_trials(spec, trials),
+        "best": [views[trial.number] for trial in best(trials, spec.objectives)],
         "links": links,
     }

@@ -9,7 +9,8 @@ import httpx
 
 from gaitway import policy
 from gaitway.async_transport import AsyncTransport
-from gaitway.calls import Calls, preview_query
+from gaitway.calls import Calls
+from gaitway.calls.previews import preview_query
 from gaitway.client import Client, address
 from gaitway.downloading import OnBytes
 from gaitway.notebook import Card

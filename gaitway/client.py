@@ -9,7 +9,8 @@ from typing import Any, Literal, Self, overload
 import httpx
 
 from gaitway import policy
-from gaitway.calls import Calls, preview_query
+from gaitway.calls import Calls
+from gaitway.calls.previews import preview_query
 from gaitway.downloading import OnBytes
 from gaitway.errors import GaitwayError
 from gaitway.notebook import Card

@@ -22,6 +22,7 @@ from core.jobs import feeds, orphans
 from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_records
 from core.jobs.strays import StrayMessages
+from core.jobs.unfinished_uploads import end_unfinished
 from core.settings import ReconcilerSettings
 from core.sweeps.controller import SweepController
 from core.telemetry import configure_logging
@@ -96,6 +97,7 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
         Chore("messages", 10 * every_s, StrayMessages(queue).look),
         Chore("record", _TIDY_EVERY_S, store.tidy),
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
+        Chore("uploads", _TIDY_EVERY_S, partial(end_unfinished, store=store, objects=objects)),
         LongChore("orphans", _TIDY_EVERY_S, partial(orphans.sweep, store=store, objects=objects)),
     ]
 

@@ -1,9 +1,10 @@
 """A report on a job: one HTML file that needs no network and no other file."""
 
 from base64 import b64encode
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from enum import Enum, auto
 from html import escape
 
 from api.dependencies import Service
@@ -49,6 +50,21 @@ class _Held:
 
 
 @dataclass(frozen=True)
+class _Replay:
+    """What the page's modules need to show a replay."""
+
+    scene: _Held
+    poses: _Held
+
+
+class _NoReplay(Enum):
+    """Why a replay that the job has is not in the report."""
+
+    TOO_LARGE = auto()
+    GONE = auto()
+
+
+@dataclass(frozen=True)
 class Report:
     """The file in parts, of which stored files are read as they are sent. policy: under which it works."""
 
@@ -71,11 +87,9 @@ def open_report(job: Job, service: Service) -> Generator[Report]:
                     return _Held(file.size, opened.enter_context(service.objects.open(file.key)))
             return None
 
-        film, scene, poses = (job.newest(role) for role in ("video", "scene", "replay"))
-        is_large = scene is not None and poses is not None and scene.size + poses.size > _MOST_REPLAY_BYTES
-        replay = [] if is_large else [hold(scene), hold(poses)]
-        parts = [*_video(job, film, hold(film)), *_replay(poses, replay)]
-        runs = embedded_modules(_REPLAYING) if replay and None not in replay else None
+        film, replay = job.newest("video"), _replay_of(job, hold)
+        parts = [*_video(job, film, hold(film)), *_replay_section(replay)]
+        runs = embedded_modules(_REPLAYING) if isinstance(replay, _Replay) else None
         policy = POLICY if runs is None else _REPLAY_POLICY + runs.policy
         after = "".join(sections(job, service)) + (runs.html if runs is not None else "")
         yield _whole(policy, [f"{_head(job, policy)}{facts(job)}".encode(), *parts, after.encode()])
@@ -119,23 +133,37 @@ def _why_no_video(job: Job, film: Artifact | None) -> str:
     return "There is none yet." if not job.status.is_final else f"The job ended as {job.status} without one."
 
 
-def _replay(poses: Artifact | None, held: Sequence[_Held | None]) -> Iterator[bytes | _Held]:
-    """The place of the replay, and what it shows; a job without one has no such section."""
+def _replay_of(job: Job, hold: Callable[[Artifact | None], _Held | None]) -> _Replay | _NoReplay | None:
+    """The job's replay, or why the report does without it; None where the job has none."""
+    scene, poses = job.newest("scene"), job.newest("replay")
     if poses is None:
-        return
-    if not held:
-        why = f"It is larger than {size_in_words(_MOST_REPLAY_BYTES)}, so that only the job's page shows it."
-        yield section("Replay", f"<p>{why}</p>").encode()
-    elif None in held:
-        yield section("Replay", "<p>The object store no longer has it.</p>").encode()
-    else:
-        waiting = "<noscript>It needs scripts, which run here without a network.</noscript>"
-        yield section("Replay", f'<div id="replay">{waiting}</div>').encode()
-        for name, file in zip(("replay-scene", "replay-poses"), held, strict=True):
-            assert file is not None  # noqa: S101
-            yield f'<script type="text/plain" id="{name}">'.encode()
-            yield file
-            yield b"</script>"
+        return None
+    if scene is not None and scene.size + poses.size > _MOST_REPLAY_BYTES:
+        return _NoReplay.TOO_LARGE
+    held_scene, held_poses = hold(scene), hold(poses)
+    if held_scene is None or held_poses is None:
+        return _NoReplay.GONE
+    return _Replay(held_scene, held_poses)
+
+
+def _replay_section(replay: _Replay | _NoReplay | None) -> Iterator[bytes | _Held]:
+    """The place of the replay, and what it shows; a job without one has no such section."""
+    match replay:
+        case None:
+            return
+        case _NoReplay.TOO_LARGE:
+            most = size_in_words(_MOST_REPLAY_BYTES)
+            why = f"It is larger than {most}, so that only the job's page shows it."
+            yield section("Replay", f"<p>{why}</p>").encode()
+        case _NoReplay.GONE:
+            yield section("Replay", "<p>The object store no longer has it.</p>").encode()
+        case _Replay():
+            waiting = "<noscript>It needs scripts, which run here without a network.</noscript>"
+            yield section("Replay", f'<div id="replay">{waiting}</div>').encode()
+            for name, file in (("replay-scene", replay.scene), ("replay-poses", replay.poses)):
+                yield f'<script type="text/plain" id="{name}">'.encode()
+                yield file
+                yield b"</script>"
 
 
 def _as_base64(pieces: Iterable[bytes]) -> Iterator[bytes]:

@@ -16,6 +16,11 @@ from datetime import datetime
 PREVIEW_RECORD = "about.json"
 
 
+def folders() -> tuple[str, ...]:
+    """Of everything that the service keeps."""
+    return (jobs(), models(), previews(), caches())
+
+
 def job(job_id: str) -> str:
     return f"jobs/{job_id}/"
 

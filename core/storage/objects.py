@@ -67,3 +67,10 @@ class ObjectStore(Protocol):
     def delete_prefix(self, prefix: str) -> None:
         """Remove every object under `prefix`; it is no error if there is none."""
         ...
+
+    def end_uploads(self, prefix: str, before: datetime) -> int:
+        """End unfinished uploads of large objects that began before then, and remove what came of them.
+
+        prefix: of the objects' keys. Returns how many; a call may leave some to the next one.
+        """
+        ...

@@ -90,9 +90,9 @@ def why_no_more(spec: SweepSpec, trials: Sequence[Trial]) -> str | None:
     budget = spec.budget
     if spec.method == "grid" and len(trials) >= num_combinations(spec.parameters):
         return "Every combination was tried"
-    if spec.population is not None and len(trials) >= spec.population.num_trials:
+    if spec.population is not None and len(trials) >= pbt.num_trials(spec.population, trials):
         return "Every generation was trained"
-    if len(trials) >= num_trials(spec):
+    if len(trials) >= num_trials(spec, trials):
         return "Its budget of jobs is used"
     if budget.gpu_hours is not None and sum(trial.gpu_hours for trial in trials) >= budget.gpu_hours:
         return "Its budget of GPU hours is used"
@@ -104,11 +104,11 @@ def committed_steps(trials: Sequence[Trial]) -> int:
     return sum(trial.planned_steps if trial.outcome is None else trial.steps for trial in trials)
 
 
-def num_trials(spec: SweepSpec) -> int:
-    """The most trials that it may have."""
+def num_trials(spec: SweepSpec, trials: Sequence[Trial]) -> int:
+    """The most trials that it may have, after these."""
     most = spec.budget.jobs or MAX_TRIALS
     if spec.population is not None:
-        return min(most, spec.population.num_trials)
+        return min(most, pbt.num_trials(spec.population, trials))
     return min(most, num_combinations(spec.parameters)) if spec.method == "grid" else most
 
 

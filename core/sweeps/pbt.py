@@ -1,7 +1,8 @@
 """Population-based training: which trial each one resumes from, and with which settings.
 
 Trial `generation × size + member` trains a member for one generation. Source: Jaderberg et al., Population
-Based Training of Neural Networks (2017), algorithm 1 and section 4.1.
+Based Training of Neural Networks (2017), algorithm 1 and section 4.1. A generation of which a cancel left no
+run to continue begins again under the numbers that follow, so that a cancelled sweep can be resumed.
 
 Generations are synchronous, unlike the paper's: one begins when all trials of the one before have ended. What
 a trial begins with is then a function of records that no longer change, so every process decides alike, and
@@ -47,13 +48,15 @@ def beginning(spec: SweepSpec, population: Population, trials: Sequence[Trial]) 
     the best, and changes its settings.
     """
     number = len(trials)
-    generation, member = divmod(number, population.size)
+    member = number % population.size
+    trained = [one for one in _rounds(population, trials[: number - member]) if not _is_to_repeat(one)]
+    generation = len(trained)
     # Each begins with a seed of its own; a run that resumes has its parent's random state.
     seed = (spec.job.seed + member) % (_LARGEST_SEED + 1)
     settings = Values({LENGTH: steps_until(spec, population, generation), "seed": seed})
     if generation == 0:
         return Beginning(random_values(spec, number), settings)
-    before = trials[(generation - 1) * population.size : generation * population.size]
+    before = trained[-1]
     ranked = _ranked(before, spec.objectives[0].sign)
     if not ranked:
         raise DiedOut(f"No trial of generation {generation - 1} has a value and a job to resume from")
@@ -74,16 +77,50 @@ def is_to_wait(population: Population, trials: Sequence[Trial]) -> bool:
     return any(trial.outcome is None for trial in trials[:earlier])
 
 
+def generations(population: Population, trials: Sequence[Trial]) -> list[int]:
+    """The generation of each of the trials, the first is 0."""
+    found, generation = list[int](), 0
+    for one in _rounds(population, trials):
+        found += [generation] * len(one)
+        generation += not _is_to_repeat(one)
+    return found
+
+
+def num_trials(population: Population, trials: Sequence[Trial]) -> int:
+    """How many trials train all generations, with those of these trials that count for none."""
+    whole = len(trials) // population.size * population.size
+    repeated = sum(map(_is_to_repeat, _rounds(population, trials[:whole])))
+    return population.num_trials + repeated * population.size
+
+
 def steps_until(spec: SweepSpec, population: Population, generation: int) -> int:
     """Environment steps of a run from its beginning to the end of this generation."""
     total = spec.job.algorithm.budget if isinstance(spec.job, TrainSpec) else 0
     return round(total * (generation + 1) / population.generations)
 
 
+def _rounds(population: Population, trials: Sequence[Trial]) -> list[Sequence[Trial]]:
+    """The trials by `size`; the last may be incomplete."""
+    return [trials[first : first + population.size] for first in range(0, len(trials), population.size)]
+
+
+def _is_to_repeat(trials: Sequence[Trial]) -> bool:
+    """Whether a cancel ended these trials of one generation before any could be continued.
+
+    A generation that failed by itself would fail again, and is none of these.
+    """
+    has_ended = all(one.outcome is not None for one in trials)
+    return has_ended and not any(map(_is_able, trials)) and any(one.outcome == "cancelled" for one in trials)
+
+
+def _is_able(trial: Trial) -> bool:
+    """Whether it has a value and a job to resume from."""
+    return trial.outcome == "succeeded" and trial.has_values and trial.job is not None
+
+
 def _ranked(trials: Sequence[Trial], sign: int) -> list[Trial]:
-    """Those that have a value and a job to resume from, the best first; of equal ones the first."""
-    able = [one for one in trials if one.outcome == "succeeded" and one.has_values and one.job is not None]
-    return sorted(able, key=lambda one: (-sign * (one.values[0] or 0.0), one.number))
+    """Those that can be continued, the best first; of equal ones the first."""
+    return sorted(filter(_is_able, trials), key=lambda one: (-sign * (one.values[0] or 0.0), one.number))
 
 
 def _explored(spec: SweepSpec, population: Population, number: int, values: Values) -> Values:

@@ -209,9 +209,5 @@ class SweepSpec(Strict):
         """Whether it ends without a limit of its budget."""
         return self.method in ("grid", "pbt")
 
-    def generation_of(self, number: int) -> int | None:
-        """The generation of this trial, the first is 0; None without a population."""
-        return None if self.population is None else number // self.population.size
-
 
 SWEEP_SPEC: TypeAdapter[SweepSpec] = TypeAdapter(SweepSpec)

@@ -1,6 +1,8 @@
 """Metrics thinned for pictures."""
 
 import math
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from typing import Any
 
@@ -8,7 +10,8 @@ import pytest
 
 from api import curve_cache
 from api.curves import Curve, Curves, extremes
-from core.jobs.store import Entry
+from core.jobs import feeds
+from core.jobs.store import Channel, Entry
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.problems import pointers, problem
 
@@ -113,6 +116,44 @@ def test_curves_that_find_no_room_are_read_again(
     attempt.say_all("metrics", [{"step": step, "values": {"a": 1.0}} for step in range(3)])
     for _ in range(2):
         assert len(rows(stack, attempt, points=4)) == 3
+
+
+def test_long_feeds_are_read_in_turn_and_a_short_one_at_once(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(curve_cache, "_PAGE", 8)
+    first, second, short = (Attempt(stack, job(f"00000000000{n}-0000000000")) for n in range(3))
+    for attempt, length in ((first, 20), (second, 20), (short, 1)):
+        attempt.say_all("metrics", [{"step": step, "values": {"a": 1.0}} for step in range(length)])
+    cache = curve_cache.CurveCache(stack.store, stack.objects)
+    inside, entered, overlapped = set[str](), threading.Event(), threading.Event()
+    short_is_read = threading.Event()
+    read_page = feeds.read_page
+
+    def reading(job_id: str, channel: Channel, after: int, *rest: Any, **stores: Any) -> feeds.FeedPage:
+        if after == 0:
+            return read_page(job_id, channel, after, *rest, **stores)
+        inside.add(job_id)
+        entered.set()
+        assert short_is_read.wait(10)
+        if len(inside) > 1 or overlapped.wait(0.1):  # The other thread has the time to come beside this one.
+            overlapped.set()
+        page = read_page(job_id, channel, after, *rest, **stores)
+        inside.remove(job_id)
+        return page
+
+    def num_values(attempt: Attempt) -> int:
+        with cache.curves(attempt.id, None) as (curves, _):
+            return len(curves["a"])
+
+    monkeypatch.setattr(feeds, "read_page", reading)
+    with ThreadPoolExecutor(2) as pool:
+        long = [pool.submit(num_values, attempt) for attempt in (first, second)]
+        assert entered.wait(10)
+        assert num_values(short) == 1  # Although a page of a long feed is being read.
+        short_is_read.set()
+        assert [future.result() for future in long] == [20, 20]
+    assert not overlapped.is_set()
 
 
 @pytest.mark.parametrize(

@@ -126,6 +126,34 @@ def test_a_population_of_which_none_is_left_fails(stack: Stack, look: Callable[[
     assert (found["status"], found["message"]) == ("failed", sentence)
 
 
+def test_a_cancelled_population_is_resumed_with_its_generation_again(
+    stack: Stack, look: Callable[[], int]
+) -> None:
+    here = stack.http.post("/sweeps", json=SWEEP).json()["links"]["self"]
+    look()
+    for number, trial in enumerate(read(stack, here)["trials"]):
+        train(stack, trial, float(number), until=5120)
+    look()
+    stack.http.post(f"{here}/cancel").raise_for_status()
+    look()
+    look()
+    assert read(stack, here)["status"] == "cancelled"
+    resumed = stack.http.post(f"{here}/resume", json={"budget": {}})
+    assert resumed.json()["max_trials"] == 6
+    look()
+    again = read(stack, here)["trials"]
+    assert [(one["generation"], one["parent"], one["status"]) for one in again[2:]] == [
+        *[(1, 1, "cancelled")] * 2,
+        *[(1, 1, "queued")] * 2,
+    ]
+    for trial in again[4:]:
+        train(stack, trial, 3.0, until=10_240)
+    look()
+    found = read(stack, here)
+    sentence = "Every generation was trained: 4 succeeded, 2 cancelled."
+    assert (found["status"], found["message"]) == ("succeeded", sentence)
+
+
 def of_algorithm(**said: Any) -> dict[str, Any]:
     return {**JOB, "algorithm": {**ALGORITHM, **said}}
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 from zipfile import BadZipFile
 
 import pytest
@@ -242,6 +242,19 @@ class TestS3:
         grown_mib = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kib) / 1024
         assert grown_mib < 60
 
+    def test_an_upload_that_never_ended_is_removed_once_it_is_old(self, object_store: S3ObjectStore) -> None:
+        killed = "jobs/1/imported/hash/a b.msgpack"
+        begun = [begin_upload(object_store, key) for key in (killed, "models/hash/source", "of/others")]
+        object_store.put_stream("jobs/1/whole", io.BytesIO(bytes(9 * MIB)), 9 * MIB)
+        now = datetime.now(UTC)
+        assert object_store.end_uploads("jobs/", now - timedelta(minutes=5)) == 0
+        assert unfinished(object_store) == set(begun)
+        # The store's clock says whole seconds.
+        assert object_store.end_uploads("jobs/", now + timedelta(seconds=2)) == 1
+        assert unfinished(object_store) == set(begun[1:])
+        assert object_store.end_uploads("jobs/", now + timedelta(seconds=2)) == 0
+        assert [found.key for found in object_store.list("")] == ["jobs/1/whole"]
+
     def test_the_bucket_may_be_there_already(self, object_store: S3ObjectStore) -> None:
         object_store.put("a", b"x")
         object_store.ensure_bucket()
@@ -286,6 +299,7 @@ class TestS3:
             lambda: store.info("a"),
             lambda: store.list("a"),
             lambda: store.delete_prefix("a"),
+            lambda: store.end_uploads("a", datetime.now(UTC)),
             store.ensure_bucket,
             lambda: read_all(reading),
         ]
@@ -294,6 +308,19 @@ class TestS3:
             with pytest.raises(StorageUnavailable, match="GAITWAY_S3_ENDPOINT"):
                 call()
             assert time.monotonic() - began < 5
+
+
+def begin_upload(store: S3ObjectStore, key: str) -> str:
+    """Upload the first part of an object, as a process that was killed then."""
+    client: Any = store._client
+    upload = client._create_multipart_upload(store._bucket, key, {})
+    client._upload_part(store._bucket, key, bytes(5 * MIB), {}, upload, 1)
+    return key
+
+
+def unfinished(store: S3ObjectStore) -> set[str]:
+    client: Any = store._client
+    return {upload.object_name for upload in client._list_multipart_uploads(store._bucket).uploads}
 
 
 def store_of(server: Weed) -> S3ObjectStore:

@@ -255,7 +255,7 @@ def test_a_client_waits_for_its_stills_while_workers_are_busy(
     stack: Stack, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("api.routes.previews._TIMEOUT_S", 0.0)
-    monkeypatch.setattr("gaitway.calls._POLL_S", 0.01)
+    monkeypatch.setattr("gaitway.calls.previews.POLL_S", 0.01)
     announced(stack)
     with pytest.raises(WaitTimeout, match="No worker has rendered it"):
         client.preview("hopper", tmp_path, timeout=0.0)

@@ -64,6 +64,9 @@ class MemoryObjectStore:
             for key in [key for key in self._objects if key.startswith(prefix)]:
                 del self._objects[key]
 
+    def end_uploads(self, prefix: str, before: datetime) -> int:
+        return 0  # A put is one step here.
+
     def _found(self, key: str) -> tuple[bytes, str, datetime]:
         with self._lock:
             found = self._objects.get(check_readable(key))

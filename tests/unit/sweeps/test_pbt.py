@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from core.sweeps.advance import End, Seen, Start, advance
+from core.sweeps.advance import End, Seen, Start, advance, why_no_more
 from core.sweeps.axes import Values, neighbours, scaled
+from core.sweeps.pbt import generations
 from core.sweeps.spec import Population, Range
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 from tests.unit.sweeps.making import sweep_of, trial_of
@@ -158,6 +159,51 @@ def test_a_population_of_which_none_is_left_fails_in_a_sentence() -> None:
     assert end == End(SweepStatus.FAILED, sentence)
     # Jobs may be deleted while a generation begins: what runs is waited for.
     assert advance(pbt_sweep(), [*seen, Seen(trial_of(4))], steps_of) == []
+
+
+def cancelled(number: int) -> Seen:
+    return ended(number, None, outcome="cancelled", steps=100)
+
+
+def test_a_generation_of_which_a_cancel_left_nothing_begins_again() -> None:
+    seen = [ended(0, 5.0), ended(1, 9.0), ended(2, 1.0), ended(3, 7.0)]
+    again = starts(pbt_sweep(), [*seen, *map(cancelled, range(4, 8))])
+    assert [(start.number, start.parent, start.inherited_steps, start.planned_steps) for start in again] == [
+        (8, 0, 333, 334),
+        (9, 1, 333, 334),
+        (10, 1, 333, 334),
+        (11, 3, 333, 334),
+    ]
+    assert [start.settings["seed"] for start in again] == [7, 8, 9, 10]
+
+
+def test_a_first_generation_that_was_cancelled_begins_again_with_other_settings() -> None:
+    first = starts(pbt_sweep(), [])
+    again = starts(pbt_sweep(), [cancelled(number) for number in range(4)])
+    assert [(start.number, start.parent, start.settings) for start in again] == [
+        (4 + number, None, start.settings) for number, start in enumerate(first)
+    ]
+    assert {start.parameters[RATE] for start in again}.isdisjoint(start.parameters[RATE] for start in first)
+
+
+def test_a_last_generation_that_was_cancelled_begins_again() -> None:
+    seen = [ended(number, float(number)) for number in range(8)]
+    seen += [cancelled(8), cancelled(9), ended(10, None, outcome="failed"), cancelled(11)]
+    assert why_no_more(pbt_sweep().spec, [one.trial for one in seen]) is None
+    assert [start.number for start in starts(pbt_sweep(), seen)] == [12, 13, 14, 15]
+    seen += [ended(number, float(number)) for number in range(12, 16)]
+    population = pbt_sweep().spec.population
+    assert population is not None
+    assert generations(population, [one.trial for one in seen]) == [0] * 4 + [1] * 4 + [2] * 8
+    [end] = advance(pbt_sweep(), seen, steps_of)
+    assert end == End(
+        SweepStatus.SUCCEEDED, "Every generation was trained: 12 succeeded, 3 cancelled, 1 failed."
+    )
+
+
+def test_a_generation_that_a_cancel_interrupted_is_completed_first() -> None:
+    seen = [cancelled(0), cancelled(1)]
+    assert [start.number for start in starts(pbt_sweep(budget={"parallel": 2}), seen)] == [2, 3]
 
 
 def test_the_same_records_give_the_same_decisions_whatever_was_begun_already() -> None:

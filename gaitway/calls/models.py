@@ -1,0 +1,40 @@
+"""Users' own models."""
+
+import time
+from pathlib import Path
+from urllib.parse import quote
+
+from gaitway.calls.asking import POLL_S, Asking
+from gaitway.errors import Rejected, WaitTimeout
+from gaitway.steps import Call, Feed, Sleep
+from gaitway.views import ModelView
+
+
+class ModelCalls(Asking):
+    """Calls about models."""
+
+    def add_model(self, path: str | Path, timeout: float) -> Call[ModelView]:
+        body = Path(path).read_bytes()
+        media_type = "application/zip" if body.startswith(b"PK") else "application/xml"
+        deadline = time.monotonic() + timeout
+        headers = {"Content-Type": media_type}
+        response = yield from self._ask("POST", "/models", content=body, headers=headers)
+        model = ModelView.model_validate_json(response.content)
+        while model.status == "validating":
+            if time.monotonic() > deadline:
+                raise WaitTimeout(f"Model {model.id} is not validated after {timeout:g} s.")
+            yield Sleep(POLL_S)
+            model = yield from self.model(model.id)
+        if model.status == "refused":
+            raise Rejected(422, {"detail": model.message, "type": "/problems/bad-model"})
+        return model
+
+    def model(self, model_id: str) -> Call[ModelView]:
+        response = yield from self._ask("GET", f"/models/{quote(model_id, safe=':')}")
+        return ModelView.model_validate_json(response.content)
+
+    def models(self, limit: int | None) -> Feed:
+        return self._all("/models", ModelView, limit)
+
+    def delete_model(self, model_id: str) -> Call[None]:
+        yield from self._ask("DELETE", f"/models/{quote(model_id, safe=':')}")
