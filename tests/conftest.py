@@ -31,6 +31,7 @@ from gaitway.service.embedded.weed import Weed
 from gaitway.service.embedded.weed_environment import REGION
 from tests.compiling import compile_quickly, compiling_quickly
 from tests.memory_folder import memory_folder
+from tests.order import spread
 
 pytest_plugins = ["tests.hypothesis_profiles"]
 
@@ -43,6 +44,11 @@ def pytest_configure(config: pytest.Config) -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         # A shell's background job ignores it, and so would all that the tests start and end by it.
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(trylast=True)  # The order of those that run.
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items[:] = spread(items)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import pytest
 
 from gaitway.client import Client
 from gaitway.service.embedded.processes import free_ports
+from tests.compiling import compiling_quickly
 from tests.e2e.installed import Installed, install
 
 
@@ -33,6 +34,16 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     """A client of a stack with one worker."""
     with serving(tmp_path_factory.mktemp("stack")) as client:
         yield client
+
+
+@pytest.fixture(scope="module")
+def quick_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """A client of such a stack whose trainings run for moments, and are compiled quickly."""
+    with pytest.MonkeyPatch.context() as environment:
+        for name, value in compiling_quickly().items():
+            environment.setenv(name, value)
+        with serving(tmp_path_factory.mktemp("quick_stack")) as client:
+            yield client
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """A run comes back from its export, and its training continues to the same bits."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +9,7 @@ import pytest
 from core.environments import trajectory
 from gaitway.client import Client
 from gaitway.views import JobView
-from tests.compiling import compiling_quickly
-from tests.e2e.conftest import serving
 from tests.e2e.test_pipeline import SMALL, rolled_out
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    """A client of a stack whose trainings run for moments."""
-    with pytest.MonkeyPatch.context() as environment:
-        for name, value in compiling_quickly().items():
-            environment.setenv(name, value)
-        with serving(tmp_path_factory.mktemp("stack")) as client:
-            yield client
 
 
 def trained(client: Client, num_timesteps: int, **more: Any) -> JobView:
@@ -41,16 +28,16 @@ def final_checkpoint(job: JobView) -> tuple[int | None, str]:
 
 
 @pytest.mark.timeout(300)
-def test_a_training_continues_from_its_import_to_the_same_bits(client: Client, tmp_path: Path) -> None:
-    original = trained(client, 6400, name="from here", labels={"project": "gaits"})
-    undisturbed = trained(client, 12_800, resume_from={"job": original.id})
-    archive = client.export(original.id, tmp_path)
-    metrics, log = client.metrics(original.id), list(client.logs(original.id))
+def test_a_training_continues_from_its_import_to_the_same_bits(quick_client: Client, tmp_path: Path) -> None:
+    original = trained(quick_client, 6400, name="from here", labels={"project": "gaits"})
+    undisturbed = trained(quick_client, 12_800, resume_from={"job": original.id})
+    archive = quick_client.export(original.id, tmp_path)
+    metrics, log = quick_client.metrics(original.id), list(quick_client.logs(original.id))
     seen = np.full((3, 4), 0.1, np.float32)
-    actions = client.load_policy(original.id)(seen)
-    client.delete(original.id)  # From here on, the export is all that is left of it.
+    actions = quick_client.load_policy(original.id)(seen)
+    quick_client.delete(original.id)  # From here on, the export is all that is left of it.
 
-    imported = client.import_job(archive)
+    imported = quick_client.import_job(archive)
     assert (imported.name, imported.labels, imported.status) == (
         "from here",
         {"project": "gaits"},
@@ -58,13 +45,13 @@ def test_a_training_continues_from_its_import_to_the_same_bits(client: Client, t
     )
     assert imported.imported_from is not None
     assert imported.imported_from.job == original.id != imported.id
-    assert client.metrics(imported.id) == metrics
-    assert list(client.logs(imported.id)) == log
-    np.testing.assert_array_equal(client.load_policy(imported.id)(seen), actions)
+    assert quick_client.metrics(imported.id) == metrics
+    assert list(quick_client.logs(imported.id)) == log
+    np.testing.assert_array_equal(quick_client.load_policy(imported.id)(seen), actions)
 
-    resumed = trained(client, 12_800, resume_from={"job": imported.id})
+    resumed = trained(quick_client, 12_800, resume_from={"job": imported.id})
     assert resumed.attempts[0].details["resumed_at_step"] == 6400
     assert final_checkpoint(resumed) == final_checkpoint(undisturbed)
-    shown = rolled_out(client, imported, num_steps=20, num_episodes=2, video=None)
-    path = client.download(shown.id, "trajectory.npz", tmp_path / "trajectory.npz")
+    shown = rolled_out(quick_client, imported, num_steps=20, num_episodes=2, video=None)
+    path = quick_client.download(shown.id, "trajectory.npz", tmp_path / "trajectory.npz")
     assert [episode.num_steps for episode in trajectory.load(path).episodes] == [20, 20]

@@ -151,14 +151,6 @@ def test_a_signal_while_it_starts_leaves_nothing(launch: Launch, seconds: float,
     assert stack.family() == []
 
 
-def test_killing_the_launcher_ends_everything(launch: Launch) -> None:
-    stack = launch()
-    stack.url()
-    assert len(stack.family()) >= 7
-    stack.process.kill()
-    assert eventually(lambda: stack.family() == [], 10), stack.family()
-
-
 def test_what_ends_is_started_again_and_named(launch: Launch) -> None:
     stack = launch()
     url = stack.url()
@@ -199,7 +191,9 @@ def test_no_server_takes_the_port_of_the_api(launch: Launch, tmp_path: Path) -> 
     assert httpx.get(f"{url}/readyz").json() == {"status": "ok"}
 
 
-def test_a_second_stack_on_the_same_data_is_refused_with_the_first_ones_id(launch: Launch) -> None:
+def test_a_second_stack_on_the_same_data_is_refused_and_killing_the_first_ends_everything(
+    launch: Launch,
+) -> None:
     first = launch()
     lock = first.data / "stack.lock"
     assert eventually(lambda: lock.exists() and lock.read_text() != "", 20)
@@ -208,6 +202,11 @@ def test_a_second_stack_on_the_same_data_is_refused_with_the_first_ones_id(launc
     assert second.process.returncode == 1
     assert f"Process {first.process.pid} already runs a service" in told
     assert first.process.poll() is None
+
+    first.url()
+    assert len(first.family()) >= 7
+    first.process.kill()
+    assert eventually(lambda: first.family() == [], 10), first.family()
 
 
 def test_a_job_survives_a_restart_of_everything(launch: Launch) -> None:

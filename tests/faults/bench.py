@@ -116,7 +116,8 @@ class Bench:
 
 
 def wait_until(condition: Callable[[], bool], timeout_s: float = 30) -> None:
+    """Most conditions read the record: asked more often, they would take the time of what is waited for."""
     deadline = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.01)
+        time.sleep(0.05)

@@ -18,7 +18,8 @@ from worker.host.device_lock import slot
 from worker.host.processes import processes
 from worker.supervision.cohort import Cohort
 
-pytestmark = pytest.mark.timeout(180)  # The processes are real, and compile.
+# The processes are real, and compile.
+pytestmark = [pytest.mark.timeout(180), pytest.mark.usefixtures("compiled_quickly")]
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def bench(tmp_path: Path, job_store: PostgresJobStore) -> Bench:
 
 def jobs_of(bench: Bench, number: int) -> Sequence[Job]:
     """Trainings that last longer than any test, of several seeds."""
-    said = {**SPEC, "video": None}
+    said = {**SPEC, "checkpoints": {"every_steps": 12_800}, "video": None}
     return [bench.submit(**{**said, "seed": seed}) for seed in range(number)]
 
 

@@ -3,10 +3,8 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,10 @@ from core.errors import EXIT_STATUS
 from gaitway.cli.main import app
 from gaitway.service.doctor import machine
 from gaitway.service.doctor.check import Check
+from tests.faults.forked import Forked, forked
 from tests.faults.misconfigured_stores import SECRET, Stores, full_object_store, full_redis, serving
+from worker import main as worker
+from worker import reconciler
 
 pytestmark = pytest.mark.skipif(
     shutil.which("openssl") is None, reason="no openssl to make certificates with"
@@ -95,18 +96,21 @@ WRONG_SETTINGS = {
     ),
 }
 FITTING = ("settings", "postgresql", "redis", "object store", "clock")
-# What signs a request takes its time from there.
-LATE = (
-    "import datetime, runpy, minio.time as clock; right = clock.utcnow\n"
-    "clock.utcnow = lambda: right() + datetime.timedelta(hours=1)\n"
-    "runpy.run_module('worker.reconciler', run_name='__main__')"
-)
+
+
+def an_hour_late() -> None:
+    """A reconciler whose clock is wrong: what signs a request takes its time from there."""
+    right = minio.time.utcnow
+    minio.time.utcnow = lambda: right() + timedelta(hours=1)
+    reconciler.main()
+
+
 # name: the process, and settings that differ from those that fit.
-REFUSED = {
-    **{name: (("-m", "worker.reconciler"), changed) for name, (changed, _, _) in WRONG_SETTINGS.items()},
-    "a worker": (("-m", "worker.main"), {"S3_ACCESS_KEY": "nobody"}),
-    "a worker without its GPU": (("-m", "worker.main"), {"DEVICE": "gpu:99"}),
-    "a late clock": (("-c", LATE), {}),
+REFUSED: dict[str, tuple[Callable[[], None], dict[str, str]]] = {
+    **{name: (reconciler.main, changed) for name, (changed, _, _) in WRONG_SETTINGS.items()},
+    "a worker": (worker.main, {"S3_ACCESS_KEY": "nobody"}),
+    "a worker without its GPU": (worker.main, {"DEVICE": "gpu:99"}),
+    "a late clock": (an_hour_late, {}),
 }
 
 
@@ -140,7 +144,7 @@ def spoil(environment: pytest.MonkeyPatch, stores: Stores, changed: dict[str, st
         environment.setenv(f"GAITWAY_{setting}", value.format_map(places))
 
 
-Refused = dict[str, subprocess.Popen[str]]
+Refused = dict[str, Forked]
 
 
 @pytest.fixture(scope="module")
@@ -148,11 +152,11 @@ def refused(stores: Stores, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     """A process for each wrong setting, begun side by side: each takes seconds to believe what it finds."""
     processes: Refused = {}
     with ExitStack() as stack:
-        for name, (command, changed) in REFUSED.items():
+        for name, (main, changed) in REFUSED.items():
             with pytest.MonkeyPatch.context() as environment:
                 fit(environment, stores, tmp_path_factory.mktemp("data"))
                 spoil(environment, stores, changed)
-                processes[name] = stack.enter_context(started(*command))
+                processes[name] = stack.enter_context(forked(main))
         yield processes
 
 
@@ -173,21 +177,11 @@ def doctor() -> dict[str, dict[str, str]]:
     return {check["name"]: check for check in document["checks"]}
 
 
-@contextmanager
-def started(*command: str) -> Iterator[subprocess.Popen[str]]:
-    """A process of the service, with its log to read."""
-    with subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-def end_of(process: subprocess.Popen[str]) -> tuple[int, dict[str, Any]]:
+def end_of(process: Forked) -> tuple[int, dict[str, Any]]:
     """Its exit status and the last line of its log."""
-    log, _ = process.communicate(timeout=60)
+    status, log = process.end(timeout_s=60)
     assert SECRET not in log
-    return process.returncode, json.loads(log.splitlines()[-1])
+    return status, json.loads(log.splitlines()[-1])
 
 
 def test_what_fits_passes(environment: pytest.MonkeyPatch) -> None:
@@ -260,7 +254,7 @@ def test_a_redis_in_protected_mode_is_named(environment: pytest.MonkeyPatch, sto
     environment.setenv("GAITWAY_REDIS_URL", f"redis://{outer[0]}:{stores.redis_port}")
     with connect_redis(stores.redis(f":{SECRET}@")) as client:
         client.config_set("requirepass", "")
-        with started("-m", "worker.reconciler") as process:
+        with forked(reconciler.main) as process:
             status, line = end_of(process)
         client.config_set("requirepass", SECRET)
     assert status == EXIT_STATUS
@@ -268,11 +262,10 @@ def test_a_redis_in_protected_mode_is_named(environment: pytest.MonkeyPatch, sto
     assert "requirepass" in line["detail"]
 
 
-def first_words_of(process: subprocess.Popen[str]) -> str:
+def first_words_of(process: Forked) -> str:
     """The sentence of the first line of the log; what is away may come back, so it does not end."""
-    assert process.stdout is not None
-    line = json.loads(process.stdout.readline())
-    assert process.poll() is None
+    line = json.loads(process.log.readline())
+    assert process.process.is_alive()
     assert SECRET not in line["error"]
     return line["error"]
 
@@ -299,7 +292,7 @@ def test_a_process_waits_for_a_store_where_nobody_answers_and_says_so(
     setting: str, value: str, check: str, words: str, environment: pytest.MonkeyPatch
 ) -> None:
     environment.setenv(f"GAITWAY_{setting}", value)
-    with started("-m", "worker.reconciler") as process:
+    with forked(reconciler.main) as process:
         finding = doctor()[check]
         sentence = first_words_of(process)
     assert words in sentence
@@ -311,7 +304,7 @@ def test_a_full_object_store_is_named(environment: pytest.MonkeyPatch, tmp_path:
     with full_object_store(tmp_path / "full") as settings:
         for name, value in settings.items():
             environment.setenv(name, value)
-        with started("-m", "worker.reconciler") as process:
+        with forked(reconciler.main) as process:
             finding = doctor()["object store"]
             sentence = first_words_of(process)
     assert "no room or no volume to write to: free or add disk space" in sentence
@@ -321,7 +314,7 @@ def test_a_full_object_store_is_named(environment: pytest.MonkeyPatch, tmp_path:
 def test_a_redis_whose_disk_is_full_is_named(environment: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with full_redis(tmp_path / "full") as url:
         environment.setenv("GAITWAY_REDIS_URL", url)
-        with started("-m", "worker.reconciler") as process:
+        with forked(reconciler.main) as process:
             finding = doctor()["redis"]
             sentence = first_words_of(process)
     assert "cannot write its own files (MISCONF): free or add space on the volume" in sentence

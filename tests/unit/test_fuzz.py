@@ -127,10 +127,10 @@ def test_a_job_is_parsed_and_checked_or_rejected(job_store: PostgresJobStore, do
     ids=["arrays", "objects", "options", "a number", "labels", "fields", "surrogates"],
 )
 def test_the_longest_bodies_are_parsed_in_a_moment(body: bytes) -> None:
-    began = time.perf_counter()
+    began = time.thread_time()  # Without what other tests take of the cores.
     with pytest.raises((Rejected, MalformedBody)):
         parse(body, JOB_SPEC)
-    assert time.perf_counter() - began < 2
+    assert time.thread_time() - began < 2
 
 
 @fuzzed
@@ -276,12 +276,12 @@ def test_the_worst_zips_are_refused_in_a_moment() -> None:
             packed.writestr(f"{number}.stl", bytes(2**24))
     many = b"PK\3\4" + b"PK\1\2" * 1_000_000
     quotes = b"<mujoco " + b" ".join(b'a%d=""' % number for number in range(200_000)) + b"/>"
-    began = time.perf_counter()
+    began = time.thread_time()
     for body in (bomb.getvalue(), many, b"<a>" * 1_000_000):
         with pytest.raises(BadModel):
             examine(body)
     examine(quotes)
-    assert time.perf_counter() - began < 2
+    assert time.thread_time() - began < 2
 
 
 @fuzzed

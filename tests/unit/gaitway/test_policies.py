@@ -1,7 +1,7 @@
 """The client reads policies without the service's code, and they act as the service's own do."""
 
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from itertools import product
 from pathlib import Path
@@ -156,7 +156,7 @@ def assert_acts_alike(
 ) -> None:
     """The checkpoint's policy without noise and the file's with noise act as the service's own do.
 
-    Bit for bit: both are compiled from the same operations.
+    Bit for bit: both consist of the same operations.
     """
     answers = table_answers if algorithm == "q_learning" else network_answers
     for is_checkpoint, content in files.items():
@@ -171,6 +171,19 @@ def assert_acts_alike(
             np.testing.assert_array_equal(got, expected)
 
 
+@pytest.fixture
+def step_by_step() -> Iterator[None]:
+    """Each operation alone: its program serves all tests, where whole networks would be compiled for each."""
+    with jax.disable_jit():
+        yield
+
+
+@pytest.mark.parametrize("algorithm", NETWORKS)
+def test_a_network_acts_alike(tmp_path: Path, algorithm: str) -> None:
+    assert_acts_alike(tmp_path, algorithm, files_of_network(algorithm), SEEN["state"])
+
+
+@pytest.mark.usefixtures("step_by_step")
 @pytest.mark.parametrize("algorithm", NETWORKS)
 @pytest.mark.parametrize("activation", get_args(Activation))
 def test_a_network_of_any_activation_acts_alike(tmp_path: Path, activation: str, algorithm: str) -> None:
@@ -178,6 +191,7 @@ def test_a_network_of_any_activation_acts_alike(tmp_path: Path, activation: str,
     assert_acts_alike(tmp_path, algorithm, files, SEEN["state"])
 
 
+@pytest.mark.usefixtures("step_by_step")
 @pytest.mark.parametrize(
     ("algorithm", "options"),
     [
