@@ -6,7 +6,8 @@ the number of updates before timing, and repeats, how often each part is timed.
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -87,18 +88,29 @@ class Pieces:
         """epoch: an update inside the compiled loop, where it belongs. update: the same alone; update_twice:
         with twice as many passes over its batch, so that the difference is the learning. acting: policy and
         environments; stepping: the environments alone, with the same actions; engine: of them, physics
-        alone; policy: the policy alone, on the same observations."""
+        alone; policy: the policy alone, on the same observations. xla_epoch, xla_update, xla_update_twice:
+        the same without our kernels, where they take the gradient steps."""
         transitions, actions, starts = self._acted(state)
         twice = self.settings.model_copy(
             update={"num_updates_per_batch": 2 * self.settings.num_updates_per_batch}
         )
         until = jnp.int32(int(state.num_updates) + _UPDATES_PER_EPOCH)
         hyperparameters = self.hyperparameters
-        epochs = self._timed(self.epoch, state, hyperparameters, until)
+
+        def learning(prefix: str = "", *, kernels: bool) -> dict[str, list[float]]:
+            learner = replace(self.learner, kernels=kernels)
+            epoch = partial(updates_until, learner.update)
+            epochs = self._timed(epoch, state, hyperparameters, until)
+            update_twice = replace(learner, settings=twice).update
+            return {
+                f"{prefix}epoch": [seconds / _UPDATES_PER_EPOCH for seconds in epochs],
+                f"{prefix}update": self._timed(learner.update, state, hyperparameters),
+                f"{prefix}update_twice": self._timed(update_twice, state, hyperparameters),
+            }
+
         return {
-            "epoch": [seconds / _UPDATES_PER_EPOCH for seconds in epochs],
-            "update": self._timed(self.learner.update, state, hyperparameters),
-            "update_twice": self._timed(Learner(self.body, twice).update, state, hyperparameters),
+            **learning(kernels=True),
+            **(learning("xla_", kernels=False) if self.learner.has_kernels else {}),
             "acting": self._timed(self._act, state, starts),
             "stepping": self._timed(self._step, state.episodes, actions, starts),
             "engine": self._timed(self._move, state.episodes.state.physics, actions),

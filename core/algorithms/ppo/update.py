@@ -203,7 +203,7 @@ class Learner:
         Returns (parameters, optimiser, learning rate) and means of the losses.
         """
         settings = self.settings
-        if self._has_kernels:
+        if self.has_kernels:
             from core.algorithms.ppo.kernels.learn import learn  # Pallas takes a while to load.
 
             learnt, metrics = learn(settings, (state.params, state.optimizer), batch, hyperparameters, key)
@@ -251,7 +251,7 @@ class Learner:
         return learnt, jax.tree.map(jnp.mean, metrics)
 
     @property
-    def _has_kernels(self) -> bool:
+    def has_kernels(self) -> bool:
         """Whether kernels of our own take the gradient steps."""
         environment = self.environment
         return (

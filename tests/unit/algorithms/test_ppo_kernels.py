@@ -187,5 +187,5 @@ def test_only_what_the_kernels_compute_is_given_to_them(
 def test_a_cpu_has_no_use_for_them() -> None:
     assert not fitting.usable()
     learner = Learner(probes.constant_reward(), settings())
-    assert not learner._has_kernels
+    assert not learner.has_kernels
     assert isinstance(learner.init(jnp.uint32(0)), TrainingState)

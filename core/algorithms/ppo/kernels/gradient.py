@@ -174,10 +174,15 @@ def _gradients(sizes: Sizes, refs: Any) -> None:
     def _() -> None:
         row = unrolls * sizes.unroll_length + time
         width, columns = rounded_up(sizes.action_size), across(sizes)
-        of_action = [refs.action[(row * 3 + index)[:, None] * width + columns] for index in range(3)]
-        noise = refs.noise[row[:, None] * width + columns]
-        advantage = _normalised(sizes, refs.advantages[at], refs.sums)
-        tile = Tile(seen, *of_action, noise, refs.told[row * 4 + 3], advantage)
+        tile = Tile(
+            seen,
+            taken=refs.action[(row * 3)[:, None] * width + columns],
+            old_mean=refs.action[(row * 3 + 1)[:, None] * width + columns],
+            old_raw=refs.action[(row * 3 + 2)[:, None] * width + columns],
+            noise=refs.noise[row[:, None] * width + columns],
+            old_log_prob=refs.told[row * 4 + 3],
+            advantage=_normalised(sizes, refs.advantages[at], refs.sums),
+        )
         loss = partial(policy_loss, sizes, tile, (refs.hyper[3], refs.hyper[4]))
         found, parts = jax.grad(loss, has_aux=True)(_weights(refs, layers.policy))
         store(layers.policy, found)

@@ -1,6 +1,6 @@
 """The passes over a batch by the kernels of `gradient`, for what `fitting.fits` says."""
 
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -52,7 +52,7 @@ def learn(
             bound = hyperparameters.max_grad_norm
             found = jnp.where(norm < bound, found, found / norm * bound)
             direction, optimizer = ADAM.update(found, optimizer)
-            vector = vector - hyperparameters.learning_rate * direction
+            vector = jax.tree.map(lambda p, d: p - hyperparameters.learning_rate * d, vector, direction)
             return (vector, optimizer), jnp.append(metrics, norm)
 
         return jax.lax.scan(learn_minibatch, carry, which)
@@ -73,7 +73,7 @@ def _sizes(settings: PPOSpec, batch: Transition, *, interpret: bool) -> Sizes:
     hidden = settings.policy_hidden_layer_sizes, settings.value_hidden_layer_sizes
     return Sizes(
         Layout.of(batch.observation.shape[-1], action_size, *hidden),
-        brax_networks.ACTIVATION[settings.activation],
+        cast("Any", brax_networks.ACTIVATION[settings.activation]),
         action_size,
         settings.unroll_length,
         settings.batch_size,

@@ -1,7 +1,7 @@
 """PPO on a user's own model: the ant's values, with which bodies that nobody had tuned for ran sooner.
 
-On a CPU three to five times sooner (docs/experiments/cpu_training.md), on a GPU the tutorial's quadruped after a
-third to a half of the steps (docs/experiments/gpu_tuning.md).
+On a CPU three to five times sooner (docs/experiments/cpu_training.md), on a GPU the tutorial's quadruped
+after half of the steps (docs/experiments/gpu_tuning.md).
 """
 
 from collections.abc import Mapping
