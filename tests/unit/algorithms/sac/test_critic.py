@@ -35,6 +35,12 @@ def test_the_mean_moves_as_the_values_do() -> None:
     np.testing.assert_allclose(means, 0.5 + 0.8 * (probabilities @ ATOMS), rtol=1e-5)
 
 
+def test_nothing_beside_it_is_computed_for_every_pair_of_values() -> None:
+    # One fence before and one behind: XLA fuses nothing across them.
+    batch = jax.ShapeDtypeStruct((5, 4), jnp.float32)
+    assert jax.jit(projected).lower(batch, batch, ATOMS).as_text().count("optimization_barrier") == 2
+
+
 def test_the_critics_differ_from_the_beginning() -> None:
     critics = Critics((8,), 4, jax.nn.relu, layer_norm=True)
     params = critics.init(jax.random.key(0), observation_size=3, action_size=2)
