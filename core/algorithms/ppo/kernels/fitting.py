@@ -16,6 +16,8 @@ _ACTIVATIONS = ("tanh", "swish", "silu", "relu", "elu")
 # Triton's matrix products begin with NVIDIA's Ampere.
 _LEAST_COMPUTE_CAPABILITY = 8.0
 _MOST_ROWS, _LEAST_ROWS = 64, 16
+# Of a minibatch: each adds up what all tell of the advantages.
+_MOST_BLOCKS = 64
 
 
 @cache
@@ -35,11 +37,15 @@ def fits(settings: PPOSpec, observation_size: ObservationSize, action_size: int)
     """Whether the kernels compute the loss that the settings ask for, on networks of their size."""
     if isinstance(observation_size, Mapping):
         return False
+    rows = rows_of_a_tile(settings.batch_size)
+    num_observations = settings.batch_size * settings.num_minibatches * (settings.unroll_length + 1)
     widest = max(*settings.policy_hidden_layer_sizes, *settings.value_hidden_layer_sizes, action_size)
     return (
         widest <= _WIDEST_LAYER
         and observation_size <= _WIDEST_OBSERVATION
-        and rows_of_a_tile(settings.batch_size) >= _LEAST_ROWS
+        and rows >= _LEAST_ROWS
+        and settings.batch_size // rows <= _MOST_BLOCKS
+        and num_observations * _WIDEST_OBSERVATION < 2**31  # Triton counts in 32 bits
         and settings.activation in _ACTIVATIONS
         and settings.normalize_advantage
         and settings.clipping_epsilon_value is None
