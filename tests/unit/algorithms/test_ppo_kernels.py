@@ -70,7 +70,7 @@ def networks_and_batch(spec: PPOSpec) -> tuple[Any, Any, Transition]:
     return networks, init_params(networks, jax.random.PRNGKey(0)), batch
 
 
-@pytest.mark.parametrize("activation", ["tanh", "swish", "relu", "elu"])
+@pytest.mark.parametrize("activation", ["tanh", "swish"])
 def test_the_gradient_and_the_losses_are_those_of_braxs_loss(activation: str) -> None:
     spec = settings(activation=activation)
     networks, params, batch = networks_and_batch(spec)
@@ -138,8 +138,9 @@ def test_runs_that_train_together_each_get_their_own_result() -> None:
             np.testing.assert_allclose(stacked[index], single, atol=1e-6)
 
 
-def test_triton_takes_what_the_kernels_do() -> None:
-    spec = settings()
+@pytest.mark.parametrize("activation", ["tanh", "swish", "relu", "elu"])
+def test_triton_takes_what_the_kernels_do(activation: str) -> None:
+    spec = settings(activation=activation)
     _, params, batch = networks_and_batch(spec)
     given = (params, ADAM.init(params), batch, Hyperparameters.of(spec), jax.random.PRNGKey(0))
     traced = jax.jit(lambda p, o, b, h, key: learn(spec, (p, o), b, h, key)).trace(*given)

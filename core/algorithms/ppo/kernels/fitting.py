@@ -12,7 +12,7 @@ from core.environments.environment import ObservationSize
 # A block of threads holds a tile of activations and a layer's gradient in its registers.
 _WIDEST_LAYER, _WIDEST_OBSERVATION = 64, 128
 # Those that Triton has, and that leave the padding at zero.
-_ACTIVATIONS = ("tanh", "swish", "silu", "relu", "elu")
+_ACTIVATIONS = ("tanh", "swish", "relu", "elu")
 # Triton's matrix products begin with NVIDIA's Ampere.
 _LEAST_COMPUTE_CAPABILITY = 8.0
 _MOST_ROWS, _LEAST_ROWS = 64, 16
