@@ -13,7 +13,6 @@ from core.storage.objects import ObjectStore
 
 # 24 bytes each: 64 MB.
 _MAX_VALUES = 2_700_000
-_PAGE = 1000
 
 
 @dataclass
@@ -73,7 +72,9 @@ class CurveCache:
 
     def _read_page(self, job_id: str, known: _Known) -> bool:
         """Whether it was the last page."""
-        page = feeds.read_page(job_id, "events", known.last, _PAGE, store=self._store, objects=self._objects)
+        page = feeds.read_page(
+            job_id, "events", known.last, feeds.PAGE, store=self._store, objects=self._objects
+        )
         for entry in page.entries:
             if entry.kind == "metrics":
                 known.curves.add(entry, known.names)

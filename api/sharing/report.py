@@ -51,7 +51,7 @@ class _Held:
 
 @dataclass(frozen=True)
 class _Replay:
-    """What the page's modules need to show a replay."""
+    """The data from which the page's modules show a replay."""
 
     scene: _Held
     poses: _Held

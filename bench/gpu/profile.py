@@ -114,7 +114,7 @@ def _figures(body: str, run: Run, card: Card | None) -> list[Figure]:
 
 
 def _without_kernels(body: str, run: Run, seconds: dict[str, float], learning_s: float) -> list[Figure]:
-    """What our kernels gain, where they take the gradient steps."""
+    """The gain by our kernels, where they take the gradient steps."""
     if "xla_epoch" not in seconds:
         return []
     by_xla = (seconds["xla_update_twice"] - seconds["xla_update"]) / run["gradient_steps"]

@@ -23,7 +23,7 @@ log = structlog.get_logger()
 MAX_BYTES = 256 * 1024
 MAX_AGE = timedelta(minutes=10)
 _MAX_ENTRIES = 2000
-_PAGE = 1000
+PAGE = 1000
 # If this many reads give the same wrong bytes, the object itself is damaged.
 _READINGS = 3
 
@@ -45,14 +45,14 @@ def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
     objects: ObjectStore,
     after: int = 0,
     kind: str | None = None,
-    limit: int = _PAGE,
+    limit: int = PAGE,
 ) -> Sequence[Entry]:
     """Entries later than number `after`, oldest first; of one kind where given. Empty at the feed's end.
 
     Raises the errors of `read_page`.
     """
     # Entries of one kind may be rare: small pages would need many reads to find the last few.
-    at_once = limit if kind is None else _PAGE
+    at_once = limit if kind is None else PAGE
     found: list[Entry] = []
     for page in read_pages(job_id, channel, store=store, objects=objects, after=after, at_once=at_once):
         found += [entry for entry in page if kind in (None, entry.kind)]
@@ -68,7 +68,7 @@ def read_pages(
     store: JobStore,
     objects: ObjectStore,
     after: int = 0,
-    at_once: int = _PAGE,
+    at_once: int = PAGE,
 ) -> Iterator[Sequence[Entry]]:
     """All entries later than number `after`, oldest first, in pages; only one page is in memory at a time.
 

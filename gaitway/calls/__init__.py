@@ -1,4 +1,4 @@
-"""What one can ask of a service, each as a call that `Client` and `AsyncClient` carry out (`gaitway.steps`).
+"""The requests to a service, each as a call that `Client` and `AsyncClient` carry out (`gaitway.steps`).
 
 Their methods have the names of these, and their descriptions stand in `Client`.
 """

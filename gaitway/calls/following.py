@@ -1,4 +1,4 @@
-"""What a job does: its events, metrics and log."""
+"""A job's events, metrics and log."""
 
 import time
 from collections.abc import Sequence
@@ -85,7 +85,7 @@ class FollowingCalls(Asking):
         return job
 
     def card(self, job: JobView, video_seen: str | None = None) -> Call[notebook.Card]:
-        """What a notebook shows of a job. video_seen: the hash of a video that is shown already."""
+        """A job as a notebook shows it. video_seen: the hash of a video that is shown already."""
         curve = (yield from self.curve(job.id, ())) if job.kind == "train" else None
         video = job.newest("video")
         if video is None or video.sha256 == video_seen or video.size > notebook.MOST_BYTES:

@@ -1,4 +1,4 @@
-"""What the service has: environments and workers."""
+"""The service's environments and workers."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -121,7 +121,7 @@ def test_curves_that_find_no_room_are_read_again(
 def test_long_feeds_are_read_in_turn_and_a_short_one_at_once(
     stack: Stack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(curve_cache, "_PAGE", 8)
+    monkeypatch.setattr(feeds, "PAGE", 8)
     first, second, short = (Attempt(stack, job(f"00000000000{n}-0000000000")) for n in range(3))
     for attempt, length in ((first, 20), (second, 20), (short, 1)):
         attempt.say_all("metrics", [{"step": step, "values": {"a": 1.0}} for step in range(length)])

@@ -11,20 +11,23 @@ from gaitway.client import Client
 from gaitway.errors import Rejected
 from tests.e2e.test_pipeline import KEPT, SMALL, cancelled, rolled_out
 
+OFF_POLICY: dict[str, Any] = {
+    "num_timesteps": 6400,
+    "num_envs": 32,
+    "batch_size": 64,
+    "min_replay_size": 256,
+    "max_replay_size": 4096,
+    "num_evals": 2,
+    "num_eval_envs": 4,
+    "episode_length": 100,
+}
 # Updates of 32 × 4 = 128 steps, which learn from the second on.
 SMALL_SAC: dict[str, Any] = {
     **SMALL,
     "algorithm": {
+        **OFF_POLICY,
         "kind": "sac",
-        "num_timesteps": 6400,
-        "num_envs": 32,
         "unroll_length": 4,
-        "batch_size": 64,
-        "min_replay_size": 256,
-        "max_replay_size": 4096,
-        "num_evals": 2,
-        "num_eval_envs": 4,
-        "episode_length": 100,
         "policy_hidden_layer_sizes": [16],
         "q_hidden_layer_sizes": [16],
     },
@@ -35,17 +38,10 @@ SMALL_SAC: dict[str, Any] = {
 SMALL_DQN: dict[str, Any] = {
     **SMALL_SAC,
     "algorithm": {
+        **OFF_POLICY,
         "kind": "dqn",
         "action_set": {"kind": "actions", "actions": [[-0.5], [0.0], [0.5]]},
-        "num_timesteps": 6400,
-        "num_envs": 32,
         "action_repeat": 2,
-        "batch_size": 64,
-        "min_replay_size": 256,
-        "max_replay_size": 4096,
-        "num_evals": 2,
-        "num_eval_envs": 4,
-        "episode_length": 100,
         "hidden_layer_sizes": [16],
     },
 }

@@ -25,6 +25,7 @@ from core.algorithms.experience import (
     summarise,
 )
 from core.algorithms.normalizer import init_normalizer, normalization
+from core.algorithms.ppo.descent import ADAM, clipped, descend
 from core.algorithms.ppo.failure import find_failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.kernels import fitting
@@ -37,8 +38,6 @@ from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
 from core.environments.wrappers.curriculum import at_progress, progress_at, progress_metrics
 from core.environments.wrappers.vectorized import VectorEnv
-
-ADAM = optax.scale_by_adam()
 
 
 @struct.dataclass
@@ -221,9 +220,7 @@ class Learner:
             chosen, key = given
             minibatch = self.sharding.split(jax.tree.map(lambda x: jnp.take(x, chosen, axis=0), batch))
             gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch, key)
-            norm = optax.tree.norm(gradient)
-            bound = hyperparameters.max_grad_norm
-            gradient = jax.tree.map(lambda g: jnp.where(norm < bound, g, g / norm * bound), gradient)
+            gradient, norm = clipped(gradient, hyperparameters.max_grad_norm)
             metrics = metrics | {"grad_norm": norm}
             if self._adapts_to_kl:
                 learning_rate = adapt_to_kl(
@@ -236,8 +233,7 @@ class Learner:
                     ),
                 )
                 metrics = metrics | {"learning_rate": learning_rate}
-            direction, optimizer = ADAM.update(gradient, optimizer)
-            params = jax.tree.map(lambda p, d: p - learning_rate * d, params, direction)
+            params, optimizer = descend(params, optimizer, gradient, learning_rate)
             return (params, optimizer, learning_rate), metrics
 
         learning_rate = hyperparameters.learning_rate

@@ -21,7 +21,7 @@ from core.algorithms.ppo.kernels.layout import Layer, rounded_up
 from core.algorithms.ppo.kernels.sizes import Sizes
 from core.algorithms.ppo.kernels.tile import Tile, across, policy_loss, value
 
-# What the loss reads of the hyperparameters, in this order.
+# The hyperparameters that the loss reads, in this order.
 HYPERPARAMETERS = (
     "discounting",
     "gae_lambda",
@@ -43,7 +43,7 @@ METRICS = (
     "policy_dist_min_std",
     "policy_dist_min_loc",
 )
-# What a tile says for the metrics: six sums, then four largest values; the rest is padding.
+# A tile's numbers for the metrics: six sums, then four largest values; the rest is padding.
 _NUM_SUMS, _NUM_LARGEST, _TOLD_BY_A_TILE = 6, 4, 16
 _NUM_WARPS = 4
 
@@ -97,7 +97,7 @@ def _call(
     given: Mapping[str, jax.Array],
     lengths: Mapping[str, int],
 ) -> dict[str, jax.Array]:
-    """What the kernel writes, by its names. It gets all arrays, flat, as attributes of one object."""
+    """Run the kernel; returns its outputs by name. It gets all arrays, flat, as attributes of one object."""
     names = [*given, *lengths]
 
     def body(*refs: Any) -> None:
@@ -157,8 +157,10 @@ def _advantages(sizes: Sizes, refs: Any) -> None:
 
 
 def _gradients(sizes: Sizes, refs: Any) -> None:
-    """What each tile of samples adds to the gradient [tiles, P], and to the metrics [tiles, 16]: one half of
-    the blocks takes the policy, the other the value network."""
+    """The contribution of each tile to the gradient [tiles, P] and to the metrics [tiles, 16].
+
+    Half of the blocks differentiate the policy's loss, and half that of the value network.
+    """
     number = pl.program_id(1)
     time, unrolls, at = _tile(sizes, refs, number)
     seen = _observed(sizes, refs, unrolls, time)

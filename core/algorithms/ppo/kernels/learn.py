@@ -8,13 +8,12 @@ import optax
 
 from core.algorithms.brax_training import PPONetworkParams, Transition
 from core.algorithms.brax_training import networks as brax_networks
+from core.algorithms.ppo.descent import clipped, descend
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.kernels.gradient import HYPERPARAMETERS, METRICS, Batch, Chosen, gradient
 from core.algorithms.ppo.kernels.layout import Layout, rounded_up
 from core.algorithms.ppo.kernels.sizes import Sizes
 from core.algorithms.ppo.spec import PPOSpec
-
-ADAM = optax.scale_by_adam()
 
 Learnt = tuple[PPONetworkParams, optax.ScaleByAdamState]
 
@@ -48,12 +47,8 @@ def learn(
         def learn_minibatch(carry: Any, which: jax.Array) -> tuple[Any, Any]:
             vector, optimizer = carry
             found, metrics = gradient(sizes, vector, flat, Chosen(order, which, noise), hyper)
-            norm = jnp.sqrt(jnp.sum(found * found))
-            bound = hyperparameters.max_grad_norm
-            found = jnp.where(norm < bound, found, found / norm * bound)
-            direction, optimizer = ADAM.update(found, optimizer)
-            vector = jax.tree.map(lambda p, d: p - hyperparameters.learning_rate * d, vector, direction)
-            return (vector, optimizer), jnp.append(metrics, norm)
+            found, norm = clipped(found, hyperparameters.max_grad_norm)
+            return descend(vector, optimizer, found, hyperparameters.learning_rate), jnp.append(metrics, norm)
 
         return jax.lax.scan(learn_minibatch, carry, which)
 

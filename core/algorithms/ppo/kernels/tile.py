@@ -1,4 +1,4 @@
-"""What a block of threads computes on a tile of samples: networks, and the policy's loss.
+"""The computations of one block of threads on a tile of samples: networks, and the policy's loss.
 
 Everything here runs inside a kernel, on arrays whose sides are powers of two; JAX differentiates it there.
 """
@@ -16,7 +16,7 @@ _LOG_2, _HALF_LOG_2_PI = 0.6931471805599453, 0.9189385332046727
 
 
 class Tile(NamedTuple):
-    """What the policy's loss reads of a tile: observations [rows, obs]; the action before tanh, the mean and
+    """A tile's inputs to the policy's loss: observations [rows, obs]; the action before tanh, the mean and
     raw deviation that it was drawn from, and noise [rows, act]; log-probability and advantage [rows]."""
 
     seen: jax.Array
