@@ -47,6 +47,7 @@ LONG = {
 ON_A_GPU = {
     "gpu_engines": "bench.gpu.engines",
     "gpu_compiled": "bench.gpu.compiled",
+    "gpu_own_models": "bench.gpu.own_models",
     "gpu_returns": "bench.gpu.returns",
     "gpu_resume": "bench.gpu.resume",
     "gpu_gate": "bench.gpu.gate",

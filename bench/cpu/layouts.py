@@ -8,11 +8,12 @@ from bench.measure.result import Figure, Options, Result, Table
 from bench.measure.runs import Run, Runs, Work
 from core.environments.info import Device
 
-_STEPS: dict[Device, int] = {"cpu": 3_000_000, "gpu": 60_000_000}
+_STEPS: dict[Device, int] = {"cpu": 3_000_000, "gpu": 150_000_000}
 _NUM_LAYOUTS = 64
 # Far from the training's seeds, which are 123456 to 123519.
 _UNSEEN_SEED = 10_000_000
-_EPISODES, _EPISODE_STEPS = 128, 2000
+# 40 s: enough for whoever walks at 1 m/s.
+_EPISODES, _EPISODE_STEPS = 128, 4000
 _SEES: dict[str, Any] = {"num_next_obstacles": 2}
 _WHERE = {"own": "the layouts that it was trained in", "unseen": "layouts never seen"}
 

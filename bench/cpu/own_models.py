@@ -1,46 +1,72 @@
-"""Users' own models: physics compiled for each beside C MuJoCo, over bodies that are not in the catalog."""
+"""Users' own models: physics compiled for each beside another engine, over bodies not in the catalog."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
 
 from bench.measure import comparison
-from bench.measure.engine_steps import ENGINES, quotients, steps_table
+from bench.measure.engine_steps import ENGINES, ON_A_GPU, quotients, steps_table
 from bench.measure.result import Figure, Options, Result, at_least
 from bench.measure.runs import Run, Runs, Work
 from bench.measure.statistics import spread
+from core.environments.info import Device
 from core.physics.compiled.coverage import uncovered
 
 _ROBOT = Path(__file__).parents[2] / "examples" / "quadruped.xml"
-# The first is the least for which the catalog lets `auto` take `compiled`.
-_NUM_ENVS = (64, 16, 256)
+
+
+@dataclass(frozen=True)
+class _Case:
+    """engines: `compiled` and its peer. num_envs: numbers of environments; the figures are of the first."""
+
+    engines: Sequence[str]
+    num_envs: Sequence[int]
+    steps_per_call: int
+
+
+_CASES: dict[Device, _Case] = {
+    # The first is the least for which the catalog lets `auto` take `compiled`.
+    "cpu": _Case(ENGINES, (64, 16, 256), 50),
+    # The first is the number that the tuned settings take.
+    "gpu": _Case(ON_A_GPU, (2048, 512, 8192), 100),
+}
 
 
 def measure(options: Options) -> Result:
+    """On the CPU; see `measured`."""
+    return measured(options, "own_models", "cpu")
+
+
+def measured(options: Options, name: str, device: Device) -> Result:
     """Each body in its own process, which steps it by both engines in turns."""
+    case = _CASES[device]
     bodies = _bodies(options)
     beyond = {name: why for name, path in bodies.items() if (why := uncovered(_read(path))) is not None}
-    runs = Runs("own_models", options)
+    runs = Runs(name, options)
     runs.make(
         [
-            Work(name, "bench.ours.run_steps", _request(path, options), about_s=60)
-            for name, path in bodies.items()
-            if name not in beyond
+            Work(body, "bench.ours.run_steps", _request(path, device, case, options), about_s=60)
+            for body, path in bodies.items()
+            if body not in beyond
         ]
     )
     return Result(
-        name="own_models",
-        title="Users' own models on the CPU",
-        command="./run bench own_models",
+        name=name,
+        title=f"Users' own models on a {device.upper()}",
+        command=f"./run bench {name}",
         quick=options.quick,
         machine=runs.where(),
         figures=[
-            _figure(name, runs.done.get(name), runs.failed.get(name)) for name in bodies if name not in beyond
+            _figure(body, case, runs.done.get(body), runs.failed.get(body))
+            for body in bodies
+            if body not in beyond
         ],
         table=steps_table(runs.done, with_start=True),
         rows=comparison.step_rows(runs.done),
-        notes=[*_notes(beyond), *runs.notes()],
+        notes=[*_notes(case, beyond), *runs.notes()],
         unfinished=runs.left,
     )
 
@@ -60,38 +86,31 @@ def _read(path: Path) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(path))
 
 
-def _num_envs(options: Options) -> list[int]:
-    return [4] if options.quick else list(_NUM_ENVS)
-
-
-def _request(path: Path, options: Options) -> dict[str, object]:
+def _request(path: Path, device: Device, case: _Case, options: Options) -> dict[str, object]:
     return {
         "model": str(path),
-        "engines": list(ENGINES),
-        "num_envs": _num_envs(options),
+        "device": device,
+        "engines": list(case.engines),
+        "num_envs": [4] if options.quick else list(case.num_envs),
         "rounds": 2 if options.quick else 5,
-        "steps_per_call": 5 if options.quick else 50,
+        "steps_per_call": 5 if options.quick else case.steps_per_call,
         "own_settings": False,
     }
 
 
-def _figure(body: str, run: Run | None, why: str | None) -> Figure:
-    name = f"{body}: `compiled` ÷ `native`"
+def _figure(body: str, case: _Case, run: Run | None, why: str | None) -> Figure:
+    name = f"{body}: `compiled` ÷ `{case.engines[1]}`"
     if run is None:
         return Figure(name=name, value=None, unit="×", target=at_least(1), missing=why or "not measured")
-    return Figure.of(name, spread(quotients(run, min(run["rates"]["native"], key=_rank))), "×", at_least(1))
+    first, *_ = run["rates"]["compiled"]
+    return Figure.of(name, spread(quotients(run, first)), "×", at_least(1))
 
 
-def _rank(num_envs: str) -> int:
-    """The rule's number of environments comes first."""
-    return _NUM_ENVS.index(int(num_envs)) if int(num_envs) in _NUM_ENVS else len(_NUM_ENVS)
-
-
-def _notes(beyond: dict[str, str]) -> list[str]:
+def _notes(case: _Case, beyond: dict[str, str]) -> list[str]:
     notes = [
-        f"The figures are of {_NUM_ENVS[0]} environments, from which on `auto` takes `compiled`. Each model "
-        "is used as one file with default options, without a body's own task. Environments move under random "
-        "controls, a second after their start. At least 1 is the target, since `auto` takes it.",
+        f"The figures are of {case.num_envs[0]:,} environments. Each model is used as one file with default "
+        "options, without a body's own task. Environments move under random controls, a second after their "
+        "start. At least 1 is the target, since `auto` takes `compiled` for them.",
     ]
     if beyond:
         told = "; ".join(f"{name} ({why})" for name, why in beyond.items())

@@ -16,7 +16,7 @@ from bench.measure.result import Options, Result
 BENCHES = (
     *("training", "corridor", "gpu_ant", "gpu_humanoid", "gpu_bodies"),
     *("gpu_engines", "gpu_rodent", "gpu_corridor", "gpu_profile", "gpu_scaling"),
-    *("layouts", "gpu_layouts", "gpu_cohort"),
+    *("layouts", "gpu_layouts", "gpu_cohort", "gpu_own_models"),
     *("q_learning", "gpu_q_learning", "exercises", "compiled", "own_models", "gate", "gpu_gate", "gpu_sac"),
 )
 SECONDS = {
