@@ -111,6 +111,32 @@ def exploding(after: int) -> Probe:
 
 
 @dataclass(frozen=True)
+class LosingProbe(Probe):
+    """The reward is 1, and no step ends it. Each body has a number between 0 and 1, which it observes; the
+    state of one whose number is below `share` is lost in the step that follows `after` actions."""
+
+    share: float = 0.0
+    after: int = 0
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        return replace(super().reset(key, model), obs=jax.random.uniform(key, (1,)))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        lost = (state.obs < self.share) & (state.physics.time >= self.after)
+        after = super().step(state, action)
+        return replace(after, obs=jnp.where(lost, jnp.nan, state.obs))
+
+
+def losing(share: float, after: int) -> LosingProbe:
+    return LosingProbe(
+        lambda obs, time, action: (jnp.ones(()), jnp.zeros(())),
+        episode_length=10**6,
+        share=share,
+        after=after,
+    )
+
+
+@dataclass(frozen=True)
 class GrowingProbe(Probe):
     """No step ends it. `info["begun_at"]` is the progress of the curriculum at which its episode began."""
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from core.environments.environment import Environment, State
 from core.environments.wrappers.autoreset import select
+from core.environments.wrappers.lost_bodies import without_lost
 
 # (observations [N, obs], or several by name, key) -> (actions [N, act], extras)
 Policy = Callable[[Any, jax.Array], tuple[jax.Array, Any]]
@@ -21,10 +22,14 @@ PerEnvironment = Float[Array | np.ndarray, "*N"]
 
 V = TypeVar("V")
 
+# Totals that an action's steps are already summed in; every other is a mean over them.
+_OF_AN_EPISODE = ("reward", "lost_body")
+
 
 @struct.dataclass
 class EpisodeTotals:
-    """Sums over an episode's actions for each of N environments. metrics: by name, and `reward`."""
+    """Sums over an episode's actions for each of N environments. metrics: by name, `reward`, and `lost_body`,
+    which is 1 where the episode ended because its body's state was lost (`without_lost`)."""
 
     metrics: dict[str, PerEnvironment]
     length: PerEnvironment
@@ -57,7 +62,7 @@ def run_episodes(
     num_envs *= copies
     state = jax.vmap(environment.reset)(jnp.tile(starts, (copies, 1)) if copies > 1 else starts)
     zeros = jnp.zeros(num_envs)
-    totals = EpisodeTotals({name: zeros for name in ("reward", *state.metrics)}, zeros)
+    totals = EpisodeTotals({name: zeros for name in (*_OF_AN_EPISODE, *state.metrics)}, zeros)
     trial = _Trial(state, totals, jnp.ones(num_envs, bool), jnp.int32(0))
 
     def going(trial: _Trial) -> Bool[Array, ""]:
@@ -65,8 +70,8 @@ def run_episodes(
 
     def act(trial: _Trial) -> _Trial:
         action, _ = policy(trial.state.obs, jax.random.fold_in(act_key, trial.time))
-        state = jax.vmap(environment.step)(trial.state, action)
-        seen = {"reward": state.reward, **state.metrics}
+        state, lost = without_lost(trial.state, jax.vmap(environment.step)(trial.state, action))
+        seen = {"reward": state.reward, "lost_body": lost, **state.metrics}
         # An ended episode adds nothing, and its environment stands still.
         totals = EpisodeTotals(
             {
@@ -94,7 +99,7 @@ def evaluation_metrics(totals: EpisodeTotals, action_repeat: int = 1) -> dict[st
     count actions, and an action's metrics are means over its steps (`RepeatedAction`).
     """
     summed = {
-        name: value if name == "reward" else value * np.float32(action_repeat)
+        name: value if name in _OF_AN_EPISODE else value * np.float32(action_repeat)
         for name, value in totals.metrics.items()
     }
     metrics = {f"eval/episode_{name}": float(np.mean(value)) for name, value in summed.items()}

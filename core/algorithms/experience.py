@@ -7,15 +7,19 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from core.algorithms.brax_training import Transition
 from core.algorithms.evaluation import Policy, clearly_named
 from core.environments.body_position import body_position
 from core.environments.environment import State
 from core.environments.wrappers.autoreset import Episodes, draw, follow
+from core.environments.wrappers.lost_bodies import without_lost
 from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
+
+# Of the steps of an update, the share that may lose a body; a run that loses more has diverged.
+MOST_LOST = 0.01
 
 # One number for each of N environments, at one step or at each of T.
 PerStep = Float[Array, "*T N"]
@@ -38,15 +42,17 @@ class Starts:
 class Outcome:
     """What happened at each of T steps in N environments; arrays [T, N].
 
-    fell: 1 where the environment ended the episode, rather than its length. effort: mean square of the
-    action's components. metrics: the environment's own, by name, and its body's position. overflow: 1 where
-    the engine lost contacts, not known of an episode's last step; None if the engine cannot lose any.
+    fell: 1 where the episode ended, though not by its length. lost: of these, 1 where the body's state was
+    lost (`without_lost`). effort: mean square of the action's components. metrics: the environment's own, by
+    name, and its body's position. overflow: 1 where the engine lost contacts, not known of an episode's last
+    step; None if the engine cannot lose any.
     """
 
     reward: PerStep
     ended_length: Int[Array, "*T N"]
     ended_score: PerStep
     fell: PerStep
+    lost: PerStep
     effort: PerStep
     metrics: Mapping[str, PerStep]
     overflow: PerStep | None
@@ -71,7 +77,7 @@ def collect(
         key, chosen = given
         action, extras = policy(episodes.state.obs, key)
         fresh = None if starts is None else draw(starts.pool, chosen)
-        reached = envs.step(episodes.state, action)
+        reached, lost = without_lost(episodes.state, envs.step(episodes.state, action))
         after = follow(episodes, reached, fresh, episode_length=episode_length)
         transition = Transition(
             observation=episodes.state.obs,
@@ -86,6 +92,7 @@ def collect(
             ended_length=after.ended_length,
             ended_score=after.ended_score,
             fell=after.state.done - after.truncated,
+            lost=lost.astype(jnp.float32),
             effort=jnp.mean(jnp.square(action), axis=-1),
             metrics={**where(reached.physics), **reached.metrics},
             overflow=after.state.physics.derived.get(OVERFLOW),
@@ -146,14 +153,22 @@ def of_whole_episodes(outcome: Outcome, actions_before: Int[Array, ""]) -> Outco
     )
 
 
+def lost_too_many(outcome: Outcome) -> Bool[Array, " T"]:
+    """The time steps that lost a body, if more than one did, and more than `MOST_LOST` of all; else none."""
+    most = max(1.0, MOST_LOST * outcome.lost.size)
+    return jnp.any(outcome.lost > 0, axis=1) & (jnp.sum(outcome.lost) > most)
+
+
 def summarise(outcome: Outcome) -> dict[str, Float[Array, ""]]:
     """Sums over one update, [] float32: finished episodes, their scores and lengths, and how many fell.
 
     Also means over its steps: the control effort, every metric of the environment by its own name (the speed
-    by a clearer one), and the share of steps in which the engine lost contacts, if it can.
+    by a clearer one), the share of steps that lost a body, and of those in which the engine lost contacts, if
+    it can.
     """
     means = clearly_named(outcome.metrics) | {
         "control_effort": outcome.effort,
+        "lost_bodies": outcome.lost,
         "physics_overflow": outcome.overflow,
     }
     sums = {

@@ -1,5 +1,6 @@
 """What a run tells while it goes on, and how it ends when values are not finite."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -128,6 +129,23 @@ def test_a_run_that_diverges_names_step_and_quantity_and_keeps_the_last_good_sta
     header, state = case.format.read(run.checkpoint())
     assert header["progress"]["step"] == before
     assert all(jax.numpy.isfinite(leaf).all() for leaf in jax.tree.leaves(state["params"]))
+
+
+def test_a_body_that_is_lost_ends_its_episode_and_not_the_run() -> None:
+    # Two of the first 32 bodies have a number below 0.04, and are lost in the second update.
+    run = small_run(probes.losing(share=0.04, after=20), episode_length=1000, epoch_s=0.0)
+    told = [event.metrics for event in run.events() if isinstance(event, Progress)]
+    assert [metrics["training/lost_bodies"] for metrics in told[:3]] == [0.0, 2 / STEPS_PER_UPDATE, 0.0]
+    assert len(told) == 20_480 / STEPS_PER_UPDATE
+    assert all(math.isfinite(value) for metrics in told for value in metrics.values())
+
+
+def test_a_run_that_loses_every_body_has_diverged(case: Case) -> None:
+    step = 5 * case.num_envs
+    run = case.begin(probes.losing(share=1.0, after=5), episode_length=1000, epoch_s=1000.0)
+    with pytest.raises(JobFailed, match=f"observation became non-finite at environment step {step}"):
+        list(run.events())
+    assert run.step == step // case.update * case.update
 
 
 def test_a_loss_that_overflows_is_told_from_a_reward_that_does() -> None:

@@ -29,6 +29,16 @@ from worker.training.video import VideoRecorder
 # A tenth of the budget lies between checkpoints where the job does not say.
 _CHECKPOINTS = 10
 
+# What is told the first time that a metric is above 0.
+_WARNINGS = {
+    "training/physics_overflow": "the engine's buffers were too small for some environments, and contacts "
+    "were lost (training/physics_overflow is the share of steps). Choose another engine by `physics` if that "
+    "matters.",
+    "training/lost_bodies": "an engine lost the state of a body: its values were not finite any more, and its "
+    "episode ended (training/lost_bodies is the share of steps). Stiff contacts, strong actuators or a long "
+    "timestep can be the cause.",
+}
+
 
 def train(
     task: Task, spec: TrainSpec, built: BuiltEnvironment, events: EventWriter, stopping: StopRequest
@@ -185,7 +195,7 @@ class Report:
     _metrics: dict[str, float] = field(default_factory=dict[str, float])
     _kept_step: int | None = None
     _kept_at: float = field(default_factory=time.monotonic)
-    _warned: bool = False
+    _warned_of: set[str] = field(default_factory=set[str])
     _started: tuple[float, int] = (0.0, 0)
 
     def publish(self, event: Event) -> None:
@@ -194,7 +204,7 @@ class Report:
                 self.events.send(PhaseEnded(name=name, seconds=seconds))
             case Progress(step=step, total=total, metrics=metrics):
                 self._metrics.update(metrics)
-                self._warn_of_overflow(step, metrics)
+                self._warn(step, metrics)
                 self.events.send(Measured(step=step, values=dict(metrics)))
                 self.events.send(self._advanced(step, total))
             case Evaluated(step=step, metrics=metrics):
@@ -218,17 +228,12 @@ class Report:
         if time.monotonic() - self._kept_at >= self.checkpoint_every_s:
             self.keep_checkpoint()
 
-    def _warn_of_overflow(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Once; how often it happens from then on is a metric."""
-        if metrics.get("training/physics_overflow", 0.0) > 0 and not self._warned:
-            self._warned = True
-            self.events.send(
-                Noted(
-                    text=f"By step {step}, the engine's buffers were too small for some environments, and "
-                    "contacts were lost (training/physics_overflow is the share of steps). Choose another "
-                    "engine by `physics` if that matters."
-                )
-            )
+    def _warn(self, step: int, metrics: Mapping[str, float]) -> None:
+        """Of each once; how often it happens from then on is a metric."""
+        for name, what in _WARNINGS.items():
+            if metrics.get(name, 0.0) > 0 and name not in self._warned_of:
+                self._warned_of.add(name)
+                self.events.send(Noted(text=f"By step {step}, {what}"))
 
     def _advanced(self, step: int, total: int) -> Advanced:
         now = time.monotonic()

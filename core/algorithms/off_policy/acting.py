@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import RunningStatisticsState, Transition, running_statistics
 from core.algorithms.evaluation import Policy
-from core.algorithms.experience import Outcome, Starts, collect
+from core.algorithms.experience import Outcome, Starts, collect, lost_too_many
 from core.algorithms.normalizer import init_normalizer, normalization
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.spec import OffPolicySpec
@@ -106,7 +106,7 @@ def observation_size(environment: Environment, settings: OffPolicySpec) -> int:
 def failure(acted: Acted, learnt: Sequence[jax.Array]) -> Failure:
     """What was not finite in an update: observations, rewards, then each of what was learnt, [] bool."""
     observations = cast("Any", acted.transitions.next_observation)
-    bad_obs = ~jnp.all(jnp.isfinite(observations), axis=(1, 2))
+    bad_obs = ~jnp.all(jnp.isfinite(observations), axis=(1, 2)) | lost_too_many(acted.outcome)
     bad_reward = ~jnp.all(jnp.isfinite(acted.outcome.reward), axis=1)
     bad = bad_obs | bad_reward
     first = jnp.where(jnp.any(bad), jnp.argmax(bad), len(bad)).astype(jnp.int32)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import PPONetworkParams, Transition
-from core.algorithms.experience import Outcome
+from core.algorithms.experience import Outcome, lost_too_many
 
 # Checked after each update, in the order in which one spoils the next.
 QUANTITIES = (
@@ -28,6 +28,7 @@ def find_failure(
     """
     seen = jax.tree.leaves(transitions.next_observation)
     bad_obs = ~jnp.all(jnp.stack([jnp.all(jnp.isfinite(x), axis=(1, 2)) for x in seen]), axis=0)
+    bad_obs |= lost_too_many(outcome)
     bad_reward = ~jnp.all(jnp.isfinite(outcome.reward), axis=1)
     bad_params = [~jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(params)]
     losses = [metrics[name] for name in ("policy_loss", "v_loss", "entropy_loss", "grad_norm")]

@@ -8,7 +8,14 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import compute_ppo_loss
 from brax.training.types import Transition
 
-from core.algorithms.experience import Outcome, collect, cut_into_unrolls, of_whole_episodes, summarise
+from core.algorithms.experience import (
+    Outcome,
+    collect,
+    cut_into_unrolls,
+    lost_too_many,
+    of_whole_episodes,
+    summarise,
+)
 from core.algorithms.normalizer import init_normalizer
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.networks import init_params, make_networks
@@ -123,7 +130,7 @@ def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
     # action and two; the third began with the run, and its end is the only one of a whole episode.
     ended = jnp.array([[3, 0, 0], [0, 3, 0], [0, 0, 3]])
     ones = jnp.ones((3, 3))
-    outcome = Outcome(ones, ended, ended * 1.0, jnp.where(ended > 0, 1.0, 0.0), ones, {}, None)
+    outcome = Outcome(ones, ended, ended * 1.0, jnp.where(ended > 0, 1.0, 0.0), 0 * ones, ones, {}, None)
     told = summarise(of_whole_episodes(outcome, jnp.int32(0)))
     assert {name: float(told[name]) for name in ("episodes", "score", "length", "falls")} == {
         **{"episodes": 1.0, "score": 3.0},
@@ -131,6 +138,18 @@ def test_lengths_and_scores_are_told_of_whole_episodes_only() -> None:
     }
     # Once everyone has acted for longer than an episode lasts, all of them are whole.
     assert float(summarise(of_whole_episodes(outcome, jnp.int32(3)))["episodes"]) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("num_envs", "lost", "too_many"), [(4, 1, False), (4, 2, True), (100, 3, False), (100, 4, True)]
+)
+def test_a_run_may_lose_one_body_or_a_hundredth(num_envs: int, lost: int, *, too_many: bool) -> None:
+    # Of three steps: one of 12 is more than a hundredth, but it is one. Three of 300 are a hundredth.
+    ones = jnp.ones((3, num_envs))
+    outcome = Outcome(
+        ones, ones.astype(jnp.int32), ones, ones, (0 * ones).at[1, :lost].set(1.0), ones, {}, None
+    )
+    assert lost_too_many(outcome).tolist() == [False, too_many, False]
 
 
 def test_networks_see_observations_within_the_bound_and_the_normaliser_sees_all() -> None:
