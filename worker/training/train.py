@@ -34,7 +34,7 @@ _WARNINGS = {
     "training/physics_overflow": "the engine's buffers were too small for some environments, and contacts "
     "were lost (training/physics_overflow is the share of steps). Choose another engine by `physics` if that "
     "matters.",
-    "training/lost_bodies": "an engine lost the state of a body: its values were not finite any more, and its "
+    "training/lost_bodies": "an engine lost the state of a body: its values were not finite, and its "
     "episode ended (training/lost_bodies is the share of steps). Stiff contacts, strong actuators or a long "
     "timestep can be the cause.",
 }
