@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from core.environments.mjcf.model import read
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from gaitway.cli.submit import assigned
 from gaitway.plots import learning_curve
@@ -57,7 +58,8 @@ def main() -> None:
     if arguments.model:
         shutil.copyfile(arguments.model, folder / "model")  # The process may read no other file.
     model = "model" if arguments.model else None
-    task = Task(job_id="bench", attempt=1, spec=spec, device=device, model=model)
+    num_dofs = degrees_of_freedom(folder / "model") if arguments.model else None
+    task = Task(job_id="bench", attempt=1, spec=spec, device=device, model=model, num_dofs=num_dofs)
     (folder / "task.json").write_text(task.model_dump_json())
     began = time.perf_counter()
     process = TrainingProcess(TRAINING, folder, folder / "data", device, [])
@@ -71,6 +73,12 @@ def main() -> None:
     if isinstance(spec, TrainSpec) and story.rows:
         learning_curve(story.rows, folder / "curve.png", title=arguments.spec.stem)
     raise SystemExit(0 if process.poll(60) == 0 and "failed" not in story.told else 1)
+
+
+def degrees_of_freedom(model: Path) -> int:
+    """Of a user's own model, as sent."""
+    with read(model) as spec:
+        return spec.compile().nv
 
 
 def gpus(number: int) -> str:

@@ -105,8 +105,9 @@ class Task(Stored):
     device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to resume
     from (training), or to take the policy from (rollout). checkpoint_step: its environment step. model: path
     of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with the
-    reasons. begun_on: the engine of the job's own checkpoint, which `auto` then takes again. lent_by: the
-    engine that moved the environments in another job's checkpoint, which `auto` takes if no other can.
+    reasons. num_dofs: its degrees of freedom; None if they are not known. begun_on: the engine of the job's
+    own checkpoint, which `auto` then takes again. lent_by: the engine that moved the environments in another
+    job's checkpoint, which `auto` takes if no other can.
     """
 
     job_id: str
@@ -117,5 +118,6 @@ class Task(Stored):
     checkpoint_step: int = 0
     model: str | None = None
     engines_that_cannot: dict[EngineName, str] = {}
+    num_dofs: int | None = None
     begun_on: EngineName | None = None
     lent_by: EngineName | None = None

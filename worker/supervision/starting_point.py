@@ -132,5 +132,7 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
             raise JobFailed(Reason.BAD_MODEL, detail)
     except NotFound:
         raise JobFailed(Reason.BAD_MODEL, f"The model {model_id} was deleted before the job began.") from None
-    cannot = dict(engines_that_cannot(record.description))
-    return task.model_copy(update={"model": "model", "engines_that_cannot": cannot})
+    described = record.description
+    known = {"engines_that_cannot": dict(engines_that_cannot(described))}
+    num_dofs = None if described is None else described.inventory.sizes.nv
+    return task.model_copy(update={"model": "model", "num_dofs": num_dofs, **known})

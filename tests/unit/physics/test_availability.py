@@ -81,6 +81,15 @@ def test_a_cpu_has_rules_of_its_own_and_native_where_none_can_be_followed(
     assert choose("auto", "cpu", 16, rules).name == "native"
 
 
+def test_a_rule_for_small_bodies_is_followed_where_the_body_is_known_to_be_small(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rules = (Rule("compiled", 1, "Small bodies.", most_dofs=30), Rule("warp", 1, "Larger ones."))
+    monkeypatch.setattr(availability, "find_spec", lambda name: True)
+    taken = [choose("auto", "gpu", 1, rules, num_dofs=dofs).name for dofs in (14, 30, 31, None)]
+    assert taken == ["compiled", "compiled", "warp", "warp"]
+
+
 def test_a_rules_reason_is_the_choices() -> None:
     assert choose("auto", "gpu", 8192, RULES).reason == "Many ants."
 
