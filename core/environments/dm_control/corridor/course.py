@@ -30,6 +30,10 @@ class OneCourse:
         """Fields of the model and the entries of `State.info` for a fresh start with this key."""
         return {}, {}
 
+    def level(self, info: Mapping[str, jax.Array]) -> jax.Array:
+        """The level of the curriculum at which the episode began, [] int32; 0 without a curriculum."""
+        return jnp.int32(0)
+
     def obstacles(self, info: Mapping[str, jax.Array]) -> jax.Array:
         """[number, 3], each as `Obstacle`, in the order of their ends."""
         return self._obstacles
@@ -56,6 +60,9 @@ class ManyCourses:
         level = jnp.floor(jnp.clip(progress, 0.0, 1.0) * (self._layouts.num_levels - 1)).astype(jnp.int32)
         chosen = level * self._layouts.num_layouts + number
         return {name: values[chosen] for name, values in self._fields.items()}, {LAYOUT: chosen}
+
+    def level(self, info: Mapping[str, jax.Array]) -> jax.Array:
+        return info[LAYOUT] // self._layouts.num_layouts
 
     def obstacles(self, info: Mapping[str, jax.Array]) -> jax.Array:
         return self._obstacles[info[LAYOUT]]

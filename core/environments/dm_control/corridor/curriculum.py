@@ -1,7 +1,7 @@
 """Options of the corridor that change while a run trains, from a beginning to the options' own values.
 
-To add one, such as a speed, give `Beginning` a field of the option's name and type. What only sets lengths
-needs no more; a number that a step reads is `between` its two values at the progress of the episode's start.
+To add one, give `Beginning` a field of the option's name and type. What only sets lengths needs no more; of a
+number that a step reads, the environment takes the value of its episode's level.
 """
 
 from collections.abc import Mapping
@@ -16,8 +16,8 @@ from core.environments.dm_control.corridor.lengths import Drawn
 NUM_LEVELS = 16
 # Which options each arena looks at.
 OF_ARENA: Mapping[str, tuple[str, ...]] = {
-    "gaps": ("platform_length", "gap_length"),
-    "walls": ("wall_gap", "wall_width"),
+    "gaps": ("platform_length", "gap_length", "target_velocity"),
+    "walls": ("wall_gap", "wall_width", "target_velocity"),
     "empty": (),
 }
 
@@ -31,6 +31,7 @@ class Beginning(Strict):
     gap_length: Drawn | None = None
     wall_gap: Drawn | None = None
     wall_width: Drawn | None = None
+    target_velocity: float | None = None
 
     @property
     def given(self) -> dict[str, Any]:
@@ -68,3 +69,9 @@ def at_level(options: Options, curriculum: Curriculum | None, level: int) -> Opt
         for name, first in curriculum.start.given.items()
     }
     return options.model_copy(update=changed)
+
+
+def at_every_level(options: Options, curriculum: Curriculum | None) -> list[Options]:
+    """The options at all levels, in their order; one without a curriculum."""
+    levels = range(NUM_LEVELS) if curriculum else [NUM_LEVELS - 1]
+    return [at_level(options, curriculum, level) for level in levels]

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from core.environments import rewards
 from core.environments.dm_control.corridor import observables, termination
 from core.environments.dm_control.corridor.course import ManyCourses, OneCourse
+from core.environments.dm_control.corridor.curriculum import at_every_level
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
 from core.environments.dm_control.corridor.model import model_and_layouts, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
@@ -61,6 +62,7 @@ class Corridor(MujocoEnv):
         self._endings = termination.Endings(model, options)
         ends = options.start_x, options.corridor_length
         self._course = ManyCourses(layouts, model, *ends) if layouts else OneCourse(obstacles(model), *ends)
+        self._target_velocities = _target_velocities(options)
         self._progress: jax.Array | float = 1.0
 
     @property
@@ -103,7 +105,7 @@ class Corridor(MujocoEnv):
                 "distance_reward": options.distance_reward_weight * velocity[0] * self.dt,
                 "reward_alive": options.healthy_reward * survives,
                 "reward_quadctrl": -options.ctrl_cost_weight * rewards.control_cost(action),
-                **self._target_velocity_reward(velocity[0]),
+                **self._target_velocity_reward(velocity[0], info),
             },
             done=reduce(jnp.maximum, endings.values(), jnp.maximum(fell, ended)),
             metrics={
@@ -118,11 +120,13 @@ class Corridor(MujocoEnv):
             info=info,
         )
 
-    def _target_velocity_reward(self, speed: jax.Array) -> Mapping[str, jax.Array]:
+    def _target_velocity_reward(
+        self, speed: jax.Array, info: Mapping[str, jax.Array]
+    ) -> Mapping[str, jax.Array]:
         """dm_control's reward for a speed [] in +x, where the options ask for it."""
-        target = self._options.target_velocity
-        if target is None:
+        if self._target_velocities is None:
             return {}
+        target = self._target_velocities[self._course.level(info)]
         worth = rewards.linear_tolerance(speed, target, margin=target)
         return {"reward_target_velocity": self._options.target_velocity_weight * worth}
 
@@ -149,3 +153,11 @@ class Corridor(MujocoEnv):
         ahead = jnp.minimum(rows[:, :2] - at[0], SIGHT_M)
         left = jnp.where(ahead[:, :1] < SIGHT_M, rows[:, 2:] - at[1], 0.0)
         return jnp.concatenate([ahead, left], axis=1).ravel()
+
+
+def _target_velocities(options: CorridorOptions) -> jax.Array | None:
+    """In m/s, by the level of the curriculum; None if the reward has no such term."""
+    if options.target_velocity is None:
+        return None
+    levels = at_every_level(options, options.curriculum)
+    return jnp.array([one.target_velocity for one in levels], jnp.float32)

@@ -75,7 +75,7 @@ class _Place(Strict):
         description="How many layouts each episode takes one of; layout i has the lengths of arena_seed + i.",
     )
     curriculum: Curriculum | None = Field(
-        None, description="Lengths that training begins with, on the way to those above."
+        None, description="Lengths and a target velocity that training begins with, on the way to those here."
     )
     start_x: float = Field(
         5.0, ge=0, description="The walker's initial x, in metres; the first platform ends at 6 m."
@@ -181,6 +181,8 @@ def _check_layouts(options: CorridorOptions) -> None:
             f"curriculum.start has {unread[0]}, which the arena {options.arena!r} does not have; "
             f"it has {', '.join(OF_ARENA[options.arena])}"
         )
+    if options.target_velocity is None and "target_velocity" in first:
+        raise ValueError("curriculum.start has target_velocity, so the option itself must not be null")
     if not first:
         raise ValueError(f"curriculum.start must have {' or '.join(OF_ARENA[options.arena])}")
     try:

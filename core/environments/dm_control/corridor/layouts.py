@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from core.environments.dm_control.corridor.curriculum import NUM_LEVELS, at_level
+from core.environments.dm_control.corridor.curriculum import at_every_level
 from core.environments.dm_control.corridor.info import FIRST_PLATFORM_M, CorridorOptions
 
 Floats = NDArray[np.float32]
@@ -76,12 +76,10 @@ class Layouts:
 
 def draw_layouts(options: CorridorOptions) -> Layouts:
     """All layouts of the options, at all levels if they have a curriculum."""
-    num_levels = NUM_LEVELS if options.curriculum else 1
+    levels = at_every_level(options, options.curriculum)
     chosen = [
-        at_level(options, options.curriculum, level).model_copy(
-            update={"arena_seed": options.arena_seed + number}
-        )
-        for level in (range(num_levels) if options.curriculum else [NUM_LEVELS - 1])
+        at_this_level.model_copy(update={"arena_seed": options.arena_seed + number})
+        for at_this_level in levels
         for number in range(options.num_layouts)
     ]
     drawn = [boxes_of(one, one.arena_seed) for one in chosen]
@@ -89,7 +87,7 @@ def draw_layouts(options: CorridorOptions) -> Layouts:
     obstacles = [obstacles_among(boxes, options.arena) for boxes in drawn]
     return Layouts(
         num_layouts=options.num_layouts,
-        num_levels=num_levels,
+        num_levels=len(levels),
         boxes=np.stack([_filled(boxes, drawn[most]) for boxes in drawn]),
         obstacles=_padded(obstacles),
         largest=chosen[most],

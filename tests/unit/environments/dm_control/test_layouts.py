@@ -146,6 +146,26 @@ def test_fresh_starts_follow_the_progress_and_by_default_are_those_of_the_end() 
     assert levels(7.0) == {NUM_LEVELS - 1}
 
 
+def test_the_target_velocity_of_an_episode_is_that_of_its_level() -> None:
+    begins = {"start": {"target_velocity": 0.5}, "over_steps": 1000}
+    task = {"target_velocity": 2.0, "num_layouts": 2}
+    environment = built(**task, curriculum=options(**task, curriculum=begins).curriculum)
+
+    def worth(progress: float) -> float:
+        """Of a step at some 0.4 m/s."""
+        state = jax.tree.map(lambda x: x[0], started(environment.at_progress(jnp.float32(progress)), 1))
+        physics = replace(state.physics, qvel=state.physics.qvel.at[0].set(0.5))
+        after = jax.jit(environment.step)(replace(state, physics=physics), jnp.zeros(8))
+        speed, reward = (float(after.metrics[name]) for name in ("x_velocity", "reward_target_velocity"))
+        assert 0.2 < speed < 0.5
+        return reward / speed
+
+    # Below the target v* a speed v is worth v / v*. At level 5 of 15 the target is 0.5 + 1.5 / 3.
+    assert [worth(p) for p in (0.0, 1 / 3 + 1e-3, 1.0)] == pytest.approx(
+        [1 / 0.5, 1 / 1.0, 1 / 2.0], rel=1e-5
+    )
+
+
 def test_a_rollout_keeps_the_arena_of_each_episode() -> None:
     environment = built(num_layouts=3)
     episodes = rollout(
@@ -186,6 +206,14 @@ def test_a_rollout_keeps_the_arena_of_each_episode() -> None:
             "as the curriculum begins, platform_length must be above 0",
         ),
         ({"curriculum": {"start": {"gravity": 3}, "over_steps": 5}}, "curriculum.start.gravity"),
+        (
+            {"curriculum": {"start": {"target_velocity": 1.0}, "over_steps": 5}},
+            "curriculum.start has target_velocity, so the option itself must not be null",
+        ),
+        (
+            {"target_velocity": 2.0, "curriculum": {"start": {"target_velocity": 0.0}, "over_steps": 5}},
+            "as the curriculum begins, Input should be greater than 0",
+        ),
     ],
 )
 def test_what_cannot_be_laid_out_is_refused(changed: dict[str, Any], sentence: str) -> None:
