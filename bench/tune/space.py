@@ -1,6 +1,7 @@
 """The settings among which a search chooses."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import optuna
@@ -15,6 +16,7 @@ _LAYERS: Mapping[str, list[int]] = {
     "2x32": [32] * 2,
     "2x64": [64] * 2,
     "2x128": [128] * 2,
+    "2x256": [256] * 2,
     "3x64": [64] * 3,
     "4x32": [32] * 4,
     "3x256": [256] * 3,
@@ -47,13 +49,13 @@ def settings_of(trial: optuna.trial.BaseTrial) -> dict[str, Any]:
         "policy_hidden_layer_sizes": _LAYERS[trial.suggest_categorical("policy", _POLICIES)],
         "value_hidden_layer_sizes": _LAYERS[trial.suggest_categorical("value", list(_LAYERS))],
         "activation": trial.suggest_categorical("activation", _ACTIVATIONS),
-        "bootstrap_on_timeout": True,
+        "bootstrap_on_timeout": trial.suggest_categorical("bootstrap_on_timeout", [False, True]),
         "normalize_observations": True,
     }
 
 
 def first_trial(environment: str, device: Device) -> dict[str, Any]:
-    """What a search tries first: the present settings, as near as it comes, with small networks."""
+    """What a search tries first: the present settings, as near as it comes."""
     has = resolve(PPOSpec(), catalog.find(environment), device)
     unrolls = has.batch_size * has.num_minibatches
     sizes = {
@@ -72,7 +74,20 @@ def first_trial(environment: str, device: Device) -> dict[str, Any]:
         "gae_lambda": has.gae_lambda,
         "clipping_epsilon": has.clipping_epsilon,
         "reward_scaling": has.reward_scaling,
-        "policy": "4x32",
-        "value": "2x64",
+        "policy": _named(has.policy_hidden_layer_sizes, _POLICIES),
+        "value": _named(has.value_hidden_layer_sizes, list(_LAYERS)),
+        "bootstrap_on_timeout": has.bootstrap_on_timeout,
         "activation": has.activation if has.activation in _ACTIVATIONS else "swish",
     }
+
+
+def _named(sizes: Sequence[int], names: Sequence[str]) -> str:
+    """The network of these layers, or the one whose number of weights comes nearest."""
+
+    def num_weights(layers: Sequence[int]) -> int:
+        return sum(a * b for a, b in pairwise(layers)) + sum(layers)
+
+    return min(
+        names,
+        key=lambda name: (_LAYERS[name] != list(sizes), abs(num_weights(_LAYERS[name]) - num_weights(sizes))),
+    )

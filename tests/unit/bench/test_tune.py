@@ -35,7 +35,17 @@ def params(**changes: Any) -> dict[str, Any]:
 def test_the_first_trial_is_near_the_present_settings(body: str, device: Device) -> None:
     settings = settings_of(FixedTrial(first_trial(body, device)))
     resolved = requests.resolved(device, body, settings)
-    assert resolved.discounting == pytest.approx(requests.resolved(device, body, {}).discounting)
+    present = requests.resolved(device, body, {})
+    assert resolved.discounting == pytest.approx(present.discounting)
+    assert resolved.bootstrap_on_timeout == present.bootstrap_on_timeout
+
+
+@pytest.mark.parametrize(("body", "device"), [("ant", "cpu"), ("ant", "gpu"), ("humanoid", "gpu")])
+def test_the_first_trial_has_the_present_networks_where_the_space_has_them(body: str, device: Device) -> None:
+    resolved = requests.resolved(device, body, settings_of(FixedTrial(first_trial(body, device))))
+    present = requests.resolved(device, body, {})
+    assert list(resolved.policy_hidden_layer_sizes) == list(present.policy_hidden_layer_sizes)
+    assert list(resolved.value_hidden_layer_sizes) == list(present.value_hidden_layer_sizes)
 
 
 @pytest.mark.parametrize("envs", [5, 11])
