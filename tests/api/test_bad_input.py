@@ -83,6 +83,12 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/algorithm/action_set",
             "ant offers no action set",
         ),
+        (
+            q_learning(action_set={"kind": "arm_amplitudes"})
+            | {"environment": {"id": "brittle_star", "options": {"control": "joints"}}},
+            "/algorithm/action_set",
+            "it has a central pattern generator only with the option \"control\": \"cpg\"",
+        ),
         (q_learning(epsilon={"start": 1.5}), "/algorithm/epsilon/start", "less than or equal to 1, not 1.5"),
         (
             q_learning(state_discretizer={"kind": "disk_position_grid", "cells": [0, 5]}),
