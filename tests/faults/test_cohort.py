@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
+from core.jobs.cohort import shape_of
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.reasons import Reason
@@ -98,6 +100,16 @@ def test_a_drain_gives_all_of_them_back_with_what_they_have(bench: Bench) -> Non
     for job in (bench.store.get(job.id) for job in jobs):
         assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
         assert job.newest("checkpoint") is not None
+
+
+def test_jobs_that_do_not_fit_together_train_alone_and_lose_no_attempt(bench: Bench) -> None:
+    jobs = [bench.submit(**{**SPEC, "seed": seed, "max_attempts": 1}) for seed in range(2)]
+    too_large = (sys.executable, "-c", "raise MemoryError('RESOURCE_EXHAUSTED')")
+    claims = [bench.claim(job) for job in jobs]
+    Cohort(claims, jobs[0].spec.environment, bench.settings, "cpu", ("slot",), command=too_large).run()
+    for job in (bench.store.get(job.id) for job in jobs):
+        assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.COHORT_ENDED)
+        assert shape_of(job, "gpu") is None
 
 
 def test_a_device_that_another_process_holds_costs_every_job_one_attempt(bench: Bench) -> None:
