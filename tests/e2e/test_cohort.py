@@ -25,12 +25,14 @@ _ON_A_CPU: dict[str, Any] = {
 _ALGORITHMS = {"cpu": _ON_A_CPU, "gpu": _ON_A_GPU}
 
 
-@pytest.fixture(params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("gpu", marks=pytest.mark.gpu)])
+@pytest.fixture(
+    params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("gpu", marks=pytest.mark.gpu)]
+)
 def accelerator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What the worker runs on."""
-    monkeypatch.setenv("GAITWAY_COHORT", "4")
+    """What the worker runs on. On a GPU trials train together by default."""
     if request.param == "cpu":  # Also where there is a GPU.
-        for name, value in {**compiling_quickly(), "JAX_PLATFORMS": "cpu"}.items():
+        own = {"GAITWAY_COHORT": "4", "JAX_PLATFORMS": "cpu"}
+        for name, value in {**compiling_quickly(), **own}.items():
             monkeypatch.setenv(name, value)
     return request.param
 
