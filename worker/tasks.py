@@ -121,7 +121,7 @@ def draw_preview(document: str) -> None:
         draw(request, object_store(settings), folder, data, models=settings.models)
 
 
-def _companions(  # noqa: PLR0913 # Which, where, and how they are claimed.
+def _companions(
     job: Job, device: str, worker: str, store: JobStore, claim: Callable[..., Claim | None], at_most: int
 ) -> Sequence[Claim]:
     """The jobs that train together with this one, claimed; none where the record is unavailable just now."""

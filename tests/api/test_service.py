@@ -173,7 +173,7 @@ def test_workers_are_listed_while_they_are_heard_of(stack: Stack) -> None:
 
 
 def test_a_worker_has_all_jobs_whose_attempts_run_there(stack: Stack) -> None:
-    """Of four that it took together, one has ended and one is in the queue again; another worker has a fifth."""
+    """Of four that it took together, one has ended and one is queued again; another worker has a fifth."""
     first, second, third, fourth = (Attempt(stack, job(f"{number:012x}-0000000000")) for number in range(4))
     second.end()
     third.claim.give_back(Reason.COHORT_ENDED, "It ended.")

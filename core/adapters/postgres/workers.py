@@ -60,7 +60,7 @@ def forget_gone(connection: Connection) -> None:
     connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
 
 
-def _readable(rows: Sequence[Row[Any, Any]]) -> list[WorkerInfo]:
+def _readable(rows: Sequence[Row[Any, Any, Any]]) -> list[WorkerInfo]:
     found: list[WorkerInfo] = []
     for row in rows:
         try:
