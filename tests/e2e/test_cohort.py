@@ -57,10 +57,12 @@ def test_four_seeds_are_trained_together(accelerator: str, client: Client) -> No
     client.wait_for_sweep(sweep.id)
     jobs = [client.get(trial.job) for trial in client.get_sweep(sweep.id).trials]
     assert len(jobs) == 4
+    (worker,) = client.workers()
     for one in jobs:
         assert one.succeeded, one.message
         (attempt,) = one.attempts
         assert attempt.details["trained_together"] == 4
+        assert attempt.worker == worker.name
         assert one.progress.step == one.progress.total >= algorithm["num_timesteps"]
     newest = [client.checkpoints(one.id)[-1] for one in jobs]
     assert [checkpoint.step for checkpoint in newest] == [one.progress.step for one in jobs]
