@@ -25,9 +25,11 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from core.devices import GPUS, num_cores
+from core.devices import GPUS, gpu_indices, num_cores
 from core.variables import PREFIX
 
+# As many as `./run bench gpu_cohort` measures.
+_COHORT_ON_GPU = 16
 _REDIS_SCHEMES = ("redis", "rediss", "unix")
 
 
@@ -248,13 +250,13 @@ class WorkerSettings(StoreSettings):
         "compiles, once, so that the first such job starts as fast as the next. `gaitway up` and Docker "
         "Compose say ant where this is not set; empty: none.",
     )
-    cohort: int = Field(
-        1,
+    cohort: int | None = Field(
+        None,
         ge=1,
         le=64,
         description="The most trials of a sweep, differing only in numbers, that a device trains together; "
-        "1: each trains alone. Try 16 on a GPU, where it has not been measured yet. On a CPU, a resumed run "
-        "equals an uninterrupted one bit for bit only alone.",
+        "1: each trains alone. By default 16 on a GPU and 1 on a CPU, where a resumed run equals an "
+        "uninterrupted one bit for bit only if it trains alone.",
     )
     models: Confinement = Field(
         "confined",
@@ -273,6 +275,10 @@ class WorkerSettings(StoreSettings):
     def prepared(self) -> tuple[str, ...]:
         """The environments that `prepare` names."""
         return tuple(filter(None, map(str.strip, self.prepare.split(","))))
+
+    def cohort_on(self, device: str) -> int:
+        """`cohort`, or its default for this device: `cpu`, or a worker's GPUs."""
+        return self.cohort or (_COHORT_ON_GPU if gpu_indices(device) else 1)
 
     @model_validator(mode="after")
     def _outlives_a_missed_beat(self) -> Self:

@@ -248,10 +248,11 @@ class PreviewView(View):
 
 
 class WorkerView(View):
-    """A worker that has sent a heartbeat lately; job: the one that it runs.
+    """A worker that has sent a heartbeat lately. job: the one that it took from the queue.
 
-    state: ready, testing or device_failed; problem: what was wrong with its device. memory_bytes: of each of
-    its devices, where known. packages: the optional ones that it has; None where it did not report them.
+    jobs: all that it runs, which may be several trials of a sweep. state: ready, testing or device_failed;
+    problem: what was wrong with its device. memory_bytes: of each of its devices, where known. packages: the
+    optional ones that it has; None where it did not report them.
     """
 
     name: str
@@ -260,6 +261,7 @@ class WorkerView(View):
     device: str = ""
     queues: tuple[str, ...] = ()
     job: str | None = None
+    jobs: tuple[str, ...] = ()
     state: str = "ready"
     problem: str | None = None
     memory_bytes: int | None = None

@@ -10,6 +10,7 @@ from functools import partial
 import structlog
 
 from core.adapters.connect import job_store, object_store
+from core.adapters.rq.queue import this_worker
 from core.configuration import read
 from core.errors import JobUnreadable, Misconfigured, NotFound, Unavailable
 from core.jobs.attempts import Claim, claim_attempt, new_secret
@@ -18,7 +19,6 @@ from core.jobs.job import Job
 from core.jobs.needs import kind_of, packages_here
 from core.jobs.store import JobStore
 from core.jobs.waiting import why_left_to_others
-from core.jobs.workers import WorkerInfo
 from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
 from core.settings import WorkerSettings
@@ -27,6 +27,7 @@ from worker.host.device import device_of
 from worker.host.device_lock import slot_names
 from worker.host.disk import has_room, what_to_do
 from worker.host.drain_flag import Draining
+from worker.host.memory import allowed_bytes
 from worker.host.parent_death import die_with_parent
 from worker.preview.drawing import draw
 from worker.supervision.cohort import Cohort
@@ -36,6 +37,8 @@ from worker.validation.confined import validate
 
 log = structlog.get_logger()
 
+# Of the machine's memory, for each trial that trains together with others: its process draws its video.
+_MEMBER_BYTES = 2**30
 # How long a worker that cannot start a job leaves the queue to others.
 _PAUSE_S = 5.0
 
@@ -59,9 +62,10 @@ def run_attempt(job_id: str, attempt: int) -> None:
         _leave_to_others(error.detail, draining)
         return
     store = job_store(settings)
+    worker = this_worker() or f"{socket.gethostname()}:{device}"
     claim_one = partial(
         claim_attempt,
-        worker=f"{socket.gethostname()}:{device}",
+        worker=worker,
         store=store,
         objects=object_store(settings),
         lease=settings.lease,
@@ -82,7 +86,8 @@ def run_attempt(job_id: str, attempt: int) -> None:
         log.info("dispatch_ignored")
         return
     test = device_health.command_for(device)
-    claims = [claim, *_companions(job, device, settings, store, claim_one)]
+    most = min(settings.cohort_on(device), allowed_bytes(settings.memory_limit) // _MEMBER_BYTES)
+    claims = [claim, *_companions(job, device, worker, store, claim_one, most - 1)]
     if len(claims) == 1:
         Supervisor(claim, settings, device, places, draining=draining, device_test=test).run()
         return
@@ -117,26 +122,20 @@ def draw_preview(document: str) -> None:
 
 
 def _companions(
-    job: Job, device: str, settings: WorkerSettings, store: JobStore, claim: Callable[..., Claim | None]
+    job: Job, device: str, worker: str, store: JobStore, claim: Callable[..., Claim | None], at_most: int
 ) -> Sequence[Claim]:
     """The jobs that train together with this one, claimed; none where the record is unavailable just now."""
     claims = list[Claim]()
-    if settings.cohort == 1:
+    if at_most < 1:
         return claims
     with suppress(Unavailable):
         workers = store.workers()
-        here = _this_worker(workers)
-        for other in companions(job, store, kind_of(device), here, workers, settings.cohort - 1):
+        here = next((one for one in workers if one.name == worker), None)
+        for other in companions(job, store, kind_of(device), here, workers, at_most):
             with suppress(NotFound, JobUnreadable):
                 if (found := claim(other.id, other.next_attempt, secret=new_secret())) is not None:
                     claims.append(found)
     return claims
-
-
-def _this_worker(workers: Sequence[WorkerInfo]) -> WorkerInfo | None:
-    """The worker whose work-horse this is, as it announced itself."""
-    here = (socket.gethostname(), os.getppid())
-    return next((worker for worker in workers if (worker.host, worker.pid) == here), None)
 
 
 def _why_left_to_others(job: Job, store: JobStore) -> str | None:

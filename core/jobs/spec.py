@@ -202,7 +202,10 @@ class _Common(Strict):
     resources: ResourcesSpec = ResourcesSpec()
     priority: Priority = "normal"
     timeout_s: float = Field(
-        default=86_400.0, gt=0, le=30 * 86_400, description="Seconds an attempt may take."
+        default=86_400.0,
+        gt=0,
+        le=30 * 86_400,
+        description="Seconds an attempt may take; times their number where trials of a sweep train together.",
     )
     max_attempts: int = Field(default=3, ge=1, le=100, description="Attempts allowed when workers are lost.")
 

@@ -15,9 +15,11 @@ WorkerState = Literal["ready", "testing", "device_failed"]
 class WorkerInfo(Stored):
     """A worker's report on itself, which it sends at every heartbeat.
 
-    state: a `ready` worker takes jobs or has one; it takes none while it tests its device, or after that has
-    failed a test. problem: a sentence on that failure. memory_bytes: of each of its devices, where known.
-    packages: the optional packages that it has; null if a worker of an older version did not report them.
+    job: the one that it took from the queue. jobs: all whose attempts it runs now; no report names them, the
+    store adds them. state: a `ready` worker takes jobs or has one; it takes none while it tests its device,
+    or after that has failed a test. problem: a sentence on that failure. memory_bytes: of each of its
+    devices, where known. packages: the optional packages that it has; null if a worker of an older version
+    did not report them.
     """
 
     name: str
@@ -26,6 +28,7 @@ class WorkerInfo(Stored):
     device: str
     queues: tuple[str, ...] = ()
     job: str | None = None
+    jobs: tuple[str, ...] = ()
     state: WorkerState = "ready"
     problem: str | None = None
     memory_bytes: int | None = None

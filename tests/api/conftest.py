@@ -167,14 +167,14 @@ def job(job_id: str = "019aa3c2f0b1-5be0c1d2e3", **spec: Any) -> Job:
 class Attempt:
     """A worker's part, played by a test."""
 
-    def __init__(self, stack: Stack, job: Job, *, is_new: bool = True) -> None:
+    def __init__(self, stack: Stack, job: Job, *, is_new: bool = True, worker: str = "worker-1") -> None:
         self._stack = stack
         if is_new:
             stack.store.add(job)
         claimed = claim_attempt(
             job.id,
             1,
-            "worker-1",
+            worker,
             store=stack.store,
             objects=stack.objects,
             lease=timedelta(minutes=1),

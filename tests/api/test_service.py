@@ -34,7 +34,7 @@ from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
 from core.settings import ApiSettings, StoreSettings, WorkerSettings
 from core.storage import keys
-from tests.api.conftest import ARTIFACT, NOON, Stack, serving
+from tests.api.conftest import ARTIFACT, NOON, Attempt, Stack, job, serving
 from tests.api.problems import problem
 
 
@@ -170,6 +170,19 @@ def test_workers_are_listed_while_they_are_heard_of(stack: Stack) -> None:
     stack.store.announce(worker, timedelta(minutes=1))
     items = stack.http.get("/workers").json()["items"]
     assert [(item["name"], item["device"], item["job"]) for item in items] == [("w", "cpu", None)]
+
+
+def test_a_worker_has_all_jobs_whose_attempts_run_there(stack: Stack) -> None:
+    """Of four that it took together, one has ended and one is queued again; another worker has a fifth."""
+    first, second, third, fourth = (Attempt(stack, job(f"{number:012x}-0000000000")) for number in range(4))
+    second.end()
+    third.claim.give_back(Reason.COHORT_ENDED, "It ended.")
+    Attempt(stack, job("000000000004-0000000000"), worker="worker-2")
+    for name in ("worker-1", "worker-2", "worker-3"):
+        worker = WorkerInfo(name=name, host="h", pid=1, device="cpu", started_at=NOON, seen_at=NOON)
+        stack.store.announce(worker, timedelta(minutes=1))
+    items = stack.http.get("/workers").json()["items"]
+    assert [item["jobs"] for item in items] == [[first.id, fourth.id], ["000000000004-0000000000"], []]
 
 
 def test_a_service_is_ready_while_both_stores_answer(stack: Stack) -> None:

@@ -29,10 +29,10 @@ _ALGORITHMS = {"cpu": _ON_A_CPU, "gpu": _ON_A_GPU}
     params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("gpu", marks=pytest.mark.gpu)]
 )
 def accelerator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What the worker runs on."""
-    monkeypatch.setenv("GAITWAY_COHORT", "4")
+    """What the worker runs on. On a GPU trials train together by default."""
     if request.param == "cpu":  # Also where there is a GPU.
-        for name, value in {**compiling_quickly(), "JAX_PLATFORMS": "cpu"}.items():
+        own = {"GAITWAY_COHORT": "4", "JAX_PLATFORMS": "cpu"}
+        for name, value in {**compiling_quickly(), **own}.items():
             monkeypatch.setenv(name, value)
     return request.param
 
@@ -57,10 +57,12 @@ def test_four_seeds_are_trained_together(accelerator: str, client: Client) -> No
     client.wait_for_sweep(sweep.id)
     jobs = [client.get(trial.job) for trial in client.get_sweep(sweep.id).trials]
     assert len(jobs) == 4
+    (worker,) = client.workers()
     for one in jobs:
         assert one.succeeded, one.message
         (attempt,) = one.attempts
         assert attempt.details["trained_together"] == 4
+        assert attempt.worker == worker.name
         assert one.progress.step == one.progress.total >= algorithm["num_timesteps"]
     newest = [client.checkpoints(one.id)[-1] for one in jobs]
     assert [checkpoint.step for checkpoint in newest] == [one.progress.step for one in jobs]

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from core.adapters.postgres.jobs import PostgresJobStore
+from core.jobs.cohort import shape_of
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.reasons import Reason
-from tests.faults.bench import SPEC, Bench, wait_until
+from tests.faults.bench import PROBE, SPEC, Bench, wait_until
 from worker.host.device_lock import slot
 from worker.host.processes import processes
 from worker.supervision.cohort import Cohort
@@ -98,6 +100,33 @@ def test_a_drain_gives_all_of_them_back_with_what_they_have(bench: Bench) -> Non
     for job in (bench.store.get(job.id) for job in jobs):
         assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
         assert job.newest("checkpoint") is not None
+
+
+def test_jobs_that_do_not_fit_together_train_alone_and_lose_no_attempt(bench: Bench) -> None:
+    jobs = [bench.submit(**{**SPEC, "seed": seed, "max_attempts": 1}) for seed in range(2)]
+    too_large = (sys.executable, "-c", "raise MemoryError('RESOURCE_EXHAUSTED')")
+    claims = [bench.claim(job) for job in jobs]
+    Cohort(claims, jobs[0].spec.environment, bench.settings, "cpu", ("slot",), command=too_large).run()
+    for job in (bench.store.get(job.id) for job in jobs):
+        assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.COHORT_ENDED)
+        assert shape_of(job, "gpu") is None
+
+
+def test_members_have_time_in_proportion_to_their_number(bench: Bench) -> None:
+    jobs = [bench.submit(**{**SPEC, "seed": seed, "timeout_s": 0.5}) for seed in range(3)]
+    until_all_have_left = "import os, sys; [os.read(int(descriptor), 1) for descriptor in sys.argv[1:]]"
+    Cohort(
+        [bench.claim(job) for job in jobs],
+        jobs[0].spec.environment,
+        bench.settings,
+        "cpu",
+        ("slot",),
+        command=(sys.executable, "-c", until_all_have_left),
+        member_command=(sys.executable, str(PROBE), "waits"),
+    ).run()
+    for job in (bench.store.get(job.id) for job in jobs):
+        assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TIMEOUT)
+        assert job.message == "It took longer than timeout_s allows: 1.5 s. The work up to then is kept."
 
 
 def test_a_device_that_another_process_holds_costs_every_job_one_attempt(bench: Bench) -> None:

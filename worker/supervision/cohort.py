@@ -55,7 +55,7 @@ class Cohort:
     def run(self) -> None:
         pairs = [socket.socketpair() for _ in self.claims]
         ready: Future[None] = Future()
-        seats = [Seat(own.detach(), ready) for own, _ in pairs]
+        seats = [Seat(own.detach(), ready, len(pairs)) for own, _ in pairs]
         theirs = [other.detach() for _, other in pairs]
         with ThreadPoolExecutor(len(self.claims), "supervisor") as threads:
             # They keep the leases while the cohort's process waits for the device.

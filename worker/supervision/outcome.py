@@ -60,7 +60,9 @@ def judge(
             return Outcome(JobStatus.CANCELLED, Reason.USER_CANCELLED, f"Cancelled while it ran. {kept}")
         case Stop.TIMEOUT:
             return Outcome(
-                JobStatus.FAILED, Reason.TIMEOUT, f"It took longer than timeout_s = {timeout_s:g} s. {kept}"
+                JobStatus.FAILED,
+                Reason.TIMEOUT,
+                f"It took longer than timeout_s allows: {timeout_s:g} s. {kept}",
             )
         case Stop.DRAIN:
             return Outcome(None, Reason.WORKER_DRAINED, f"The worker was shut down. {kept}")

@@ -8,9 +8,10 @@ from contextlib import contextmanager
 
 class Seat:
     """descriptor: ours to close, as soon as the member's training process has inherited it. ready: done once
-    the cohort's process runs; its exception says why it never will."""
+    the cohort's process runs; its exception says why it never will. num_members: of the cohort."""
 
-    def __init__(self, descriptor: int, ready: Future[None]) -> None:
+    def __init__(self, descriptor: int, ready: Future[None], num_members: int) -> None:
+        self.num_members = num_members
         self._descriptor = descriptor
         self._ready = ready
         self._is_taken = True

@@ -128,7 +128,7 @@ class Supervisor:
                 memory_bytes = allowed_bytes(self.settings.memory_limit)
                 with memory_group(process.pid, memory_bytes) as group:
                     memory = MemoryWatch(memory_bytes, group=group)
-                    outcome = self._watch(process, readers, heartbeat, memory, job.spec.timeout_s)
+                    outcome = self._watch(process, readers, heartbeat, memory, self._timeout_s(job))
             except BaseException:
                 tracking.abandon()
                 outbox.abandon()
@@ -206,6 +206,10 @@ class Supervisor:
             return outcome
         set_aside(mark_of(folder, self.slot_names[0]), problem)
         return Outcome(None, Reason.DEVICE_FAILED, f"{outcome.message} {problem}")
+
+    def _timeout_s(self, job: Job) -> float:
+        """The members of a cohort share its device, so each may take as much longer."""
+        return job.spec.timeout_s * (1 if self.seat is None else self.seat.num_members)
 
     def _wanted(self, heartbeat: Heartbeat, deadline: float) -> Stop | None:
         if heartbeat.cancelled.is_set():

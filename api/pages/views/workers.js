@@ -42,13 +42,21 @@ async function load(cursor, signal) {
 const Worker = ({ worker }) => html`<section class="card">
   <h2>${worker.name}</h2>
   <dl class="facts-list">
-    <dt>State</dt><dd>${worker.job ? html`runs <a href="#/jobs/${worker.job}">${worker.job}</a>` : STATES[worker.state]}${worker.problem ? `: ${worker.problem}` : ""}</dd>
+    <dt>State</dt><dd>${state(worker)}${worker.problem ? `: ${worker.problem}` : ""}</dd>
     <dt>Device</dt><dd>${worker.device}${worker.memory_bytes ? `, ${bytes(worker.memory_bytes)}` : ""}</dd>
     <dt>Host</dt><dd>${worker.host}, process ${worker.pid}</dd>
     <dt>Packages</dt><dd>${worker.packages?.join(", ") || "none beyond the needed"}</dd>
     <dt>Since</dt><dd>${moment(worker.started_at)}; seen ${ago(worker.seen_at)}</dd>
   </dl>
 </section>`;
+
+/** A job that it has just taken from the queue is not in `jobs` yet. */
+function state({ state, job, jobs }) {
+  const running = jobs.length ? jobs : [job].filter(Boolean);
+  if (!running.length) return STATES[state];
+  const links = running.map((id, number) => html`${number > 0 && ", "}<a key=${id} href="#/jobs/${id}">${id}</a>`);
+  return html`runs ${running.length > 1 && `${running.length} jobs: `}${links}`;
+}
 
 function Queue({ queued, workers }) {
   const jobs = [...queued.items].reverse(); // The oldest is the next of its priority.

@@ -13,7 +13,7 @@ from core.errors import LeaseLost
 from core.jobs.job import Job
 from core.jobs.status import JobStatus
 
-_HELD = tuple(status.value for status in JobStatus if status.is_held)
+HELD = tuple(status.value for status in JobStatus if status.is_held)
 
 
 def renew(connection: Connection, job_id: str, token: str, lease: timedelta) -> JobStatus:
@@ -31,7 +31,7 @@ def renew(connection: Connection, job_id: str, token: str, lease: timedelta) -> 
 
 def expired(connection: Connection) -> Sequence[Job]:
     """Every readable job that may be taken from its attempt, oldest first."""
-    wanted = select(jobs).where(jobs.c.status.in_(_HELD), is_over()).order_by(jobs.c.id)
+    wanted = select(jobs).where(jobs.c.status.in_(HELD), is_over()).order_by(jobs.c.id)
     return loading.without_unreadable(loading.of_rows(connection, connection.execute(wanted).all()))
 
 
@@ -66,6 +66,6 @@ def beat(connection: Connection, lease: timedelta) -> None:
     # After the clock was set back: a lease that ends more than four leases from now is cut to one.
     connection.execute(
         update(jobs)
-        .where(jobs.c.status.in_(_HELD), jobs.c.lease_until > NOW + 4 * lease)
+        .where(jobs.c.status.in_(HELD), jobs.c.lease_until > NOW + 4 * lease)
         .values(lease_until=NOW + rows.interval(lease))
     )

@@ -6,16 +6,29 @@ from typing import Any
 
 import structlog
 from pydantic import ValidationError
-from sqlalchemy import Connection, Row, delete, select
-from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy import Connection, Row, and_, delete, func, select
+from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
+from core.adapters.postgres.leases import HELD
 from core.adapters.postgres.rows import interval
-from core.adapters.postgres.tables import NOW, workers
+from core.adapters.postgres.tables import NOW, attempts, jobs, workers
 from core.jobs.workers import WorkerInfo, WorkerPage
 
 log = structlog.get_logger()
 
-_PRESENT = select(workers.c.name, workers.c.said).where(workers.c.gone_at > NOW).order_by(workers.c.name)
+_RUNNING = (
+    select(attempts.c.worker, func.array_agg(aggregate_order_by(jobs.c.id, jobs.c.id)).label("jobs"))
+    .join(jobs, and_(jobs.c.id == attempts.c.job_id, jobs.c.num_attempts == attempts.c.number))
+    .where(jobs.c.status.in_(HELD))
+    .group_by(attempts.c.worker)
+    .subquery()
+)
+_PRESENT = (
+    select(workers.c.name, workers.c.said, _RUNNING.c.jobs)
+    .outerjoin(_RUNNING, _RUNNING.c.worker == workers.c.name)
+    .where(workers.c.gone_at > NOW)
+    .order_by(workers.c.name)
+)
 
 
 def announce(connection: Connection, worker: WorkerInfo, ttl: timedelta) -> None:
@@ -47,11 +60,12 @@ def forget_gone(connection: Connection) -> None:
     connection.execute(delete(workers).where(workers.c.gone_at <= NOW))
 
 
-def _readable(rows: Sequence[Row[Any, Any]]) -> list[WorkerInfo]:
+def _readable(rows: Sequence[Row[Any, Any, Any]]) -> list[WorkerInfo]:
     found: list[WorkerInfo] = []
     for row in rows:
         try:
-            found.append(WorkerInfo.model_validate_json(row.said))
+            worker = WorkerInfo.model_validate_json(row.said)
+            found.append(worker.model_copy(update={"jobs": tuple(row.jobs or ())}))
         except ValidationError as error:
             log.warning("worker_unreadable", problem=str(error))
     return found

@@ -8,7 +8,7 @@ from typing import Any
 
 from redis import Redis
 from redis.exceptions import RedisError
-from rq import Queue
+from rq import Queue, get_current_job
 from rq.exceptions import DuplicateJobError, InvalidJobOperation, NoSuchGroupError
 from rq.job import Job as RQJob
 from rq.job import JobStatus as RQStatus
@@ -158,6 +158,12 @@ def _push(queue: Queue, rq_id: str, task: str, args: tuple[Any, ...]) -> None:
         result_ttl=0,
         failure_ttl=int(_KEEP_FAILURES.total_seconds()),
     )
+
+
+def this_worker() -> str | None:
+    """The name of the worker whose work-horse this process is; None if it is no work-horse."""
+    job = get_current_job()
+    return None if job is None else job.worker_name
 
 
 def job_of(rq_id: str) -> str | None:

@@ -198,6 +198,20 @@ def test_models_and_workers_come_page_by_page_and_jobs_wait_for_all_workers(stac
     expect(page.get_by_role("link", name="Train it")).to_have_count(1)
 
 
+def test_a_worker_that_trains_two_jobs_together_links_both(
+    stack: Stack, tab: Tab, pair: list[Attempt]
+) -> None:
+    ids = sorted(attempt.id for attempt in pair)
+    worker = WorkerInfo(
+        name="worker-1", host="h", pid=1, device="gpu:0", job=ids[0], started_at=NOON, seen_at=NOON
+    )
+    stack.store.announce(worker, timedelta(minutes=1))
+    page = tab.open("#/workers")
+    expect(page.get_by_text(f"runs 2 jobs: {ids[0]}, {ids[1]}", exact=True)).to_be_visible()
+    page.get_by_role("link", name=ids[1]).click()
+    expect(page.get_by_role("heading", name="seed")).to_be_visible()
+
+
 def test_the_http_interface_is_there_without_another_network(tab: Tab) -> None:
     page = tab.open("docs")
     expect(page.get_by_text("/jobs/{job_id}/cancel", exact=True)).to_be_visible()

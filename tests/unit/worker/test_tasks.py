@@ -27,6 +27,18 @@ configure_logging("worker")
 run_attempt(sys.argv[1], int(sys.argv[2]))
 """
 
+# Instead of a run it says how many jobs would train together.
+_TAKE = """
+import sys
+from types import SimpleNamespace
+from worker import tasks
+tasks.device_of = lambda wanted: wanted
+tasks.slot_names = lambda device, pid: (device,)
+tasks.Supervisor = lambda *_, **__: SimpleNamespace(run=lambda: print("took 1"))
+tasks.Cohort = lambda claims, *_, **__: SimpleNamespace(run=lambda: print("took", len(claims)))
+tasks.run_attempt(sys.argv[1], int(sys.argv[2]))
+"""
+
 
 @pytest.fixture
 def job(job_store: PostgresJobStore, redis_client: redis.Redis) -> Job:
@@ -36,11 +48,11 @@ def job(job_store: PostgresJobStore, redis_client: redis.Redis) -> Job:
 
 @contextmanager
 def dispatched(
-    job: Job, attempt: int, settings: WorkerSettings, **variables: str
+    job: Job, attempt: int, settings: WorkerSettings, program: str = _RUN, **variables: str
 ) -> Generator["subprocess.Popen[str]"]:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     with subprocess.Popen(
-        [sys.executable, "-c", _RUN, job.id, str(attempt)],
+        [sys.executable, "-c", program, job.id, str(attempt)],
         env=environment(settings, **variables),
         stdout=subprocess.PIPE,
         text=True,
@@ -76,3 +88,37 @@ def test_the_spools_of_killed_attempts_go_before_the_disk_is_looked_at(
         log, _ = process.communicate(timeout=30)
     assert json.loads(log)["event"] == "dispatch_ignored"
     assert not left.exists()
+
+
+@pytest.mark.parametrize(
+    ("variables", "number"),
+    [
+        ({"GAITWAY_DEVICE": "cpu"}, 1),
+        ({"GAITWAY_DEVICE": "gpu:0"}, 16),
+        ({"GAITWAY_DEVICE": "gpu:0", "GAITWAY_MEMORY_LIMIT": "3.5GiB"}, 3),
+        ({"GAITWAY_DEVICE": "cpu", "GAITWAY_COHORT": "4"}, 4),
+    ],
+    ids=["cpu", "gpu", "gpu of a small machine", "cpu that is told to"],
+)
+def test_a_worker_takes_the_trials_that_train_together_on_its_device(
+    variables: dict[str, str],
+    number: int,
+    settings: WorkerSettings,
+    job_store: PostgresJobStore,
+    redis_client: redis.Redis,
+) -> None:
+    document = {"kind": "train", "environment": "ant", "labels": {"sweep": "s"}}
+    first, *others = (
+        submit(
+            JOB_SPEC.validate_python({**document, "seed": seed}),
+            store=job_store,
+            queue=RQQueue(redis_client),
+        )
+        for seed in range(20)
+    )
+    given = {"GAITWAY_MEMORY_LIMIT": "64GiB", **variables}
+    with dispatched(first, 1, settings, _TAKE, **given) as process:
+        said, _ = process.communicate(timeout=30)
+    assert said.splitlines()[-1] == f"took {number}"
+    held = [job_store.get(one.id).status.is_held for one in (first, *others)]
+    assert held == [True] * number + [False] * (20 - number)

@@ -42,16 +42,19 @@ def train_as_member(
 
 
 class MemberRun:
-    """What a training asks of its `Run`, answered by the cohort's process."""
+    """What a training asks of its `Run`, answered by the cohort's process.
+
+    Everything raises JobFailed("cohort_ended") once that has ended.
+    """
 
     def __init__(self, connection: Connection, task: Task) -> None:
         self.step = self.total = 0
         self._connection = connection
         self._last: dict[Request, bytes] = {}
-        connection.send_bytes(task.model_dump_json().encode())
+        self._send(task.model_dump_json().encode())
 
     def begun(self) -> Begun:
-        """Waits until the cohort is complete. Raises JobFailed("cohort_ended")."""
+        """Waits until the cohort is complete."""
         begun = Begun.model_validate_json(self._answer())
         self.total = begun.total
         return begun
@@ -59,8 +62,8 @@ class MemberRun:
     def events(self) -> Generator[Event]:
         """Like `Run.events`. The others wait until this member asks for the next event, or closes this.
 
-        Afterwards `checkpoint` and `policy` are those of the last event. Raises JobFailed also where the
-        cohort's process ended.
+        Afterwards `checkpoint` and `policy` are those of the last event. Raises JobFailed also where this
+        member diverged.
         """
         try:
             while (seen := self._next()) is not None:
@@ -96,11 +99,14 @@ class MemberRun:
     def _asked(self, request: Request) -> bytes:
         if request in self._last:
             return self._last[request]
+        self._send(request.value)
+        return self._answer()
+
+    def _send(self, content: bytes) -> None:
         try:
-            self._connection.send_bytes(request.value)
+            self._connection.send_bytes(content)
         except OSError as error:
             raise _cohort_ended() from error
-        return self._answer()
 
     def _answer(self) -> bytes:
         try:
