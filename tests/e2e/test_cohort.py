@@ -25,7 +25,9 @@ _ON_A_CPU: dict[str, Any] = {
 _ALGORITHMS = {"cpu": _ON_A_CPU, "gpu": _ON_A_GPU}
 
 
-@pytest.fixture(params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("gpu", marks=pytest.mark.gpu)])
+@pytest.fixture(
+    params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("gpu", marks=pytest.mark.gpu)]
+)
 def accelerator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """What the worker runs on."""
     monkeypatch.setenv("GAITWAY_COHORT", "4")
