@@ -1,7 +1,9 @@
 """Real servers for the tests, one of each per process of the test run, empty for every test."""
 
+import gc
 import os
 import secrets
+import shutil
 import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -51,6 +53,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items[:] = spread(items)
 
 
+def pytest_collection_finish() -> None:
+    """What is imported stays: to look through it again and again would take some percent of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
+
+
 @pytest.fixture
 def compiled_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     """What this test starts is compiled as the test is, and not as users have it."""
@@ -93,8 +102,17 @@ def servers_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def databases(servers_folder: Path) -> Iterator[Databases]:
+def postgres_data(servers_folder: Path) -> Path:
+    """What a PostgreSQL has in its folder after its first start, to be copied: making it takes a second."""
+    with Postgres(servers_folder / "first_postgres", durable=False):
+        pass
+    return servers_folder / "first_postgres" / "data"
+
+
+@pytest.fixture(scope="session")
+def databases(servers_folder: Path, postgres_data: Path) -> Iterator[Databases]:
     """A running PostgreSQL; tests take `job_store`, `database_url` or `settings`."""
+    shutil.copytree(postgres_data, servers_folder / "postgres" / "data")
     with Postgres(servers_folder / "postgres", durable=False) as server:
         schema.upgrade(connect_postgres(server.url, pool_size=0))
         maintenance = server.url.replace("/gaitway?", "/postgres?")

@@ -1,5 +1,6 @@
 """A service with real parts, for the tests of a module to share."""
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -30,19 +31,23 @@ def serving(data: Path) -> Iterator[Client]:
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+def client(tmp_path_factory: pytest.TempPathFactory, postgres_data: Path) -> Iterator[Client]:
     """A client of a stack with one worker."""
-    with serving(tmp_path_factory.mktemp("stack")) as client:
+    data = tmp_path_factory.mktemp("stack")
+    shutil.copytree(postgres_data, data / "postgres" / "data")
+    with serving(data) as client:
         yield client
 
 
 @pytest.fixture(scope="module")
-def quick_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+def quick_client(tmp_path_factory: pytest.TempPathFactory, postgres_data: Path) -> Iterator[Client]:
     """A client of such a stack whose trainings run for moments, and are compiled quickly."""
+    data = tmp_path_factory.mktemp("quick_stack")
+    shutil.copytree(postgres_data, data / "postgres" / "data")
     with pytest.MonkeyPatch.context() as environment:
         for name, value in compiling_quickly().items():
             environment.setenv(name, value)
-        with serving(tmp_path_factory.mktemp("quick_stack")) as client:
+        with serving(data) as client:
             yield client
 
 

@@ -1,6 +1,8 @@
 """A PostgreSQL for the tests of a module, which they may stop and silence."""
 
+import shutil
 from collections.abc import Iterator
+from pathlib import Path
 
 import psycopg
 import pytest
@@ -11,8 +13,10 @@ from tests.faults.outages import Outages
 
 
 @pytest.fixture(scope="module")
-def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Outages]:
-    with Postgres(tmp_path_factory.mktemp("own_postgres"), durable=False) as server:
+def postgres(tmp_path_factory: pytest.TempPathFactory, postgres_data: Path) -> Iterator[Outages]:
+    folder = tmp_path_factory.mktemp("own_postgres")
+    shutil.copytree(postgres_data, folder / "data")
+    with Postgres(folder, durable=False) as server:
         yield Outages(server)
 
 

@@ -38,6 +38,13 @@ def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Postgres]:
         yield running
 
 
+@pytest.fixture
+def begun(tmp_path: Path, postgres_data: Path) -> Path:
+    """A folder in which there has been a server."""
+    shutil.copytree(postgres_data, tmp_path / "data")
+    return tmp_path
+
+
 def write(server: Postgres, number: int) -> None:
     with psycopg.connect(server.url) as connection:
         connection.execute("CREATE TABLE IF NOT EXISTS kept (number int)")
@@ -124,15 +131,15 @@ class TestRestart:
             assert other.url == server.url
             assert read(other) == [1]
 
-    def test_a_client_that_stays_does_not_hold_up_the_stop(self, tmp_path: Path) -> None:
-        with Postgres(tmp_path, durable=False) as server:
+    def test_a_client_that_stays_does_not_hold_up_the_stop(self, begun: Path) -> None:
+        with Postgres(begun, durable=False) as server:
             client = psycopg.connect(server.url)
         with client, pytest.raises(psycopg.OperationalError, match="administrator command"):
             client.execute("SELECT 1")
         assert "database system is shut down" in server.process.log()
 
-    def test_rows_are_there_again_after_each_of_several_kills(self, tmp_path: Path) -> None:
-        server = Postgres(tmp_path, durable=False)
+    def test_rows_are_there_again_after_each_of_several_kills(self, begun: Path) -> None:
+        server = Postgres(begun, durable=False)
         for number in range(5):
             with server:
                 write(server, number)
@@ -141,10 +148,10 @@ class TestRestart:
             assert read(server) == [0, 1, 2, 3, 4]
 
     def test_a_start_ends_a_query_that_outlives_the_killed_server(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, begun: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_TIMEOUT_S", 60)
-        server = Postgres(tmp_path, durable=False)
+        server = Postgres(begun, durable=False)
         with server, psycopg.connect(server.url, autocommit=True) as client:
             write(server, 1)
             query = threading.Thread(target=count_for_a_while, args=[client])
@@ -158,9 +165,9 @@ class TestRestart:
             query.join()
 
     def test_processes_that_a_signal_had_stopped_when_the_server_was_killed_are_ended(
-        self, tmp_path: Path
+        self, begun: Path
     ) -> None:
-        server = Postgres(tmp_path, durable=False)
+        server = Postgres(begun, durable=False)
         with server:
             write(server, 1)
             children = psutil.Process(server.process.pid).children()
@@ -173,8 +180,8 @@ class TestRestart:
             assert read(server) == [1]
         assert all(has_ended(child.pid) for child in children)
 
-    def test_a_process_that_got_the_killed_servers_id_is_no_hindrance(self, tmp_path: Path) -> None:
-        with Postgres(tmp_path, durable=False) as server:
+    def test_a_process_that_got_the_killed_servers_id_is_no_hindrance(self, begun: Path) -> None:
+        with Postgres(begun, durable=False) as server:
             write(server, 1)
             kill(server)
         with running([*unprivileged(), "sleep", "600"]) as unrelated:
@@ -183,10 +190,10 @@ class TestRestart:
             if not may_look_at(unrelated.pid):
                 pytest.skip("root may not look at other users' processes in this container")
             for name in ("data/postmaster.pid", ".s.PGSQL.5432.lock"):
-                path = tmp_path / name
+                path = begun / name
                 _, rest = path.read_text().split("\n", 1)
                 path.write_text(f"{unrelated.pid}\n{rest}")
-            with Postgres(tmp_path, durable=False) as server:
+            with Postgres(begun, durable=False) as server:
                 assert read(server) == [1]
             assert unrelated.poll() is None
 
@@ -216,24 +223,24 @@ class TestRestart:
 
 
 class TestFailure:
-    def test_two_cannot_use_one_folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_two_cannot_use_one_folder(self, begun: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("gaitway.service.embedded.processes.LOCK_TIMEOUT_S", 0.1)
-        with Postgres(tmp_path, durable=False) as first:
+        with Postgres(begun, durable=False) as first:
             with pytest.raises(ServerFailed, match="Another postgres uses"):
-                Postgres(tmp_path, durable=False).launch()
+                Postgres(begun, durable=False).launch()
             write(first, 1)
 
-    def test_a_server_that_somebody_started_by_hand_is_left_alone(self, tmp_path: Path) -> None:
-        with Postgres(tmp_path, durable=False):
+    def test_a_server_that_somebody_started_by_hand_is_left_alone(self, begun: Path) -> None:
+        with Postgres(begun, durable=False):
             pass
-        data, sockets = tmp_path / "data", tmp_path / "sockets"
+        data, sockets = begun / "data", begun / "sockets"
         sockets.mkdir()
         command = [*unprivileged(), binary("postgres"), "-D", str(data), "-k", str(sockets), "-h", ""]
         with running(command, cwd=data, stderr=subprocess.PIPE) as by_hand:
             assert by_hand.stderr is not None
             assert any("ready to accept connections" in line for line in by_hand.stderr)
             with pytest.raises(ServerFailed, match=r"Is another postmaster \(PID \d+\) running"):
-                Postgres(tmp_path, durable=False).start()
+                Postgres(begun, durable=False).start()
             assert by_hand.poll() is None
 
     def test_another_versions_data_are_refused(self, tmp_path: Path) -> None:
@@ -242,12 +249,10 @@ class TestFailure:
         with pytest.raises(ServerFailed, match=r"was made by PostgreSQL 17, and this is 18.*pg_dump"):
             Postgres(tmp_path).start()
 
-    def test_a_server_that_does_not_start_shows_its_log(self, tmp_path: Path) -> None:
-        with Postgres(tmp_path, durable=False):
-            pass
-        (tmp_path / "data" / "postgresql.conf").write_text("no_such_setting = 1\n")
+    def test_a_server_that_does_not_start_shows_its_log(self, begun: Path) -> None:
+        (begun / "data" / "postgresql.conf").write_text("no_such_setting = 1\n")
         with pytest.raises(ServerFailed, match=r"ended with status 1(.|\n)*no_such_setting"):
-            Postgres(tmp_path, durable=False).start()
+            Postgres(begun, durable=False).start()
 
     @pytest.mark.parametrize("name", ["deep " * 15 + "é" * 40, "a,b", "a b%20ü'\\"])
     def test_an_unusual_path_is_no_hindrance(self, name: str, tmp_path: Path) -> None:
@@ -272,12 +277,12 @@ class TestFailure:
             os.seteuid(0)
 
     @as_root
-    def test_root_takes_over_a_folder_that_another_user_made(self, tmp_path: Path) -> None:
-        with Postgres(tmp_path, durable=False) as server:
+    def test_root_takes_over_a_folder_that_another_user_made(self, begun: Path) -> None:
+        with Postgres(begun, durable=False) as server:
             write(server, 1)
-        for path in (tmp_path, *tmp_path.rglob("*")):
+        for path in (begun, *begun.rglob("*")):
             os.chown(path, 12345, 12345)
-        with Postgres(tmp_path, durable=False) as server:
+        with Postgres(begun, durable=False) as server:
             assert read(server) == [1]
 
     @as_root

@@ -1,14 +1,15 @@
 """Runs a program with NumPy, one operation after another: slow, and the measure of all code that is made."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.physics.compiled.program.program import Assign, Branch, Loop, Operation, Program, Statement
 
-Values = dict[int, NDArray[Any]]
+# By variable: a number, among other arguments of an operation.
+Values = dict[int | float | str, NDArray[Any]]
 
 _FUNCTIONS: Mapping[Operation, Callable[..., NDArray[Any]]] = {
     "add": np.add,
@@ -57,24 +58,25 @@ def _run(
     dtype: np.dtype[np.floating],
 ) -> None:
     for statement in statements:
-        match statement:
-            case Loop():
-                _repeat(statement, values, given, dtype)
-            case Branch():
-                _choose(statement, values, given, dtype)
-            case _:
-                values[statement.target] = _result(statement, values, given, dtype)
+        # Nearly all statements: looking for all else first would take most of the time.
+        if isinstance(statement, Assign):
+            if function := _FUNCTIONS.get(statement.operation):
+                values[statement.target] = function(*[values[number] for number in statement.arguments])
+            else:
+                values[statement.target] = _given(statement, values, given, dtype)
+        elif isinstance(statement, Loop):
+            _repeat(statement, values, given, dtype)
+        else:
+            _choose(statement, values, given, dtype)
 
 
-def _result(
+def _given(
     one: Assign,
     values: Values,
     given: Mapping[str, Sequence[NDArray[np.floating]]],
     dtype: np.dtype[np.floating],
 ) -> NDArray[Any]:
-    # Nearly all operations: matching all the others first would take half of the time.
-    if function := _FUNCTIONS.get(one.operation):
-        return function(*[values[number] for number in cast("tuple[int, ...]", one.arguments)])
+    """A number that is given, or the sum of one over the lanes."""
     match one:
         case Assign(operation="input", arguments=(str(name), int(place))):
             return given[name][place]
