@@ -1,6 +1,5 @@
 """Real servers for the tests, one of each per process of the test run, empty for every test."""
 
-import gc
 import os
 import secrets
 import shutil
@@ -51,13 +50,6 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(trylast=True)  # The order of those that run.
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items[:] = spread(items)
-
-
-def pytest_collection_finish() -> None:
-    """What is imported stays: to look through it again and again would take some percent of the time."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(50_000, 20, 50)
 
 
 @pytest.fixture
