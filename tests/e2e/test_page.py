@@ -1,4 +1,4 @@
-"""The page over the real service: submit by form, watch live, see the videos, compare, fork, cancel, sweep."""
+"""The page over the real service: submit by form, watch live, see videos, compare, fork, cancel, sweep."""
 
 import json
 
