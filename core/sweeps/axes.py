@@ -7,18 +7,18 @@ from itertools import product
 
 from pydantic import JsonValue
 
-from core.sweeps.spec import Axis, Number, Range, SweepSpec
+from core.sweeps.spec import DEFAULT_POINTS, Axis, Number, Range, SweepSpec
 
 Values = dict[str, JsonValue]
 
 
 def grid_values(axis: Axis) -> list[JsonValue]:
-    """The values of a grid along the axis; the range must have `points` or a `step`."""
+    """The values of a grid along the axis."""
     if not isinstance(axis, Range):
         return axis
     if axis.step is not None:
         return [_along(axis, number) for number in range(_num_steps(axis) + 1)]
-    points = axis.points or 1
+    points = axis.points or DEFAULT_POINTS
     found = [_between(axis, number / (points - 1) if points > 1 else 0.5) for number in range(points)]
     return list(dict.fromkeys(found))  # Few whole numbers may lie between the bounds.
 

@@ -111,11 +111,6 @@ def _wrong(name: str, axis: Axis, spec: SweepSpec) -> Iterator[Problem]:
     if not isinstance(axis, Range):
         if twice := next((one for at, one in enumerate(axis) if _is_among(one, axis[:at])), _NOTHING):
             yield Problem(axis_place(name), f"`{name}` has the value {twice!r} twice.")
-    elif spec.method == "grid" and axis.points is None and axis.step is None:
-        yield Problem(
-            axis_place(name),
-            f"`{name}` is a range, and a grid needs to know its values: give `points` or `step`.",
-        )
     elif spec.method != "grid" and axis.points is not None:
         detail = f"`points` is for grids; {spec.method} draws from the range."
         yield Problem(f"{axis_place(name)}/points", detail)

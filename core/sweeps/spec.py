@@ -9,6 +9,8 @@ from core.jobs.spec import LabelName, Seed, SentSpec, Text
 
 # More would be a queue that nobody reads, and a study that takes TPE seconds for each draw.
 MAX_TRIALS = 1000
+# Values of a grid along a range that gives neither `points` nor `step`.
+DEFAULT_POINTS = 5
 Method = Literal["grid", "random", "tpe", "pbt"]
 Number = int | float
 
@@ -23,7 +25,10 @@ class Range(Strict):
     )
     step: Number | None = Field(default=None, gt=0, description="Only low, low + step, … up to high.")
     points: int | None = Field(
-        default=None, ge=1, le=MAX_TRIALS, description="For a grid: this many values, evenly spaced."
+        default=None,
+        ge=1,
+        le=MAX_TRIALS,
+        description=f"For a grid: this many values, evenly spaced; {DEFAULT_POINTS} without a `step`.",
     )
 
     @model_validator(mode="after")

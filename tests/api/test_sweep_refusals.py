@@ -45,12 +45,6 @@ from tests.api.test_sweeps import JOB, METRIC, post
         ),
         ({"parameters": {"seed": [1, 2, 1]}}, "/parameters/seed", "`seed` has the value 1 twice."),
         (
-            {"parameters": {"algorithm.learning_rate": {"low": 1e-4, "high": 1e-3}}},
-            "/parameters/algorithm.learning_rate",
-            "`algorithm.learning_rate` is a range, and a grid needs to know its values: "
-            "give `points` or `step`.",
-        ),
-        (
             {
                 "parameters": {
                     "seed": {"low": 1, "high": 1000, "step": 1},

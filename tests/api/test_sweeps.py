@@ -55,6 +55,12 @@ def post(stack: Stack, **changes: Any) -> httpx.Response:
     return stack.http.post("/sweeps", json={**GRID, **changes})
 
 
+def test_a_grid_takes_five_values_of_a_range_that_does_not_say_how_many(stack: Stack) -> None:
+    rates = {"low": 1e-4, "high": 1e-3, "log": True}
+    answer = post(stack, parameters={"seed": [1, 2], "algorithm.learning_rate": rates})
+    assert (answer.status_code, answer.json()["max_trials"]) == (202, 10)
+
+
 def test_a_sweep_goes_its_way(stack: Stack, look: Callable[[], int]) -> None:
     answer = post(stack)
     assert answer.status_code == 202

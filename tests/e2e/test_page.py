@@ -1,4 +1,6 @@
-"""The page over the real service: submit by form, watch live, see the videos, compare, fork, cancel."""
+"""The page over the real service: submit by form, watch live, see videos, compare, fork, cancel, sweep."""
+
+import json
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
@@ -72,3 +74,58 @@ def test_a_job_from_the_form_to_its_fork(tab: Tab, client: Client) -> None:
     expect(page.locator(".grid figure")).to_have_count(2)
     expect(page.locator("video").first).to_be_visible()
     tab.picture("real-compare")
+
+    page = tab.open(f"#/jobs/{first}/replay")
+    canvas = page.locator("canvas[data-pictures][data-shown]")
+    expect(canvas).to_be_visible(timeout=240_000)
+    at_first = canvas.screenshot()
+    page.get_by_role("button", name="Play").click()
+    moment = page.get_by_role("slider", name="Moment")
+    page.wait_for_function("slider => slider.value > 0.3", arg=moment.element_handle())
+    page.get_by_role("button", name="Pause").click()
+    assert canvas.screenshot() != at_first
+    tab.picture("real-replay")
+
+
+# Its trials train for moments.
+JOB = {
+    "environment": "inverted_pendulum",
+    "algorithm": {
+        "num_timesteps": 9600,
+        "num_envs": 32,
+        "unroll_length": 10,
+        "batch_size": 16,
+        "num_minibatches": 2,
+        "num_evals": 6,
+        "num_eval_envs": 4,
+        "episode_length": 100,
+        "policy_hidden_layer_sizes": [16],
+        "value_hidden_layer_sizes": [16],
+    },
+    "video": {"width": 160, "height": 120, "seconds": 2},
+}
+
+
+def test_a_sweep_from_the_form_to_its_trials(tab: Tab) -> None:
+    page = tab.open("#/sweeps/new")
+    page.get_by_role("button", name="Pasted JSON").click()
+    page.get_by_label("A job or a whole sweep, as JSON").fill(json.dumps({"kind": "train", **JOB}))
+    page.get_by_role("button", name="Take it").click()
+    page.get_by_role("radio", name="grid", exact=False).check()
+    page.get_by_label("Setting", exact=True).select_option("seed")
+    page.get_by_role("button", name="Add the axis").click()
+    page.get_by_role("group", name="seed", exact=True).get_by_label("values").fill("1, 2")
+    page.get_by_label("name", exact=True).last.fill("two seeds")
+    expect(page.get_by_role("status", name="Size")).to_contain_text("2 trials")
+    tab.picture("real-new-sweep")
+    page.get_by_role("button", name="Start the sweep").click()
+    expect(page.get_by_role("heading", name="two seeds")).to_be_visible()
+    trials = page.get_by_role("region", name="Trials").locator("tbody tr")
+    expect(trials).to_have_count(2, timeout=240_000)
+    expect(page.locator(".about-job .status")).to_have_text("succeeded", timeout=600_000)
+    for trial in (trials.first, trials.last):
+        expect(trial.locator(".status")).to_have_text("succeeded")
+        trial.scroll_into_view_if_needed()
+        expect(trial.locator(".spark polyline")).to_be_visible()
+        expect(trial.locator(".thumbnail img")).to_be_visible()
+    tab.picture("real-sweep")

@@ -10,6 +10,9 @@ export const axesOf = (sweep) => Object.keys(sweep.spec.parameters);
 
 export const title = (sweep) => sweep.name || `${sweep.spec.method} over ${axesOf(sweep).map(short).join(", ")}`;
 
+/** Whether its trials make videos, of which a trial may yet have none. */
+export const hasVideos = (sweep) => sweep.spec.job.video !== null || "video" in sweep.spec.parameters;
+
 /** The last part of a field's path: `learning_rate`. */
 export const short = (axis) => axis.split(".").at(-1);
 

@@ -3,12 +3,14 @@
 import { devicesOf, takesFractions } from "./job_fields.js";
 
 export const MOST_TRIALS = 1000;
+export const DEFAULT_POINTS = 5; // Values of a grid along a range without `points` and `step`.
 const LENGTH = "algorithm.num_timesteps";
 
 /** The number of values that a grid takes along an axis; null where it does not say. */
 export function numValues(axis, isFractional) {
   if (Array.isArray(axis)) return axis.length || null;
-  const { low, high, log, step, points } = axis;
+  const { low, high, log, step } = axis;
+  const points = axis.points ?? DEFAULT_POINTS;
   if (![low, high].every(Number.isFinite) || low >= high) return null;
   if (step > 0) return Math.floor((high - low) / step + 1e-9) + 1;
   if (!(points >= 1)) return null;

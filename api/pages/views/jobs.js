@@ -1,9 +1,9 @@
 /** All jobs, newest first: filters, search and labels in the address; some of them picked for comparison. */
 
 import { get } from "../lib/api.js";
-import { ago } from "../lib/format.js";
+import { ago, value } from "../lib/format.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
-import { algorithmOf, environmentOf, isOver, newest, title } from "../lib/job.js";
+import { algorithmOf, environmentOf, isOver, lastReturn, RETURNS, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
 import { change, href } from "../lib/route.js";
 import { Import } from "../parts/import.js";
@@ -11,6 +11,7 @@ import { Pages } from "../parts/pages.js";
 import { Sparkline } from "../parts/sparkline.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 import { Labels, Progress, Status } from "../parts/status.js";
+import { Thumbnail } from "../parts/thumbnail.js";
 
 const STATUSES = ["queued", "starting", "running", "cancelling", "succeeded", "failed", "cancelled"];
 const FILTERS = ["search", "status", "kind", "environment", "label"];
@@ -92,9 +93,10 @@ function Row({ job, picked }) {
   const pick = () => change({ pick: isPicked ? picked.filter((id) => id !== job.id) : [...picked, job.id] }, true);
   const here = href(["jobs", job.id]);
   const environment = environmentOf(job.spec);
+  const last = lastReturn(job);
   return html`<li class="job">
     <label class="pick"><input type="checkbox" checked=${isPicked} onChange=${pick} aria-label="Compare ${title(job)}" /></label>
-    <${Thumbnail} job=${job} to=${here} />
+    <${Thumbnail} job=${job}><span>${environment}</span><//>
     <div class="about">
       <h2><a href=${here}>${title(job)}</a></h2>
       <p class="facts">
@@ -108,7 +110,9 @@ function Row({ job, picked }) {
       <${Progress} job=${job} />
       <${Why} job=${job} />
     </div>
-    <${Sparkline} job=${job} />
+    <${Sparkline} job=${job.id} metrics=${RETURNS} step=${job.progress.step} isOver=${isOver(job)} name="Return">
+      ${last !== null && html`<span class="facts">return ${value(last)}</span>`}
+    <//>
   </li>`;
 }
 
@@ -116,13 +120,6 @@ function Row({ job, picked }) {
 function Why({ job }) {
   const text = job.waiting_for || (job.status !== "succeeded" && job.message);
   return text ? html`<p class="facts why">${text}</p>` : null;
-}
-
-function Thumbnail({ job, to }) {
-  const poster = newest(job, "poster");
-  return html`<a class="thumbnail" href=${to} tabindex="-1" aria-hidden="true">
-    ${poster ? html`<img src=${poster.href} alt="" loading="lazy" />` : html`<span>${environmentOf(job.spec)}</span>`}
-  </a>`;
 }
 
 const Nothing = ({ isFiltered }) =>

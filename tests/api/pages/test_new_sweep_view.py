@@ -153,8 +153,8 @@ def test_each_method_asks_and_sends_only_what_it_takes(tab: Tab) -> None:
     expect(page.get_by_role("group", name="Population", exact=True)).to_have_count(0)
     found = document(page)
     assert "population" not in found
-    # Ranges have no values yet.
-    expect(size).to_contain_text("known once each axis has its values")
+    # A grid takes five values of each of the two ranges.
+    expect(size).to_contain_text("25 trials")
     page.get_by_role("radio", name="tpe", exact=False).check()
     page.get_by_label("pruning").select_option("median")
     page.get_by_role("button", name="Add another objective").click()
@@ -224,6 +224,8 @@ def test_the_page_counts_the_values_of_an_axis_as_the_service_does(tab: Tab) -> 
         ({"low": 0, "high": 5, "points": 3}, False),
         ({"low": 1, "high": 100, "log": True, "points": 20}, False),
         ({"low": 3, "high": 9, "points": 1}, False),
+        ({"low": 1e-4, "high": 1e-3, "log": True}, True),
+        ({"low": 2, "high": 5, "points": None, "step": None}, False),
     ]
     counted = page.evaluate(
         """async ([path, axes]) => {
@@ -233,8 +235,8 @@ def test_the_page_counts_the_values_of_an_axis_as_the_service_does(tab: Tab) -> 
         [f"/pages/{page_files().version}/lib/sweep_size.js", axes],
     )
     of_service = [num_combinations({"a": AXIS.validate_python(axis)}) for axis, _ in axes]
-    # By hand: 0.1, 0.2, 0.3; 5, 10, 15, 20; 1, 2, 3, 4 from nine; 0, 2.5 (to 2) and 5.
-    assert counted[1:3] + counted[4:6] == [3, 4, 4, 3]
+    # By hand: 0.1, 0.2, 0.3; 5, 10, 15, 20; 1, 2, 3, 4 from nine; 0, 2.5 (to 2) and 5; five; 2, 3, 4 and 5.
+    assert counted[1:3] + counted[4:6] + counted[8:] == [3, 4, 4, 3, 5, 4]
     assert counted == of_service
 
 

@@ -152,15 +152,6 @@ def test_a_job_is_run_again_as_it_was_sent(stack: Stack, tab: Tab, pair: list[At
     assert first["spec"] == second["spec"]
 
 
-def test_a_model_that_is_no_model_is_refused_with_the_services_words(tab: Tab) -> None:
-    page = tab.open("#/models")
-    expect(page.get_by_text("No models yet.")).to_be_visible()
-    page.get_by_label("Drop an MJCF or URDF file here").set_input_files(
-        {"name": "robot.zip", "mimeType": "application/zip", "buffer": b"<mujoco/>"}
-    )
-    expect(page.get_by_role("alert")).to_contain_text("not a zip")
-
-
 def test_models_and_workers_come_page_by_page_and_jobs_wait_for_all_workers(stack: Stack, tab: Tab) -> None:
     """Of 51 workers, the last is free: the job waits because others come first, whichever page is shown."""
     for number in range(51):

@@ -1,14 +1,18 @@
 """Sweeps on the page: the list, and one sweep with its pictures, its trials, and its cancel."""
 
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from playwright.sync_api import expect
 
 from core.jobs.job import Progress
 from core.jobs.status import JobStatus
 from core.reasons import Reason
+from core.rendering.mp4 import write_png
 from core.sweeps.controller import SweepController
+from core.sweeps.sweep import Trial
 from tests.api.conftest import Attempt, Stack
 from tests.api.pages.conftest import MakeTab, Tab
 
@@ -86,8 +90,9 @@ def test_a_population_shows_generations_and_parents(stack: Stack, tab: Tab) -> N
     page = tab.open(f"#/sweeps/{found['id']}")
     rows = page.get_by_role("region", name="Trials").get_by_role("row")
     expect(rows).to_have_count(5)
-    texts = [text.split("\t")[1:4] for text in rows.all_inner_texts()]
-    assert texts == [
+    # Between the trial and its generation are its curve and its video.
+    cells = [[cell.strip() for cell in text.split("\t")] for text in rows.all_inner_texts()]
+    assert [[*row[1:2], *row[4:6]] for row in cells] == [
         ["Trial", "Generation", "Resumed from"],
         ["trial 1", "0", ""],
         ["trial 0", "0", ""],
@@ -95,6 +100,80 @@ def test_a_population_shows_generations_and_parents(stack: Stack, tab: Tab) -> N
         ["trial 3", "1", "trial 1"],
     ]
     assert tab.violations() == []
+
+
+def begun(stack: Stack, **changes: Any) -> tuple[dict[str, Any], SweepController]:
+    found = stack.http.post("/sweeps", json=SWEEP | changes).json()
+    controller = SweepController(stack.store, stack.queue, stack.objects)
+    controller.look()
+    return found, controller
+
+
+def train(stack: Stack, trial: Trial) -> Attempt:
+    """Report a curve from 0 to the trial's number, at step 1000."""
+    attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
+    attempt.say_all(
+        "metrics", [{"step": 500 * end, "values": {METRIC: trial.number * end / 2}} for end in (0, 1, 2)]
+    )
+    progress = Progress(step=1000, total=1000, metrics={METRIC: float(trial.number)})
+    stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
+    return attempt
+
+
+def test_each_trial_shows_its_curve_and_its_video(stack: Stack, make_tab: MakeTab, tmp_path: Path) -> None:
+    write_png(tmp_path / "poster.png", np.full((48, 64, 3), 120, np.uint8))
+    poster = (tmp_path / "poster.png").read_bytes()
+    job = {key: value for key, value in SWEEP["job"].items() if key != "video"}
+    sweep, controller = begun(stack, job=job, parameters={"seed": [1, 2, 3]})
+    trials = stack.store.trials([sweep["id"]])[sweep["id"]]
+    first = train(stack, trials[0])
+    second = train(stack, trials[1])
+    second.keep("poster-1000.png", poster, role="poster", media_type="image/png", step=1000)
+    second.end()
+    controller.look()
+    for width in (1280, 380):
+        tab = make_tab(width)
+        page = tab.open(f"#/sweeps/{sweep['id']}")
+        rows = page.get_by_role("region", name="Trials").get_by_role("row")
+        best = rows.nth(1)
+        best.scroll_into_view_if_needed()
+        expect(best.get_by_role("img", name="Trial 1, from 0 to 1", exact=True)).to_be_visible()
+        image = best.locator(".thumbnail img")
+        best.locator(".poster").scroll_into_view_if_needed()  # At 380 pixels it is beyond the table's edge.
+        expect(image).to_be_visible()
+        assert image.evaluate("image => image.decode().then(() => image.naturalWidth)") == 64
+        rows.last.scroll_into_view_if_needed()
+        expect(page.locator(".trials svg")).to_have_count(2)
+        expect(page.locator(".thumbnail")).to_have_count(1)
+        assert (tab.violations(), tab.overflow()) == ([], 0)
+        tab.picture(f"sweep-curves-{width}")
+    # A trial that runs shows its video as soon as it has one.
+    first.keep("poster-1000.png", poster, role="poster", media_type="image/png", step=1000)
+    first.end()
+    expect(rows.filter(has_text="trial 0").locator(".thumbnail img")).to_be_visible()
+
+
+@pytest.mark.slow
+def test_of_many_trials_those_in_sight_load_their_curves(stack: Stack, tab: Tab) -> None:
+    sweep, controller = begun(stack, parameters={"seed": list(range(200))}, budget={"parallel": 100})
+    for _ in range(2):
+        controller.look()
+        for trial in stack.store.trials([sweep["id"]])[sweep["id"]]:
+            if trial.outcome is None:
+                train(stack, trial).end()
+    controller.look()
+    asked = list[str]()
+    tab.page.on("request", lambda request: "/metrics" in request.url and asked.append(request.url))
+    page = tab.open(f"#/sweeps/{sweep['id']}")
+    rows = page.get_by_role("region", name="Trials").get_by_role("row")
+    expect(rows).to_have_count(201)
+    rows.nth(1).scroll_into_view_if_needed()
+    expect(page.get_by_role("img", name="Trial 199, from 0 to 199", exact=True)).to_be_visible()
+    # The best stand first; trial 0, whose curve is level, is the last one.
+    rows.last.scroll_into_view_if_needed()
+    expect(page.get_by_role("img", name="Trial 0, from 0 to 0", exact=True)).to_be_visible()
+    # A window of 900 pixels shows fewer than 30 rows, and was at two places.
+    assert len(set(asked)) == len(asked) < 60
 
 
 def test_trials_are_picked_and_compared(tab: Tab, sweep: dict[str, Any]) -> None:

@@ -17,6 +17,13 @@ from tests.unit.sweeps.making import spec_of
         (Range(low=0.0, high=1.0, points=3), [0.0, 0.5, 1.0]),
         (Range(low=1e-4, high=1e-2, log=True, points=3), [1e-4, pytest.approx(1e-3), 1e-2]),
         (Range(low=1, high=3, points=9), [1, 2, 3]),
+        # Without `points` and `step`: five, or every whole number where they are fewer.
+        (Range(low=0.0, high=1.0), [0.0, 0.25, 0.5, 0.75, 1.0]),
+        (Range(low=1e-4, high=1.0, log=True), pytest.approx([1e-4, 1e-3, 1e-2, 1e-1, 1.0])),
+        (Range(low=0, high=100), [0, 25, 50, 75, 100]),
+        (Range(low=7, high=8), [7, 8]),
+        (Range(low=2, high=5), [2, 3, 4, 5]),
+        (Range(low=1, high=4, log=True), [1, 2, 3, 4]),
     ],
 )
 def test_a_grid_has_both_ends_and_even_steps(axis: Range, expected: list[float]) -> None:

@@ -4,6 +4,7 @@ import { put } from "../../lib/draft.js";
 import { html, useEffect, useId, useRef, useState } from "../../lib/html.js";
 import { choicesOf, isNumeric, kindOf } from "../../lib/job_fields.js";
 import { told } from "../../lib/sweep.js";
+import { DEFAULT_POINTS } from "../../lib/sweep_size.js";
 import { Field } from "../../parts/field.js";
 
 /** field: what the axis varies, as `fieldsOf` describes it; undefined where the job has no such field. */
@@ -42,7 +43,7 @@ const PARTS = {
   low: NUMBER,
   high: NUMBER,
   step: { ...NUMBER, description: "Only low, low + step, …" },
-  points: { type: "integer", description: "This many values, evenly spaced." },
+  points: { type: "integer", default: DEFAULT_POINTS, description: "This many values, evenly spaced; not with a step." },
 };
 
 function Range({ path, axis, method, errors, pointer, set, isWrong }) {

@@ -1,0 +1,74 @@
+"""Models on the page: sent by the file input or by a drop, and what a worker found in them."""
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.api.conftest import Stack
+from tests.api.pages.conftest import Tab
+from tests.api.test_models import DESCRIPTION, worker
+from tests.models import identity
+from tests.unit.environments.mjcf.probe import XML
+
+CHOOSER = "Drop an MJCF or URDF file here"
+
+
+@pytest.fixture
+def reading(stack: Stack) -> Iterator[None]:
+    """A worker that describes each model."""
+    with worker(stack, status="ready", description=DESCRIPTION):
+        yield
+
+
+def expect_the_ball(page: Page) -> None:
+    """What the worker found: a ball of 1 kg with an arm of 0.1 kg, moved by a motor at its elbow."""
+    expect(page.get_by_role("status").filter(has_text="ball.xml is there.")).to_be_visible()
+    expect(page.get_by_role("heading", name="ball", exact=True)).to_be_visible()
+    expect(page.get_by_text(identity(XML))).to_be_visible()
+    facts = page.locator(".facts-list")
+    expect(facts.locator("dt:text-is('Mass') + dd")).to_have_text("1.1 kg")
+    expect(facts.locator("dt:text-is('Sizes') + dd")).to_contain_text("nq 8, nv 7, nu 1")
+    expect(facts.locator("dt:text-is('actuators') + dd")).to_have_text("elbow")
+    expect(facts.locator("dt:text-is('not mjx') + dd")).to_have_text(
+        "Ellipsoids and boxes are not implemented."
+    )
+    expect(page.get_by_role("link", name="Train it")).to_be_visible()
+
+
+@pytest.mark.usefixtures("reading")
+def test_a_model_is_sent_by_the_file_input_and_described(tab: Tab) -> None:
+    page = tab.open("#/models")
+    file = {"name": "ball.xml", "mimeType": "text/xml", "buffer": XML}
+    page.get_by_label(CHOOSER).set_input_files(file)  # pyright: ignore
+    expect_the_ball(page)
+    assert tab.violations() == []
+    tab.picture("models-described")
+
+
+@pytest.mark.usefixtures("reading")
+def test_a_model_is_sent_by_a_drop_and_described(tab: Tab) -> None:
+    page = tab.open("#/models")
+    target = page.get_by_role("region", name="Upload a model")
+    dragged = page.evaluate_handle(
+        """text => {
+            const dragged = new DataTransfer();
+            dragged.items.add(new File([text], "ball.xml", { type: "text/xml" }));
+            return dragged;
+        }""",
+        XML.decode(),
+    )
+    target.dispatch_event("dragover", {"dataTransfer": dragged})
+    expect(target).to_have_class("drop over")
+    target.dispatch_event("drop", {"dataTransfer": dragged})
+    expect(target).not_to_have_class("drop over")
+    expect_the_ball(page)
+
+
+def test_a_model_that_is_no_model_is_refused_with_the_services_words(tab: Tab) -> None:
+    page = tab.open("#/models")
+    expect(page.get_by_text("No models yet.")).to_be_visible()
+    page.get_by_label(CHOOSER).set_input_files(
+        {"name": "robot.zip", "mimeType": "application/zip", "buffer": b"<mujoco/>"}
+    )
+    expect(page.get_by_role("alert")).to_contain_text("not a zip")
