@@ -23,6 +23,7 @@ export function Parallel({ sweep, picked }) {
           points=${columns.map((column, at) => `${SIDE + at * SPACE},${down(column.share(trial)).toFixed(1)}`).join(" ")}>
           <title>trial ${trial.number}: ${value(trial.values[0])}</title>
         </polyline>`)}
+        ${columns.map((column, at) => html`<${Ticks} key=${column.name} column=${column} x=${SIDE + at * SPACE} />`)}
       </svg>
     </div>
     <p class="facts">The best trial is drawn thick; those that are picked in the table, too, in another colour.</p>
@@ -34,6 +35,10 @@ const down = (share) => TOP + (1 - share) * (HEIGHT - TOP - 24);
 const Axis = ({ column, x }) => html`<g>
   <line x1=${x} x2=${x} y1=${down(1)} y2=${down(0)} />
   <text x=${x} y="14" text-anchor="middle">${column.name}</text>
+</g>`;
+
+/** Drawn after the lines, so that none crosses a number. */
+const Ticks = ({ column, x }) => html`<g>
   ${column.ticks.map(([share, text]) => html`<text key=${text} class="tick" x=${x + 5} y=${down(share) + 4}>${text}</text>`)}
 </g>`;
 
