@@ -19,7 +19,7 @@ def importance(
         return None, "The method `pbt` changes settings while a run trains, so no setting has a result alone."
     succeeded = [one for one in seen if one.trial.outcome == "succeeded" and one.trial.has_values]
     if len(succeeded) < _LEAST_TRIALS:
-        return None, f"It needs {_LEAST_TRIALS} trials that succeeded; there are {len(succeeded)}."
+        return None, f"It needs {_LEAST_TRIALS} trials that succeeded, and has {len(succeeded)}."
     for at, objective in enumerate(spec.objectives):
         if len({one.trial.values[at] for one in succeeded}) == 1:
             return None, f"All trials have the same {objective.metric}."

@@ -99,7 +99,7 @@ def test_a_sweep_goes_its_way(stack: Stack, look: Callable[[], int]) -> None:
         {"parameters": {"algorithm.learning_rate": 1e-3}, "trials": [2, 3], "mean": [10.0], "spread": [None]},
     ]
     assert found["importance"] is None
-    assert found["importance_note"] == "It needs 4 trials that succeeded; there are 3."
+    assert found["importance_note"] == "It needs 4 trials that succeeded, and has 3."
     [listed] = stack.http.get("/sweeps?status=succeeded").json()["items"]
     assert listed["id"] == sweep["id"]
     assert "trials" not in listed

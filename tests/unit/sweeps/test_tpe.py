@@ -84,4 +84,4 @@ def test_without_a_difference_there_is_no_importance() -> None:
     spec = spec_of(method="tpe", parameters=PARAMETERS, budget={"jobs": 100})
     seen = [tried(number, 1e-3) for number in range(5)]
     assert importance(spec, seen) == (None, "All trials have the same eval/episode_reward.")
-    assert importance(spec, seen[:3]) == (None, "It needs 4 trials that succeeded; there are 3.")
+    assert importance(spec, seen[:3]) == (None, "It needs 4 trials that succeeded, and has 3.")
