@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from core.environments.mjcf.model import read
+from core.environments.mjcf.model import compiled, read
 from core.jobs.spec import JOB_SPEC, TrainSpec
 from gaitway.cli.submit import assigned
 from gaitway.plots import learning_curve
@@ -78,7 +78,7 @@ def main() -> None:
 def degrees_of_freedom(model: Path) -> int:
     """Of a user's own model, as sent."""
     with read(model) as spec:
-        return spec.compile().nv
+        return compiled(spec).nv
 
 
 def gpus(number: int) -> str:

@@ -55,7 +55,7 @@ def settings_of(trial: optuna.trial.BaseTrial) -> dict[str, Any]:
 
 
 def first_trial(environment: str, device: Device) -> dict[str, Any]:
-    """What a search tries first: the present settings, as near as it comes."""
+    """The settings that a search tries first: the present ones, as near as the space has them."""
     has = resolve(PPOSpec(), catalog.find(environment), device)
     unrolls = has.batch_size * has.num_minibatches
     sizes = {

@@ -19,7 +19,7 @@ from core.environments.wrappers.vectorized import VectorEnv
 from core.physics.engine import OVERFLOW
 
 # Of the steps of an update, the share that may lose a body; a run that loses more has diverged.
-MOST_LOST = 0.01
+_MOST_LOST = 0.01
 
 # One number for each of N environments, at one step or at each of T.
 PerStep = Float[Array, "*T N"]
@@ -154,8 +154,8 @@ def of_whole_episodes(outcome: Outcome, actions_before: Int[Array, ""]) -> Outco
 
 
 def lost_too_many(outcome: Outcome) -> Bool[Array, " T"]:
-    """The time steps that lost a body, if more than one did, and more than `MOST_LOST` of all; else none."""
-    most = max(1.0, MOST_LOST * outcome.lost.size)
+    """The time steps that lost a body, if more than one did, and more than `_MOST_LOST` of all; else none."""
+    most = max(1.0, _MOST_LOST * outcome.lost.size)
     return jnp.any(outcome.lost > 0, axis=1) & (jnp.sum(outcome.lost) > most)
 
 

@@ -1,4 +1,4 @@
-"""What a training process is told of the user's own model that its job names."""
+"""The task of a training process whose job names a user's own model."""
 
 import hashlib
 from pathlib import Path

@@ -6,34 +6,21 @@ from typing import Any
 import pytest
 
 from gaitway.client import Client
-from tests.compiling import compiling_quickly
+from tests.e2e.accelerators import ACCELERATORS, TINY, use
 from tests.e2e.conftest import serving
 
-_ON_A_GPU = {"num_timesteps": 2_000_000}
-_ON_A_CPU: dict[str, Any] = {
-    "num_timesteps": 320,
-    "num_envs": 8,
-    "unroll_length": 10,
-    "batch_size": 4,
-    "num_minibatches": 2,
-    "num_evals": 2,
-    "num_eval_envs": 2,
-    "episode_length": 20,
-    "policy_hidden_layer_sizes": [16],
-    "value_hidden_layer_sizes": [16],
+_ALGORITHMS: dict[str, dict[str, Any]] = {
+    "cpu": {**TINY, "num_timesteps": 320, "num_evals": 2, "num_eval_envs": 2},
+    "gpu": {"num_timesteps": 2_000_000},
 }
-_ALGORITHMS = {"cpu": _ON_A_CPU, "gpu": _ON_A_GPU}
 
 
-@pytest.fixture(
-    params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("gpu", marks=pytest.mark.gpu)]
-)
+@pytest.fixture(params=ACCELERATORS)
 def accelerator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What the worker runs on. On a GPU trials train together by default."""
-    if request.param == "cpu":  # Also where there is a GPU.
-        own = {"GAITWAY_COHORT": "4", "JAX_PLATFORMS": "cpu"}
-        for name, value in {**compiling_quickly(), **own}.items():
-            monkeypatch.setenv(name, value)
+    """The kind of device that the worker has. On a GPU, trials train together by default."""
+    use(request.param, monkeypatch)
+    if request.param == "cpu":
+        monkeypatch.setenv("GAITWAY_COHORT", "4")
     return request.param
 
 

@@ -9,35 +9,21 @@ import numpy as np
 import pytest
 
 from gaitway.client import Client
-from tests.compiling import compiling_quickly
+from tests.e2e.accelerators import ACCELERATORS, TINY, use
 from tests.e2e.conftest import serving
 
-# On a GPU 2.3 M steps under the tuned settings; on a CPU two updates of 8 × 10 steps.
-_ON_A_GPU = {"num_timesteps": 2_300_000}
-_ON_A_CPU: dict[str, Any] = {
-    "num_timesteps": 160,
-    "num_envs": 8,
-    "unroll_length": 10,
-    "batch_size": 4,
-    "num_minibatches": 2,
-    "num_evals": 0,
-    "episode_length": 20,
-    "policy_hidden_layer_sizes": [16],
-    "value_hidden_layer_sizes": [16],
+# On a GPU 2.3 M steps under the tuned settings; on a CPU two updates.
+_ALGORITHMS: dict[str, dict[str, Any]] = {
+    "cpu": {**TINY, "num_timesteps": 160, "num_evals": 0},
+    "gpu": {"num_timesteps": 2_300_000},
 }
-_ALGORITHMS = {"cpu": _ON_A_CPU, "gpu": _ON_A_GPU}
 
 
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param("cpu", marks=pytest.mark.slow), pytest.param("gpu", marks=pytest.mark.gpu)],
-)
+@pytest.fixture(scope="module", params=ACCELERATORS)
 def accelerator(request: pytest.FixtureRequest) -> Iterator[str]:
-    """What the worker runs on."""
+    """The kind of device that the worker has."""
     with pytest.MonkeyPatch.context() as environment:
-        if request.param == "cpu":  # Also where there is a GPU. MJX's programs take minutes to compile well.
-            for name, value in {**compiling_quickly(), "JAX_PLATFORMS": "cpu"}.items():
-                environment.setenv(name, value)
+        use(request.param, environment)
         yield request.param
 
 

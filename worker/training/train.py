@@ -29,7 +29,7 @@ from worker.training.video import VideoRecorder
 # A tenth of the budget lies between checkpoints where the job does not say.
 _CHECKPOINTS = 10
 
-# What is told the first time that a metric is above 0.
+# Sentences for the job's events. Each is sent the first time that its metric is above 0.
 _WARNINGS = {
     "training/physics_overflow": "the engine's buffers were too small for some environments, and contacts "
     "were lost (training/physics_overflow is the share of steps). Choose another engine by `physics` if that "

@@ -22,7 +22,7 @@ def reading(stack: Stack) -> Iterator[None]:
 
 
 def expect_the_ball(page: Page) -> None:
-    """What the worker found: a ball of 1 kg with an arm of 0.1 kg, moved by a motor at its elbow."""
+    """The page describes the model: a ball of 1 kg, and an arm of 0.1 kg that a motor moves at its elbow."""
     expect(page.get_by_role("status").filter(has_text="ball.xml is there.")).to_be_visible()
     expect(page.get_by_role("heading", name="ball", exact=True)).to_be_visible()
     expect(page.get_by_text(identity(XML))).to_be_visible()

@@ -1,4 +1,4 @@
-"""What a trial has cost."""
+"""The GPU hours that a trial has used."""
 
 from datetime import timedelta
 

@@ -42,7 +42,7 @@ def train_as_member(
 
 
 class MemberRun:
-    """What a training asks of its `Run`, answered by the cohort's process.
+    """Stands in for a training's `Run`: the cohort's process answers.
 
     Everything raises JobFailed("cohort_ended") once that has ended.
     """
