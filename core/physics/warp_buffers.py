@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, Literal
 
 import mujoco
@@ -116,11 +117,12 @@ class _Batch:
         self._substep = Substep(model, device, reads_sensors="sensordata" in derived)
         self._graphs: dict[Move, Any] = {}
         if device.is_cuda:
-            load_kernels([self._step, *([self._forward] if derived else [])], device)
+            step = partial(self._step, self._substep.in_sequence)
+            load_kernels([step, *([self._forward] if derived else [])], device)
 
     def run(self, move: Move) -> None:
         """From `given` to `after`."""
-        program = self._forward if move == "forward" else self._step
+        program = self._forward if move == "forward" else partial(self._step, self._substep)
         if not self.data.qpos.device.is_cuda:
             program()
         elif move in self._graphs:
@@ -136,10 +138,10 @@ class _Batch:
         mjw.forward(self._model, self.data)
         self._store()
 
-    def _step(self) -> None:
+    def _step(self, substep: Callable[[Any], None]) -> None:
         self._load()
         for _ in range(self._num_substeps):
-            self._substep(self.data)
+            substep(self.data)
         if self._derived:
             self._refresh(self._model, self.data)
         self._store()

@@ -1,5 +1,6 @@
 """A substep of MuJoCo Warp whose independent parts run at the same time."""
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -30,6 +31,17 @@ class Substep:
 
     def __call__(self, data: Any) -> None:
         """Moves every world of `data` by one time step."""
+        self._move(data, self._streams)
+
+    def in_sequence(self, data: Any) -> None:
+        """The same kernels on the device's present stream alone.
+
+        A device has one present stream for all threads: a thread beside others must not change it, or theirs
+        launch where JAX does not wait for them, and it reads what is not written yet.
+        """
+        self._move(data, [])
+
+    def _move(self, data: Any, streams: Sequence[Any]) -> None:
         if not self._is_plain:
             mjw.step(self._model, data)
             return
@@ -38,32 +50,34 @@ class Substep:
         mjw.com_pos(model, data)
         mjw.flex(model, data)
         mjw.tendon(model, data)
-        with self._beside(0):
+        with _beside(streams, 0):
             if model.opt.run_collision_detection:
                 mjw.collision(model, data)
             mjw.make_constraint(model, data)
-        with self._beside(1):
+        with _beside(streams, 1):
             mjw.crb(model, data)
             smooth.tendon_armature(model, data)
         mjw.transmission(model, data)
         mjw.fwd_velocity(model, data)
         mjw.fwd_actuation(model, data)
-        self._join(1)
+        _join(streams, 1)
         mjw.fwd_acceleration(model, data, factorize=True)
-        self._join(0)
+        _join(streams, 0)
         mjw.solve(model, data)
         if model.opt.integrator == mjw.IntegratorType.EULER:
             mjw.euler(model, data)
         else:
             mjw.implicit(model, data)
 
-    def _beside(self, index: int) -> AbstractContextManager[Any]:
-        """Launches inside begin after earlier ones; later ones do not wait for them until `_join`."""
-        return wp.ScopedStream(self._streams[index]) if self._streams else nullcontext()
 
-    def _join(self, index: int) -> None:
-        if self._streams:
-            wp.wait_stream(self._streams[index])
+def _beside(streams: Sequence[Any], index: int) -> AbstractContextManager[Any]:
+    """Launches inside begin after earlier ones; later ones do not wait for them until `_join`."""
+    return wp.ScopedStream(streams[index]) if streams else nullcontext()
+
+
+def _join(streams: Sequence[Any], index: int) -> None:
+    if streams:
+        wp.wait_stream(streams[index])
 
 
 def _is_plain(model: Any) -> bool:

@@ -37,6 +37,20 @@ def test_the_order_of_a_substep_changes_no_bit() -> None:
         np.testing.assert_array_equal(getattr(data, name).numpy(), getattr(reference, name).numpy())
 
 
+def test_in_sequence_a_substep_leaves_the_devices_stream_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels are loaded beside the thread in which JAX calls, and a device has one stream for all threads."""
+    model, data = balls()
+    _, reference = balls()
+    substep = Substep(model, data.qpos.device, reads_sensors=False)
+    monkeypatch.setattr(substep, "_streams", [None, None])  # as on a GPU, where changing to one is seen
+    with pytest.raises(RuntimeError, match="not a CUDA device"):
+        substep(reference)
+    substep.in_sequence(data)
+    _, reference = balls()
+    mjw.step(model, reference)
+    np.testing.assert_array_equal(data.qvel.numpy(), reference.qvel.numpy())
+
+
 def test_a_model_whose_sensors_are_read_takes_the_librarys_step(monkeypatch: pytest.MonkeyPatch) -> None:
     model, data = balls()
     stepped: list[Any] = []

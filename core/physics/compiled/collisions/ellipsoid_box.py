@@ -39,7 +39,8 @@ def ellipsoid_box(ellipsoid: Placed, box: Placed) -> list[Touch]:
     centre = box.inward(subtract(ellipsoid.position, box.position))
     spread = _spread(ellipsoid, box)
     # Twice the largest curvature keeps the steps from leaping over the summit.
-    stiff = 2.0 * float(max(ellipsoid.size))
+    one, another, last = ellipsoid.size
+    stiff = 2.0 * maximum(maximum(one, another), last)
 
     def climb(carried: list[Number]) -> tuple[list[Number], Number]:
         """A step uphill, with the box's part by its proximal map: n's small components become exactly 0."""
