@@ -65,9 +65,7 @@ def learning_rates(**changes: object) -> list[float]:
         num_timesteps=4 * STEPS_PER_UPDATE,
         epoch_s=0.0,
         num_evals=0,
-        learning_rate=1e-3,
-        learning_rate_schedule="ADAPTIVE_KL",
-        **changes,
+        **{"learning_rate": 1e-3, "learning_rate_schedule": "ADAPTIVE_KL", **changes},
     )
     events = [event for event in run.events() if isinstance(event, Progress)]
     assert float(FORMAT.read(run.checkpoint())[1]["learning_rate"]) > 0
@@ -87,13 +85,19 @@ def test_the_learning_rate_falls_to_its_bound_where_the_policy_may_hardly_move()
     assert rates[1:] == pytest.approx([1e-4] * 3, rel=1e-5)
 
 
-def test_a_run_with_every_option_resumes_as_if_it_had_not_stopped() -> None:
+def test_the_learning_rate_falls_in_a_line_over_the_budget_to_its_bound() -> None:
+    rates = learning_rates(learning_rate_schedule="LINEAR", learning_rate_schedule_min_lr=4e-4)
+    assert rates == pytest.approx([1e-3, 7.5e-4, 5e-4, 4e-4], rel=1e-5)
+
+
+@pytest.mark.parametrize("schedule", ["LINEAR", "ADAPTIVE_KL"])
+def test_a_run_with_every_option_resumes_as_if_it_had_not_stopped(schedule: str) -> None:
     options = {
         "num_timesteps": 8 * STEPS_PER_UPDATE,  # of twice as many steps in an update
         "num_evals": 0,
         "action_repeat": 2,
         "episode_length": 5,
-        "learning_rate_schedule": "ADAPTIVE_KL",
+        "learning_rate_schedule": schedule,
         "clipping_epsilon_value": 0.2,
         "bootstrap_on_timeout": True,
         "activation": "elu",

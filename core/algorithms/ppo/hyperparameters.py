@@ -11,7 +11,7 @@ from core.algorithms.ppo.spec import PPOSpec
 class Hyperparameters:
     """What may change without recompiling; [] float32 each, infinite where a bound is not set.
 
-    Everything else is compiled in.
+    num_updates: of the whole run. Everything else is compiled in.
     """
 
     learning_rate: jax.Array
@@ -26,10 +26,12 @@ class Hyperparameters:
     clipping_epsilon_value: jax.Array
     vf_loss_coefficient: jax.Array
     max_grad_norm: jax.Array
+    num_updates: jax.Array
 
     @classmethod
     def of(cls, settings: PPOSpec) -> "Hyperparameters":
         given = {name: getattr(settings, name) for name in settings.arguments}
+        numbers = {**given, "num_updates": settings.num_updates}
         return cls(
-            **{name: jnp.float32(jnp.inf if value is None else value) for name, value in given.items()}
+            **{name: jnp.float32(jnp.inf if value is None else value) for name, value in numbers.items()}
         )

@@ -1,4 +1,4 @@
-"""A learning rate that follows how far the policy has moved."""
+"""Learning rates that change while a run trains."""
 
 import jax
 import jax.numpy as jnp
@@ -19,3 +19,14 @@ def adapt_to_kl(
     moved_too_far = kl_mean > 2 * desired_kl
     hardly_moved = (kl_mean > 0) & (kl_mean < desired_kl / 2)
     return jnp.where(moved_too_far, slower, jnp.where(hardly_moved, faster, learning_rate))
+
+
+def linear(
+    learning_rate: jax.Array, num_updates: jax.Array, budget: jax.Array, lowest: jax.Array
+) -> jax.Array:
+    """The learning rate [] after so many updates: a line to 0 at the budget's end, but not below `lowest`.
+
+    budget: the updates of the whole run. Source: PPO's α in Schulman et al., Proximal Policy Optimization
+    Algorithms, 2017, Table 5.
+    """
+    return jnp.maximum(lowest, learning_rate * (1.0 - num_updates / budget))

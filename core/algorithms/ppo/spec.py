@@ -89,12 +89,13 @@ class PPOSpec(BaseSpec):
     num_minibatches: int = Field(default=8, ge=1, le=10_000)
     num_updates_per_batch: int = Field(default=4, ge=1, le=1000, description="Passes over each batch.")
     learning_rate: float = Field(
-        default=3e-4, gt=0, le=1, description="Adam's learning rate; with ADAPTIVE_KL, the initial one."
+        default=3e-4, gt=0, le=1, description="Adam's learning rate; with a schedule, the initial one."
     )
-    learning_rate_schedule: Literal["NONE", "ADAPTIVE_KL"] = Field(
+    learning_rate_schedule: Literal["NONE", "LINEAR", "ADAPTIVE_KL"] = Field(
         default="NONE",
-        description="ADAPTIVE_KL: after each minibatch, lower the learning rate if the KL divergence exceeds "
-        "twice desired_kl, and raise it if it is below half of desired_kl.",
+        description="LINEAR: lower the learning rate from update to update, to 0 at the budget's end. "
+        "ADAPTIVE_KL: after each minibatch, lower it if the KL divergence exceeds twice desired_kl, and "
+        "raise it if it is below half of desired_kl.",
     )
     desired_kl: float = Field(
         default=0.01,
@@ -103,7 +104,7 @@ class PPOSpec(BaseSpec):
         description="ADAPTIVE_KL: target KL divergence of the policy from the one that acted.",
     )
     learning_rate_schedule_min_lr: float = Field(
-        default=1e-5, gt=0, le=1, description="ADAPTIVE_KL: lower bound of the learning rate."
+        default=1e-5, gt=0, le=1, description="LINEAR, ADAPTIVE_KL: lower bound of the learning rate."
     )
     learning_rate_schedule_max_lr: float = Field(
         default=1e-2, gt=0, le=1, description="ADAPTIVE_KL: upper bound of the learning rate."

@@ -29,7 +29,7 @@ from core.algorithms.ppo.descent import ADAM, clipped, descend
 from core.algorithms.ppo.failure import find_failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.kernels import fitting
-from core.algorithms.ppo.learning_rate import adapt_to_kl
+from core.algorithms.ppo.learning_rate import adapt_to_kl, linear
 from core.algorithms.ppo.loss import loss_of
 from core.algorithms.ppo.networks import init_params, make_networks
 from core.algorithms.ppo.spec import PPOSpec
@@ -135,7 +135,12 @@ class Learner:
                 next_observation=normalize(batch.next_observation, seen_by),
             )
         batch = self.sharding.everywhere(batch)  # so that any device can take any part of a minibatch
+        decays = settings.learning_rate_schedule == "LINEAR"
+        if decays:
+            hyperparameters = _decayed(hyperparameters, state.num_updates)
         (params, optimizer, learning_rate), metrics = self._learn(state, batch, hyperparameters, learn_key)
+        if decays:
+            metrics = metrics | {"learning_rate": learning_rate}
         new = TrainingState(
             params=params,
             optimizer=optimizer,
@@ -262,3 +267,14 @@ class Learner:
         return make_networks(
             environment.observation_size, environment.action_size, self.settings, normalize=normalize
         )
+
+
+def _decayed(hyperparameters: Hyperparameters, num_updates: jax.Array) -> Hyperparameters:
+    """With the learning rate of LINEAR after so many updates."""
+    learning_rate = linear(
+        hyperparameters.learning_rate,
+        num_updates,
+        hyperparameters.num_updates,
+        hyperparameters.learning_rate_schedule_min_lr,
+    )
+    return hyperparameters.replace(learning_rate=learning_rate)

@@ -182,6 +182,7 @@ def test_packed_parameters_come_back_and_the_padding_is_zero() -> None:
         ({"normalize_advantage": False}, 27, False),
         ({"clipping_epsilon_value": 0.2}, 27, False),
         ({"learning_rate_schedule": "ADAPTIVE_KL"}, 27, False),
+        ({"learning_rate_schedule": "LINEAR"}, 27, True),
     ],
 )
 def test_only_what_the_kernels_compute_is_given_to_them(

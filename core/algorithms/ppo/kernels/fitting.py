@@ -49,7 +49,7 @@ def fits(settings: PPOSpec, observation_size: ObservationSize, action_size: int)
         and settings.activation in _ACTIVATIONS
         and settings.normalize_advantage
         and settings.clipping_epsilon_value is None
-        and settings.learning_rate_schedule == "NONE"
+        and settings.learning_rate_schedule != "ADAPTIVE_KL"
     )
 
 
