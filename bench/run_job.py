@@ -15,8 +15,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import compiled, read
 from core.jobs.spec import JOB_SPEC, TrainSpec
+from core.physics.availability import BodySize
 from gaitway.cli.submit import assigned
 from gaitway.plots import learning_curve
 from worker.compile_cache.local import CACHE
@@ -58,8 +60,8 @@ def main() -> None:
     if arguments.model:
         shutil.copyfile(arguments.model, folder / "model")  # The process may read no other file.
     model = "model" if arguments.model else None
-    num_dofs = degrees_of_freedom(folder / "model") if arguments.model else None
-    task = Task(job_id="bench", attempt=1, spec=spec, device=device, model=model, num_dofs=num_dofs)
+    body = size_of(folder / "model") if arguments.model else None
+    task = Task(job_id="bench", attempt=1, spec=spec, device=device, model=model, body=body)
     (folder / "task.json").write_text(task.model_dump_json())
     began = time.perf_counter()
     process = TrainingProcess(TRAINING, folder, folder / "data", device, [])
@@ -75,10 +77,10 @@ def main() -> None:
     raise SystemExit(0 if process.poll(60) == 0 and "failed" not in story.told else 1)
 
 
-def degrees_of_freedom(model: Path) -> int:
+def size_of(model: Path) -> BodySize | None:
     """Of a user's own model, as sent."""
     with read(model) as spec:
-        return compiled(spec).nv
+        return inventory(compiled(spec)).body_size
 
 
 def gpus(number: int) -> str:

@@ -11,7 +11,7 @@ from pydantic import Field, TypeAdapter
 from core.documents import Stored
 from core.jobs.job import ArtifactRole
 from core.jobs.spec import SentSpec
-from core.physics.availability import EngineName
+from core.physics.availability import BodySize, EngineName
 from core.reasons import Reason
 
 
@@ -105,9 +105,9 @@ class Task(Stored):
     device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to resume
     from (training), or to take the policy from (rollout). checkpoint_step: its environment step. model: path
     of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with the
-    reasons. num_dofs: its degrees of freedom; None if they are not known. begun_on: the engine of the job's
-    own checkpoint, which `auto` then takes again. lent_by: the engine that moved the environments in another
-    job's checkpoint, which `auto` takes if no other can.
+    reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint, which
+    `auto` then takes again. lent_by: the engine that moved the environments in another job's checkpoint,
+    which `auto` takes if no other can.
     """
 
     job_id: str
@@ -118,6 +118,6 @@ class Task(Stored):
     checkpoint_step: int = 0
     model: str | None = None
     engines_that_cannot: dict[EngineName, str] = {}
-    num_dofs: int | None = None
+    body: BodySize | None = None
     begun_on: EngineName | None = None
     lent_by: EngineName | None = None

@@ -13,6 +13,9 @@ from bench.measure.result import Figure, Options, Result, at_least
 from bench.measure.runs import Run, Runs, Work
 from bench.measure.statistics import spread
 from core.environments.info import Device
+from core.environments.mjcf.describe import inventory
+from core.environments.mjcf.info import INFO as MJCF
+from core.physics.availability import choose
 from core.physics.compiled.coverage import uncovered
 
 _ROBOT = Path(__file__).parents[2] / "examples" / "quadruped.xml"
@@ -60,8 +63,8 @@ def measured(options: Options, name: str, device: Device) -> Result:
         quick=options.quick,
         machine=runs.where(),
         figures=[
-            _figure(body, case, runs.done.get(body), runs.failed.get(body))
-            for body in bodies
+            _figure(body, _is_taken(path, device, case), case, runs.done.get(body), runs.failed.get(body))
+            for body, path in bodies.items()
             if body not in beyond
         ],
         table=steps_table(runs.done, with_start=True),
@@ -98,19 +101,25 @@ def _request(path: Path, device: Device, case: _Case, options: Options) -> dict[
     }
 
 
-def _figure(body: str, case: _Case, run: Run | None, why: str | None) -> Figure:
-    name = f"{body}: `compiled` ÷ `{case.engines[1]}`"
+def _is_taken(path: Path, device: Device, case: _Case) -> bool:
+    """Whether `auto` takes `compiled` for the model as a user's own."""
+    rules, body = MJCF.rules_on(device), inventory(_read(path)).body_size
+    return choose("auto", device, case.num_envs[0], rules, body=body).name == "compiled"
+
+
+def _figure(body: str, is_taken: bool, case: _Case, run: Run | None, why: str | None) -> Figure:
+    name, target = f"{body}: `compiled` ÷ `{case.engines[1]}`", at_least(1) if is_taken else None
     if run is None:
-        return Figure(name=name, value=None, unit="×", target=at_least(1), missing=why or "not measured")
+        return Figure(name=name, value=None, unit="×", target=target, missing=why or "not measured")
     first, *_ = run["rates"]["compiled"]
-    return Figure.of(name, spread(quotients(run, first)), "×", at_least(1))
+    return Figure.of(name, spread(quotients(run, first)), "×", target)
 
 
 def _notes(case: _Case, beyond: dict[str, str]) -> list[str]:
     notes = [
         f"The figures are of {case.num_envs[0]:,} environments. Each model is used as one file with default "
         "options, without a body's own task. Environments move under random controls, a second after their "
-        "start. At least 1 is the target, since `auto` takes `compiled` for them.",
+        "start. At least 1 is the target where `auto` takes `compiled`.",
     ]
     if beyond:
         told = "; ".join(f"{name} ({why})" for name, why in beyond.items())

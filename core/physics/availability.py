@@ -17,9 +17,17 @@ PACKAGES: Mapping[EngineName, str] = {"compiled": "llvmlite", "warp": "warp"}
 
 
 @dataclass(frozen=True)
+class BodySize:
+    """Of a user's own model: its degrees of freedom, and pairs of geoms that may touch."""
+
+    num_dofs: int
+    num_pairs: int
+
+
+@dataclass(frozen=True)
 class Rule:
     """What `auto` takes: an engine, for at least `least_num_envs` environments. reason: a sentence.
-    most_dofs: the most degrees of freedom that the body may have; None: any number.
+    most: the largest body; None: any.
 
     An environment's row lists its rules for each kind of device (`EnvironmentInfo.rules_on`); the figures in
     their reasons are training steps per second under the tuned settings (docs/performance.md).
@@ -28,12 +36,15 @@ class Rule:
     engine: EngineName
     least_num_envs: int
     reason: str
-    most_dofs: int | None = None
+    most: BodySize | None = None
 
-    def fits(self, num_envs: int, num_dofs: int | None) -> bool:
-        """num_dofs: None if it is not known, which fits no limit."""
-        is_small = self.most_dofs is None or (num_dofs is not None and num_dofs <= self.most_dofs)
-        return is_small and num_envs >= self.least_num_envs
+    def fits(self, num_envs: int, body: BodySize | None) -> bool:
+        """body: None if it is not known, which fits no limit."""
+        return num_envs >= self.least_num_envs and (self.most is None or _is_within(body, self.most))
+
+
+def _is_within(body: BodySize | None, most: BodySize) -> bool:
+    return body is not None and body.num_dofs <= most.num_dofs and body.num_pairs <= most.num_pairs
 
 
 @dataclass(frozen=True)
@@ -92,20 +103,20 @@ def choose(
     num_envs: int = 1,
     rules: Sequence[Rule] = (),
     cannot_run: Mapping[EngineName, str] = NO_REFUSALS,
-    num_dofs: int | None = None,
+    body: BodySize | None = None,
 ) -> EngineChoice:
     """The engine for a job's `physics` on this device. Raises Rejected if it cannot run the environment.
 
     rules: the environment's on this device; the first that fits decides. If none does, `native` is taken on
-    a CPU and MJX on a GPU. cannot_run: as for `check_physics`. num_dofs: the body's degrees of freedom, where
-    a rule asks for them.
+    a CPU and MJX on a GPU. cannot_run: as for `check_physics`. body: its size, where a rule
+    asks for it.
     """
     check_physics(choice, cannot_run)
     if choice != "auto":
         return EngineChoice(choice, f"The job asks for {choice}.")
     for rule in rules:
         can_run = rule.engine not in cannot_run and is_installed(rule.engine)
-        if can_run and rule.fits(num_envs, num_dofs):
+        if can_run and rule.fits(num_envs, body):
             return EngineChoice(rule.engine, rule.reason)
     if device == "cpu" and "native" in cannot_run and "mjx" not in cannot_run:
         return EngineChoice("mjx", f"Native physics cannot run it: {cannot_run['native']}")

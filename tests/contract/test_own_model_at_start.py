@@ -6,6 +6,7 @@ from pathlib import Path
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.jobs.attempts import Claim
+from core.physics.availability import BodySize
 from core.storage import keys
 from tests.contract.recording import held, model, queued_job
 from tests.contract.test_job_store import DESCRIPTION
@@ -20,11 +21,11 @@ def test_its_size_and_the_engines_that_cannot_run_it(job_store: PostgresJobStore
     objects = MemoryObjectStore()
     objects.put(keys.model_source(MODEL), SENT)
     sizes = DESCRIPTION.inventory.sizes.model_copy(update={"nv": 14})
-    inventory = DESCRIPTION.inventory.model_copy(update={"sizes": sizes})
+    inventory = DESCRIPTION.inventory.model_copy(update={"sizes": sizes, "num_pairs": 4})
     job_store.add_model(model(MODEL, description=DESCRIPTION.model_copy(update={"inventory": inventory})))
     environment = {"id": "mjcf", "options": {"model": MODEL, "reward": [{"kind": "alive"}]}}
     job = held(job_store, queued_job(environment=environment))
     assert write_task(job, Claim(job.id, 1, job.token, job_store, objects), "cpu", tmp_path) == []
     task = Task.model_validate_json((tmp_path / "task.json").read_bytes())
-    assert (task.model, task.num_dofs, task.engines_that_cannot) == ("model", 14, {"mjx": "No."})
+    assert (task.model, task.body, task.engines_that_cannot) == ("model", BodySize(14, 4), {"mjx": "No."})
     assert (tmp_path / "model").read_bytes() == SENT

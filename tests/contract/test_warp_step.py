@@ -38,7 +38,7 @@ def test_the_order_of_a_substep_changes_no_bit() -> None:
 
 
 def test_in_sequence_a_substep_leaves_the_devices_stream_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels are loaded beside the thread in which JAX calls, and a device has one stream for all threads."""
+    """Kernels are loaded beside JAX's calls, and a device has one stream for all threads."""
     model, data = balls()
     _, reference = balls()
     substep = Substep(model, data.qpos.device, reads_sensors=False)

@@ -134,5 +134,5 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
         raise JobFailed(Reason.BAD_MODEL, f"The model {model_id} was deleted before the job began.") from None
     described = record.description
     known = {"engines_that_cannot": dict(engines_that_cannot(described))}
-    num_dofs = None if described is None else described.inventory.sizes.nv
-    return task.model_copy(update={"model": "model", "num_dofs": num_dofs, **known})
+    body = None if described is None else described.inventory.body_size
+    return task.model_copy(update={"model": "model", "body": body, **known})

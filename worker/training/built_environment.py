@@ -115,7 +115,7 @@ def build_environment(task: Task) -> BuiltEnvironment:
 
 def _choice(task: Task, info: EnvironmentInfo, device: Device, num_envs: int) -> EngineChoice:
     rules = info.rules_on(device)
-    choice = choose(task.spec.physics, device, num_envs, rules, info.cannot_run, task.num_dofs)
+    choice = choose(task.spec.physics, device, num_envs, rules, info.cannot_run, task.body)
     return _that_can_go_on(choice, task) if task.spec.physics == "auto" else choice
 
 

@@ -1,12 +1,14 @@
 """The contents of a compiled model."""
 
 from collections.abc import Callable
+from itertools import chain, islice
 from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
 from core.environments.mjcf.inventory import Actuator, Inventory, Joint, Sensor, Sizes
+from core.physics.compiled.constraints.pairs import listed_geoms, touching_geoms
 from core.physics.model import initial_qpos
 
 _TYPES: dict[Any, Literal["free", "ball", "slide", "hinge"]] = {
@@ -15,6 +17,8 @@ _TYPES: dict[Any, Literal["free", "ball", "slide", "hinge"]] = {
     mujoco.mjtJoint.mjJNT_SLIDE: "slide",
     mujoco.mjtJoint.mjJNT_HINGE: "hinge",
 }
+
+_MOST_PAIRS = 10_000
 
 
 def inventory(model: mujoco.MjModel) -> Inventory:
@@ -36,7 +40,13 @@ def inventory(model: mujoco.MjModel) -> Inventory:
         initial_height=height_of(model, initial_qpos(model), root),
         mass_kg=float(model.body_mass.sum()),
         timestep_s=float(model.opt.timestep),
+        num_pairs=_num_pairs(model),
     )
+
+
+def _num_pairs(model: mujoco.MjModel) -> int:
+    """Of geoms that may touch; a scene of thousands of geoms has too many to count them all."""
+    return sum(1 for _ in islice(chain(listed_geoms(model), touching_geoms(model)), _MOST_PAIRS))
 
 
 def root_of(model: mujoco.MjModel) -> int:

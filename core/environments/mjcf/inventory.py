@@ -3,6 +3,7 @@
 from typing import Literal
 
 from core.documents import Stored
+from core.physics.availability import BodySize
 
 Kind = Literal["body", "geom", "joint", "sensor"]
 
@@ -49,6 +50,7 @@ class Inventory(Stored):
 
     root: the first body that can travel, else the first. has_free_joint: whether the root has one.
     travels: whether it can leave its place. initial_height: the root's in metres, in the initial state.
+    num_pairs: pairs of geoms that may touch, up to 10,000; None for models described before it was counted.
     """
 
     joints: list[Joint]
@@ -65,6 +67,12 @@ class Inventory(Stored):
     initial_height: float
     mass_kg: float
     timestep_s: float
+    num_pairs: int | None = None
+
+    @property
+    def body_size(self) -> BodySize | None:
+        """None if it is not known."""
+        return None if self.num_pairs is None else BodySize(self.sizes.nv, self.num_pairs)
 
     def names(self, kind: Kind) -> list[str]:
         """The names of a kind of parts; only of joints that have a range."""

@@ -4,7 +4,15 @@ import pytest
 
 from core.errors import Rejected
 from core.physics import availability
-from core.physics.availability import EngineChoice, EngineName, PhysicsChoice, Rule, check_physics, choose
+from core.physics.availability import (
+    BodySize,
+    EngineChoice,
+    EngineName,
+    PhysicsChoice,
+    Rule,
+    check_physics,
+    choose,
+)
 
 RULES = (
     Rule("native", 8192, "Many ants."),
@@ -84,10 +92,12 @@ def test_a_cpu_has_rules_of_its_own_and_native_where_none_can_be_followed(
 def test_a_rule_for_small_bodies_is_followed_where_the_body_is_known_to_be_small(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rules = (Rule("compiled", 1, "Small bodies.", most_dofs=30), Rule("warp", 1, "Larger ones."))
+    most = BodySize(num_dofs=30, num_pairs=50)
+    rules = (Rule("compiled", 1, "Small bodies.", most=most), Rule("warp", 1, "Larger ones."))
     monkeypatch.setattr(availability, "find_spec", lambda name: True)
-    taken = [choose("auto", "gpu", 1, rules, num_dofs=dofs).name for dofs in (14, 30, 31, None)]
-    assert taken == ["compiled", "compiled", "warp", "warp"]
+    bodies = (BodySize(14, 4), most, BodySize(31, 4), BodySize(14, 51), None)
+    taken = [choose("auto", "gpu", 1, rules, body=body).name for body in bodies]
+    assert taken == ["compiled", "compiled", "warp", "warp", "warp"]
 
 
 def test_a_rules_reason_is_the_choices() -> None:

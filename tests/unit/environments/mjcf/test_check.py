@@ -53,6 +53,7 @@ def test_an_inventory_names_what_is_there() -> None:
     assert (PROBE.cameras, PROBE.keyframes) == (["above"], ["raised"])
     assert (PROBE.sizes.nq, PROBE.sizes.nv, PROBE.sizes.nu) == (8, 7, 1)
     assert (PROBE.initial_height, PROBE.mass_kg) == (pytest.approx(0.5), pytest.approx(1.1))
+    assert PROBE.num_pairs == 1  # the ball and the floor
     assert (BOLTED.root, BOLTED.has_free_joint, BOLTED.travels) == ("a", False, False)
 
 
