@@ -1,7 +1,4 @@
-"""A checkered floor below bodies that hang or stand in the air: without one, their motion is hard to see.
-
-The floor is only drawn. A body that could fall gets none, because its floor would have to hold it.
-"""
+"""Floors as they are drawn: below a body in the air a checkered one, and one that holds it without an end."""
 
 from itertools import product
 from typing import Any
@@ -18,7 +15,10 @@ _EVERYWHERE = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
 def floor_below(model: mujoco.MjModel, root: int, centre: Floats, radius: float) -> float | None:
-    """The height in metres of a floor out of the body's reach; None if there is one, or the body may fall."""
+    """The height in metres of a floor out of the body's reach, without which its motion is hard to see.
+
+    None if there is a floor, or if the body may fall, because its floor would have to hold it.
+    """
     if np.isin(model.geom_type, _EVERYWHERE).any() or _may_fall(model, root):
         return None
     return float(centre[2]) - 1.05 * radius
@@ -34,6 +34,31 @@ def lay(scene: Any, height: float, around: Floats, radius: float) -> None:
     for row, column in product(range(-_TILES // 2, _TILES // 2), repeat=2):
         at = (x + (column + 0.5) * side, y + (row + 0.5) * side, height + 0.002 * radius)
         _plane(scene, at, side / 2, LIGHT if (row + column) % 2 else DARK)
+
+
+def without_end(model: mujoco.MjModel) -> None:
+    """Draw level planes up to the horizon: their contacts have no end, and a fast body passes the drawn one.
+
+    A plane whose texture is a picture of it keeps its size.
+    """
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
+        material, size = int(model.geom_matid[geom]), model.geom_size[geom, :2].copy()
+        is_level = model.geom_bodyid[geom] == 0 and np.allclose(model.geom_quat[geom, 1:3], 0.0)
+        touches = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if not (is_level and touches and (size > 0).all() and _may_repeat(model, material)):
+            continue
+        model.geom_size[geom, :2] = 0.0
+        if material >= 0 and not model.mat_texuniform[material]:
+            # Repeats are counted over the whole plane where it ends, over two metres where it does not.
+            model.mat_texrepeat[material] /= size
+
+
+def _may_repeat(model: mujoco.MjModel, material: int) -> bool:
+    """Whether the material's texture may go on beyond the plane, and is no other geom's."""
+    if material < 0:
+        return True
+    is_pattern = model.mat_texuniform[material] or (model.mat_texrepeat[material] > 1).all()
+    return bool(is_pattern) and int((model.geom_matid == material).sum()) == 1
 
 
 def _may_fall(model: mujoco.MjModel, root: int) -> bool:

@@ -66,6 +66,7 @@ class MujocoRenderer:
         self._finds_contacts = "contacts" in show
         self._renderer = mujoco.Renderer(model, height, width, max_geom=10_000)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 0  # a white line between floor and sky
         self._has_sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX in model.tex_type
 
     @property
@@ -86,8 +87,12 @@ class MujocoRenderer:
         self._place(qpos)
         target = self.target() if look_at is None else look_at
         eye: Any = self._follow(target) if self._camera is None else self._camera
-        self._renderer.update_scene(self._data, eye, self._options)
         scene = self._renderer.scene
+        seen_from = np.array(scene.camera[0].pos)
+        self._renderer.update_scene(self._data, eye, self._options)
+        if np.abs(seen_from - scene.camera[0].pos).max() > self._view.radius:
+            # A floor without an end is drawn around where the eye was before.
+            self._renderer.update_scene(self._data, eye, self._options)
         for light in range(scene.nlight):
             if scene.lights[light].type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
                 # Shadows are drawn only around the light's position, which the body walks away from.

@@ -86,6 +86,7 @@ def prepare(model: mujoco.MjModel, view: View, quality: Quality, *, width: int, 
     # much narrower, the floor in the foreground would shadow itself in specks.
     model.vis.map.shadowclip = 5.0 * view.radius / model.stat.extent
     _size_overlays(model, view.radius)
+    floor.without_end(model)
     _light(model)
     _recolour(model)
     _mark_target(model, _TARGET_SHARE * view.radius)

@@ -64,6 +64,17 @@ def test_the_camera_follows_the_body_over_a_floor_that_passes_by(films: dict[str
     assert np.abs(frames[0].astype(int) - frames[7]).mean() > 5
 
 
+def test_a_body_that_runs_past_the_models_floor_still_has_one(films: dict[str, Film], tmp_path: Path) -> None:
+    """Twice from the middle of 80 m to 20 m beyond their end; the second begins where the first did."""
+    episodes = [rolling_ball(1.0, speed=60.0) for _ in range(2)]
+    render(ball_request(tmp_path, *episodes), timeout_s=60.0)
+    tiles = [frame[-10:].mean(axis=(0, 1)) for frame in films["track"].frames]
+    below = [frame[-10:].mean(axis=(0, 1)) for frame in decoded(tmp_path / "video.mp4")]
+    assert len(below) == 20
+    assert (np.min(below, axis=0) > np.min(tiles, axis=0) - 10).all()
+    assert (np.max(below, axis=0) < np.max(tiles, axis=0) + 10).all()
+
+
 def test_the_poster_is_the_moment_in_the_middle(films: dict[str, Film]) -> None:
     film = films["track"]
     differences = [np.abs(film.poster.astype(int) - frame).mean() for frame in film.frames]

@@ -71,3 +71,36 @@ def test_a_target_that_looks_like_the_arm_gets_a_colour_and_others_keep_theirs()
     assert painted.geom_size[geom, 0] == pytest.approx(0.009)
     # White, it was whiter than everything that is on it.
     assert model.geom_rgba[model.geom("ground").id, :3] == pytest.approx(floor.LIGHT)
+
+
+FLOORS = """<mujoco>
+  <asset>
+    <texture name="checker" type="2d" builtin="checker" width="8" height="8" rgb1="0 0 0" rgb2="1 1 1"/>
+    <material name="stretched" texture="checker" texrepeat="60 30"/>
+    <material name="uniform" texture="checker" texrepeat="60 30" texuniform="true"/>
+    <material name="picture" texture="checker"/>
+    <material name="shared" texture="checker" texrepeat="60 30"/>
+  </asset>
+  <worldbody>
+    <geom name="plain" type="plane" size="40 20 1"/>
+    <geom name="stretched" type="plane" size="40 20 1" material="stretched"/>
+    <geom name="uniform" type="plane" size="40 20 1" material="uniform"/>
+    <geom name="picture" type="plane" size="40 20 1" material="picture"/>
+    <geom name="shared" type="plane" size="40 20 1" material="shared"/>
+    <geom name="block" type="box" size="1 1 1" material="shared"/>
+    <geom name="wall" type="plane" size="40 20 1" euler="90 0 0"/>
+    <geom name="mark" type="plane" size="40 20 1" contype="0" conaffinity="0"/>
+  </worldbody>
+</mujoco>"""
+
+
+def test_a_floor_that_holds_a_body_is_drawn_without_an_end_and_its_tiles_stay_as_large() -> None:
+    model = mujoco.MjModel.from_xml_string(FLOORS)
+    floor.without_end(model)
+    names = [model.geom(number).name for number in range(model.ngeom)]
+    endless = [name for name in names if (model.geom(name).size[:2] == 0).all()]
+    assert endless == ["plain", "stretched", "uniform"]
+    # 60 over 80 m, and 30 over 40 m, are 1.5 over 2 m.
+    assert model.mat("stretched").texrepeat.tolist() == [1.5, 1.5]
+    assert model.mat("uniform").texrepeat.tolist() == [60, 30]
+    assert model.mat("shared").texrepeat.tolist() == [60, 30]
