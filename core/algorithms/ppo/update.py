@@ -277,4 +277,4 @@ def _decayed(hyperparameters: Hyperparameters, num_updates: jax.Array) -> Hyperp
         hyperparameters.num_updates,
         hyperparameters.learning_rate_schedule_min_lr,
     )
-    return hyperparameters.replace(learning_rate=learning_rate)
+    return replace(hyperparameters, learning_rate=learning_rate)
