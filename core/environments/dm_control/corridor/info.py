@@ -55,7 +55,7 @@ class _Place(Strict):
     walker: Annotated[Walker, BeforeValidator(check_is_offered)] = Field(
         "ant",
         description="One of dm_control's; `humanoid` is its CMU humanoid (2020). All but the ant and "
-        "the rodent over gaps are experimental: nobody has trained them.",
+        "the rodent are experimental: nobody has trained them to walk.",
     )
     arena: Arena = Field("gaps", description="Platforms with gaps, walls from both sides, or neither.")
     corridor_length: float = Field(40.0, ge=8, le=400, description="Metres.")
