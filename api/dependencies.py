@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from api.curve_cache import CurveCache
 from api.recent import RecentAnswers
+from api.shared_reads import SharedReads
 from api.watching import JobWatcher
 from core.jobs import feeds
 from core.jobs.acknowledgements import Acknowledgements
@@ -30,6 +31,7 @@ class Service:
     stopping: true once the process has been asked to end; streams then close.
     watching: limits the threads that read for streams, which other requests do not share.
     watcher: tells streams when their job has changed.
+    feed_reads: shares what streams read.
     curves: metrics for pictures.
     lists: of jobs, as they were sent in the last moments.
     acknowledgements: of dispatches that the queue has received.
@@ -48,6 +50,7 @@ class Service:
     num_imports: int = 0
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))
     watcher: JobWatcher = field(init=False)
+    feed_reads: SharedReads[feeds.FeedPage | None] = field(default_factory=SharedReads)
     curves: CurveCache = field(init=False)
     lists: RecentAnswers = field(default_factory=RecentAnswers)
     acknowledgements: Acknowledgements = field(init=False)

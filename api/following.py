@@ -1,8 +1,8 @@
 """A job's feeds as streams that end when the job does.
 
 A waiting client costs neither a thread nor a query: the process has one `JobWatcher`, which tells when a job
-has changed, and only then is the feed read. Streams read in a thread pool of their own, so that they never
-keep other requests waiting.
+has changed, and only then is the feed read, once for all who have read it up to the same entry. Streams read
+in a thread pool of their own, so that they never keep other requests waiting.
 """
 
 import time
@@ -40,7 +40,7 @@ class Follower:
     async def present(self) -> AsyncIterator[Sequence[Entry]]:
         """Entries up to the feed's current end. Raises RecordsUnavailable, StorageUnavailable."""
         while not self._is_end:
-            if page := await self._read():
+            if page := self._took(await self._next()):
                 yield page
 
     async def coming(self) -> AsyncIterator[Sequence[Entry]]:
@@ -57,7 +57,7 @@ class Follower:
                 has_more = False  # Stays false in an outage, so that the next read waits.
                 if is_due:
                     try:
-                        page = await self._read()
+                        page = await self._read_with_others()
                     except Unavailable as error:
                         log.warning("feed_unavailable", job_id=self._id, error=error.detail)
                     else:
@@ -73,8 +73,17 @@ class Follower:
         """The job as it is now. Raises JobNotFound, RecordsUnavailable."""
         return await to_thread.run_sync(self._service.store.find, self._id, limiter=self._service.watching)
 
-    async def _read(self) -> Sequence[Entry]:
-        page = await to_thread.run_sync(self._next_page, limiter=self._service.watching)
+    async def _read_with_others(self) -> Sequence[Entry]:
+        # A reading that began under the same mark holds what the mark told of.
+        known = self._service.watcher.mark(self._id)
+        question = (self._id, self._channel, self._after, known)
+        return self._took(await self._service.feed_reads.read(question, self._next))
+
+    async def _next(self) -> feeds.FeedPage | None:
+        return await to_thread.run_sync(self._next_page, limiter=self._service.watching)
+
+    def _took(self, page: feeds.FeedPage | None) -> Sequence[Entry]:
+        """The entries of the page, which is the last one read. None: the job is deleted."""
         self.status, self._is_end = (None, True) if page is None else (page.status, page.is_end)
         if page is None or not page.entries:
             return ()

@@ -59,6 +59,10 @@ class JobWatcher:
     def is_looking(self) -> bool:
         return self._task is not None and not self._task.done()
 
+    def mark(self, job_id: str) -> Mark | None:
+        """That of a watched job at the last query; None before the first, and of a job that is deleted."""
+        return self._marks.get(job_id)
+
     @contextmanager
     def watch(self, job_id: str) -> Generator[Watch]:
         """Watch the job within this context. Read its feed once at the start, and after each change."""

@@ -19,7 +19,7 @@ from api import following
 from core.jobs import feeds
 from core.jobs.feeds import compact
 from core.jobs.status import JobStatus
-from core.jobs.store import Entry
+from core.jobs.store import Channel, Entry
 from core.reasons import Reason
 from tests.api.conftest import NOON, Attempt, Stack, job, serving
 from tests.api.problems import pointers, problem
@@ -464,6 +464,26 @@ def test_idle_followers_cost_one_query_together(stack: Stack, attempt: Attempt, 
             looks += 1
         # 30 looks, each at both jobs, with 0.1 s between two; the first may have been late.
         assert time.monotonic() - began > 2.5
+
+
+def test_followers_who_wait_for_the_same_entry_read_it_together(
+    stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: queue.SimpleQueue[int] = queue.SimpleQueue()
+    read_page = feeds.read_page
+
+    def counted(job_id: str, channel: Channel, after: int, limit: int, **stores: Any) -> feeds.FeedPage:
+        reads.put(after)
+        return read_page(job_id, channel, after, limit, **stores)
+
+    monkeypatch.setattr(feeds, "read_page", counted)
+    with followers(stack, attempt.id, 100) as streams:
+        began = reads.qsize()
+        for step in range(5):
+            attempt.say("progress", step=step, total=20)
+            assert {next(stream)[0] for stream in streams} == {str(3 + step)}
+        # By itself each would read each of the 5.
+        assert reads.qsize() - began < 25
 
 
 def is_look(statement: str) -> bool:
