@@ -50,7 +50,7 @@ class Service:
     num_imports: int = 0
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))
     watcher: JobWatcher = field(init=False)
-    feed_reads: SharedReads[feeds.FeedPage | None] = field(default_factory=SharedReads)
+    feed_reads: SharedReads[feeds.FeedPage | None] = field(default_factory=SharedReads[feeds.FeedPage | None])
     curves: CurveCache = field(init=False)
     lists: RecentAnswers = field(default_factory=RecentAnswers)
     acknowledgements: Acknowledgements = field(init=False)
