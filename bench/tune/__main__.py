@@ -2,8 +2,8 @@
 
 Each trial trains in a process of its own, on seeds that no bench uses; one that is behind is stopped. What
 counts is the worst seed's seconds of training and evaluating. Trials are kept in a file, and another call
-goes on from them. At the end the best are tried on more seeds, and the winner is written to a file: its
-`settings` are a job's `algorithm`.
+goes on from them. At the end the best, and the present settings, are tried on more seeds, and the winner is
+written to a file: its `settings` are a job's `algorithm`.
 """
 
 import argparse
@@ -107,7 +107,9 @@ def _ended(study: optuna.Study) -> list[tuple[float, int]]:
 def _confirmed(task: Task, study: optuna.Study) -> tuple[list[float], dict[str, Any]] | None:
     """The finalist whose worst seed is soonest at the mark, with the seconds of its seeds."""
     found: list[tuple[list[float], dict[str, Any]]] = []
-    for _, number in _ended(study)[:_NUM_FINALISTS]:
+    best = [number for _, number in _ended(study)]
+    # The first trial has the present settings: a winner is to be surer than they are.
+    for number in dict.fromkeys([*best[:_NUM_FINALISTS], *(number for number in best if number == 0)]):
         settings = study.trials[number].user_attrs["settings"]
         seconds = [task.seconds(settings, seed) for seed in CONFIRMED]
         print(f"trial {number} again: {', '.join(f'{one:.1f} s' for one in seconds)}", flush=True)

@@ -104,7 +104,9 @@ def test_a_search_ends_with_what_other_seeds_confirm(
     ]
     monkeypatch.setattr(sys, "argv", ["tune", *arguments])
     assert search.main() == 0
-    assert "over 5 seeds" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "over 5 seeds" in told
+    assert "trial 0 again" in told  # the present settings
     found = json.loads((tmp_path / "tuned-inverted_pendulum-cpu.json").read_text())
     assert found["mark"]["least"] == 10
     assert found["command"] == " ".join(["./run tune", *arguments])
