@@ -107,9 +107,10 @@ def _ended(study: optuna.Study) -> list[tuple[float, int]]:
 def _confirmed(task: Task, study: optuna.Study) -> tuple[list[float], dict[str, Any]] | None:
     """The finalist whose worst seed is soonest at the mark, with the seconds of its seeds."""
     found: list[tuple[list[float], dict[str, Any]]] = []
-    best = [number for _, number in _ended(study)]
-    # The first trial has the present settings: a winner is to be surer than they are.
-    for number in dict.fromkeys([*best[:_NUM_FINALISTS], *(number for number in best if number == 0)]):
+    for rank, (_, number) in enumerate(_ended(study)):
+        # The first trial has the present settings: a winner is to be surer than they are.
+        if rank >= _NUM_FINALISTS and number != 0:
+            continue
         settings = study.trials[number].user_attrs["settings"]
         seconds = [task.seconds(settings, seed) for seed in CONFIRMED]
         print(f"trial {number} again: {', '.join(f'{one:.1f} s' for one in seconds)}", flush=True)

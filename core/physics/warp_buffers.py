@@ -117,12 +117,12 @@ class _Batch:
         self._substep = Substep(model, device, reads_sensors="sensordata" in derived)
         self._graphs: dict[Move, Any] = {}
         if device.is_cuda:
-            step = partial(self._step, self._substep.in_sequence)
+            step = partial(self._step, in_sequence=True)
             load_kernels([step, *([self._forward] if derived else [])], device)
 
     def run(self, move: Move) -> None:
         """From `given` to `after`."""
-        program = self._forward if move == "forward" else partial(self._step, self._substep)
+        program = self._forward if move == "forward" else self._step
         if not self.data.qpos.device.is_cuda:
             program()
         elif move in self._graphs:
@@ -138,10 +138,10 @@ class _Batch:
         mjw.forward(self._model, self.data)
         self._store()
 
-    def _step(self, substep: Callable[[Any], None]) -> None:
+    def _step(self, *, in_sequence: bool = False) -> None:
         self._load()
         for _ in range(self._num_substeps):
-            substep(self.data)
+            self._substep(self.data, in_sequence=in_sequence)
         if self._derived:
             self._refresh(self._model, self.data)
         self._store()

@@ -29,19 +29,13 @@ class Substep:
         num_streams = 2 if device.is_cuda and self._is_plain else 0
         self._streams = [wp.Stream(device) for _ in range(num_streams)]
 
-    def __call__(self, data: Any) -> None:
-        """Moves every world of `data` by one time step."""
-        self._move(data, self._streams)
-
-    def in_sequence(self, data: Any) -> None:
-        """The same kernels on the device's present stream alone.
+    def __call__(self, data: Any, *, in_sequence: bool = False) -> None:
+        """Moves every world of `data` by one time step. in_sequence: on the device's present stream alone.
 
         A device has one present stream for all threads: a thread beside others must not change it, or theirs
         launch where JAX does not wait for them, and it reads what is not written yet.
         """
-        self._move(data, [])
-
-    def _move(self, data: Any, streams: Sequence[Any]) -> None:
+        streams = [] if in_sequence else self._streams
         if not self._is_plain:
             mjw.step(self._model, data)
             return

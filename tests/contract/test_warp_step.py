@@ -45,7 +45,7 @@ def test_in_sequence_a_substep_leaves_the_devices_stream_alone(monkeypatch: pyte
     monkeypatch.setattr(substep, "_streams", [None, None])  # as on a GPU, where changing to one is seen
     with pytest.raises(RuntimeError, match="not a CUDA device"):
         substep(reference)
-    substep.in_sequence(data)
+    substep(data, in_sequence=True)
     _, reference = balls()
     mjw.step(model, reference)
     np.testing.assert_array_equal(data.qvel.numpy(), reference.qvel.numpy())

@@ -8,6 +8,8 @@ may be better. MuJoCo finds the same by expanding polytopes, by default to 1e-6 
 normal at edges.
 """
 
+from functools import reduce
+
 from core.physics.compiled.collisions.shapes import Placed, Touch
 from core.physics.compiled.program.arithmetic import (
     Matrix,
@@ -39,8 +41,7 @@ def ellipsoid_box(ellipsoid: Placed, box: Placed) -> list[Touch]:
     centre = box.inward(subtract(ellipsoid.position, box.position))
     spread = _spread(ellipsoid, box)
     # Twice the largest curvature keeps the steps from leaping over the summit.
-    one, another, last = ellipsoid.size
-    stiff = 2.0 * maximum(maximum(one, another), last)
+    stiff = 2.0 * reduce(maximum, ellipsoid.size)
 
     def climb(carried: list[Number]) -> tuple[list[Number], Number]:
         """A step uphill, with the box's part by its proximal map: n's small components become exactly 0."""
