@@ -5,6 +5,8 @@ import numpy as np
 
 from core.physics.compiled.collisions.ellipsoid_box import ellipsoid_box
 from core.physics.compiled.collisions.shapes import Placed
+from core.physics.compiled.program.interpret import interpret
+from core.physics.compiled.program.program import Program
 
 NUM_STATES = 2000
 SIZE, RADII = [0.5, 0.4, 0.3], [0.03, 0.05, 0.08]
@@ -45,6 +47,17 @@ def test_an_ellipsoid_touches_a_box_as_in_mujoco() -> None:
         np.testing.assert_allclose(position[number], contact.pos, atol=2e-5)
         at_edges += np.abs(data.geom_xmat[0].reshape(3, 3).T @ normal[number]).max() < 0.999
     assert at_edges > 20
+
+
+def test_its_radii_may_be_symbols_of_a_program() -> None:
+    """As where geoms share a program: each calls it with its own."""
+    box = Placed([0.0, 0.0, 0.0], UNTURNED, UNTURNED, SIZE)
+    program, above = Program(), [0.1, 0.05, 0.36]
+    written = Placed(above, UNTURNED, UNTURNED, program.inputs("radii", 3))
+    program.output("distance", [touch.distance for touch in ellipsoid_box(written, box)])
+    (found,) = interpret(program, {"radii": [np.array([radius]) for radius in RADII]})["distance"]
+    # Flat on the upper face: 0.36 - 0.3 - 0.08.
+    np.testing.assert_allclose(found, -0.02, atol=1e-12)
 
 
 def placed(datas: list[mujoco.MjData], geom: int, size: list[float]) -> Placed:
