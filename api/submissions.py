@@ -32,6 +32,7 @@ RESUMPTION: TypeAdapter[Resumption] = TypeAdapter(Resumption)
 # A client does not read the answer while it is still sending, so this much excess is read and discarded.
 _DRAINED_BYTES = 16 * 2**20
 _LONGEST_KEY = 255
+EXAMPLE_KEY = "7d1f0c7a-first-try"
 
 
 def parse(body: bytes, kind: TypeAdapter[Document]) -> Document:
@@ -99,7 +100,7 @@ async def _idempotency_key(
             alias="Idempotency-Key",
             description="1 to 255 printable ASCII characters. The same key with the same body creates one "
             "job, however often it is sent within 24 hours.",
-            examples=["7d1f0c7a-first-try"],
+            examples=[EXAMPLE_KEY],
             json_schema_extra={"pattern": f"^[ -~]{{1,{_LONGEST_KEY}}}$"},
         ),
     ] = None,
