@@ -17,12 +17,11 @@ from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.evaluation import Policy
 from core.algorithms.experience import summarise
 from core.algorithms.exploration import decayed
+from core.algorithms.failure import any_not_finite, find_failure
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.acting import (
     Experience,
     act,
-    any_not_finite,
-    failure,
     first_experience,
     normalize,
     observation_size,
@@ -143,7 +142,11 @@ class Learner:
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
-        failed = failure(acted, [~jnp.isfinite(metrics["loss"]), any_not_finite(params)])
+        failed = find_failure(
+            acted.transitions.next_observation,
+            acted.outcome,
+            [~jnp.isfinite(metrics["loss"]), any_not_finite(params)],
+        )
         return new, summarise(acted.outcome) | metrics | {"epsilon": epsilon} | progress_metrics(at), failed
 
     @property

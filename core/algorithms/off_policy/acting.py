@@ -1,15 +1,14 @@
 """The first half of an update: environments act, and what they see is kept."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 
-from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import RunningStatisticsState, Transition, running_statistics
 from core.algorithms.evaluation import Policy
-from core.algorithms.experience import Outcome, Starts, collect, lost_too_many
+from core.algorithms.experience import Outcome, Starts, collect
 from core.algorithms.normalizer import init_normalizer, normalization
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.spec import OffPolicySpec
@@ -101,21 +100,6 @@ def observation_size(environment: Environment, settings: OffPolicySpec) -> int:
         kind = settings.algorithm()
         raise ValueError(f"{kind} learns from one observation; there are {sorted(size)}.")
     return size
-
-
-def failure(acted: Acted, learnt: Sequence[jax.Array]) -> Failure:
-    """What was not finite in an update: observations, rewards, then each of what was learnt, [] bool."""
-    observations = cast("Any", acted.transitions.next_observation)
-    bad_obs = ~jnp.all(jnp.isfinite(observations), axis=(1, 2)) | lost_too_many(acted.outcome)
-    bad_reward = ~jnp.all(jnp.isfinite(acted.outcome.reward), axis=1)
-    bad = bad_obs | bad_reward
-    first = jnp.where(jnp.any(bad), jnp.argmax(bad), len(bad)).astype(jnp.int32)
-    return Failure(jnp.stack([jnp.any(bad_obs), jnp.any(bad_reward), *learnt]), first)
-
-
-def any_not_finite(tree: Any) -> jax.Array:
-    """[] bool, of all arrays of a tree."""
-    return jnp.any(jnp.stack([~jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))
 
 
 def _starts(envs: VectorEnv, settings: OffPolicySpec, key: jax.Array) -> Starts | None:

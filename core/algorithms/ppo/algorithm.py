@@ -13,11 +13,10 @@ from core.algorithms.checkpoint import describe
 from core.algorithms.evaluation import EpisodeTotals, evaluation_metrics, run_episodes
 from core.algorithms.policy_file import PolicyConfig, PolicyParams, write_policy
 from core.algorithms.ppo.checkpoint import FORMAT, header
-from core.algorithms.ppo.failure import QUANTITIES
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.networks import make_networks
 from core.algorithms.ppo.spec import PPOSpec
-from core.algorithms.ppo.update import Learner, TrainingState
+from core.algorithms.ppo.update import QUANTITIES, Learner, TrainingState
 from core.algorithms.sharding import Sharding
 from core.environments.environment import Environment
 from core.environments.wrappers.action_repeat import repeat_action

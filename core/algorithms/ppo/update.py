@@ -24,9 +24,9 @@ from core.algorithms.experience import (
     of_whole_episodes,
     summarise,
 )
+from core.algorithms.failure import any_not_finite, find_failure
 from core.algorithms.normalizer import init_normalizer, normalization
 from core.algorithms.ppo.descent import ADAM, clipped, descend
-from core.algorithms.ppo.failure import find_failure
 from core.algorithms.ppo.hyperparameters import Hyperparameters
 from core.algorithms.ppo.kernels import fitting
 from core.algorithms.ppo.learning_rate import adapt_to_kl, linear
@@ -38,6 +38,18 @@ from core.environments.environment import Environment
 from core.environments.wrappers.autoreset import Episodes, begun_at_random, fresh_states, start_episodes
 from core.environments.wrappers.curriculum import at_progress, progress_at, progress_metrics
 from core.environments.wrappers.vectorized import VectorEnv
+
+# Checked after each update, in the order in which one spoils the next.
+QUANTITIES = (
+    "observation",
+    "reward",
+    "policy loss",
+    "value loss",
+    "entropy loss",
+    "gradient",
+    "parameters",
+)
+_LOSSES = ("policy_loss", "v_loss", "entropy_loss", "grad_norm")
 
 
 @struct.dataclass
@@ -151,7 +163,8 @@ class Learner:
             eval_key=state.eval_key,
             num_updates=state.num_updates + 1,
         )
-        failure = find_failure(transitions, outcome, metrics, params)
+        of_losses = [~jnp.isfinite(metrics[name]) for name in _LOSSES]
+        failure = find_failure(transitions.next_observation, outcome, [*of_losses, any_not_finite(params)])
         if settings.random_initial_episode_length:
             outcome = of_whole_episodes(outcome, self._actions_before(state))
         metrics = metrics | progress_metrics(progress)

@@ -12,12 +12,11 @@ from flax import struct
 from core.algorithms.algorithm import Failure
 from core.algorithms.brax_training import RunningStatisticsState
 from core.algorithms.experience import summarise
+from core.algorithms.failure import any_not_finite, find_failure
 from core.algorithms.off_policy import replay as replays
 from core.algorithms.off_policy.acting import (
     Experience,
     act,
-    any_not_finite,
-    failure,
     first_experience,
     normalize,
     observation_size,
@@ -126,7 +125,9 @@ class Learner:
             num_updates=state.num_updates + 1,
         )
         of_losses = [~jnp.isfinite(metrics[name]) for name in _LOSSES]
-        failed = failure(acted, [*of_losses, any_not_finite(params)])
+        failed = find_failure(
+            acted.transitions.next_observation, acted.outcome, [*of_losses, any_not_finite(params)]
+        )
         return new, summarise(acted.outcome) | metrics | progress_metrics(at), failed
 
     @property
