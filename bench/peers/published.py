@@ -13,6 +13,7 @@ _SHARED: dict[str, Any] = {
     "num_minibatches": 32,
     "num_updates_per_batch": 4,
     "learning_rate": 3e-4,
+    "learning_rate_schedule": "NONE",
     "entropy_cost": 1e-3,
     "gae_lambda": 0.95,
     "clipping_epsilon": 0.3,
