@@ -2,14 +2,17 @@
 
 import copy
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import reduce
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from core.environments import rewards
 from core.environments.dm_control.corridor import observables, termination
+from core.environments.dm_control.corridor.controls import holding_controls
 from core.environments.dm_control.corridor.course import ManyCourses, OneCourse
 from core.environments.dm_control.corridor.curriculum import at_every_level
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
@@ -54,6 +57,9 @@ class Corridor(MujocoEnv):
             tracked_body=walker.trunk,
         )
         self.episode_length = options.episode_length
+        self._held = (
+            holding_controls(model, np.asarray(self.initial_qpos)) if options.counts_from_start else None
+        )
         # Noise must not push it into the ground, which would throw it up.
         self.initial_qpos = self.initial_qpos.at[2].add(options.reset_noise_scale)
         self._options = options
@@ -79,11 +85,18 @@ class Corridor(MujocoEnv):
         layout, info = self._course.draw(key, self._progress)
         own = {**layout, **model}
         physics = noisy_start(self, key, own, self._options.reset_noise_scale, normal_velocity=False)
+        if self._held is not None:
+            # A servo with a filter begins where its control will be, or it would pull at the first steps.
+            physics = replace(physics, act=jnp.asarray(self._held[self.model.actuator_actadr >= 0]))
         return initial(self._after(physics, physics, jnp.zeros(self.action_size), info))
 
     def step(self, state: State, action: jax.Array) -> State:
-        physics = self.engine.step(state.physics, action)
+        physics = self.engine.step(state.physics, self._control(action))
         return self._after(state.physics, physics, action, state.info)
+
+    def _control(self, action: jax.Array) -> jax.Array:
+        """The control [nu] for an action [nu], both in [-1, 1]."""
+        return action if self._held is None else jnp.clip(self._held + action, -1.0, 1.0)
 
     def _after(
         self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]

@@ -12,7 +12,13 @@ from core.environments.dm_control.corridor import observables
 from core.environments.dm_control.corridor.curriculum import OF_ARENA, Curriculum
 from core.environments.dm_control.corridor.lengths import Drawn
 from core.environments.dm_control.corridor.task_options import TaskOptions, check_stands_on_its_feet
-from core.environments.dm_control.corridor.walkers import WALKERS, Arena, Walker, check_is_offered
+from core.environments.dm_control.corridor.walkers import (
+    WALKERS,
+    Arena,
+    Walker,
+    ZeroAction,
+    check_is_offered,
+)
 from core.environments.info import EnvironmentInfo
 from core.environments.options import (
     Range,
@@ -94,6 +100,12 @@ class CorridorOptions(TaskOptions, RunnerOptions, _Place):  # In the schema, the
     healthy_z_range: Range | None = Field(
         None, description="Healthy heights of the trunk, in metres; null: a range that fits the walker."
     )
+    zero_action: ZeroAction | None = Field(
+        None,
+        description="What an action of 0 does: `middle` is a control of 0, by which a servo holds the middle "
+        "of its joint's range; `start` holds the pose of the start. null: `start` for the humanoids with "
+        "servos, `middle` for the others.",
+    )
     exclude_current_positions_from_observation: bool = Field(True, description="Hide x and y.")
     num_next_obstacles: int = Field(
         0, ge=0, le=10, description="How many of the gaps or walls ahead the observation includes."
@@ -106,6 +118,11 @@ class CorridorOptions(TaskOptions, RunnerOptions, _Place):  # In the schema, the
     def healthy_range(self) -> tuple[float, float]:
         """`healthy_z_range`, or a range that fits the walker if it is null."""
         return self.healthy_z_range or WALKERS[self.walker].healthy_z_range
+
+    @property
+    def counts_from_start(self) -> bool:
+        """Whether an action of 0 holds the pose of the start."""
+        return (self.zero_action or WALKERS[self.walker].zero_action) == "start"
 
     @property
     def has_layouts(self) -> bool:

@@ -14,6 +14,7 @@ Walker = Literal[
     "rolling_ball",
 ]
 Arena = Literal["empty", "gaps", "walls"]
+ZeroAction = Literal["middle", "start"]
 
 
 @dataclass(frozen=True)
@@ -24,9 +25,10 @@ class WalkerInfo:
     num_positions, num_velocities: nq and nv, the root's joints included. num_bodies: the trunk's, and those
     that it carries. reach: metres from the trunk to the farthest tip when it stands. standing_height,
     healthy_z_range: height of the trunk above the ground, in metres; docs/environments/corridor.md has the
-    measurements. settles: whether it stands without control. has_ellipsoids, has_cylinders: whether parts
-    that touch the arena are. feet: bodies; their geoms, and those of all that they carry, are dm_control's
-    `ground_contact_geoms`. end_effectors: dm_control's, which are bodies. cameras: in their order.
+    measurements. settles: whether it stands without control. zero_action: the default of the
+    option of this name. has_ellipsoids, has_cylinders: whether parts that touch the arena are. feet: bodies;
+    their geoms, and those of all that they carry, are dm_control's `ground_contact_geoms`. end_effectors:
+    dm_control's, which are bodies. cameras: in their order.
     """
 
     source: str
@@ -44,6 +46,7 @@ class WalkerInfo:
     end_effectors: tuple[str, ...]
     cameras: tuple[str, ...]
     has_cylinders: bool = False
+    zero_action: ZeroAction = "middle"
 
 
 _ANT_FEET = (
@@ -77,6 +80,7 @@ _HUMANOID_2019 = WalkerInfo(
         "walker/bodycam",
         "walker/egocentric",
     ),
+    zero_action="start",
 )
 
 _JUMPING_BALL = WalkerInfo(
@@ -152,10 +156,13 @@ WALKERS: Mapping[Walker, WalkerInfo] = {
             "walker/bodycam",
             "walker/egocentric",
         ),
+        zero_action="start",
     ),
     "humanoid_2019": _HUMANOID_2019,
     "humanoid_2019_torque": replace(
-        _HUMANOID_2019, source="dm_control.locomotion.walkers.cmu_humanoid:CMUHumanoid"
+        _HUMANOID_2019,
+        source="dm_control.locomotion.walkers.cmu_humanoid:CMUHumanoid",
+        zero_action="middle",
     ),
     "jumping_ball": _JUMPING_BALL,
     "rolling_ball": replace(

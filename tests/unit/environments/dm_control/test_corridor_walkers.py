@@ -6,16 +6,21 @@ from inspect import isabstract
 from pkgutil import iter_modules
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
 from core.environments import catalog
+from core.environments.dm_control.corridor.controls import holding_controls
+from core.environments.dm_control.corridor.environment import Corridor
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.model import corridor_model
 from core.environments.dm_control.corridor.walkers import NOT_OFFERED, WALKERS, Walker
 from core.environments.dm_control.dm_control_import import without_a_display
 from core.errors import Rejected
+from core.physics.choose import engine_builder
 from core.physics.model import initial_qpos
 
 # The classes that no corridor has, by the names under which they are refused. "dog" is no class.
@@ -125,6 +130,60 @@ def test_one_ball_jumps_and_both_roll_forward(walker: Walker, least: float, most
         highest = max(highest, float(data.body("walker/head_body").xpos[2]))
     assert data.qpos[0] > 6.0
     assert least < highest < most
+
+
+@pytest.mark.parametrize("walker", ["humanoid", "humanoid_2019"])
+def test_a_humanoid_with_servos_stands_on_for_a_second_under_actions_of_0(walker: Walker) -> None:
+    assert steps_until_it_falls(walker) > 100
+    # Control 0 is the middle of each joint's range: thighs at -70 degrees, knees at 85. It squats.
+    assert 20 < steps_until_it_falls(walker, zero_action="middle") < 40
+
+
+def steps_until_it_falls(walker: Walker, **options: Any) -> int:
+    """Control steps of 0.01 s under actions of 0."""
+    environment = corridor(walker, **options)
+    state, step = environment.reset(jax.random.key(0)), jax.jit(environment.step)
+    number = 0
+    while not state.done:
+        state, number = step(state, jnp.zeros(environment.action_size)), number + 1
+    return number
+
+
+def test_an_action_of_the_humanoid_is_added_to_the_control_that_holds_its_start() -> None:
+    info, model = WALKERS["humanoid"], corridor_model(CorridorOptions(walker="humanoid", arena="empty"))
+    held = holding_controls(model, initial_qpos(model))
+    # A thigh goes from -160 to 20 degrees, so 0 is 70 of 90 degrees above the middle; a knee from 1 to 170.
+    thigh, knee = model.actuator("walker/lfemurrx").id, model.actuator("walker/ltibiarx").id
+    np.testing.assert_allclose([held[thigh], held[knee]], [70 / 90, -1.0], atol=1e-5)
+    environment = corridor("humanoid")
+    start = environment.reset(jax.random.key(0)).physics
+    # The servos' filters begin there, so that nothing pulls as the episode begins.
+    np.testing.assert_allclose(start.act, held, atol=1e-6)
+    action = np.full(info.num_actuators, 0.5, np.float32)
+    got = environment.step(environment.reset(jax.random.key(0)), jnp.asarray(action)).physics
+    expected = environment.engine.step(start, jnp.clip(held + action, -1.0, 1.0))
+    np.testing.assert_array_equal(got.qpos, expected.qpos)
+
+
+@pytest.mark.parametrize("walker", ["ant", "rodent", "humanoid_2019_torque", "rolling_ball"])
+def test_an_action_of_the_others_is_their_control(walker: Walker) -> None:
+    environment = corridor(walker)
+    start = environment.reset(jax.random.key(0))
+    action = jnp.full(environment.action_size, 0.5)
+    expected = environment.engine.step(start.physics, action)
+    np.testing.assert_array_equal(environment.step(start, action).physics.qpos, expected.qpos)
+
+
+def test_the_control_of_a_torque_that_holds_a_pose_is_0() -> None:
+    model = corridor_model(CorridorOptions(walker="humanoid_2019_torque", arena="empty"))
+    np.testing.assert_array_equal(holding_controls(model, initial_qpos(model)), np.zeros(56))
+
+
+def corridor(walker: Walker, **options: Any) -> Corridor:
+    info, parsed = catalog.resolve("corridor", {"walker": walker, "arena": "empty", **options})
+    environment = catalog.make(info, parsed, engine_builder("native"))
+    assert isinstance(environment, Corridor)
+    return environment
 
 
 def _foot_geoms(model: mujoco.MjModel, feet: tuple[str, ...]) -> set[str]:
