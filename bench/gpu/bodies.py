@@ -50,7 +50,7 @@ def measure(options: Options) -> Result:
 
 def _pair(device: Device, body: str, seed: int, options: Options) -> list[Work]:
     given = _settings(device, body, options)
-    engine = requests.engine(device, body, given)
+    engine = requests.engine(device, body, given, quick=options.quick)
     ours = requests.ours(device, body, engine, given, seed=seed)
     brax = requests.brax(device, body, engine, given, seed=seed, epochs=_NUM_EVALS - 1)
     # One cache for both: they share no programs, but all of Warp's kernels.

@@ -51,7 +51,7 @@ def _works(device: Device, body: str, size: int, options: Options) -> tuple[Work
     given = requests.settings(device, body, options)
     if options.quick:
         given = requests.whole_updates(device, body, given, 4)
-    request = requests.ours(device, body, requests.engine(device, body, given), given)
+    request = requests.ours(device, body, requests.engine(device, body, given, quick=options.quick), given)
     module = "bench.ours.train_ppo"
     if size > 1:
         del request["seed"]

@@ -19,7 +19,7 @@ def measure(options: Options) -> Result:
     device = requests.gpu("gpu_corridor", options)
     small = {"num_envs": 8, "batch_size": 8, "num_minibatches": 2} if options.quick else {}
     given = requests.settings(device, _BODY, Options(out=options.out), num_evals=0, **small)
-    engine = requests.engine(device, _BODY, given)
+    engine = requests.engine(device, _BODY, given, quick=options.quick)
     whole = requests.whole_updates(device, _BODY, given, 4 if options.quick else _UPDATES)
     ours = {**requests.ours(device, _BODY, engine, whole), "physics_s": 0.1 if options.quick else 5.0}
     composed = {

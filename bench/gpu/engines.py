@@ -40,7 +40,10 @@ def measure(options: Options) -> Result:
     runs.make_together(
         (_work(device, body, engine, options) for body, engine in pairs), at_once=_AT_ONCE, in_turns=True
     )
-    taken = {body: requests.engine(device, body, _settings(device, body, options)) for body in bodies}
+    taken = {
+        body: requests.engine(device, body, _settings(device, body, options), quick=options.quick)
+        for body in bodies
+    }
     rates = {name: rate(run["training"]) for name, run in runs.done.items()}
     return Result(
         name="gpu_engines",

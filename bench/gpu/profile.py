@@ -21,7 +21,8 @@ def measure(options: Options) -> Result:
     bodies = [body for body in _BODIES if body in catalog.ENVIRONMENTS]
     bodies = ["inverted_pendulum"] if options.quick else bodies
     engines = {
-        body: requests.engine(device, body, requests.settings(device, body, options)) for body in bodies
+        body: requests.engine(device, body, requests.settings(device, body, options), quick=options.quick)
+        for body in bodies
     }
     runs = Runs("gpu_profile", options)
     runs.make(

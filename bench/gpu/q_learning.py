@@ -6,8 +6,6 @@ from bench.measure import requests
 from bench.measure.comparison import rate
 from bench.measure.result import Figure, Options, Result
 from bench.measure.runs import Runs, Work
-from core.environments import catalog
-from core.physics.availability import choose
 
 _NUM_ENVS = 4096
 _ROUNDS = 4
@@ -17,7 +15,7 @@ _FASTEST, _NATIVE = f"rate-{_NUM_ENVS}", f"rate-{_NUM_ENVS}-native"
 def measure(options: Options) -> Result:
     """As on the CPU, on the engine that `auto` picks; and the rate of many environments, also on `native`."""
     device = requests.gpu("gpu_q_learning", options)
-    engine = choose("auto", device, 100, catalog.find("brittle_star").rules_on(device)).name
+    engine = requests.engine_for(device, "brittle_star", 100, quick=options.quick)
     # Two decisions are enough: a round of any length has the same rate of steps.
     num_envs = 4 if options.quick else _NUM_ENVS
     many = {

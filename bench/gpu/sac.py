@@ -94,7 +94,7 @@ def _request(
         given = {"num_timesteps": 5_120, "num_evals": 2, "num_eval_envs": 2, "episode_length": 20}
         given |= {"min_replay_size": 128} if algorithm == "sac" else {}
         mark = Mark("eval/episode_reward", 1e9, "")
-    engine = requests.engine(device, trained, {})
+    engine = requests.engine(device, trained, {}, quick=options.quick)
     request = requests.ours(device, trained, engine, {"kind": algorithm, **given}, seed=seed)
     return {**request, "mark": mark.in_request(), "most_s": body.most_s}
 

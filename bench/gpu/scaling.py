@@ -72,5 +72,5 @@ def _request(device: Device, body: str, devices: int, options: Options) -> dict[
         "batch_size": one.batch_size * devices,
         "num_timesteps": updates * one.env_steps_per_update * devices,
     }
-    engine = requests.engine(device, body, given)
+    engine = requests.engine(device, body, given, quick=options.quick)
     return {**requests.ours(device, body, engine, settings), "devices": devices, "epoch_s": 0.25}

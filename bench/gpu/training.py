@@ -34,7 +34,7 @@ def compare(plan: Plan, options: Options) -> Result:
     name = f"gpu_{plan.environment}"
     device, environment = requests.gpu(name, options), requests.body(plan.environment, options)
     given = _settings(device, environment, plan, options)
-    engine = requests.engine(device, environment, given)
+    engine = requests.engine(device, environment, given, quick=options.quick)
     runs = Runs(name, options)
     seeds = range(options.seeds or (2 if options.quick else 3))
     # A job's defaults when it names only the body, to see what its evaluations cost.

@@ -7,7 +7,7 @@ from core.algorithms.catalog import resolve
 from core.algorithms.ppo.spec import PPOSpec
 from core.environments import catalog
 from core.environments.info import Device
-from core.physics.availability import EngineName, choose
+from core.physics.availability import EngineName, choose, is_installed
 from worker.host.device import visible_gpus
 
 Settings = dict[str, Any]
@@ -78,10 +78,25 @@ def equal_budget(device: Device, environment: str, given: Settings, *, epochs: i
     return {**given, "num_timesteps": -(-spec.num_timesteps // quantum) * quantum}
 
 
-def engine(device: Device, environment: str, given: Settings) -> EngineName:
-    """The engine that `auto` picks."""
-    num_envs = resolved(device, environment, given).num_envs
-    return choose("auto", device, num_envs, catalog.find(environment).rules_on(device)).name
+def engine(device: Device, environment: str, given: Settings, *, quick: bool = False) -> EngineName:
+    """The engine that `auto` picks under these settings; see `engine_for`."""
+    return engine_for(device, environment, resolved(device, environment, given).num_envs, quick=quick)
+
+
+def engine_for(device: Device, environment: str, num_envs: int, *, quick: bool = False) -> EngineName:
+    """The engine that `auto` picks. quick: whether the bench is only tried out.
+
+    Exits with a sentence if a GPU's engine is not installed here: `auto` would take another one, and the
+    bench would measure that.
+    """
+    rules = catalog.find(environment).rules_on(device)
+    wanted = next((rule.engine for rule in rules if rule.fits(num_envs, None)), None)
+    if device == "gpu" and not quick and wanted is not None and not is_installed(wanted):
+        raise SystemExit(
+            f"On a GPU, {environment} runs on the engine {wanted!r}, which is not installed here. Install it "
+            f"with `uv sync --inexact --extra {wanted}`."
+        )
+    return choose("auto", device, num_envs, rules).name
 
 
 def ours(device: Device, environment: str, engine: str, given: Settings, *, seed: int = 0) -> dict[str, Any]:

@@ -1,20 +1,19 @@
 """The compiled functions of a run: traced and compiled once, before the first step."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.stages import Compiled, Lowered
 
 from core.algorithms.algorithm import Algorithm, Failure, S
 from core.algorithms.epoch import updates_until
 from core.algorithms.evaluation import EpisodeTotals
 from core.algorithms.events import Phase
+from core.compilation import compiled_side_by_side
 from core.environments.wrappers.vectorized import ENVS
 
 
@@ -59,7 +58,7 @@ def trace(algorithm: Algorithm[S]) -> Callable[[], CompiledFunctions[S]]:
     )
 
     def compile_all() -> CompiledFunctions[S]:
-        init, epoch, evaluate = _compiled_side_by_side(lowered)
+        init, epoch, evaluate = compiled_side_by_side(lowered, compiler_options())
         return CompiledFunctions(init, epoch, algorithm.sharding.on_the_first(evaluate))
 
     return compile_all
@@ -81,7 +80,7 @@ def trace_cohort(
         jax.jit(epoch, donate_argnums=0).lower(state, hyperparameters, count),
         jax.jit(evaluate).lower(algorithm.evaluated(state), state.eval_key, state.num_updates),
     )
-    return lambda: CompiledFunctions(*_compiled_side_by_side(lowered))
+    return lambda: CompiledFunctions(*compiled_side_by_side(lowered, compiler_options()))
 
 
 def _epoch(algorithm: Algorithm[S]) -> Callable[[S, Any, jax.Array], tuple[S, dict[str, jax.Array], Failure]]:
@@ -89,13 +88,6 @@ def _epoch(algorithm: Algorithm[S]) -> Callable[[S, Any, jax.Array], tuple[S, di
         return updates_until(algorithm.update, state, hyperparameters, until)
 
     return epoch
-
-
-def _compiled_side_by_side(lowered: Iterable[Lowered]) -> Sequence[Compiled]:
-    """The compiled programs; each is compiled in a thread of its own."""
-    options = compiler_options()
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda function: function.compile(options), lowered))
 
 
 def compiler_options() -> Any:

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from core.compilation import compiled_side_by_side
 from core.environments.environment import Environment, State
 from core.environments.trajectory import ARENA, Episode, Trajectory, describe
 
@@ -67,6 +68,7 @@ class Roller:
         self._num_envs = num_envs
         self._reset = jax.jit(jax.vmap(environment.reset))
         self._advance = jax.jit(lambda *state: _advance(environment, policy, *state))
+        self._compiled: Sequence[Callable[..., Any]] = ()
 
     def episodes(
         self, parameters: Any, key: jax.Array, *, num_steps: int, num_episodes: int | None
@@ -84,7 +86,10 @@ class Roller:
             first += self._num_envs
 
     def _batch(self, parameters: Any, keys: jax.Array, num_steps: int, wanted: int) -> Iterator[Episode]:
-        state: State = self._reset(keys)
+        if not self._compiled:
+            self._compiled = self._compile(parameters, keys)
+        reset, advance = self._compiled
+        state: State = reset(keys)
         start = _observed(state)
         arenas = {
             name: np.asarray(own) for name in ARENA if (own := state.physics.model.get(name)) is not None
@@ -93,7 +98,7 @@ class Roller:
         running = np.ones(wanted, bool)
         taken = 0
         while taken < num_steps and running.any():
-            state, observed = self._advance(parameters, state, keys, jnp.int32(taken))
+            state, observed = advance(parameters, state, keys, jnp.int32(taken))
             row = _Row(**{name: jax.tree.map(np.asarray, values) for name, values in observed.items()})
             rows.append(row)
             running &= ~(row.done[:, :wanted] > 0).any(axis=0)
@@ -107,6 +112,13 @@ class Roller:
             measured = {name: values[:, env] for name, values in metrics.items()}
             episode = _episode(self._environment, begin, own, measured, num_steps)
             yield replace(episode, arena={name: values[env] for name, values in arenas.items()})
+
+    def _compile(self, parameters: Any, keys: jax.Array) -> Sequence[Callable[..., Any]]:
+        """`reset` and `advance`. Left to `jax.jit`, `advance` would be compiled again for the states that it
+        returns, if a step's values are weakly typed and a reset's are not."""
+        state = jax.eval_shape(self._reset, keys)
+        advance = self._advance.lower(parameters, state, keys, jnp.int32(0))
+        return compiled_side_by_side((self._reset.lower(keys), advance))
 
 
 def rollout(

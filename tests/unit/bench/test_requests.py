@@ -6,6 +6,7 @@ from bench.measure import requests
 from bench.measure.result import Options
 from bench.peers.published import PUBLISHED
 from core.errors import Rejected
+from core.physics import availability
 
 SMALL = {"num_envs": 8, "batch_size": 4, "num_minibatches": 4, "unroll_length": 5}  # 80 steps an update
 
@@ -32,3 +33,14 @@ def test_a_gpu_bench_is_not_made_without_one(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(SystemExit, match="gpu_ant needs a GPU"):
         requests.gpu("gpu_ant", Options())
     assert requests.gpu("gpu_ant", Options(quick=True)) == "cpu"
+
+
+def test_a_gpu_bench_is_not_made_on_another_engine_than_that_of_its_body(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(availability.PACKAGES, "warp", "no_such_package")
+    with pytest.raises(SystemExit, match="'warp', which is not installed here"):
+        requests.engine("gpu", "rodent", {})
+    assert requests.engine("gpu", "rodent", {}, quick=True) != "warp"
+    monkeypatch.setitem(availability.PACKAGES, "warp", "json")  # Any that is there.
+    assert requests.engine("gpu", "rodent", {}) == "warp"

@@ -124,6 +124,33 @@ def test_new_parameters_need_no_new_compilation() -> None:
     assert len(compiled) == 1
 
 
+@dataclass(frozen=True)
+class _WeaklyDone(Wrapped):
+    """`done` is weakly typed after a step, and not after a reset, as in most bodies."""
+
+    dt = 1.0
+    episode_length = 450
+
+    def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State:
+        return self.environment.reset(key, model)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return replace(self.environment.step(state, action), done=jnp.where(action[0] > 1, 1.0, 0.0))
+
+
+def test_the_states_of_a_step_need_no_new_compilation() -> None:
+    traced: list[int] = []
+
+    def act(_: object, state: State, key: jax.Array) -> jax.Array:
+        traced.append(1)
+        return jnp.zeros(1)
+
+    roller = Roller(_WeaklyDone(probes.endless()), act)
+    [episode] = roller.episodes(None, KEY, num_steps=450, num_episodes=1)  # Three compiled calls.
+    assert episode.num_steps == 450
+    assert len(traced) == 1
+
+
 def test_footage_goes_on_with_another_episode_and_stops_on_time() -> None:
     # Episodes of two steps of 1 s each; 5 s are two and a half of them.
     roller = Roller(probes.delayed_reward(), lambda _, observation, key: jnp.zeros(1))
