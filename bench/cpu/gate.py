@@ -99,13 +99,15 @@ def _ours(device: Device, body: str, gate: Gate, options: Options, seed: int) ->
     budget = {"num_timesteps": gate.most_steps, "num_evals": gate.most_steps // gate.every_steps}
     if gate.algorithm == "sac":
         given = requests.off_policy(options, **{"num_eval_envs": NUM_EPISODES, **budget})
-        request = requests.ours(device, body, requests.engine(device, body, {}), given, seed=seed)
+        request = requests.ours(
+            device, body, requests.engine(device, body, {}, quick=options.quick), given, seed=seed
+        )
         return {**request, "mark": _mark(gate, options)}
     given = requests.settings(device, body, options, **budget)
     given["num_eval_envs"] = 2 if options.quick else NUM_EPISODES
     if options.quick:
         given = requests.whole_updates(device, body, {**given, "num_evals": 2}, 4)
-    engine = requests.engine(device, body, given)
+    engine = requests.engine(device, body, given, quick=options.quick)
     request = requests.ours(device, body, engine, given, seed=seed)
     return {**request, "mark": _mark(gate, options)}
 

@@ -65,8 +65,9 @@ def _requests(
     budget = requests.resolved(device, "corridor", given).num_timesteps
     many = {**_SEES, "num_layouts": 2 if options.quick else _NUM_LAYOUTS}
     curriculum = {"start": {"gap_length": [0.0, 0.05]}, "over_steps": budget // 2}
+    engine = requests.engine(device, "corridor", given, quick=options.quick)
     request = {
-        **requests.ours(device, "corridor", requests.engine(device, "corridor", given), given, seed=seed),
+        **requests.ours(device, "corridor", engine, given, seed=seed),
         "tried": {"own": {}, "unseen": {"arena_seed": _UNSEEN_SEED, "num_layouts": many["num_layouts"]}},
         "episodes": 4 if options.quick else _EPISODES,
         "steps": 20 if options.quick else _EPISODE_STEPS,

@@ -112,9 +112,8 @@ def _notes(num_seeds: int) -> list[str]:
     return [
         "Both trainers run the same environment on the same engine, the one `auto` takes, with the body's "
         "tuned settings and its whole budget, to the step, every episode beginning at the environment's own "
-        f"first state, as in Brax; {_NUM_EVALS} evaluations of 128 episodes each. Brax publishes PPO "
-        "settings for the ant, the half cheetah and the humanoid, which are these; for the hopper and the "
-        "walker it publishes SAC's, so PPO's are this project's own.",
+        f"first state, as in Brax; {_NUM_EVALS} evaluations of 128 episodes each. Where ours lowers its "
+        "learning rate along a line, Brax's stays: it has no such schedule.",
         f"Seeds of each: {num_seeds}, or one where no error is given. {_AT_ONCE} runs shared the card at "
         "any time, so their wall times say nothing; gpu_ant and gpu_humanoid measure wall times, "
         "gpu_engines measures rates.",

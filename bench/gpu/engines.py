@@ -36,14 +36,14 @@ def measure(options: Options) -> Result:
         *(pair for body in bodies for engine in on_device if (pair := (body, engine)) not in _LEFT_OUT),
         *((body, "native") for body in bodies),
     ]
-    runs = Runs("gpu_engines", options)
-    runs.make_together(
-        (_work(device, body, engine, options) for body, engine in pairs), at_once=_AT_ONCE, in_turns=True
-    )
     taken = {
         body: requests.engine(device, body, _settings(device, body, options), quick=options.quick)
         for body in bodies
     }
+    runs = Runs("gpu_engines", options)
+    runs.make_together(
+        (_work(device, body, engine, options) for body, engine in pairs), at_once=_AT_ONCE, in_turns=True
+    )
     rates = {name: rate(run["training"]) for name, run in runs.done.items()}
     return Result(
         name="gpu_engines",

@@ -121,8 +121,9 @@ def brax(  # noqa: PLR0913 - as ours, and how often it reports
     epochs: int,
     evaluate: bool = True,
 ) -> dict[str, Any]:
-    """A request for bench.peers.train_brax, whose learning rate stays: Brax cannot lower it by a line."""
-    kept: Settings = {**given, "learning_rate_schedule": "NONE"}
-    request = ours(device, environment, engine, kept, seed=seed)
+    """A request for bench.peers.train_brax. A learning rate that falls along a line stays: Brax has none."""
+    if resolved(device, environment, given).learning_rate_schedule == "LINEAR":
+        given = {**given, "learning_rate_schedule": "NONE"}
+    request = ours(device, environment, engine, given, seed=seed)
     del request["checkpoint_every_steps"]
     return {**request, "epochs": epochs, "evaluate": evaluate}

@@ -75,7 +75,10 @@ class Task:
 
     @contextmanager
     def _training(self, settings: dict[str, Any], seed: int) -> Iterator[Iterator[Sequence[float]]]:
-        """[steps, value, seconds at work] of each evaluation of a run, which ends with the block."""
+        """[steps, value, seconds at work] of each evaluation of a run, which ends with the block.
+
+        Its budget is never spent, so a learning rate that falls with the budget hardly does.
+        """
         budget = {"num_timesteps": _NUM_EVALS * self.every_steps, "num_evals": _NUM_EVALS}
         given = {**settings, **budget, "num_eval_envs": NUM_EPISODES}
         engine = requests.engine(self.device, self.environment, given)

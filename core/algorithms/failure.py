@@ -13,7 +13,8 @@ from core.algorithms.experience import Outcome, lost_too_many
 def find_failure(next_observation: Any, outcome: Outcome, learnt: Sequence[jax.Array]) -> Failure:
     """What was not finite in an update, in the order in which one spoils the next.
 
-    next_observation: arrays [T, N, ...]. learnt: [] bool, for each quantity after observation and reward.
+    next_observation: arrays [T, N, size]. learnt: for each further quantity, [] bool, true where it is not
+    finite.
     """
     seen = [jnp.all(jnp.isfinite(x), axis=(1, 2)) for x in jax.tree.leaves(next_observation)]
     bad_obs = ~jnp.all(jnp.stack(seen), axis=0) | lost_too_many(outcome)

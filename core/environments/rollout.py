@@ -58,7 +58,8 @@ class _Row:
 
 
 class Roller:
-    """Compiles a policy's episodes in an environment once, for any parameters, seed, length and number.
+    """Compiles a policy's episodes in an environment once, for parameters of the first ones' shapes and any
+    seed, length and number.
 
     num_envs: episodes that run side by side; results do not depend on it.
     """

@@ -23,6 +23,14 @@ def test_the_ants_published_budget_is_93_updates_of_both() -> None:
     assert given["num_timesteps"] == 93 * 327_680
 
 
+def test_brax_keeps_the_rate_that_ours_lowers_along_a_line_and_no_other_schedule_is_replaced() -> None:
+    asked = requests.brax("gpu", "hopper", "native", {}, epochs=1)["settings"]
+    assert asked == {"learning_rate_schedule": "NONE"}
+    adaptive = {"learning_rate_schedule": "ADAPTIVE_KL"}
+    assert requests.brax("gpu", "hopper", "native", adaptive, epochs=1)["settings"] == adaptive
+    assert requests.brax("gpu", "ant", "native", {}, epochs=1)["settings"] == {}
+
+
 def test_settings_that_do_not_go_together_are_refused_before_anything_runs() -> None:
     with pytest.raises(Rejected, match="num_envs"):
         requests.settings("gpu", "ant", Options(), num_envs=3000)

@@ -359,6 +359,8 @@ def test_a_rollout_may_lay_the_arena_out_anew_and_change_nothing_that_the_policy
         roll_out(walker="rodent")
     with pytest.raises(Rejected, match=r"must be the same\."):
         roll_out(kind="train", arena_seed=99)
+    # What an action of 0 does to a humanoid has changed: a policy of before goes on as it learned.
+    assert roll_out(zero_action="middle").spec.kind == "rollout"
 
 
 def test_a_rollout_that_would_not_fit_into_memory_is_refused(service: Service) -> None:

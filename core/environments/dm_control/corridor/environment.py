@@ -87,7 +87,11 @@ class Corridor(MujocoEnv):
         physics = noisy_start(self, key, own, self._options.reset_noise_scale, normal_velocity=False)
         if self._held is not None:
             # A servo with a filter begins where its control will be, or it would pull at the first steps.
-            physics = replace(physics, act=jnp.asarray(self._held[self.model.actuator_actadr >= 0]))
+            physics = replace(
+                physics,
+                act=jnp.asarray(self._held[self.model.actuator_actadr >= 0]),
+                derived=_without_forces(physics.derived),
+            )
         return initial(self._after(physics, physics, jnp.zeros(self.action_size), info))
 
     def step(self, state: State, action: jax.Array) -> State:
@@ -166,6 +170,12 @@ class Corridor(MujocoEnv):
         ahead = jnp.minimum(rows[:, :2] - at[0], SIGHT_M)
         left = jnp.where(ahead[:, :1] < SIGHT_M, rows[:, 2:] - at[1], 0.0)
         return jnp.concatenate([ahead, left], axis=1).ravel()
+
+
+def _without_forces(derived: Mapping[str, jax.Array]) -> Mapping[str, jax.Array]:
+    """With no force of an actuator, as nothing pulls yet; the engine took the filters to be at 0."""
+    name = "qfrc_actuator"
+    return {**derived, name: jnp.zeros_like(derived[name])} if name in derived else derived
 
 
 def _target_velocities(options: CorridorOptions) -> jax.Array | None:

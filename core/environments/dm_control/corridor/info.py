@@ -284,7 +284,8 @@ INFO = EnvironmentInfo(
     factory="core.environments.dm_control.corridor.environment:make",
     package="dm_control",
     options=CorridorOptions,
-    free_in_rollouts=tuple(name for name in _Place.model_fields if name != "walker"),
+    # A policy of before `zero_action` acts as it learned to with "middle".
+    free_in_rollouts=(*(name for name in _Place.model_fields if name != "walker"), "zero_action"),
     vary=_under,
     slices=spaces,
     **_under(CorridorOptions.model_validate({})),

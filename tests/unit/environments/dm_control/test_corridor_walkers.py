@@ -165,6 +165,11 @@ def test_an_action_of_the_humanoid_is_added_to_the_control_that_holds_its_start(
     np.testing.assert_array_equal(got.qpos, expected.qpos)
 
 
+def test_a_humanoid_that_begins_sees_that_no_servo_pulls() -> None:
+    state = corridor("humanoid", observables=["qfrc_actuator"]).reset(jax.random.key(0))
+    np.testing.assert_array_equal(state.obs[-62:], np.zeros(62))
+
+
 @pytest.mark.parametrize("walker", ["ant", "rodent", "humanoid_2019_torque", "rolling_ball"])
 def test_an_action_of_the_others_is_their_control(walker: Walker) -> None:
     environment = corridor(walker)
