@@ -11,7 +11,7 @@ from core.algorithms.experience import Outcome, lost_too_many
 
 
 def find_failure(next_observation: Any, outcome: Outcome, learnt: Sequence[jax.Array]) -> Failure:
-    """What was not finite in an update, in the order in which one spoils the next.
+    """Which quantities of an update were not finite. Each may spoil those after it.
 
     next_observation: arrays [T, N, size]. learnt: for each further quantity, [] bool, true where it is not
     finite.

@@ -359,7 +359,7 @@ def test_a_rollout_may_lay_the_arena_out_anew_and_change_nothing_that_the_policy
         roll_out(walker="rodent")
     with pytest.raises(Rejected, match=r"must be the same\."):
         roll_out(kind="train", arena_seed=99)
-    # What an action of 0 does to a humanoid has changed: a policy of before goes on as it learned.
+    # An action of 0 used to mean another pose for a humanoid. An older policy still needs that pose.
     assert roll_out(zero_action="middle").spec.kind == "rollout"
 
 

@@ -284,7 +284,7 @@ INFO = EnvironmentInfo(
     factory="core.environments.dm_control.corridor.environment:make",
     package="dm_control",
     options=CorridorOptions,
-    # A policy of before `zero_action` acts as it learned to with "middle".
+    # A policy that is older than `zero_action` needs "middle".
     free_in_rollouts=(*(name for name in _Place.model_fields if name != "walker"), "zero_action"),
     vary=_under,
     slices=spaces,
