@@ -25,7 +25,7 @@ from core.physics.compiled.code.ptx import ptx
 from core.physics.compiled.program.program import Assign, Branch, Loop, Output, Program, Statement
 from core.physics.compiled.refusal import check_covered
 from core.physics.engine import Engine, SolverSettings
-from core.physics.model import enough_iterations, with_solver
+from core.physics.model import with_solver_of_compiled
 
 _GIVEN = ("constant", "input")
 _CARDS = "9.0"  # H100 and H200
@@ -95,7 +95,7 @@ class _Asking:
         *,
         accelerated: SolverSettings | None = None,
     ) -> Engine:
-        raise _Found(enough_iterations(with_solver(model, accelerated)))
+        raise _Found(with_solver_of_compiled(model, accelerated))
 
 
 def model_of(environment: str) -> mujoco.MjModel:

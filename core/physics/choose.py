@@ -7,7 +7,12 @@ import mujoco
 
 from core.physics.availability import EngineChoice, EngineName, check_installed, choose
 from core.physics.engine import DERIVED_FIELDS, Engine, EngineBuilder, SolverSettings
-from core.physics.model import with_asked_solver, with_enough_iterations, with_solver
+from core.physics.model import (
+    with_asked_solver,
+    with_enough_iterations,
+    with_solver,
+    with_solver_of_compiled,
+)
 
 __all__ = ["EngineChoice", "choose", "engine_builder"]
 
@@ -49,7 +54,7 @@ class _Builder:
                 from core.physics.compiled.refusal import check_solver
 
                 check_solver(accelerated)
-                return CompiledEngine(with_enough_iterations(model, accelerated), num_substeps, derived)
+                return CompiledEngine(with_solver_of_compiled(model, accelerated), num_substeps, derived)
             case _:
                 assert_never(self.name)
 

@@ -143,6 +143,7 @@ class SolverSettings:
 
     implicit_damping: Euler's implicit joint damping, which costs one more factorisation per substep.
     asked: the names of the fields that the job itself gives; every engine takes these as they are.
+    compiled: what `compiled` takes in place of all of these; if None, it takes these.
     """
 
     iterations: int
@@ -150,6 +151,7 @@ class SolverSettings:
     implicit_damping: bool
     solver: Literal["newton", "cg"] = "newton"
     asked: frozenset[str] = frozenset()
+    compiled: "SolverSettings | None" = None
 
     @classmethod
     def of_job(

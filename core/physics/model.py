@@ -86,6 +86,12 @@ def with_enough_iterations(model: mujoco.MjModel, settings: "SolverSettings | No
     return changed if given else enough_iterations(changed)
 
 
+def with_solver_of_compiled(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
+    """A copy of the model as `compiled` steps it."""
+    own = settings.compiled if settings is not None else None
+    return with_enough_iterations(model, own or settings)
+
+
 def enough_iterations(model: mujoco.MjModel) -> mujoco.MjModel:
     """The model (changed) with the two solver iterations that `warp` and `compiled` make at least.
 

@@ -10,7 +10,7 @@ from core.environments.randomization import FIELDS
 from core.errors import JobFailed
 from core.physics.compiled.refusal import check_covered, check_own, check_solver
 from core.physics.engine import CONSTANTS, Engine, SolverSettings
-from core.physics.model import with_solver
+from core.physics.model import with_solver_of_compiled
 
 # Options that change the model, and not only the reward.
 CHANGED: list[tuple[str, dict[str, Any]]] = [
@@ -60,7 +60,7 @@ class Asking:
         *,
         accelerated: SolverSettings | None = None,
     ) -> Engine:
-        raise Asked(with_solver(model, accelerated), derived, accelerated)
+        raise Asked(with_solver_of_compiled(model, accelerated), derived, accelerated)
 
 
 def asked_for(environment: str, options: dict[str, Any]) -> Asked:

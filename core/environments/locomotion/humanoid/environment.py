@@ -10,6 +10,7 @@ import numpy as np
 from core.environments import rewards
 from core.environments.environment import State
 from core.environments.locomotion.humanoid.info import HumanoidOptions
+from core.environments.locomotion.solver import BRAX_SOLVER
 from core.environments.mujoco_env import (
     MujocoEnv,
     control_range,
@@ -19,7 +20,7 @@ from core.environments.mujoco_env import (
     travel,
 )
 from core.environments.simulation import SHARE_VELOCITY, Ends, Noise, Simulation, numbers, rows
-from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
+from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState
 from core.physics.model import brax_model, brax_spec
 
 _NUM_SUBSTEPS = 5
@@ -41,12 +42,11 @@ class Humanoid(MujocoEnv):
 
     def __init__(self, options: HumanoidOptions, build_engine: EngineBuilder) -> None:
         model = brax_model("humanoid")
-        accelerated = SolverSettings(iterations=1, ls_iterations=4, implicit_damping=False)
         hidden = 2 if options.exclude_current_positions_from_observation else 0
         num_bodies = model.nbody - 1
         super().__init__(
             model,
-            build_engine(model, _NUM_SUBSTEPS, _DERIVED, accelerated=accelerated),
+            build_engine(model, _NUM_SUBSTEPS, _DERIVED, accelerated=BRAX_SOLVER),
             num_substeps=_NUM_SUBSTEPS,
             # For each body: its inertia [3, 3] and mass; its linear and angular velocity.
             observation_size=model.nq - hidden + model.nv + 10 * num_bodies + 6 * num_bodies + model.nv,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from core.physics.compiled.program.interpret import interpret
 from core.physics.compiled.program.program import Program
 from core.physics.compiled.substep import State, read_model, substep
-from core.physics.model import enough_iterations, with_solver
+from core.physics.model import with_solver_of_compiled
 from tests.unit.physics.compiled.test_machine_code import run
 from tests.unit.physics.compiled.test_substep import (
     Arrays,
@@ -73,15 +73,15 @@ class Case:
 @cache
 def case_of(name: str) -> Case:
     model, settings = of_environment(name)
-    trained = enough_iterations(with_solver(model, settings))
-    assert (trained.opt.iterations, trained.opt.ls_iterations) == (2, 4)
+    trained = with_solver_of_compiled(model, settings)
+    assert (trained.opt.iterations, trained.opt.ls_iterations) == (4, 8)
     datas = states(trained, NUM_STATES)
     given = dict[str, Arrays]()
     for field in ("qpos", "qvel", "qacc_warmstart", "ctrl"):
         for data in datas:
             getattr(data, field)[:] = np.float32(getattr(data, field))
         given[field] = of_all(datas, field)
-    return Case(given, datas, trained, converge(copy(trained), implicit_damping=False))
+    return Case(given, datas, trained, converge(copy(trained), implicit_damping=True))
 
 
 def quantiles(errors: NDArray[np.floating]) -> NDArray[np.float64]:
