@@ -143,7 +143,7 @@ class SolverSettings:
 
     implicit_damping: Euler's implicit joint damping, which costs one more factorisation per substep.
     asked: the names of the fields that the job itself gives; every engine takes these as they are.
-    compiled: what `compiled` takes in place of all of these; if None, it takes these.
+    compiled: what `compiled` takes in place of all of these, `asked` included; if None, it takes these.
     """
 
     iterations: int

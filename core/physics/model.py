@@ -83,7 +83,7 @@ def with_enough_iterations(model: mujoco.MjModel, settings: "SolverSettings | No
     least, unless the job itself gives a number."""
     changed = with_solver(model, settings)
     given = settings is not None and "iterations" in settings.asked
-    return changed if given else enough_iterations(changed)
+    return changed if given else _enough_iterations(changed)
 
 
 def with_solver_of_compiled(model: mujoco.MjModel, settings: "SolverSettings | None") -> mujoco.MjModel:
@@ -92,7 +92,7 @@ def with_solver_of_compiled(model: mujoco.MjModel, settings: "SolverSettings | N
     return with_enough_iterations(model, own or settings)
 
 
-def enough_iterations(model: mujoco.MjModel) -> mujoco.MjModel:
+def _enough_iterations(model: mujoco.MjModel) -> mujoco.MjModel:
     """The model (changed) with the two solver iterations that `warp` and `compiled` make at least.
 
     Measured with the ant on `warp`, 30 M steps on an H200: a return of 3,086 ± 222 (3 seeds) with one

@@ -2,8 +2,8 @@
 
 from core.physics.engine import SolverSettings
 
-# Brax's settings for MJX, where each iteration is dear. `compiled` goes as far as MuJoCo needs: with two
-# iterations a policy learns to do what MuJoCo does not let it do, and falls there.
+# Brax's settings for MJX, where each iteration is dear. `compiled` goes nearly as far as MuJoCo: a humanoid
+# that learned with two iterations fell in MuJoCo itself.
 BRAX_SOLVER = SolverSettings(
     iterations=1,
     ls_iterations=4,

@@ -86,7 +86,7 @@ HALF_CHEETAH: Mapping[Device, PPOSpec] = {
         batch_size=512,
         num_updates_per_batch=8,
         learning_rate=6e-4,
-        entropy_cost=3e-2,  # With 1e-2 it is slower in each of nine seeds, and one of 23 stayed at 2,600.
+        entropy_cost=3e-2,  # With 1e-2 six of nine seeds were slower, and one of 23 stayed at 2,600.
         discounting=0.97,
     ),
 }
