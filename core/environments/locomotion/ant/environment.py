@@ -25,8 +25,8 @@ def make(options: AntOptions, build_engine: EngineBuilder) -> "Ant":
 
 
 def _spec() -> mujoco.MjSpec:
-    """Brax's ant with MuJoCo's own limit of 100 solver iterations. Its file allows 4, which was too few in 1 of
-    200 steps of a running ant; it stumbled there. Most steps make 1 to 3."""
+    """Brax's ant with MuJoCo's own limit of 100 solver iterations. Its file allows 4, which was too few in
+    1 of 200 steps of a running ant; it stumbled there. Most steps make 1 to 3."""
     spec = brax_spec("ant")
     spec.option.iterations = 100
     return spec

@@ -3,9 +3,9 @@
 Bounds. A computation that is as good as single precision allows makes the error that rounding its inputs
 would make: u = 2⁻²⁴ in each, times how much the result changes with them (its condition, which is measured
 here on the same states, in double precision). Code that rounds at each of thousands of operations is allowed
-ROUNDINGS times that; measured with explicit damping were 0.5 to 1.8 times (ant) and 0.5 to 7.6 times (humanoid). In numbers: the
-relative error of qacc is 1.1e-6 at the median and 1.6e-5 at the 99th percentile (ant), 3.5e-5 and 2.2e-4
-(humanoid).
+ROUNDINGS times that; measured, with explicit damping, were 0.5 to 1.8 times (ant) and 0.5 to 7.6 times
+(humanoid). In numbers: the relative error of qacc was 1.1e-6 at the median and 1.6e-5 at the 99th percentile
+(ant), 3.5e-5 and 2.2e-4 (humanoid).
 """
 
 from collections.abc import Sequence
