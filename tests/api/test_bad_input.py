@@ -89,6 +89,17 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "/algorithm/action_set",
             "it has a central pattern generator only with the option \"control\": \"cpg\"",
         ),
+        (
+            q_learning(action_set={"kind": "arm_amplitudes"})
+            | {
+                "environment": {
+                    "id": "brittle_star",
+                    "options": {"control": "cpg", "num_segments_per_arm": [5, 0, 5, 0, 5]},
+                }
+            },
+            "/algorithm/action_set",
+            "num_segments_per_arm leaves out arm 1, 3",
+        ),
         (q_learning(epsilon={"start": 1.5}), "/algorithm/epsilon/start", "less than or equal to 1, not 1.5"),
         (
             q_learning(state_discretizer={"kind": "disk_position_grid", "cells": [0, 5]}),

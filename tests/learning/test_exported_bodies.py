@@ -9,6 +9,7 @@ import pytest
 
 from core.algorithms.catalog import ALGORITHMS, resolve
 from core.environments import catalog
+from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import Environment
 from core.environments.info import EnvironmentInfo
 from core.physics.choose import engine_builder
@@ -62,6 +63,15 @@ def test_exported_policies_act_as_in_jax_on_a_thousand_states(environment_id: st
     info = catalog.find(environment_id)
     engine = engine_builder("native" if environment_id in BODIES else "mjx")
     environment = catalog.make(info, catalog.parse_options(info, {}), engine)
+    assert_exports_act_alike(info, environment.action_size, some_states(environment))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("walker", sorted({*WALKERS} - {"ant"}))
+def test_those_of_the_corridors_other_walkers_do_too(walker: str) -> None:
+    info, options = catalog.resolve("corridor", {"walker": walker, "arena": "empty"})
+    environment = catalog.make(info, options, engine_builder("native"))
     assert_exports_act_alike(info, environment.action_size, some_states(environment))
 
 

@@ -79,6 +79,9 @@ def _finite(options: Options) -> FiniteViews:
             "arm_amplitudes": FiniteSpace(3, arms),
         }
         why = {"arm_actions": "its action sets a central pattern generator, and not each arm's joints"}
+        if missing := [str(arm) for arm, count in enumerate(options.segments) if count == 0]:
+            del sets["arm_amplitudes"]
+            why["arm_amplitudes"] = f"num_segments_per_arm leaves out arm {', '.join(missing)}"
         return FiniteViews(states, sets, cannot_offer=why)
     generator = 'it has a central pattern generator only with the option "control": "cpg"'
     why: dict[str, str] = dict.fromkeys(("leading_arm", "arm_roles", "arm_amplitudes"), generator)

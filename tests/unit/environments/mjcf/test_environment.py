@@ -205,6 +205,7 @@ def test_the_ant_made_of_terms_is_the_ant() -> None:
     info = catalog.find("ant")
     builtin = catalog.make(info, catalog.parse_options(info, {}), engine_builder("native"))
     spec = brax_spec("ant")
+    spec.option.iterations = builtin.model.opt.iterations
     model = spec.compile()
     chosen = catalog.parse_options(catalog.find("mjcf"), options(**ANT))
     assert isinstance(chosen, MjcfOptions)
