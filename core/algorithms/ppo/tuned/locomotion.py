@@ -46,9 +46,9 @@ def _gpu(**own: Any) -> PPOSpec:
     return PPOSpec.model_validate({**_GPU, **own})
 
 
-def _lasting(**own: Any) -> PPOSpec:
+def _lasting(*, entropy_cost: float = 1e-2, **own: Any) -> PPOSpec:
     """Without these two, some seeds lose late what they had learnt (docs/experiments/gpu_tuning.md)."""
-    return _gpu(**{"learning_rate_schedule": "LINEAR", "entropy_cost": 1e-2, **own})
+    return _gpu(learning_rate_schedule="LINEAR", entropy_cost=entropy_cost, **own)
 
 
 ANT: Mapping[Device, PPOSpec] = {
