@@ -1,25 +1,27 @@
-"""The walker's own camera as an observation: what small pictures cost beside the physics of a step."""
+"""The walker's own camera as an observation: what small images cost beside a control step."""
 
 from bench.measure.child import run_child
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result
 from bench.measure.statistics import ratios, spread
 
-_NUM_ENVS, _SIDE = 64, 64
+_NUM_ENVS, _SIDE, _DEPTH_SIDE = 64, 64, 16
 
 
 def measure(options: Options) -> Result:
-    """Physics, OpenGL and MuJoCo Warp's rays in turns, over the same environments."""
+    """Steps without and with a depth image, OpenGL and MuJoCo Warp's rays, in turns."""
     machine = this_machine()
     request = {
         "walker": "ant",
         "num_envs": 4 if options.quick else _NUM_ENVS,
         "side": _SIDE,
+        "depth_side": _DEPTH_SIDE,
         "rounds": 1 if options.quick else 5,
         "seconds": 0.1 if options.quick else 2.0,
     }
     run = run_child("bench.ours.draw_egocentric", request, timeout_s=900)
-    milliseconds = {name: [1000 * value for value in run[name]] for name in ("physics", "drawn", "cast")}
+    measured = ("step", "step_with_depth", "drawn", "cast")
+    milliseconds = {name: [1000 * value for value in run[name]] for name in measured}
     return Result(
         name="egocentric",
         title="Pictures by the ant's own camera",
@@ -27,11 +29,17 @@ def measure(options: Options) -> Result:
         quick=options.quick,
         machine=machine,
         figures=[
-            Figure.of("a control step's physics", spread(milliseconds["physics"]), "ms"),
+            Figure.of("a control step", spread(milliseconds["step"]), "ms"),
+            Figure.of("a control step with a depth image", spread(milliseconds["step_with_depth"]), "ms"),
             Figure.of("drawn by OpenGL", spread(milliseconds["drawn"]), "ms"),
             Figure.of("cast by MuJoCo Warp's rays", spread(milliseconds["cast"]), "ms"),
-            Figure.of("drawn ÷ physics", ratios(milliseconds["drawn"], milliseconds["physics"]), "×"),
-            Figure.of("cast ÷ physics", ratios(milliseconds["cast"], milliseconds["physics"]), "×"),
+            Figure.of(
+                "step with a depth image ÷ step",
+                ratios(milliseconds["step_with_depth"], milliseconds["step"]),
+                "×",
+            ),
+            Figure.of("drawn ÷ step", ratios(milliseconds["drawn"], milliseconds["step"]), "×"),
+            Figure.of("cast ÷ step", ratios(milliseconds["cast"], milliseconds["step"]), "×"),
         ],
         rows=[
             {"round": turn, "what": name, "ms": value}
@@ -40,8 +48,9 @@ def measure(options: Options) -> Result:
         ],
         notes=[
             f"{request['num_envs']} environments over gaps, each with one picture of {_SIDE}×{_SIDE} pixels "
-            "by `walker/egocentric`, without shadows, reflections and smooth edges; physics by `compiled`, "
-            "as `auto` takes it.",
+            "by `walker/egocentric`, without shadows, reflections and smooth edges, or with a depth image of "
+            f"{_DEPTH_SIDE}×{_DEPTH_SIDE} pixels by `egocentric_depth`; physics by `compiled`, as `auto` "
+            "takes it.",
             f"OpenGL: {run['gl_renderer']}. Rays: Warp on {run['warp_device']}.",
         ],
     )

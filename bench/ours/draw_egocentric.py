@@ -1,7 +1,7 @@
 """What the walker's own camera costs: `python -m bench.ours.draw_egocentric FOLDER`.
 
-Request: walker; num_envs; side, of each picture in pixels; rounds; seconds, at least, that a round spends on
-each measurement.
+Request: walker; num_envs; side, of each picture in pixels; depth_side, of each depth image; rounds; seconds,
+at least, that a round spends on each measurement.
 """
 
 import os
@@ -28,20 +28,27 @@ _CAMERA = "walker/egocentric"
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
-    """Seconds for all environments, round by round: physics, of a control step; drawn, by OpenGL; cast, by
-    MuJoCo Warp's rays. gl_renderer, warp_device: what drew them."""
-    info = catalog.find("corridor")
-    options = catalog.parse_options(info, {"walker": request["walker"]})
-    environment = catalog.make(info, options, engine_builder("compiled"))
+    """Seconds for all environments, round by round: step, of a control step; step_with_depth, of one that
+    ends with a depth image; drawn, by OpenGL; cast, by MuJoCo Warp's rays. gl_renderer, warp_device: what
+    drew them."""
+    environment = _corridor(request["walker"], 0)
+    seeing = _corridor(request["walker"], request["depth_side"])
     positions = _positions(environment, request["num_envs"])
     cast, device = _casting(environment.model, positions, request["side"])
     measured = alternate(
         request["rounds"],
-        physics=_seconds(_stepping(environment, request["num_envs"]), request["seconds"]),
+        step=_seconds(_stepping(environment, request["num_envs"]), request["seconds"]),
+        step_with_depth=_seconds(_stepping(seeing, request["num_envs"]), request["seconds"]),
         drawn=_seconds(_drawing(environment.model, positions, request["side"]), request["seconds"]),
         cast=_seconds(cast, request["seconds"]),
     )
     return {**measured, "gl_renderer": context_works(), "warp_device": device}
+
+
+def _corridor(walker: str, egocentric_depth: int) -> Environment:
+    info = catalog.find("corridor")
+    options = {"walker": walker, "egocentric_depth": egocentric_depth}
+    return catalog.make(info, catalog.parse_options(info, options), engine_builder("compiled"))
 
 
 def _positions(environment: Environment, num_envs: int) -> np.ndarray:

@@ -55,7 +55,7 @@ MORE_CASES: list[tuple[str, dict[str, Any]]] = [
     ("humanoid", ALL),
     ("rodent", {"exclude_current_positions_from_observation": True}),
     ("corridor", {"walker": "rodent", "arena": "empty", **ALL}),
-    ("corridor", {"walker": "humanoid", "arena": "walls", "num_next_obstacles": 1}),
+    ("corridor", {"walker": "humanoid", "arena": "walls", "num_next_obstacles": 1, "egocentric_depth": 2}),
     ("corridor", {"walker": "jumping_ball", "arena": "empty", "observables": ["cvel"], **ALL}),
     (
         "brittle_star",

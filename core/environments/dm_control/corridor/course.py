@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from core.environments.dm_control.corridor.layouts import Layouts, Obstacle
+from core.environments.dm_control.corridor.layouts import Boxes, Layouts, Obstacle
 from core.physics.engine import ModelFields
 
 # The entry of `State.info`: [] int32, which of the layouts at which level.
@@ -17,10 +17,11 @@ _OF_LAYOUTS = 0x1A70
 
 
 class OneCourse:
-    """The corridor of the model, in every episode. start_x: where a walker begins; end: of the corridor;
-    in m."""
+    """The corridor of the model, in every episode. boxes: as `boxes_of` has them; start_x: where a walker
+    begins; end: of the corridor; in m."""
 
-    def __init__(self, obstacles: list[Obstacle], start_x: float, end: float) -> None:
+    def __init__(self, boxes: Boxes, obstacles: list[Obstacle], start_x: float, end: float) -> None:
+        self._boxes = jnp.asarray(boxes, jnp.float32)
         self._obstacles = jnp.reshape(jnp.asarray(obstacles, jnp.float32), (-1, 3))
         self._start, self._finish = start_x, max((one.end for one in obstacles), default=end)
 
@@ -38,6 +39,10 @@ class OneCourse:
         """[number, 3], each as `Obstacle`, in the order of their ends."""
         return self._obstacles
 
+    def boxes(self, info: Mapping[str, jax.Array]) -> jax.Array:
+        """[number, 2, 3]: the middle and half lengths of each platform or wall."""
+        return self._boxes
+
     def passed(self, info: Mapping[str, jax.Array], x: jax.Array) -> jax.Array:
         """Which part of the way from the start past the last obstacle is behind x, from 0 to 1; []."""
         return _part(self._start, self._finish, x)
@@ -50,6 +55,7 @@ class ManyCourses:
         self._layouts, self._start = layouts, start_x
         self._fields = {name: jnp.asarray(values) for name, values in layouts.fields(model).items()}
         self._obstacles = jnp.asarray(layouts.obstacles)
+        self._boxes = jnp.asarray(layouts.boxes, jnp.float32)
         ends = np.where(np.isfinite(layouts.obstacles[:, :, 1]), layouts.obstacles[:, :, 1], 0.0).max(axis=1)
         self._finish = jnp.asarray(np.where(ends > 0, ends, end), jnp.float32)
 
@@ -66,6 +72,9 @@ class ManyCourses:
 
     def obstacles(self, info: Mapping[str, jax.Array]) -> jax.Array:
         return self._obstacles[info[LAYOUT]]
+
+    def boxes(self, info: Mapping[str, jax.Array]) -> jax.Array:
+        return self._boxes[info[LAYOUT]]
 
     def passed(self, info: Mapping[str, jax.Array], x: jax.Array) -> jax.Array:
         return _part(self._start, self._finish[info[LAYOUT]], x)

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.environments import rewards
-from core.environments.dm_control.corridor import observables, termination
+from core.environments.dm_control.corridor import egocentric, observables, termination
 from core.environments.dm_control.corridor.controls import holding_controls
 from core.environments.dm_control.corridor.course import ManyCourses, OneCourse
 from core.environments.dm_control.corridor.curriculum import at_every_level
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
-from core.environments.dm_control.corridor.model import model_and_layouts, obstacles
+from core.environments.dm_control.corridor.model import boxes, model_and_layouts, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
@@ -47,7 +47,12 @@ class Corridor(MujocoEnv):
             options.iterations, options.ls_iterations, implicit_damping=True, solver=options.solver
         )
         walker = WALKERS[options.walker]
-        read = (*_DERIVED, *observables.in_order(options.observables), *termination.derived_fields(options))
+        read = (
+            *_DERIVED,
+            *observables.in_order(options.observables),
+            *(egocentric.DERIVED if options.egocentric_depth else ()),
+            *termination.derived_fields(options),
+        )
         hidden = 2 if options.exclude_current_positions_from_observation else 0
         super().__init__(
             model,
@@ -67,7 +72,13 @@ class Corridor(MujocoEnv):
         self._bodies = slice(self.tracked_body, self.tracked_body + walker.num_bodies)
         self._endings = termination.Endings(model, options)
         ends = options.start_x, options.corridor_length
-        self._course = ManyCourses(layouts, model, *ends) if layouts else OneCourse(obstacles(model), *ends)
+        self._course = (
+            ManyCourses(layouts, model, *ends)
+            if layouts
+            else OneCourse(boxes(model), obstacles(model), *ends)
+        )
+        side = options.egocentric_depth
+        self._camera = egocentric.EgocentricDepth(model, side) if side else None
         self._target_velocities = _target_velocities(options)
         self._progress: jax.Array | float = 1.0
 
@@ -158,7 +169,8 @@ class Corridor(MujocoEnv):
     def _observe(self, physics: PhysicsState, info: Mapping[str, jax.Array]) -> jax.Array:
         seen = self._ahead(info, physics.qpos[:2], self._options.num_next_obstacles)
         fields = observables.values(self._options.observables, physics, self._bodies)
-        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel, *fields, seen])
+        image = [] if self._camera is None else [self._camera(physics, self._course.boxes(info))]
+        return jnp.concatenate([physics.qpos[self._num_hidden :], physics.qvel, *fields, seen, *image])
 
     def _ahead(self, info: Mapping[str, jax.Array], at: jax.Array, number: int) -> jax.Array:
         """[3 number]: for each next gap or wall, how far ahead of `at` [x, y] it begins and ends, and how far

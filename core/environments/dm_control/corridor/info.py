@@ -248,7 +248,15 @@ def spaces(options: CorridorOptions) -> Spaces:
             named(f"obstacle_{number}", ("way past it, to the left",), "m"),
         )
     ]
-    seen = [*qpos(own, hidden), *qvel(own), *observables.slices(options.observables, own), *ahead]
+    pixels = range(options.egocentric_depth)
+    image = [f"row {row}, column {column}" for row in pixels for column in pixels]
+    seen = [
+        *qpos(own, hidden),
+        *qvel(own),
+        *observables.slices(options.observables, own),
+        *ahead,
+        named("egocentric_depth", image, "m", 0.0, SIGHT_M),
+    ]
     return Spaces(in_order(seen), in_order(controls(own)))
 
 

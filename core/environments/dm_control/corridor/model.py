@@ -1,6 +1,7 @@
 """The composed corridor, without the parts that cost time."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -9,6 +10,7 @@ from core.environments.dm_control.corridor.aesthetics import HIDDEN, draw
 from core.environments.dm_control.corridor.compose import composed
 from core.environments.dm_control.corridor.info import CorridorOptions
 from core.environments.dm_control.corridor.layouts import (
+    Boxes,
     Layouts,
     Obstacle,
     draw_layouts,
@@ -75,10 +77,18 @@ def model_and_layouts(options: CorridorOptions) -> tuple[mujoco.MjModel, Layouts
 
 def obstacles(model: mujoco.MjModel) -> list[Obstacle]:
     """The gaps or walls in the order of their ends; none in an empty corridor."""
-    geoms = [geom for geom in map(model.geom, range(model.ngeom)) if is_box(geom.name)]
-    arena = "walls" if geoms and geoms[0].name.startswith("wall_") else "gaps"
-    boxes = np.array([[geom.pos, geom.size] for geom in geoms], float).reshape(-1, 2, 3)
-    return obstacles_among(boxes, arena)
+    arena = "walls" if any(geom.name.startswith("wall_") for geom in _box_geoms(model)) else "gaps"
+    return obstacles_among(boxes(model), arena)
+
+
+def boxes(model: mujoco.MjModel) -> Boxes:
+    """The platforms or walls [number, 2, 3], as `boxes_of` has them; none in an empty corridor."""
+    rows = [[geom.pos, geom.size] for geom in _box_geoms(model)]
+    return np.array(rows, float).reshape(-1, 2, 3)
+
+
+def _box_geoms(model: mujoco.MjModel) -> list[Any]:
+    return [geom for geom in map(model.geom, range(model.ngeom)) if is_box(geom.name)]
 
 
 def _filter(geom: mujoco.MjsGeom, trunk: str) -> None:

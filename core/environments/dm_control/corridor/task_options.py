@@ -37,6 +37,13 @@ class TaskOptions(Strict):
         description="MuJoCo's fields that follow positions and velocities in the observation; `cinert` and "
         "`cvel` of the walker's bodies.",
     )
+    egocentric_depth: int = Field(
+        0,
+        ge=0,
+        le=64,
+        description="Side, in pixels, of a square image by the walker's own camera, at the observation's "
+        "end: how far away the arena is behind each pixel, in metres, 10 at most. 0: no image.",
+    )
     aesthetic: Aesthetic = Field(
         "checkered",
         description="How ground and sky are drawn: Gaitway's squares, or dm_control's aesthetic.",
