@@ -17,6 +17,10 @@ FORMAT, VERSION = "gaitway-simulation", 1
 SHARE_VELOCITY = "share_velocity"
 # The action before this observation; zeros at the start of an episode.
 PREVIOUS_ACTION = "previous_action"
+# What lies ahead in a corridor, [3 NUM_AHEAD]: of each next obstacle, how far ahead of the body it begins and
+# ends, and how far to the left the way past it is. The body's x and y are the first two of `qpos`.
+OBSTACLES_AHEAD = "obstacles_ahead"
+NUM_AHEAD = 10
 # The options of a model that an engine may change.
 _SOLVER = ("solver", "iterations", "ls_iterations", "disableflags")
 
@@ -29,7 +33,8 @@ class NotSimulated(Exception):
 class Numbers:
     """Numbers of one array, [n]: x[places] − x[less] + add, each bounded to ± max_abs.
 
-    array: a field of MjData in MuJoCo's order, flattened; or `SHARE_VELOCITY` or `PREVIOUS_ACTION`.
+    array: a field of MjData in MuJoCo's order, flattened; or `SHARE_VELOCITY`, `PREVIOUS_ACTION` or
+    `OBSTACLES_AHEAD`.
     """
 
     array: str
@@ -63,6 +68,8 @@ class Simulation:
 
     model: XML, with the solver settings of the engine that trained. control_offset, control_gain [nu]: a
     control is offset + gain · action, for num_substeps of the time step. qpos [nq]: where episodes begin.
+    obstacles: where each begins and ends in x and the y of the way past it, by their ends. sight: what is
+    farther ahead is said to be that far, and straight on. Both in m.
     """
 
     model: str
@@ -74,6 +81,8 @@ class Simulation:
     qpos: Sequence[float]
     noise: Noise
     ends: Sequence[Ends] = field(default_factory=tuple)
+    obstacles: Sequence[Sequence[float]] = field(default_factory=tuple)
+    sight: float | None = None
 
     def document(self) -> dict[str, Any]:
         """As JSON, with numbers that are plain Python's."""
@@ -95,9 +104,10 @@ def rows(
 
 
 def as_xml(spec: mujoco.MjSpec, stepped: mujoco.MjModel) -> str:
-    """The spec as XML, under the solver settings of `stepped`. Raises NotSimulated if it needs files."""
-    files = [one.file for one in (*spec.meshes, *spec.hfields, *spec.skins, *spec.textures) if one.file]
-    if files:
+    """The spec as XML, under the solver settings of `stepped` and without skins and textures, which move
+    nothing. Raises NotSimulated if it needs files."""
+    _strip_looks(spec)
+    if files := [one.file for one in (*spec.meshes, *spec.hfields) if one.file]:
         raise NotSimulated(
             f"its model is more than one file (it has {files[0]}), and the page reads only one"
         )
@@ -110,3 +120,12 @@ def as_xml(spec: mujoco.MjSpec, stepped: mujoco.MjModel) -> str:
     finally:
         for name, value in before.items():
             setattr(spec.option, name, value)
+
+
+def _strip_looks(spec: mujoco.MjSpec) -> None:
+    """Remove skins and textures, which may be files."""
+    for material in spec.materials:
+        for role in range(len(material.textures)):
+            material.textures[role] = ""
+    for one in [*spec.skins, *spec.textures]:
+        spec.delete(one)

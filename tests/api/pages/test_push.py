@@ -77,11 +77,19 @@ def files() -> dict[str, tuple[str, bytes]]:
     }
 
 
-@pytest.mark.parametrize("body", BODIES)
+CASES: list[tuple[str, dict[str, Any]]] = [
+    *((body, {}) for body in BODIES),
+    ("rodent", {}),
+    ("corridor", {"num_next_obstacles": 2}),
+    ("corridor", {"walker": "rodent", "arena": "walls", "num_next_obstacles": 10, "start_x": 2.0}),
+]
+
+
+@pytest.mark.parametrize(("body", "options"), CASES)
 def test_the_browser_observes_and_acts_as_the_environment_does(
-    browser: Browser, stack: Stack, body: str
+    browser: Browser, stack: Stack, body: str, options: dict[str, Any]
 ) -> None:
-    environment = of_the_catalog(body)
+    environment = of_the_catalog(body, options)
     policy = policy_of(environment, 0.3)
     state = environment.reset(jax.random.key(3))
     # The page's own policy forbids WebAssembly outside the worker.

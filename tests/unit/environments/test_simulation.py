@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from core.environments import catalog
 from core.environments.mujoco_env import MujocoEnv
-from core.environments.simulation import PREVIOUS_ACTION, SHARE_VELOCITY, Ends, NotSimulated, Numbers, as_xml
+from core.environments.simulation import (
+    NUM_AHEAD,
+    OBSTACLES_AHEAD,
+    PREVIOUS_ACTION,
+    SHARE_VELOCITY,
+    Ends,
+    NotSimulated,
+    Numbers,
+    Simulation,
+    as_xml,
+)
 from core.physics.choose import engine_builder
 
 BODIES = ["ant", "half_cheetah", "hopper", "humanoid", "inverted_pendulum", "walker2d"]
@@ -66,10 +76,14 @@ def of_a_user(folder: Path, text: str = CART, **options: Any) -> MujocoEnv:
     return made
 
 
-def read(numbers: Numbers, model: mujoco.MjModel, data: mujoco.MjData, action: Any) -> NDArray[np.float64]:
+def read(
+    numbers: Numbers, simulation: Simulation, model: mujoco.MjModel, data: mujoco.MjData, action: Any
+) -> NDArray[np.float64]:
     """The numbers [n], as docs/push.md describes them."""
     if numbers.array == PREVIOUS_ACTION:
         array = np.asarray(action, float)
+    elif numbers.array == OBSTACLES_AHEAD:
+        array = ahead(simulation, *data.qpos[:2])
     elif numbers.array == SHARE_VELOCITY:
         mass = np.maximum(data.cinert[:, 9:], 1e-9)
         own = data.cvel[:, 3:] + np.cross(data.cvel[:, :3], data.cinert[:, 6:9] / mass)
@@ -82,6 +96,15 @@ def read(numbers: Numbers, model: mujoco.MjModel, data: mujoco.MjData, action: A
     return values if numbers.max_abs is None else np.clip(values, -numbers.max_abs, numbers.max_abs)
 
 
+def ahead(simulation: Simulation, x: float, y: float) -> NDArray[np.float64]:
+    sight = simulation.sight or 0.0
+    found = np.tile([sight, sight, 0.0], (NUM_AHEAD, 1))
+    coming = [one for one in simulation.obstacles if one[1] >= x]
+    for row, (begin, end, middle) in zip(found, coming, strict=False):
+        row[:] = min(begin - x, sight), min(end - x, sight), middle - y if begin - x < sight else 0.0
+    return found.ravel()
+
+
 def check(environment: MujocoEnv) -> None:
     """Observations and ends are those of the environment, after each step from each of its states."""
     simulation = environment.simulation()
@@ -90,7 +113,7 @@ def check(environment: MujocoEnv) -> None:
 
     def seen(ends: Ends | None, action: Any) -> NDArray[np.float64]:
         parts = simulation.observation if ends is None else [ends.numbers]
-        return np.concatenate([read(one, model, data, action) for one in parts])
+        return np.concatenate([read(one, simulation, model, data, action) for one in parts])
 
     state = jax.jit(jax.vmap(environment.reset))(jax.random.split(jax.random.key(0), NUM_ENVS))
     step = jax.jit(jax.vmap(environment.step))
@@ -127,6 +150,38 @@ def test_a_simulation_gives_the_bodys_observation(body: str) -> None:
     check(of_the_catalog(body))
 
 
+def test_the_rats_simulation_is_without_its_skin() -> None:
+    rodent = of_the_catalog("rodent")
+    assert rodent.model.nskin == 1
+    check(rodent)
+
+
+CORRIDORS: list[dict[str, Any]] = [
+    {"num_next_obstacles": 2, "observables": ["cvel", "qfrc_actuator"], "platform_length": [0.3, 0.6]},
+    {"arena": "walls", "wall_gap": [3.6, 4.0], "num_next_obstacles": 4, "terminate_at_height": -0.1},
+    {"walker": "rodent", "num_next_obstacles": 1, "aesthetic": "outdoor_natural"},
+]
+
+
+@pytest.mark.parametrize("options", CORRIDORS)
+def test_a_corridors_simulation_says_what_is_ahead(options: dict[str, Any]) -> None:
+    check(of_the_catalog("corridor", options))
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"num_layouts": 2}, "each episode has another corridor"),
+        ({"egocentric_depth": 4}, "it sees by a camera"),
+        ({"contact_termination": True}, "contacts end its episodes"),
+        ({"walker": "humanoid", "arena": "empty"}, "added to the controls that hold its start"),
+    ],
+)
+def test_a_corridor_that_takes_more_says_why_it_has_none(options: dict[str, Any], why: str) -> None:
+    with pytest.raises(NotSimulated, match=why):
+        of_the_catalog("corridor", options).simulation()
+
+
 def test_options_change_what_a_simulation_says() -> None:
     options = {"exclude_current_positions_from_observation": False, "terminate_when_unhealthy": False}
     ant = of_the_catalog("ant", options)
@@ -144,12 +199,25 @@ def test_a_users_terms_are_said_in_mujocos_numbers(tmp_path: Path) -> None:
 
 
 def test_a_model_of_several_files_says_why_it_has_none(tmp_path: Path) -> None:
-    text = CART.replace(
-        "<worldbody>", '<asset><texture name="t" type="2d" file="wood.png"/></asset><worldbody>'
-    )
+    text = CART.replace("<worldbody>", '<asset><mesh name="m" file="arm.stl"/></asset><worldbody>')
     spec = mujoco.MjSpec.from_string(text)
-    with pytest.raises(NotSimulated, match=r"more than one file \(it has wood.png\)"):
+    with pytest.raises(NotSimulated, match=r"more than one file \(it has arm.stl\)"):
         as_xml(spec, mujoco.MjModel.from_xml_string(CART))
+
+
+def test_pictures_are_left_out_of_a_model() -> None:
+    pictures = """
+      <asset>
+        <texture name="wood" type="2d" file="wood.png"/>
+        <texture name="sky" type="skybox" fileup="up.png" filedown="down.png"/>
+        <material name="wooden" texture="wood"/>
+      </asset>
+      <worldbody>"""
+    text = CART.replace("<worldbody>", pictures).replace('mass="2"/>', 'mass="2" material="wooden"/>')
+    stepped = mujoco.MjModel.from_xml_string(CART)
+    model = mujoco.MjModel.from_xml_string(as_xml(mujoco.MjSpec.from_string(text), stepped))
+    assert model.ntex == 0
+    np.testing.assert_allclose(model.body_mass, stepped.body_mass)
 
 
 def test_another_environment_says_why_it_has_none() -> None:

@@ -5,6 +5,7 @@
 const STIFFNESS = 100; // N/m
 const DAMPING = 0.4 * Math.sqrt(STIFFNESS); // N s/m: a fifth of critical
 const MOST = 5; // times the weight of the whole
+const NUM_AHEAD = 10; // obstacles of a corridor
 
 export class Simulation {
   /** @param {object} mujoco The loaded module. @param {object} recipe `simulation.json`. Raises Error if MuJoCo cannot read the model. */
@@ -105,7 +106,22 @@ export class Simulation {
 
   #array(name) {
     if (name === "previous_action") return this.action;
-    if (name !== "share_velocity") return this.data[name];
+    if (name === "obstacles_ahead") return this.#ahead();
+    if (name === "share_velocity") return this.#shares();
+    return this.data[name];
+  }
+
+  /** Of each next obstacle, how far ahead it begins and ends and how far to the left the way past it is. */
+  #ahead() {
+    const { obstacles, sight } = this.recipe;
+    const [x, y] = this.data.qpos;
+    const coming = obstacles.filter(([, end]) => end >= x).slice(0, NUM_AHEAD);
+    const seen = coming.map(([begin, end, middle]) => [Math.min(begin - x, sight), Math.min(end - x, sight), begin - x < sight ? middle - y : 0]);
+    while (seen.length < NUM_AHEAD) seen.push([sight, sight, 0]);
+    return seen.flat();
+  }
+
+  #shares() {
     const { cinert, cvel } = this.data;
     const shares = [];
     for (let body = 0; body < this.model.nbody; body++) {

@@ -11,15 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from core.environments import rewards
-from core.environments.dm_control.corridor import egocentric, observables, termination
+from core.environments.dm_control.corridor import egocentric, observables, pushing, termination
 from core.environments.dm_control.corridor.controls import holding_controls
 from core.environments.dm_control.corridor.course import ManyCourses, OneCourse
 from core.environments.dm_control.corridor.curriculum import at_every_level
 from core.environments.dm_control.corridor.info import SIGHT_M, CorridorOptions, spaces
-from core.environments.dm_control.corridor.model import boxes, model_and_layouts, obstacles
+from core.environments.dm_control.corridor.model import boxes, corridor_spec, model_and_layouts, obstacles
 from core.environments.dm_control.corridor.walkers import WALKERS
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
+from core.environments.simulation import Noise, Simulation
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("subtree_com", "xpos")
@@ -108,6 +109,17 @@ class Corridor(MujocoEnv):
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, self._control(action))
         return self._after(state.physics, physics, action, state.info)
+
+    def simulation(self) -> Simulation:
+        options, scale = self._options, self._options.reset_noise_scale
+        pushing.check_can_be_pushed(options)
+        simulation = self.simulated(
+            corridor_spec(options),
+            observation=[*pushing.observation(options, self.model, self._bodies)],
+            noise=Noise(scale, scale, is_normal=False),
+            ends=[*pushing.ends(options, self.model, self.tracked_body, ground=_GROUND_M)],
+        )
+        return replace(simulation, obstacles=obstacles(self.model), sight=SIGHT_M)
 
     def _control(self, action: jax.Array) -> jax.Array:
         """The control [nu] for an action [nu], both in [-1, 1]."""

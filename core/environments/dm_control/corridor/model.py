@@ -30,6 +30,11 @@ _CONTACT_POINTS, _GEOM_PAIRS = 32, 64
 
 
 def corridor_model(options: CorridorOptions, spacing: Sequence[float] = ()) -> mujoco.MjModel:
+    """`corridor_spec` as a model."""
+    return corridor_spec(options, spacing).compile()
+
+
+def corridor_spec(options: CorridorOptions, spacing: Sequence[float] = ()) -> mujoco.MjSpec:
     """The walker at the start of its corridor; the numeric `init_qpos` is how it stands there.
 
     The trunk and all limbs touch the ground, platforms and obstacles; the trunk alone touches the planes
@@ -63,7 +68,7 @@ def corridor_model(options: CorridorOptions, spacing: Sequence[float] = ()) -> m
     if spacing:
         spec.add_numeric(name="box_spacing", data=list(spacing), size=len(spacing))
     spec.add_numeric(name="init_qpos", data=_start(spec.compile(), upright, settles=info.settles), size=0)
-    return spec.compile()
+    return spec
 
 
 def model_and_layouts(options: CorridorOptions) -> tuple[mujoco.MjModel, Layouts | None]:

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 
 from core.environments import rewards
 from core.environments.dm_control.rodent.info import RodentOptions
-from core.environments.dm_control.rodent.model import rodent_model
+from core.environments.dm_control.rodent.model import rodent_model, rodent_spec
 from core.environments.environment import State
 from core.environments.mujoco_env import MujocoEnv, initial, noisy_start, travel
+from core.environments.simulation import Ends, Noise, Simulation, numbers, rows
 from core.physics.engine import NOMINAL, EngineBuilder, ModelFields, PhysicsState, SolverSettings
 
 _DERIVED = ("cinert", "cvel", "qfrc_actuator", "subtree_com")
@@ -54,6 +55,23 @@ class Rodent(MujocoEnv):
     def step(self, state: State, action: jax.Array) -> State:
         physics = self.engine.step(state.physics, action)
         return self._after(state.physics, physics, action, state.info)
+
+    def simulation(self) -> Simulation:
+        options, model, scale = self._options, self.model, self._options.reset_noise_scale
+        bodies = range(1, model.nbody)
+        height = Ends(numbers("qpos", [2]), *options.healthy_z_range)
+        return self.simulated(
+            rodent_spec(options.timestep),
+            observation=[
+                numbers("qpos", range(self._num_hidden, model.nq)),
+                numbers("qvel", range(model.nv)),
+                rows("cinert", bodies, 10),
+                rows("cvel", bodies, 6),
+                numbers("qfrc_actuator", range(model.nv)),
+            ],
+            noise=Noise(scale, scale, is_normal=False),
+            ends=[height] if options.terminate_when_unhealthy else [],
+        )
 
     def _after(
         self, before: PhysicsState, physics: PhysicsState, action: jax.Array, info: Mapping[str, jax.Array]

@@ -16,6 +16,11 @@ _HIDDEN = 3
 
 
 def rodent_model(timestep: float) -> mujoco.MjModel:
+    """`rodent_spec` as a model."""
+    return rodent_spec(timestep).compile()
+
+
+def rodent_spec(timestep: float) -> mujoco.MjSpec:
     """The rat with a free joint, above an endless floor; its `init_qpos` is how it stands at rest.
 
     Every part touches only the floor, which alone carries a running rat: MJX has no contacts between
@@ -35,7 +40,7 @@ def rodent_model(timestep: float) -> mujoco.MjModel:
     _add_floor(spec)
     spec.body("torso").add_freejoint(name="root")
     spec.add_numeric(name="init_qpos", data=_at_rest(spec.compile()), size=0)
-    return spec.compile()
+    return spec
 
 
 def _add_floor(spec: mujoco.MjSpec) -> None:
