@@ -128,7 +128,7 @@ const Nothing = ({ isFiltered }) =>
       ? html`<p>No job matches these filters.</p><p><a href="#/jobs">Show all jobs</a></p>`
       : html`<p>No jobs yet.</p>
           <p><a class="button" href="#/submit">Submit the first one</a></p>
-          <p>Or from a shell: <code>gaitway submit train --environment ant</code></p>`}
+          <p>Or from a shell: <code>gaitway submit ant</code></p>`}
   <//>`;
 
 const Picked = ({ ids }) =>

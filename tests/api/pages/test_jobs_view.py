@@ -23,6 +23,7 @@ def names(page: Page) -> list[str]:
 def test_nothing_yet_says_what_to_do(tab: Tab) -> None:
     page = tab.open()
     expect(page.get_by_text("No jobs yet.")).to_be_visible()
+    expect(page.get_by_text("gaitway submit ant", exact=True)).to_be_visible()
     page.get_by_role("link", name="Submit the first one").click()
     expect(page.get_by_role("heading", name="Submit a job")).to_be_visible()
 
