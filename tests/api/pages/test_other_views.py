@@ -8,11 +8,13 @@ import shlex
 from datetime import timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import expect
 
 from core.jobs.queue import queue_names
 from core.jobs.workers import WorkerInfo
+from core.rendering.mp4 import Mp4Writer
 from core.user_models.record import ModelRecord
 from tests.api.conftest import NOON, Attempt, Stack, job
 from tests.api.pages.conftest import MakeTab, Tab
@@ -89,6 +91,65 @@ def test_what_is_compared_is_exported(tab: Tab, pair: list[Attempt], tmp_path: P
         page.get_by_role("button", name="Export PNG").click()
     download.value.save_as(tmp_path / "curves.png")
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def film(path: Path, num_frames: int, shade: int) -> bytes:
+    """Ten frames a second."""
+    with Mp4Writer(path, width=160, height=120, fps=10) as video:
+        for number in range(num_frames):
+            video.write(np.full((120, 160, 3), (shade, 10 * number, 0), np.uint8))
+    return path.read_bytes()
+
+
+def test_videos_that_are_compared_follow_one_clock(tab: Tab, pair: list[Attempt], tmp_path: Path) -> None:
+    """The first job's last 1 s and 2 s, the second's 3 s and 1.5 s, at two checkpoints."""
+    for attempt, lengths in zip(pair, ((10, 20), (30, 15)), strict=True):
+        for step, num_frames in zip((100, 200), lengths, strict=True):
+            body = film(tmp_path / "film.mp4", num_frames, 100 + num_frames)
+            attempt.keep(f"video-{step}.mp4", body, step=step)
+    page = tab.open(f"#/compare?ids={pair[0].id},{pair[1].id}")
+    films = page.get_by_role("region", name="Videos in step")
+    expect(films.get_by_text("0.00 s of 2.00 s")).to_be_visible()
+
+    def expect_times(*expected: float) -> None:
+        """To a tenth of a frame: Chromium's clock of a paused video may differ a bit from a seek's goal."""
+        times = page.evaluate("[...document.querySelectorAll('video')].map((video) => video.currentTime)")
+        assert times == pytest.approx(expected, abs=0.01)
+
+    films.get_by_label("Speed").select_option("0.5")
+    films.get_by_role("button", name="Play all").click()
+    # In step while they play; the longer one, which leads, plays at the speed that was chosen.
+    page.wait_for_function(
+        """() => {
+          const [first, second] = document.querySelectorAll("video");
+          return first.currentTime > 0.4 && first.playbackRate === 0.5 && !second.paused
+            && Math.abs(first.currentTime - second.currentTime) < 0.05;
+        }"""
+    )
+    films.get_by_role("button", name="Pause all").click()
+    expect(films.get_by_role("button", name="Play all")).to_be_visible()
+    stopped = page.evaluate("document.querySelector('video').currentTime")
+    assert 0.4 < stopped < 1.5
+    expect_times(stopped, stopped)
+    # Beyond its end the shorter one holds its last picture.
+    films.get_by_role("slider", name="Moment").fill("1.8")
+    expect_times(1.8, 1.5)
+    # At the other checkpoint the second job's is the longer one: the moment stays.
+    films.get_by_role("slider", name="Up to step 200").fill("0")
+    expect(films.get_by_text("1.80 s of 3.00 s")).to_be_visible()
+    expect_times(1.0, 1.8)
+    films.get_by_label("Speed").select_option("2")
+    films.get_by_role("button", name="Play all").click()
+    # After the longest one's end both begin again.
+    page.wait_for_function(
+        """() => {
+          const [first, second] = document.querySelectorAll("video");
+          return second.currentTime > 0.2 && second.currentTime < 0.9
+            && Math.abs(first.currentTime - second.currentTime) < 0.1;
+        }"""
+    )
+    assert tab.violations() == []
+    tab.picture("compare-films")
 
 
 def test_a_job_that_is_gone_does_not_hide_the_others(tab: Tab, pair: list[Attempt]) -> None:
