@@ -19,18 +19,25 @@ export const short = (axis) => axis.split(".").at(-1);
 /** A setting as text. */
 export const told = (setting) => (typeof setting === "object" && setting !== null ? JSON.stringify(setting) : value(setting));
 
-/** The trials, the best by the first objective first; those without a value last. */
-export function byObjective(sweep) {
-  const sign = objectivesOf(sweep)[0].direction === "minimize" ? 1 : -1;
-  const worth = (trial) => (typeof trial.values[0] === "number" ? sign * trial.values[0] : Infinity);
+/** Of which objective the address speaks: its place among them. */
+export const chosenObjective = (sweep, query) =>
+  Math.max(objectivesOf(sweep).findIndex(({ metric }) => metric === query.get("objective")), 0);
+
+/** Whether a trial has a value of every objective. */
+export const isMeasured = (trial) => trial.values.length > 0 && trial.values.every((one) => typeof one === "number");
+
+/** The trials, the best by one objective first; those without a value last. */
+export function byObjective(sweep, objective) {
+  const sign = objectivesOf(sweep)[objective].direction === "minimize" ? 1 : -1;
+  const worth = (trial) => (typeof trial.values[objective] === "number" ? sign * trial.values[objective] : Infinity);
   return [...sweep.trials].sort((one, other) => worth(one) - worth(other) || one.number - other.number);
 }
 
-/** The best value after each trial that succeeded, in the order of their numbers: [[number, value, best]]. */
-export function bestSoFar(sweep) {
-  const better = objectivesOf(sweep)[0].direction === "minimize" ? Math.min : Math.max;
+/** The best value of an objective after each trial that succeeded, in the order of their numbers: [[number, value, best]]. */
+export function bestSoFar(sweep, objective) {
+  const better = objectivesOf(sweep)[objective].direction === "minimize" ? Math.min : Math.max;
   let best;
   return sweep.trials
-    .filter((trial) => trial.status === "succeeded" && typeof trial.values[0] === "number")
-    .map(({ number, values: [found] }) => [number, found, (best = best === undefined ? found : better(best, found))]);
+    .filter((trial) => trial.status === "succeeded" && typeof trial.values[objective] === "number")
+    .map(({ number, values: { [objective]: found } }) => [number, found, (best = best === undefined ? found : better(best, found))]);
 }

@@ -5,12 +5,13 @@ import { ago, duration, seconds } from "../lib/format.js";
 import { html, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { change, href } from "../lib/route.js";
-import { byObjective, isOver, title } from "../lib/sweep.js";
+import { byObjective, chosenObjective, isOver, objectivesOf, title } from "../lib/sweep.js";
 import { Confirm } from "../parts/confirm.js";
 import { Copy } from "../parts/copy.js";
 import { Failure, Loading } from "../parts/states.js";
 import { Labels, Status } from "../parts/status.js";
 import { BestSoFar } from "./sweep/best.js";
+import { Front } from "./sweep/front.js";
 import { Groups } from "./sweep/groups.js";
 import { Importance } from "./sweep/importance.js";
 import { Parallel } from "./sweep/parallel.js";
@@ -27,30 +28,33 @@ export default function Sweep({ path, query }) {
     (found) => (isOver(found) ? 0 : 2000),
   );
   if (!sweep) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="the sweep" />`;
+  const objective = chosenObjective(sweep, query);
   const picked = query.getAll("pick").map(Number);
   const pick = (number) =>
     change({ pick: picked.includes(number) ? picked.filter((one) => one !== number) : [...picked, number] }, true);
   return html`<div class="stack">
-    <${Head} sweep=${sweep} again=${again} />
+    <${Head} sweep=${sweep} objective=${objective} again=${again} />
     ${error && html`<${Failure} error=${error} again=${again} />`}
     <${Resume} key=${sweep.status} sweep=${sweep} again=${again} />
+    <${Choice} sweep=${sweep} objective=${objective} />
     <div class="halves">
-      <${BestSoFar} sweep=${sweep} />
+      <${BestSoFar} sweep=${sweep} objective=${objective} />
       <${Importance} sweep=${sweep} />
     </div>
+    <${Front} sweep=${sweep} query=${query} />
     <${Parallel} sweep=${sweep} picked=${picked} />
-    <${Groups} sweep=${sweep} />
-    <${Trials} sweep=${sweep} picked=${picked} pick=${pick} />
+    <${Groups} sweep=${sweep} objective=${objective} />
+    <${Trials} sweep=${sweep} objective=${objective} picked=${picked} pick=${pick} />
     <details><summary>Specification</summary><${Copy} text=${JSON.stringify(sweep.spec, null, 2)} name="The sweep as JSON" /></details>
     ${picked.length > 0 && html`<${Picked} sweep=${sweep} picked=${picked} />`}
   </div>`;
 }
 
-function Head({ sweep, again }) {
+function Head({ sweep, objective, again }) {
   const [refusal, setRefusal] = useState(null);
   const cancel = () => post(sweep.links.cancel).then(again, setRefusal);
   const counted = Object.entries(sweep.num_trials).map(([status, number]) => `${number} ${status}`).join(", ");
-  const best = byObjective(sweep).filter((trial) => trial.job).slice(0, 5);
+  const best = byObjective(sweep, objective).filter((trial) => trial.job).slice(0, 5);
   return html`<div>
     <div class="title">
       <h1>${title(sweep)}</h1>
@@ -68,6 +72,19 @@ function Head({ sweep, again }) {
     <${Labels} labels=${sweep.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
     ${sweep.message && html`<p class="message ${sweep.status}">${sweep.message}</p>`}
     ${refusal && html`<${Failure} error=${refusal} />`}
+  </div>`;
+}
+
+/** Of several objectives, the one that the pictures and the order of the trials are about. */
+function Choice({ sweep, objective }) {
+  const objectives = objectivesOf(sweep);
+  if (objectives.length < 2) return null;
+  return html`<div class="tools">
+    <label>Objective of what follows
+      <select value=${objectives[objective].metric} onChange=${(event) => change({ objective: event.target.value }, true)}>
+        ${objectives.map(({ metric, direction }) => html`<option value=${metric}>${metric}, ${direction}</option>`)}
+      </select>
+    </label>
   </div>`;
 }
 

@@ -70,6 +70,61 @@ def test_a_sweep_shows_what_came_of_its_trials(tab: Tab, sweep: dict[str, Any]) 
     expect(groups.get_by_role("cell", name="3.5 ± 4.95", exact=True)).to_have_count(1)
 
 
+DISTANCE = "eval/episode_distance_from_origin"
+
+
+def test_of_several_objectives_one_is_chosen_and_the_front_is_marked(stack: Stack, make_tab: MakeTab) -> None:
+    """Trials 0 to 5 have the returns 0 to 50 and distances of which 0, 2, 3 and 5 are not beaten in both."""
+    sweep, controller = begun(
+        stack,
+        parameters={"algorithm.learning_rate": [1e-4, 1e-3, 1e-2], "seed": [1, 2]},
+        objective=[
+            {"metric": METRIC, "direction": "maximize"},
+            {"metric": DISTANCE, "direction": "minimize"},
+        ],
+    )
+    for trial, distance in zip(
+        stack.store.trials([sweep["id"]])[sweep["id"]], (1, 4, 3, 5, 9, 8), strict=True
+    ):
+        attempt = Attempt(stack, stack.store.get(trial.job or ""), is_new=False)
+        values = {METRIC: 10.0 * trial.number, DISTANCE: float(distance)}
+        for step in (500, 1000):
+            attempt.say("metrics", step=step, values={name: value * step for name, value in values.items()})
+        progress = Progress(step=1000, total=1000, metrics=values)
+        stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
+        attempt.end()
+    controller.look()
+    for width, dark in ((1280, False), (380, True)):
+        tab = make_tab(width, dark)
+        page = tab.open(f"#/sweeps/{sweep['id']}")
+        front = page.get_by_role(
+            "img", name=f"{DISTANCE} over {METRIC} of 6 trials, of which 4 are the front"
+        )
+        expect(front.locator("circle.best")).to_have_count(4)
+        assert front.locator(".tick").all_text_contents() == ["0", "2", "3", "5"]
+        # An axis for the setting, the seed, and each objective.
+        parallel = page.get_by_role("img", name=f"Settings and {METRIC}, {DISTANCE} of 6 trials")
+        expect(parallel.locator("line")).to_have_count(4)
+        expect(page.get_by_role("img", name=f"{METRIC}: the best of 6 trials is 50")).to_be_visible()
+        groups = page.get_by_role("region", name="Seeds of one setting together")
+        expect(groups.get_by_role("row").nth(1)).to_contain_text("45 ± 7.071")
+        first = page.get_by_role("region", name="Trials").get_by_role("row").nth(1)
+        expect(first).to_contain_text("trial 5")
+        page.get_by_label("Objective of what follows").select_option(DISTANCE)
+        expect(page.get_by_role("img", name=f"{DISTANCE}: the best of 6 trials is 1")).to_be_visible()
+        expect(groups.get_by_role("row").nth(1)).to_contain_text("2.5 ± 2.121")
+        expect(first).to_contain_text("trial 0")
+        first.scroll_into_view_if_needed()
+        expect(page.get_by_role("img", name="Trial 0, from 500 to 1000", exact=True)).to_be_visible()
+        page.get_by_label("Across").select_option(DISTANCE)
+        expect(page.get_by_role("img", name=f"{DISTANCE} over {DISTANCE}")).to_be_visible()
+        page.get_by_label("Up").select_option(METRIC)
+        expect(page.get_by_role("img", name=f"{METRIC} over {DISTANCE}")).to_be_visible()
+        assert "objective=" in page.url
+        assert (tab.violations(), tab.overflow()) == ([], 0)
+        tab.picture(f"sweep-objectives-{width}")
+
+
 def test_a_population_shows_generations_and_parents(stack: Stack, tab: Tab) -> None:
     population = {
         "job": {"kind": "train", "environment": "ant", "algorithm": {"num_timesteps": 10**8}},

@@ -6,9 +6,9 @@ import { bestSoFar, objectivesOf } from "../../lib/sweep.js";
 
 const [WIDTH, HEIGHT, LEFT, BELOW] = [480, 200, 56, 24];
 
-export function BestSoFar({ sweep }) {
-  const points = bestSoFar(sweep);
-  const [{ metric }] = objectivesOf(sweep);
+export function BestSoFar({ sweep, objective }) {
+  const points = bestSoFar(sweep, objective);
+  const { metric } = objectivesOf(sweep)[objective];
   return html`<section class="card"><h2>Best so far</h2>
     ${points.length ? html`<${Picture} points=${points} metric=${metric} />` : html`<p class="facts">No trial has succeeded yet.</p>`}
   </section>`;

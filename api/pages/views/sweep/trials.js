@@ -11,7 +11,7 @@ import { Sparkline } from "../../parts/sparkline.js";
 import { Status } from "../../parts/status.js";
 import { Thumbnail } from "../../parts/thumbnail.js";
 
-export function Trials({ sweep, picked, pick }) {
+export function Trials({ sweep, objective, picked, pick }) {
   const [axes, objectives] = [axesOf(sweep), objectivesOf(sweep)];
   const hasLineage = Boolean(sweep.spec.population);
   const best = new Set(sweep.best.map((trial) => trial.number));
@@ -22,11 +22,11 @@ export function Trials({ sweep, picked, pick }) {
         ${hasLineage && html`<th class="number">Generation</th><th>Resumed from</th>`}<th>Status</th>
         ${objectives.map(({ metric }) => html`<th class="number">${metric}</th>`)}
         ${axes.map((axis) => html`<th class="number">${axis}</th>`)}<th class="number">Steps</th></tr></thead>
-      <tbody>${byObjective(sweep).map((trial) => html`<tr key=${trial.number} class=${best.has(trial.number) ? "best" : ""}>
+      <tbody>${byObjective(sweep, objective).map((trial) => html`<tr key=${trial.number} class=${best.has(trial.number) ? "best" : ""}>
         <td>${trial.job && html`<label class="pick"><input type="checkbox" checked=${picked.includes(trial.number)}
           onChange=${() => pick(trial.number)} aria-label="Compare trial ${trial.number}" /></label>`}</td>
         <td>${trial.job ? html`<a href=${href(["jobs", trial.job])}>trial ${trial.number}</a>` : `trial ${trial.number}`}</td>
-        <td>${hasJob(trial) && html`<${Sparkline} job=${trial.job} metrics=${[objectives[0].metric]} step=${trial.step}
+        <td>${hasJob(trial) && html`<${Sparkline} key=${objective} job=${trial.job} metrics=${[objectives[objective].metric]} step=${trial.step}
           isOver=${isOver(trial)} name="Trial ${trial.number}" />`}</td>
         ${hasVideos(sweep) && html`<td>${hasJob(trial) && html`<${Poster} trial=${trial} />`}</td>`}
         ${hasLineage && html`<td class="number">${trial.generation}</td><td>${trial.parent !== null && `trial ${trial.parent}`}</td>`}
