@@ -22,10 +22,10 @@ _REPLAY_POLICY = (
 _MOST_REPLAY_BYTES = 32_000_000
 _REPLAYING = "report/main.js"
 _STYLE = """
-:root{color-scheme:light dark;--line:#d0d7de;--soft:#57606a;--shade:#eceff2}
-@media(prefers-color-scheme:dark){:root{--line:#3d444d;--soft:#9aa5b1;--shade:#22262b}}
+:root{color-scheme:light dark;--line:#d0d7de;--soft:#57606a;--shade:#eceff2;--paper:#fff}
+@media(prefers-color-scheme:dark){:root{--line:#3d444d;--soft:#9aa5b1;--shade:#22262b;--paper:#15171a}}
 body{font:15px/1.5 system-ui,sans-serif;max-width:64rem;margin:2rem auto;padding:0 1rem}
-body{overflow-wrap:anywhere}
+body{background:var(--paper);overflow-wrap:anywhere}
 h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem}
 .soft{color:var(--soft)}video,svg{max-width:100%;height:auto}
 .halves{display:grid;gap:1rem;grid-template-columns:repeat(auto-fit,minmax(min(20rem,100%),1fr))}
@@ -97,7 +97,7 @@ def open_report(job: Job, service: Service) -> Generator[Report]:
 
 def _whole(policy: str, parts: Sequence[bytes | _Held]) -> Report:
     size = size_in_words(sum(map(len, parts)))
-    end = f'<p class="soft">This file has {size} and needs no network.</p></body></html>\n'
+    end = f'<p class="soft">This file has {size} and needs no network.</p></main></body></html>\n'
     return Report(policy, [*parts, end.encode()])
 
 
@@ -107,7 +107,7 @@ def _head(job: Job, policy: str) -> str:
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{_STYLE}{_replay_style()}</style></head><body><h1>{title}</h1>"
+        f"<title>{title}</title><style>{_STYLE}{_replay_style()}</style></head><body><main><h1>{title}</h1>"
     )
 
 

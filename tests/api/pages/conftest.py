@@ -4,6 +4,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -49,6 +50,32 @@ def browser() -> Iterator[Browser]:
         browser.close()
 
 
+def violations(page: Page) -> list[str]:
+    """Axe's findings, each with the elements."""
+    page.evaluate(_AXE)
+    found: dict[str, Any] = page.evaluate("axe.run(document, {preload: false})")
+    return [f"{rule['id']}: {[node['html'] for node in rule['nodes']]}" for rule in found["violations"]]
+
+
+def overflow(page: Page) -> int:
+    """Pixels by which the page is wider than its window."""
+    return page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+
+
+def flaws(page: Page) -> list[str]:
+    """What axe finds, and by how much the page is wider than its window: at 1280 and 380 pixels, light and
+    dark. It is left narrow and dark."""
+    found: list[str] = []
+    for width, colours in product((1280, 380), ("light", "dark")):
+        page.set_viewport_size({"width": width, "height": 900})
+        page.emulate_media(color_scheme=colours)
+        look = f"{width} pixels, {colours}"
+        found += [f"{look}: {violation}" for violation in violations(page)]
+        if excess := overflow(page):
+            found.append(f"{look}: {excess} pixels too wide")
+    return found
+
+
 @dataclass
 class Tab:
     """A tab of the browser. complaints: errors of scripts, violations of the policy, requests elsewhere."""
@@ -63,16 +90,10 @@ class Tab:
         return self.page
 
     def violations(self) -> list[str]:
-        """Axe's findings, each with the elements."""
-        self.page.evaluate(_AXE)
-        found: dict[str, Any] = self.page.evaluate("axe.run(document, {preload: false})")
-        return [f"{rule['id']}: {[node['html'] for node in rule['nodes']]}" for rule in found["violations"]]
+        return violations(self.page)
 
     def overflow(self) -> int:
-        """Pixels by which the page is wider than its window."""
-        return self.page.evaluate(
-            "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-        )
+        return overflow(self.page)
 
     def picture(self, name: str) -> None:
         if _PICTURES:

@@ -13,7 +13,7 @@ from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.rendering.mp4 import Mp4Writer
 from tests.api.conftest import Attempt, Stack, job
-from tests.api.pages.conftest import Tab
+from tests.api.pages.conftest import Tab, flaws
 from tests.api.pages.test_job_view import measure
 from tests.api.pages.test_replay import drawn, keep, pictures
 from tests.api.pages.test_replay import scene as scene
@@ -96,6 +96,7 @@ def test_a_report_opens_from_a_disk_with_curve_video_settings_and_log(
     expect(page.get_by_role("img", name="training/loss")).to_be_visible()
     expect(page.get_by_text("compiled in 12 s")).to_be_visible()
     expect(page.get_by_text("needs no network")).to_be_visible()
+    assert flaws(page) == []
 
 
 @pytest.mark.parametrize("ended", [JobStatus.FAILED, None])
