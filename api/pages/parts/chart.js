@@ -5,6 +5,8 @@ import { html, useEffect, useRef } from "../lib/html.js";
 import { colour, useDark } from "../lib/theme.js";
 import uPlot from "../vendor/uplot.js";
 
+const MOST_EDGES = 4; // Of more lines, the legend leaves out the edges of bands.
+
 /**
  * @typedef {{label: string, xs: number[], ys: (number | null)[], colour: string, faint?: boolean, isDashed?: boolean,
  *   edge?: "upper" | "lower"}} Line edge: of a band; the upper one stands before the lower one, and between them it is filled.
@@ -79,6 +81,7 @@ function options(latest, lines, { x, log, width, height }) {
       { label: x === "time" ? "Time" : "Step", value: (_, one) => (one === null ? "–" : across(one)) },
       ...lines.map((line) => ({
         label: line.label,
+        class: line.edge && lines.length > MOST_EDGES ? "unlisted" : undefined,
         stroke: line.faint ? faded(colour(line.colour)) : colour(line.colour),
         width: line.edge ? 0 : line.faint ? 1 : 1.75,
         dash: line.isDashed ? [8, 5] : undefined,
@@ -89,7 +92,7 @@ function options(latest, lines, { x, log, width, height }) {
     bands: lines.flatMap((line, i) =>
       line.edge === "upper" ? [{ series: [i + 1, i + 2], fill: faded(colour(line.colour), 0.2) }] : [],
     ),
-    legend: { show: lines.length <= 4 },
+    legend: { markers: { dash: (_, i) => (lines[i - 1]?.isDashed ? "dashed" : "solid") } },
     cursor: {
       sync: latest.current.sync ? { key: latest.current.sync } : undefined,
       drag: { x: true, y: false, setScale: false },
@@ -121,16 +124,4 @@ function summary(title, lines) {
     return `${label}: last ${value(found.at(-1))} at ${compact(xs.at(-1))}, least ${value(least)}, greatest ${value(greatest)}`;
   });
   return `${title}. ${parts.join(". ")}`;
-}
-
-/** The picture of the chart within an element as PNG, on the page's ground. */
-export function pictureOf(element) {
-  const canvas = element.querySelector("canvas");
-  const copy = document.createElement("canvas");
-  [copy.width, copy.height] = [canvas.width, canvas.height];
-  const context = copy.getContext("2d");
-  context.fillStyle = colour("--card");
-  context.fillRect(0, 0, copy.width, copy.height);
-  context.drawImage(canvas, 0, 0);
-  return new Promise((resolve) => copy.toBlob(resolve, "image/png"));
 }

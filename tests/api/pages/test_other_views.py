@@ -8,6 +8,7 @@ import shlex
 from datetime import timedelta
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from playwright.sync_api import expect
@@ -91,6 +92,53 @@ def test_what_is_compared_is_exported(tab: Tab, pair: list[Attempt], tmp_path: P
         page.get_by_role("button", name="Export PNG").click()
     download.value.save_as(tmp_path / "curves.png")
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_picture_of_many_curves_names_them_in_their_colours(
+    stack: Stack, make_tab: MakeTab, tmp_path: Path
+) -> None:
+    attempts = [
+        Attempt(stack, job(f"{number:012x}-0000000000", name=f"layers of {number} neurons"))
+        for number in range(10)
+    ]
+    for number, attempt in enumerate(attempts):
+        for step in (0, 100, 200):
+            attempt.say("metrics", step=step, values={"eval/episode_reward": step * (number + 1.0)})
+    for width, dark in ((1280, False), (380, True)):
+        tab = make_tab(width, dark)
+        page = tab.open(f"#/compare?ids={','.join(attempt.id for attempt in attempts)}")
+        chart = page.get_by_role("group", name="eval/episode_reward")
+        # The axis's own row, and one for each line.
+        expect(chart.locator(".u-series")).to_have_count(11)
+        assert (tab.violations(), tab.overflow()) == ([], 0)
+        tab.picture(f"compare-many-{width}")
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Export PNG").click()
+        path = tmp_path / f"compare-png-{width}.png"
+        download.value.save_as(path)
+        with av.open(str(path)) as container:
+            pixels = next(container.decode(video=0)).to_ndarray(format="rgb24")
+        box = chart.locator("canvas").bounding_box()
+        assert box is not None
+        plotted = 44 + round(box["height"])  # Below the title.
+        assert pixels.shape[1] == round(box["width"]) + 48
+        ground = pixels[2, 2]
+        assert tuple(ground) == ((29, 32, 36) if dark else (255, 255, 255))
+        title, below = pixels[:44], pixels[plotted:]
+        assert (title != ground).any()
+        assert (pixels[44:plotted, :34] != ground).any()  # The name of the upward axis.
+        assert (below[:20] != ground).any()  # The name of the other one.
+        for number in range(1, 9):
+            ink = page.evaluate(
+                """name => {
+                  const probe = document.querySelector("main");
+                  probe.style.color = `var(--curve-${name})`;
+                  return getComputedStyle(probe).color.match(/[0-9]+/g).map(Number);
+                }""",
+                number,
+            )
+            # 22 by 4 pixels, and for the first two once more, dashed, of the ninth and the tenth job.
+            assert (below[20:] == ink).all(axis=2).sum() == 88 + (72 if number < 3 else 0)
 
 
 def film(path: Path, num_frames: int, shade: int) -> bytes:

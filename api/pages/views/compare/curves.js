@@ -6,9 +6,10 @@ import { save, toCsv } from "../../lib/export.js";
 import { html, useRef, useState } from "../../lib/html.js";
 import { isOver, RETURNS } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
-import { Chart, pictureOf } from "../../parts/chart.js";
+import { Chart } from "../../parts/chart.js";
 import { band, bySetting } from "../../lib/seeds.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
+import { pictureOf } from "../../parts/picture.js";
 import { Failure } from "../../parts/states.js";
 import { change } from "../../lib/route.js";
 
@@ -34,6 +35,12 @@ export function Curves({ jobs, query }) {
     save(`${fileName(metric)}.csv`, new Blob([toCsv(jobs.map((job, i) => [job, curves[i]]), metric)], { type: "text/csv" }));
     setBusy(false);
   };
+  const exportPng = async () => {
+    const smoothed = tools.smoothing ? `, smoothed by ${tools.smoothing}` : "";
+    const title = `${metric} of ${jobs.length} ${jobs.length === 1 ? "job" : "jobs"}${smoothed}`;
+    const told = { title, across: tools.x === "time" ? "wall time" : "steps", up: `${metric}${tools.log ? ", log" : ""}`, lines };
+    save(`${fileName(metric)}.png`, await pictureOf(place.current, told));
+  };
   const single = new Map(jobs.flatMap((job, i) => (data?.[i] ? [[job.id, lineOf(job, data[i], tools)]] : [])));
   const groups = bySetting(jobs);
   const hasSeeds = groups.length < jobs.length;
@@ -54,7 +61,7 @@ export function Curves({ jobs, query }) {
     </div>
     <p class="actions">
       <button type="button" disabled=${isBusy || !lines.length} onClick=${exportCsv}>Export CSV</button>
-      <button type="button" disabled=${!lines.length} onClick=${async () => save(`${fileName(metric)}.png`, await pictureOf(place.current))}>Export PNG</button>
+      <button type="button" disabled=${!lines.length} onClick=${exportPng}>Export PNG</button>
       <span class="facts">The CSV has up to 10,000 values of each job; ${" "}<a href=${query.get("ids") && `#/jobs/${jobs[0].id}/curves`}>all rows</a> are on a job's own page.</span>
     </p>
   </section>`;
