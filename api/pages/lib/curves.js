@@ -75,6 +75,12 @@ export function useCurves(job, listen, asked) {
 const only = (row, names) =>
   names ? { ...row, values: Object.fromEntries(Object.entries(row.values).filter(([name]) => names.includes(name))) } : row;
 
+/** One metric of a job, null where it has none. path: of the job's metrics. asked: points, first_step, last_step. */
+export async function curveOf(path, metric, asked, signal) {
+  const { rows } = await get(path, { metric, ...asked }, { signal });
+  return new Curves(rows).byName.get(metric) || null;
+}
+
 /**
  * Exponential moving average that begins at the first value, as TensorBoard's.
  * @param {(number | null)[]} values

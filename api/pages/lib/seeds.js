@@ -37,6 +37,20 @@ export function band(curves) {
   };
 }
 
+/**
+ * The lines of a chart for the curves of one setting, in the first one's colour: the edges of their band, and the mean.
+ * @param {import("../parts/chart.js").Line[]} curves Two or more.
+ */
+export function bandLines(curves, label) {
+  const { xs, mean, least, greatest } = band(curves);
+  const { colour, isDashed } = curves[0];
+  return [
+    { label: `${label}: greatest`, xs, ys: greatest, colour, edge: "upper" },
+    { label: `${label}: least`, xs, ys: least, colour, edge: "lower" },
+    { label, xs, ys: mean, colour, isDashed },
+  ];
+}
+
 /** The curve's values at rising xs; null outside it. */
 function along(points, xs) {
   let next = 0;

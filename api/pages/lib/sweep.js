@@ -19,6 +19,9 @@ export const short = (axis) => axis.split(".").at(-1);
 /** A setting as text. */
 export const told = (setting) => (typeof setting === "object" && setting !== null ? JSON.stringify(setting) : value(setting));
 
+/** Whether a trial has a job, which may be deleted. */
+export const hasJob = (trial) => trial.job && trial.status !== "deleted";
+
 /** Of which objective the address speaks: its place among them. */
 export const chosenObjective = (sweep, query) =>
   Math.max(objectivesOf(sweep).findIndex(({ metric }) => metric === query.get("objective")), 0);

@@ -113,6 +113,12 @@ def test_of_several_objectives_one_is_chosen_and_the_front_is_marked(stack: Stac
         page.get_by_label("Objective of what follows").select_option(DISTANCE)
         expect(page.get_by_role("img", name=f"{DISTANCE}: the best of 6 trials is 1")).to_be_visible()
         expect(groups.get_by_role("row").nth(1)).to_contain_text("2.5 ± 2.121")
+        # At step 1000 the seeds of the first setting report 1000 and 4000.
+        bands = (
+            f"{DISTANCE}. learning_rate 1e-4, mean of 2 seeds: last 2500 at 1K, least 1250, greatest 2500."
+        )
+        groups.scroll_into_view_if_needed()
+        expect(page.get_by_role("img", name=bands)).to_be_visible()
         expect(first).to_contain_text("trial 0")
         first.scroll_into_view_if_needed()
         expect(page.get_by_role("img", name="Trial 0, from 500 to 1000", exact=True)).to_be_visible()

@@ -1,13 +1,12 @@
 /** One metric of several jobs over each other, to export as a table or a picture. */
 
-import { get } from "../../lib/api.js";
-import { across, Curves as JobCurves, smooth } from "../../lib/curves.js";
+import { across, curveOf, smooth } from "../../lib/curves.js";
 import { save, toCsv } from "../../lib/export.js";
 import { html, useRef, useState } from "../../lib/html.js";
 import { isOver, RETURNS } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { Chart } from "../../parts/chart.js";
-import { band, bySetting } from "../../lib/seeds.js";
+import { bandLines, bySetting } from "../../lib/seeds.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
 import { pictureOf } from "../../parts/picture.js";
 import { Failure } from "../../parts/states.js";
@@ -23,7 +22,7 @@ export function Curves({ jobs, query }) {
   const isClose = tools.range && tools.x === "steps";
   const range = isClose ? { first_step: tools.range[0], last_step: tools.range[1] } : {};
   const { data, error, again } = useLive(
-    (signal) => Promise.all(jobs.map((job) => curveOf(job, metric, { points: POINTS, ...range }, signal))),
+    (signal) => Promise.all(jobs.map((job) => curveOf(job.links.metrics, metric, { points: POINTS, ...range }, signal))),
     [jobs.map((job) => job.id).join(), metric, JSON.stringify(range)],
     () => (jobs.some((job) => !isOver(job)) ? 4000 : 0),
   );
@@ -31,7 +30,7 @@ export function Curves({ jobs, query }) {
   const [isBusy, setBusy] = useState(false);
   const exportCsv = async () => {
     setBusy(true);
-    const curves = await Promise.all(jobs.map((job) => curveOf(job, metric, { points: EXPORTED_POINTS, ...range })));
+    const curves = await Promise.all(jobs.map((job) => curveOf(job.links.metrics, metric, { points: EXPORTED_POINTS, ...range })));
     save(`${fileName(metric)}.csv`, new Blob([toCsv(jobs.map((job, i) => [job, curves[i]]), metric)], { type: "text/csv" }));
     setBusy(false);
   };
@@ -69,11 +68,6 @@ export function Curves({ jobs, query }) {
 
 const fileName = (metric) => metric.replaceAll("/", "-");
 
-async function curveOf(job, metric, asked, signal) {
-  const { rows } = await get(job.links.metrics, { metric, ...asked }, { signal });
-  return new JobCurves(rows).byName.get(metric) || null;
-}
-
 const lineOf = (job, curve, tools) => ({
   label: job.label,
   colour: job.colour,
@@ -86,12 +80,5 @@ const lineOf = (job, curve, tools) => ({
 function bandOf(group, single) {
   const own = group.flatMap((job) => (single.has(job.id) ? [single.get(job.id)] : []));
   if (own.length < 2) return own;
-  const { xs, mean, least, greatest } = band(own);
-  const { colour, isDashed } = own[0];
-  const label = `${own[0].label} and ${own.length - 1} more ${own.length > 2 ? "seeds" : "seed"}, mean`;
-  return [
-    { label: `${label}: greatest`, xs, ys: greatest, colour, edge: "upper" },
-    { label: `${label}: least`, xs, ys: least, colour, edge: "lower" },
-    { label, xs, ys: mean, colour, isDashed },
-  ];
+  return bandLines(own, `${own[0].label} and ${own.length - 1} more ${own.length > 2 ? "seeds" : "seed"}, mean`);
 }

@@ -5,7 +5,7 @@ import { html } from "../../lib/html.js";
 import { change } from "../../lib/route.js";
 import { isMeasured, objectivesOf } from "../../lib/sweep.js";
 
-const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BELOW] = [640, 300, 64, 8, 24, 44];
+const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BELOW] = [480, 260, 64, 8, 24, 44];
 
 export function Front({ sweep, query }) {
   const objectives = objectivesOf(sweep);

@@ -1,8 +1,16 @@
-/** The seeds of each setting together: mean and standard deviation. */
+/** The seeds of each setting together: their curves as bands, their mean and standard deviation. */
 
+import { curveOf } from "../../lib/curves.js";
 import { value } from "../../lib/format.js";
-import { html } from "../../lib/html.js";
-import { axesOf, objectivesOf, told } from "../../lib/sweep.js";
+import { html, useRef } from "../../lib/html.js";
+import { useInSight } from "../../lib/in_sight.js";
+import { bandLines } from "../../lib/seeds.js";
+import { axesOf, hasJob, isOver, objectivesOf, short, told } from "../../lib/sweep.js";
+import { Chart } from "../../parts/chart.js";
+
+const MOST_BANDS = 8; // As many as there are colours.
+const MOST_SEEDS = 20; // Whose curves are loaded for one band.
+const POINTS = 200;
 
 export function Groups({ sweep, objective }) {
   if (!sweep.groups.some((group) => group.trials.length > 1)) return null;
@@ -11,7 +19,9 @@ export function Groups({ sweep, objective }) {
   const worth = (group) => (group.mean[objective] === null ? Infinity : sign * group.mean[objective]);
   const groups = [...sweep.groups].sort((one, other) => worth(one) - worth(other));
   const axes = axesOf(sweep).filter((axis) => axis !== "seed");
-  return html`<section class="card"><h2>Seeds of one setting together</h2>
+  return html`<section class="card stack"><h2>Seeds of one setting together</h2>
+    <${Bands} key=${metric} sweep=${sweep} groups=${groups.slice(0, MOST_BANDS)} axes=${axes} metric=${metric} />
+    <p class="facts">${limits(groups)}</p>
     <div class="table" tabindex="0" role="region" aria-label="Seeds of one setting together"><table>
       <thead><tr>${axes.map((axis) => html`<th>${axis}</th>`)}<th class="number">Seeds</th><th class="number">${metric}</th></tr></thead>
       <tbody>${groups.map((group) => html`<tr key=${group.trials[0]}>
@@ -21,4 +31,41 @@ export function Groups({ sweep, objective }) {
       </tr>`)}</tbody>
     </table></div>
   </section>`;
+}
+
+/** Of what the curves are. */
+const limits = (groups) =>
+  `Each line is the mean over the seeds of a setting, between the least and the greatest` +
+  `${groups.length > MOST_BANDS ? `; the best ${MOST_BANDS} settings are drawn` : ""}` +
+  `${groups.some((group) => group.trials.length > MOST_SEEDS) ? `; of each, the first ${MOST_SEEDS} seeds` : ""}.`;
+
+/** The curves of each group: their mean, between the least and the greatest. They are loaded in sight, group by group. */
+function Bands({ sweep, groups, axes, metric }) {
+  const known = useRef(new Map()); // By job: its curve, and the step at which it was loaded.
+  const members = groups.map((group) =>
+    sweep.trials.filter((trial) => group.trials.includes(trial.number) && hasJob(trial) && trial.step > 0).slice(0, MOST_SEEDS),
+  );
+  const load = async ({ job, step }) => {
+    if (known.current.get(job)?.step !== step) {
+      known.current.set(job, { step, curve: await curveOf(`/jobs/${job}/metrics`, metric, { points: POINTS }) });
+    }
+    return known.current.get(job).curve;
+  };
+  const loadLines = async () => {
+    const lines = [];
+    for (const [at, trials] of members.entries()) {
+      const curves = (await Promise.all(trials.map(load))).filter(Boolean);
+      const setting = axes.map((axis) => `${short(axis)} ${told(groups[at].parameters[axis])}`).join(", ");
+      lines.push(...linesOf(curves, setting, `--curve-${at + 1}`));
+    }
+    return lines;
+  };
+  const version = members.flat().map(({ number, step }) => `${number} ${step}`).join();
+  const [place, lines] = useInSight(loadLines, version, isOver(sweep));
+  return html`<div ref=${place} class=${version && "bands"}>${lines && html`<${Chart} title=${metric} lines=${lines} x="steps" log=${false} range=${null} height=${300} />`}</div>`;
+}
+
+function linesOf(curves, setting, colour) {
+  const lines = curves.map(({ steps, values }) => ({ label: setting || "one seed", xs: steps, ys: values, colour }));
+  return lines.length < 2 ? lines : bandLines(lines, `${setting && `${setting}, `}mean of ${lines.length} seeds`);
 }

@@ -6,7 +6,7 @@ import { html } from "../../lib/html.js";
 import { useInSight } from "../../lib/in_sight.js";
 import { newest } from "../../lib/job.js";
 import { href } from "../../lib/route.js";
-import { axesOf, byObjective, hasVideos, objectivesOf, told } from "../../lib/sweep.js";
+import { axesOf, byObjective, hasJob, hasVideos, objectivesOf, told } from "../../lib/sweep.js";
 import { Sparkline } from "../../parts/sparkline.js";
 import { Status } from "../../parts/status.js";
 import { Thumbnail } from "../../parts/thumbnail.js";
@@ -38,8 +38,6 @@ export function Trials({ sweep, objective, picked, pick }) {
     </table></div>`}
   </section>`;
 }
-
-const hasJob = (trial) => trial.job && trial.status !== "deleted";
 
 const isOver = (trial) => trial.finished_at !== null;
 
