@@ -23,7 +23,7 @@ export function useJob(id) {
   const { data, error, again } = useLive(
     (signal) => get(`/jobs/${id}`, {}, { signal }),
     [id],
-    (found) => (found.status === "queued" ? 3000 : 15_000),
+    (found) => (found.status === "queued" ? 3000 : isOver(found) ? 5000 : 15_000),
   );
   useEffect(() => data && setJob(data), [data]);
   useEffect(() => setGone(Boolean(job) && error?.status === 404), [error]);

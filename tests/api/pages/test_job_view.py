@@ -177,6 +177,20 @@ def test_a_job_that_is_deleted_while_somebody_looks(stack: Stack, tab: Tab, atte
     expect(page.get_by_role("alert")).to_contain_text("There is no job")
 
 
+def test_a_job_that_another_reader_deletes_is_said_to_be_gone(
+    stack: Stack, tab: Tab, attempt: Attempt
+) -> None:
+    page = tab.open(f"#/jobs/{attempt.id}")
+    expect(page.locator(".status")).to_have_text("running")
+    attempt.end()
+    expect(page.locator(".status")).to_have_text("succeeded")
+    assert stack.http.delete(f"/jobs/{attempt.id}").status_code == 204
+    # An ended job is asked for every 5 s.
+    expect(page.get_by_text("Somebody deleted this job.")).to_be_visible(timeout=10_000)
+    page.get_by_role("link", name="To the jobs").click()
+    expect(page.get_by_text("No jobs yet.")).to_be_visible()
+
+
 def test_a_service_that_goes_away_and_comes_back(stack: Stack, make_tab: MakeTab, attempt: Attempt) -> None:
     app: FastAPI = create_app(NOWHERE, store=stack.store, queue=MemoryJobQueue(), objects=stack.objects)
     measure(stack, attempt, 100, eval__episode_reward=1.0)
