@@ -277,8 +277,8 @@ class Client:
         """Download the final policy for programs without this package, to `path` (docs/export.md).
 
         format: `numpy`, `policy.npz`, which `gaitway.exported_policy` reads with NumPy alone; or `onnx`,
-        `policy.onnx` for any ONNX runtime. Raises NotReady until the job has ended, and Rejected for the
-        tables of Q-learning.
+        `policy.onnx` for any ONNX runtime. Raises NotReady until the job has ended (the artifact
+        `policy.npz` is the newest checkpoint's until then), and Rejected for the tables of Q-learning.
         """
         return self._transport.do(self._calls.export_policy(job_id, format, path, on_bytes))
 

@@ -168,6 +168,8 @@ def _policy(job: Job, form: Literal["numpy", "onnx"] | None) -> Artifact:
         )
     if found is None:
         raise absence(job, name, "policy")
+    if own is None and not job.status.is_final:
+        raise absence(job, f"final {name}", "export")
     return found
 
 

@@ -56,6 +56,17 @@ def test_an_export_that_is_on_its_way_may_come(stack: Stack) -> None:
     assert "has no policy.onnx yet" in problem(asked(stack, "onnx"), 404, "artifact-not-ready")["detail"]
 
 
+def test_a_checkpoints_export_is_no_final_policy(stack: Stack) -> None:
+    attempt = Attempt(stack, job(ID))
+    keep(attempt, "numpy")
+    detail = problem(asked(stack, "numpy"), 404, "artifact-not-ready")["detail"]
+    assert "has no final policy.npz yet. It has policy.npz." in detail
+    assert stack.http.get(f"/jobs/{ID}/artifacts/policy.npz").content == b"arrays"
+    attempt.end(JobStatus.FAILED, Reason.DIVERGED)
+    # There will be no later one.
+    assert asked(stack, "numpy").content == b"arrays"
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_a_policy_that_never_comes_says_why(stack: Stack, form: str | None) -> None:
     attempt = Attempt(stack, job(ID))

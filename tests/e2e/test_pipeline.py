@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,9 @@ KEPT = {
     *("checkpoint", "export", "metrics", "picture", "policy", "poster", "tensorboard", "trajectory"),
     *("video", "replay", "scene", "simulation"),
 }
+
+# What of it there is while it trains.
+DURING = {"checkpoint", "export", "metrics", "replay", "scene", "simulation"}
 
 
 @pytest.fixture(scope="module")
@@ -234,6 +239,45 @@ def test_killed_stores_change_nothing_in_the_result_and_cost_no_attempt(
     ended = client.wait(job.id, timeout=110)
     assert [attempt.reason for attempt in ended.attempts] == ["completed"]
     assert final_checkpoint(ended) == final_checkpoint(undisturbed)
+
+
+def test_a_running_job_has_what_its_page_pushes_and_watch_opens_the_page(
+    client: Client, tmp_path: Path
+) -> None:
+    browser, asked = tmp_path / "browser", tmp_path / "asked"
+    browser.write_text(f'#!/bin/sh\necho "$1" >> {asked}\n')
+    browser.chmod(0o755)
+    job = client.submit({**SMALL, "algorithm": {**SMALL["algorithm"], "num_timesteps": 10_000_000}})
+    command = [sys.executable, "-c", "from gaitway.cli.main import app; app()", "--url", str(client.base_url)]
+    with subprocess.Popen(
+        [*command, "watch", job.id, "--open"],
+        env={**os.environ, "BROWSER": str(browser)},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as watching:
+        steps = list[int]()
+        for event in client.events(job.id):
+            if event.kind == "artifact" and event.data["name"] == "policy.npz":
+                steps.append(event.data["step"])
+            if event.kind == "artifact" and event.data["role"] == "replay" and len(steps) > 1:
+                break
+        running = client.get(job.id)
+        content = client.download(job.id, "policy.npz", tmp_path)
+        client.cancel(job.id)
+        said, _ = watching.communicate(timeout=110)
+    assert running.status == "running"
+    assert {a.role for a in running.artifacts} == DURING
+    # The newest alone is kept; a newer one may have come since.
+    [policy] = [a for a in running.artifacts if a.name == "policy.npz"]
+    assert (
+        51_200 == steps[0] < steps[1] <= policy.step <= exported_policy.load(content).about["trained_steps"]
+    )
+    simulation = running.artifact("simulation.json")
+    assert simulation is not None
+    assert simulation.metadata == {"can_run": True}
+    assert asked.read_text() == f"{client.base_url}/#/jobs/{job.id}/replay\n"
+    assert f"Job {job.id} cancelled" in said
+    assert watching.returncode == 1
 
 
 def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(client: Client) -> None:

@@ -1,6 +1,7 @@
 """The training process' end of the pipe and of the spool."""
 
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ class EventWriter:
     def __init__(self, spool: Path, events_fd: int) -> None:
         self.spool = spool
         self._pipe = os.fdopen(events_fd, "wb", buffering=0)
+        self._times_kept = Counter[str]()
 
     def send(self, message: Message) -> None:
         """One line, in one write."""
@@ -29,11 +31,17 @@ class EventWriter:
         step: int | None = None,
         metadata: dict[str, Any] | None = None,
     ) -> None:
-        """Write a file and hand it over; the supervisor sees it whole or not at all."""
-        partial = self.spool / f".{name}"
+        """Write a file and hand it over; the supervisor sees it whole or not at all.
+
+        One of a name that was kept before replaces it in the job's record.
+        """
+        # Until the supervisor has stored the one before, that one needs its own path.
+        self._times_kept[name] += 1
+        path = name if self._times_kept[name] == 1 else f"{self._times_kept[name]}-{name}"
+        partial = self.spool / f".{path}"
         partial.write_bytes(content)
-        partial.rename(self.spool / name)
-        self.hand_over(name, role, media_type, step=step, metadata=metadata)
+        partial.rename(self.spool / path)
+        self.hand_over(name, role, media_type, step=step, metadata=metadata, path=path)
 
     def hand_over(
         self,
@@ -43,10 +51,16 @@ class EventWriter:
         *,
         step: int | None = None,
         metadata: dict[str, Any] | None = None,
+        path: str | None = None,
     ) -> None:
-        """Announce a whole file of this name in the spool."""
+        """Announce a whole file in the spool, where its name is `path` if that is given."""
         self.send(
             FileReady(
-                name=name, path=name, role=role, media_type=media_type, step=step, metadata=metadata or {}
+                name=name,
+                path=path or name,
+                role=role,
+                media_type=media_type,
+                step=step,
+                metadata=metadata or {},
             )
         )

@@ -1,7 +1,9 @@
 """The policy of a training for programs elsewhere, as `policy.npz` and `policy.onnx`."""
 
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from core.algorithms.catalog import ALGORITHMS
@@ -11,38 +13,73 @@ from core.algorithms.export.numpy_file import numpy_file
 from worker.protocol import Noted
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
+from worker.training.simulations import keep_simulation
+from worker.training.time_budget import TimeBudget
 
 _Writer = Callable[[Network, Mapping[str, Any]], bytes]
+_NUMPY, _NUMPY_TYPE = "policy.npz", "application/x-npz"
 
 
-def keep_exports(
-    policy: bytes, algorithm: str, step: int, built: BuiltEnvironment, events: EventWriter
-) -> None:
-    """Keep both files; nothing for an algorithm whose policies have no such form.
+@dataclass
+class ExportWriter:
+    """Keeps an attempt's exports, and the simulation that the page steps under them.
 
-    policy: the algorithm's own file. A file that cannot be written is a note: the job has its policy.
+    Nothing for an algorithm whose policies have no such form.
     """
-    if ALGORITHMS[algorithm].no_export is not None:
-        return
-    # Its import takes 0.3 s, which no start waits for.
-    from core.algorithms.export.onnx_file import onnx_file
 
-    origin = Origin(
-        algorithm=algorithm,
-        environment=built.info.id,
-        options=built.info.option_values.model_dump(mode="json"),
-        step_s=built.environment.dt,
-        trained_steps=step,
-        observation_parts=[asdict(part) for part in built.info.spaces.observation],
-        action_parts=[asdict(part) for part in built.info.spaces.action],
-    )
-    writers: Mapping[str, tuple[_Writer, str]] = {
-        "policy.npz": (numpy_file, "application/x-npz"),
-        "policy.onnx": (onnx_file, "application/octet-stream"),
-    }
-    for name, (write, media_type) in writers.items():
-        try:
-            network = network_of(policy)
-            events.keep(name, write(network, contract(network, origin)), "export", media_type, step=step)
-        except NotExportable as error:
-            events.send(Noted(text=f"There is no {name}: {error}."))
+    algorithm: str
+    built: BuiltEnvironment
+    events: EventWriter
+    _has_simulation: bool = False
+    _budget: TimeBudget = field(default_factory=TimeBudget)
+
+    def keep_newest(self, policy: Callable[[], bytes], step: int) -> None:
+        """Replace `policy.npz` by the one of a checkpoint, where that costs next to nothing.
+
+        A policy that has no such file is left to the end, which says why.
+        """
+        if ALGORITHMS[self.algorithm].no_export is not None or not self._budget.allows_another():
+            return
+        began = time.monotonic()
+        self._keep_simulation()
+        with suppress(NotExportable):
+            content = self._written(policy(), step, numpy_file)
+            self.events.keep(_NUMPY, content, "export", _NUMPY_TYPE, step=step)
+        self._budget.spent(began)
+
+    def keep_last(self, policy: bytes, step: int) -> None:
+        """Keep both files. One that cannot be written is a note: the job has its policy."""
+        if ALGORITHMS[self.algorithm].no_export is not None:
+            return
+        # Its import takes 0.3 s, which no start waits for.
+        from core.algorithms.export.onnx_file import onnx_file
+
+        writers: Mapping[str, tuple[_Writer, str]] = {
+            _NUMPY: (numpy_file, _NUMPY_TYPE),
+            "policy.onnx": (onnx_file, "application/octet-stream"),
+        }
+        for name, (write, media_type) in writers.items():
+            try:
+                self.events.keep(name, self._written(policy, step, write), "export", media_type, step=step)
+            except NotExportable as error:
+                self.events.send(Noted(text=f"There is no {name}: {error}."))
+        self._keep_simulation()
+
+    def _keep_simulation(self) -> None:
+        if not self._has_simulation:
+            keep_simulation(self.built.environment, self.events)
+            self._has_simulation = True
+
+    def _written(self, policy: bytes, step: int, write: _Writer) -> bytes:
+        """policy: the algorithm's own file. Raises NotExportable."""
+        network, info = network_of(policy), self.built.info
+        origin = Origin(
+            algorithm=self.algorithm,
+            environment=info.id,
+            options=info.option_values.model_dump(mode="json"),
+            step_s=self.built.environment.dt,
+            trained_steps=step,
+            observation_parts=[asdict(part) for part in info.spaces.observation],
+            action_parts=[asdict(part) for part in info.spaces.action],
+        )
+        return write(network, contract(network, origin))

@@ -1,6 +1,5 @@
 """Replays: what the page needs to draw episodes in three dimensions (docs/replay.md)."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -50,26 +49,3 @@ class ReplayWriter:
             step=step,
             metadata={"episodes": len(shown), "of_episodes": len(episodes), "seconds": shown[0].duration_s},
         )
-
-
-@dataclass
-class ReplayBudget:
-    """Keeps replays at checkpoints to a share of the training's time.
-
-    The first one compiles the policy, which the video at the end needs as well, so it says nothing about the
-    next.
-    """
-
-    share: float = 0.03
-    _is_compiled: bool = False
-    _next_at: float = 0.0
-
-    def allows_another(self) -> bool:
-        """Whether the last one's cost has become a small share of the time since then."""
-        return time.monotonic() >= self._next_at
-
-    def spent(self, began: float) -> None:
-        """Another one is done. began: its start, by `time.monotonic`."""
-        now = time.monotonic()
-        self._next_at = now + (now - began) / self.share if self._is_compiled else now
-        self._is_compiled = True

@@ -3,7 +3,6 @@
 import json
 from typing import Any
 
-from core.algorithms.catalog import ALGORITHMS
 from core.environments.environment import Environment
 from core.environments.mujoco_env import MujocoEnv
 from core.environments.simulation import NotSimulated
@@ -13,10 +12,8 @@ from worker.training.event_writer import EventWriter
 NAME = "simulation.json"
 
 
-def keep_simulation(algorithm: str, environment: Environment, events: EventWriter) -> None:
-    """Keep the file, which says why if the body cannot be stepped; no file where no policy is exported."""
-    if ALGORITHMS[algorithm].no_export is not None:
-        return
+def keep_simulation(environment: Environment, events: EventWriter) -> None:
+    """Keep the file, which says why if the body cannot be stepped."""
     try:
         document = _document(environment)
     except NotSimulated as error:

@@ -18,12 +18,12 @@ from core.jobs.spec import TrainSpec, VideoSpec
 from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
-from worker.training.exports import keep_exports
+from worker.training.exports import ExportWriter
 from worker.training.memory import check_memory
 from worker.training.pictures import kept_with_tables
-from worker.training.replays import ReplayBudget, ReplayWriter
-from worker.training.simulations import keep_simulation
+from worker.training.replays import ReplayWriter
 from worker.training.stopping import StopRequest
+from worker.training.time_budget import TimeBudget
 from worker.training.video import VideoRecorder
 
 # A tenth of the budget lies between checkpoints where the job does not say.
@@ -45,8 +45,8 @@ def train(
 ) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 
-    Keeps a checkpoint; and, unless the job continues elsewhere, its policy, also for programs elsewhere, and
-    the video that it asks for.
+    Keeps checkpoints, and the newest one's policy as `policy.npz`; and at the end, unless the job continues
+    elsewhere, its policy, also for programs elsewhere, and the video that it asks for.
     """
     settings = resolve(spec.algorithm, built.info, built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
@@ -85,6 +85,7 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
 ) -> bool:
     """Turn the run's events into messages and files; see `train`. others_wait: for as long as this takes."""
     report = Report(events, run, spec.checkpoints.every_seconds)
+    exports = ExportWriter(settings.algorithm(), built, events)
     videos = (
         None if spec.video is None else PolicyVideos(spec, spec.video, built, events, run, not others_wait)
     )
@@ -96,8 +97,12 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
                 report.publish(event)
                 if stopping.asked:
                     break
+                is_kept = isinstance(event, CheckpointReady)
                 if isinstance(event, Progress):
-                    report.keep_checkpoint_if_due()
+                    is_kept = report.keep_checkpoint_if_due()
+                if is_kept and not others_wait and run.step < run.total:
+                    with stopping.nothing_to_keep():
+                        exports.keep_newest(run.policy, run.step)
                 if isinstance(event, CheckpointReady) and videos:
                     with stopping.nothing_to_keep():
                         videos.at_checkpoint(event.step)
@@ -107,9 +112,9 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
         policy = run.policy()
+        exports.keep_last(policy, run.step)
+        # After those: with this one the job has its final policy, in whatever form.
         events.keep("policy", policy, "policy", "application/octet-stream", step=run.step)
-        keep_exports(policy, settings.algorithm(), run.step, built, events)
-        keep_simulation(settings.algorithm(), built.environment, events)
         with _tables(run, spec, events):
             if videos:
                 videos.take("video")
@@ -156,7 +161,7 @@ class PolicyVideos:
     run: FollowedRun
     has_time: bool = True
     _film: VideoRecorder | None = None
-    _budget: ReplayBudget = field(default_factory=ReplayBudget)
+    _budget: TimeBudget = field(default_factory=TimeBudget)
 
     def at_checkpoint(self, step: int) -> None:
         """Keep a video, where the job asks for one; otherwise a replay, where that costs next to nothing."""
@@ -223,10 +228,12 @@ class Report:
             self._kept_step = step
         self._kept_at = time.monotonic()
 
-    def keep_checkpoint_if_due(self) -> None:
-        """Keep a checkpoint if the last one is older than `checkpoint_every_s`."""
-        if time.monotonic() - self._kept_at >= self.checkpoint_every_s:
+    def keep_checkpoint_if_due(self) -> bool:
+        """Keep a checkpoint if the last one is older than `checkpoint_every_s`; returns whether it was."""
+        is_due = time.monotonic() - self._kept_at >= self.checkpoint_every_s
+        if is_due:
             self.keep_checkpoint()
+        return is_due
 
     def _warn(self, step: int, metrics: Mapping[str, float]) -> None:
         """Of each once; how often it happens from then on is a metric."""

@@ -46,7 +46,7 @@ STEPPED = """async ({recipe, policy, qpos, qvel, numSteps}) => {
 }"""
 
 
-def policy_of(environment: MujocoEnv, scale: float) -> bytes:
+def policy_of(environment: MujocoEnv, scale: float, trained_steps: int = 1000) -> bytes:
     """`policy.npz` of two layers with random weights; if the scale is 0, it does nothing."""
     random = np.random.default_rng(0)
     sizes = [(environment.observation_size, 16), (16, 2 * environment.action_size)]
@@ -59,7 +59,7 @@ def policy_of(environment: MujocoEnv, scale: float) -> bytes:
     )
     mean = np.full(environment.observation_size, 0.1, np.float32)
     network = Network(mean, 2 * np.ones_like(mean), 5.0, layers, "swish", "state", 1)
-    return numpy_file(network, contract(network, Origin("ppo", "body", {}, environment.dt, 1)))
+    return numpy_file(network, contract(network, Origin("ppo", "body", {}, environment.dt, trained_steps)))
 
 
 @cache
@@ -118,13 +118,19 @@ def attempt(stack: Stack) -> Attempt:
 
 
 @pytest.fixture
-def pushed(attempt: Attempt) -> str:
-    """The id of a finished job whose ant can be pushed."""
+def training(attempt: Attempt) -> Attempt:
+    """The attempt at a running job whose ant can be pushed."""
     for name, (role, content) in files().items():
         facts = {"can_run": True} if role == "simulation" else {}
         attempt.keep(name, content, role=role, media_type=BINARY, metadata=facts)
-    attempt.end(JobStatus.SUCCEEDED)
-    return attempt.id
+    return attempt
+
+
+@pytest.fixture
+def pushed(training: Attempt) -> str:
+    """The id of a finished job whose ant can be pushed."""
+    training.end(JobStatus.SUCCEEDED)
+    return training.id
 
 
 def standing(tab: Tab, job_id: str) -> Page:
@@ -203,6 +209,38 @@ def test_a_drag_pulls_the_body_until_it_falls_and_it_starts_again(tab: Tab, push
     expect(page.get_by_text("It fell, or left its range, after")).to_be_visible()
     page.mouse.up()
     until(page, "time < 0.5")
+
+
+def test_a_running_trainings_newest_policy_takes_over(tab: Tab, training: Attempt) -> None:
+    page = standing(tab, training.id)
+    page.get_by_role("button", name="Play").click()
+    expect(page.get_by_text("Policy at step 1,000; the training's next one takes its place")).to_be_visible()
+    until(page, "time > 1")
+    tab.picture("push-running")
+    # Large weights bend the ant's legs as far as they go.
+    newer = policy_of(of_the_catalog("ant"), 3.0, 2000)
+    x, y, _ = position(page)
+    training.keep("policy.npz", newer, role="export", media_type=BINARY, step=2000)
+    training.say("artifact", name="policy.npz")
+    expect(page.get_by_text("A newer policy is here, and moves it from now on.")).to_be_visible()
+    expect(page.get_by_text("Policy at step 2,000")).to_be_visible()
+    until(page, f"Math.hypot(x - {x}, y - {y}) > 0.05")
+    tab.picture("push-newer")
+    training.end(JobStatus.SUCCEEDED)
+    expect(page.get_by_text("the training's next one")).to_have_count(0)
+    expect(page.get_by_text("Policy at step 2,000", exact=True)).to_be_visible()
+
+
+def test_a_running_training_is_pushed_from_its_first_replay_on(tab: Tab, attempt: Attempt) -> None:
+    page = tab.open(f"#/jobs/{attempt.id}/push")
+    expect(page.get_by_text("is running and has no simulation yet")).to_be_visible()
+    link = page.get_by_role("link", name="Push", exact=True)
+    for name, (role, content) in reversed(files().items()):
+        facts = {"can_run": True} if role == "simulation" else {}
+        attempt.keep(name, content, role=role, media_type=BINARY, metadata=facts)
+    attempt.say("artifact", name="replay.bin")
+    expect(page.get_by_text("Take hold of the body and pull.")).to_be_visible(timeout=60_000)
+    expect(link).to_be_visible()
 
 
 def test_a_body_that_cannot_be_pushed_says_why(tab: Tab, attempt: Attempt) -> None:

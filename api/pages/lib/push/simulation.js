@@ -13,8 +13,7 @@ export class Simulation {
     if (recipe.format !== "gaitway-simulation" || recipe.version !== 1) throw new Error("This file is not a simulation that the page knows.");
     this.mujoco = mujoco;
     this.recipe = recipe;
-    this.policy = policy;
-    this.held = policy.about.action.held_steps;
+    this.setPolicy(policy);
     this.model = mujoco.MjModel.from_xml_string(recipe.model);
     this.data = new mujoco.MjData(this.model);
     this.mass = this.model.body_mass.reduce((sum, mass) => sum + mass, 0);
@@ -24,6 +23,12 @@ export class Simulation {
 
   get time() {
     return this.data.time;
+  }
+
+  /** From the next action on, this one acts. */
+  setPolicy(policy) {
+    this.policy = policy;
+    this.held = policy.about.action.held_steps;
   }
 
   /** Begin an episode. random: numbers in [0, 1); () => 0.5 begins without noise. */

@@ -2,8 +2,9 @@
  * Steps a body in real time, beside the page: MuJoCo's WebAssembly is allowed by this file's own
  * Content-Security-Policy alone.
  *
- * It hears {open: {recipe, policy}}, {pull}, {reset: true}, {run: boolean}. It says {failure}, or after each
- * picture's time {time, positions, rotations, force, weight, isSlow}, and {fell: seconds} once an episode has ended.
+ * It hears {open: {recipe, policy}}, then {policy} in its place, {pull}, {reset: true}, {run: boolean}. It says
+ * {failure}, or after each picture's time {time, positions, rotations, force, weight, isSlow}; {fell: seconds} once an
+ * episode has ended; and {trainedSteps} of the policy that acts.
  */
 
 import loadMujoco from "../../vendor/mujoco.js";
@@ -29,7 +30,10 @@ async function open({ recipe, policy }) {
     throw new Error(`MuJoCo ${version}, which the page has, cannot run this model of MuJoCo ${recipe.mujoco}: ${error.message || error}`);
   }
   tell();
+  tellPolicy();
 }
+
+const tellPolicy = () => postMessage({ trainedSteps: simulation.policy.about.trained_steps });
 
 function reset() {
   fallenUntil = null;
@@ -65,6 +69,10 @@ function tell(isSlow = false) {
 onmessage = async ({ data: said }) => {
   try {
     if (said.open) await open(said.open);
+    if (said.policy) {
+      simulation.setPolicy(readPolicy(said.policy));
+      tellPolicy();
+    }
     if (said.pull !== undefined) simulation.setPull(said.pull);
     if (said.reset) reset();
     if (said.run !== undefined) {

@@ -1,5 +1,6 @@
 /** A stage with a body that lives: its policy moves it, and whoever looks may push it. */
 
+import { count } from "../../lib/format.js";
 import { html, useEffect, useRef, useState } from "../../lib/html.js";
 
 const PUSH_MS = 200;
@@ -12,15 +13,18 @@ const isStill = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 /**
  * @param {object} modules Stage, Handle, LiveMotion, episodeOf, startPhysics.
- * @param {object} shown scene, about (a replay's header), recipe, policy (bytes).
+ * @param {object} shown scene, about (a replay's header), recipe.
+ * @param {ArrayBuffer} policy The one that acts; another takes its place while the body moves.
+ * @param {boolean} isTraining Whether newer policies may come.
  */
-export function Pusher({ modules, shown, name }) {
+export function Pusher({ modules, shown, policy, name, isTraining }) {
   const canvas = useRef();
   const parts = useRef({});
   const [failure, setFailure] = useState(null);
   const [phase, setPhase] = useState("starting");
   const [story, setStory] = useState("MuJoCo is loaded (2.5 MB)…");
   const [time, setTime] = useState(0);
+  const [trainedSteps, setTrainedSteps] = useState(null);
   const [isRunning, setRunning] = useState(!isStill());
   const [strength, setStrength] = useState(0.5);
 
@@ -32,6 +36,7 @@ export function Pusher({ modules, shown, name }) {
     let told = 0;
     let slow = 0;
     const hear = (said) => {
+      if (said.trainedSteps !== undefined) return setTrainedSteps(said.trainedSteps);
       if (said.fell !== undefined) return setStory(`It fell, or left its range, after ${said.fell.toFixed(1)} s; it starts again.`);
       if (!motion.positions) begin(said);
       motion.take(said);
@@ -66,7 +71,8 @@ export function Pusher({ modules, shown, name }) {
     try {
       const drawn = () => (canvas.current.dataset.pictures = Number(canvas.current.dataset.pictures || 0) + 1);
       parts.current.stage = new modules.Stage(canvas.current, drawn);
-      parts.current.physics = modules.startPhysics(recipe, shown.policy, hear, setFailure);
+      parts.current.physics = modules.startPhysics(recipe, policy, hear, setFailure);
+      parts.current.policy = policy;
       parts.current.frame = requestAnimationFrame(draw);
     } catch (error) {
       setFailure(error);
@@ -79,6 +85,13 @@ export function Pusher({ modules, shown, name }) {
       clearTimeout(parts.current.release);
     };
   }, []);
+
+  useEffect(() => {
+    if (phase !== "ready" || parts.current.policy === policy) return;
+    parts.current.policy = policy;
+    parts.current.physics.say({ policy });
+    setStory("A newer policy is here, and moves it from now on.");
+  }, [policy, phase]);
 
   // Nobody sees a hidden page, so nothing moves there.
   useEffect(() => {
@@ -114,6 +127,7 @@ export function Pusher({ modules, shown, name }) {
       <button type="button" class="main" onClick=${() => setRunning(!isRunning)} aria-label=${isRunning ? "Pause" : "Play"}>${isRunning ? "❚❚" : "►"}</button>
       <p><span role="status">${failure ? "" : story}</span> <span class="facts">${time.toFixed(1)} s</span></p>
     </div>
+    ${trainedSteps !== null && html`<p class="facts">Policy at step ${count(trainedSteps)}${isTraining ? "; the training's next one takes its place as soon as it is here" : ""}</p>`}
     <div class="tools" role="group" aria-label="Pushing">
       ${Object.keys(SIDES).map((side) => html`<button type="button" disabled=${phase !== "ready"} onClick=${() => push(side)} aria-label="Push it ${side}">${ARROWS[side]}</button>`)}
       <label>Strength

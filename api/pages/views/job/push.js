@@ -1,27 +1,42 @@
-/** A job's policy at work in the browser, to be pushed (docs/push.md). */
+/** A job's policy at work in the browser, to be pushed (docs/push.md); of a running training always the newest. */
 
 import { get, send } from "../../lib/api.js";
-import { html } from "../../lib/html.js";
+import { html, useRef } from "../../lib/html.js";
+import { isOver } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { Pusher } from "../../parts/replay/pusher.js";
 import { Empty, Loading } from "../../parts/states.js";
-import { canPush, replaysOf } from "./replay.js";
+import { canPush, policyOf, replaysOf } from "./replay.js";
 
-export function PushTab({ job }) {
-  const { data, error, again } = useLive((signal) => load(job, signal), [job.id, canPush(job)]);
-  if (error) return html`<${Empty}><p>${error.message}</p><p><button type="button" onClick=${again}>Try again</button></p><//>`;
-  if (!data) return html`<${Loading} what="the body" />`;
-  if (data.refusal) return html`<${Empty}><p>${data.refusal}</p><//>`;
+export const PushTab = ({ job }) => html`<${Push} key=${job.id} job=${job} />`;
+
+function Push({ job }) {
+  const body = useLive((signal) => loadBody(job, signal), [canPush(job)]);
+  const newest = useNewestPolicy(job);
+  if (body.data?.refusal) return html`<${Empty}><p>${body.data.refusal}</p><//>`;
+  const failed = [body, newest].find((one) => one.error);
+  if (failed) return html`<${Empty}><p>${failed.error.message}</p><p><button type="button" onClick=${failed.again}>Try again</button></p><//>`;
+  if (!body.data || !newest.policy) return html`<${Loading} what="the body" />`;
   return html`<section class="card" aria-label="Push">
-    <${Pusher} modules=${data.modules} shown=${data.shown} name="The trained body" />
+    <${Pusher} ...${body.data} policy=${newest.policy} isTraining=${!isOver(job)} name="The trained body" />
   </section>`;
 }
 
-async function load(job, signal) {
+/** @returns {{policy: ArrayBuffer | null, error: Error | null, again: () => void}} The last one stays while a newer one comes. */
+function useNewestPolicy(job) {
+  const file = policyOf(job);
+  const load = async (signal) => file && (await send(file.href, { signal })).arrayBuffer();
+  const { data, error, again } = useLive(load, [file?.sha256]);
+  const last = useRef(null);
+  last.current = data || last.current;
+  return { policy: last.current, error: last.current ? null : error, again };
+}
+
+async function loadBody(job, signal) {
   const recipe = await get(`/jobs/${job.id}/simulation`, {}, { signal });
   if (recipe.refusal) return recipe;
   const replay = replaysOf(job).at(-1);
-  if (!replay) return { refusal: "This job has no replay, which has the body's looks: its video is null, or its log says why." };
+  if (!replay || !policyOf(job)) return { refusal: whyNotYet(job) };
   // three.js and what uses it are loaded here; MuJoCo by the worker.
   const [{ Stage }, { loadScene, openReplay }, { Handle }, physics] = await Promise.all([
     import("../../lib/replay/stage.js"),
@@ -29,10 +44,12 @@ async function load(job, signal) {
     import("../../lib/push/handle.js"),
     import("../../lib/push/body.js"),
   ]);
-  const [scene, { about }, policy] = await Promise.all([
-    loadScene(`/jobs/${job.id}/replay/scene`),
-    openReplay(replay.href, signal),
-    send(`/jobs/${job.id}/policy?format=numpy`, { signal }).then((answer) => answer.arrayBuffer()),
-  ]);
-  return { modules: { Stage, Handle, ...physics }, shown: { scene, about, recipe, policy } };
+  const [scene, { about }] = await Promise.all([loadScene(`/jobs/${job.id}/replay/scene`), openReplay(replay.href, signal)]);
+  return { modules: { Stage, Handle, ...physics }, shown: { scene, about, recipe } };
 }
+
+/** Of a job that lacks its replay, which has the body's looks, or its policy for the page. */
+const whyNotYet = (job) =>
+  isOver(job) || job.spec.video === null
+    ? "This job has no replay, which has the body's looks, or no policy for the page: its video is null, or its events say why."
+    : "The body is here as soon as the training has its first replay.";

@@ -11,8 +11,12 @@ import { Empty, Failure, Loading } from "../../parts/states.js";
 
 const MOST_AT_ONCE = 8;
 
-/** Whether the page can step the job's body itself, so that it may be pushed. */
-export const canPush = (job) => job.artifacts.some((file) => file.role === "simulation" && file.metadata.can_run) && replaysOf(job).length > 0;
+/** The newest policy in the form that the page runs. */
+export const policyOf = (job) => job.artifacts.find((file) => file.name === "policy.npz");
+
+/** Whether the page can step the job's body itself, so that it may be pushed; also while the job trains. */
+export const canPush = (job) =>
+  job.artifacts.some((file) => file.role === "simulation" && file.metadata.can_run) && Boolean(policyOf(job)) && replaysOf(job).length > 0;
 
 /** The job's replays by step; that of a rollout has no step. */
 export const replaysOf = (job) =>

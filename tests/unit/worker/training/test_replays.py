@@ -12,10 +12,11 @@ import pytest
 
 from core.rendering.replay.replay_file import read_replay
 from tests.unit.rendering.conftest import BALL, rolling_ball
-from worker.training import replays
+from worker.training import replays, time_budget
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
-from worker.training.replays import MOST_EPISODES, ReplayBudget, ReplayWriter
+from worker.training.replays import MOST_EPISODES, ReplayWriter
+from worker.training.time_budget import TimeBudget
 
 
 @pytest.fixture
@@ -76,8 +77,8 @@ def test_a_body_that_cannot_be_shown_costs_no_job(
 
 def test_replays_take_a_small_share_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
-    monkeypatch.setattr(replays.time, "monotonic", lambda: now)
-    budget = ReplayBudget(share=0.05)
+    monkeypatch.setattr(time_budget.time, "monotonic", lambda: now)
+    budget = TimeBudget(share=0.05)
     assert budget.allows_another()
     now = 30.0  # The first compiled for 30 s, which the video at the end needs, too.
     budget.spent(0.0)

@@ -13,18 +13,15 @@ from worker.training.event_writer import EventWriter
 from worker.training.simulations import keep_simulation
 
 
-def handed_over(
-    spool: Path, environment: Environment, algorithm: str = "ppo"
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def handed_over(spool: Path, environment: Environment) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The messages, and the file."""
     read, write = os.pipe()
     events = EventWriter(spool, write)
-    keep_simulation(algorithm, environment, events)
+    keep_simulation(environment, events)
     events._pipe.close()
     with os.fdopen(read) as pipe:
         said = [json.loads(line) for line in pipe]
-    file = spool / "simulation.json"
-    return said, json.loads(file.read_bytes()) if file.exists() else {}
+    return said, json.loads((spool / "simulation.json").read_bytes())
 
 
 def test_a_body_is_told_as_it_is_before_it_is_randomised(tmp_path: Path) -> None:
@@ -41,7 +38,3 @@ def test_another_body_has_a_file_that_says_why_it_cannot_be_pushed(tmp_path: Pat
     assert message["metadata"] == {"can_run": False}
     assert document["refusal"].startswith("This body cannot be pushed: ")
     assert document["refusal"].endswith(".")
-
-
-def test_a_policy_that_is_not_exported_needs_none(tmp_path: Path) -> None:
-    assert handed_over(tmp_path, endless(), "q_learning") == ([], {})
