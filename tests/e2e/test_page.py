@@ -1,12 +1,14 @@
 """The page over the real service: submit by form, watch live, see videos, compare, fork, cancel, sweep."""
 
 import json
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from gaitway.client import Client
 from tests.api.pages.conftest import Tab, browser
+from tests.e2e.watching import watching
 
 __all__ = ["browser"]  # The fixture.
 
@@ -85,6 +87,36 @@ def test_a_job_from_the_form_to_its_fork(tab: Tab, client: Client) -> None:
     page.get_by_role("button", name="Pause").click()
     assert canvas.screenshot() != at_first
     tab.picture("real-replay")
+
+
+def test_a_running_training_is_watched_and_pushed(tab: Tab, client: Client, tmp_path: Path) -> None:
+    algorithm = {**JOB["algorithm"], "num_timesteps": 10**7, "num_evals": 2}
+    job = client.submit({**JOB, "algorithm": algorithm, "checkpoints": {"every_steps": 50_000}})
+    asked = tmp_path / "asked"
+    with watching(client, job.id, asked) as watch:
+        for event in client.events(job.id):
+            if event.kind == "artifact" and event.data["role"] == "replay":
+                break
+        page = tab.page
+        page.goto(asked.read_text().strip())
+        expect(page.get_by_role("img", name="Replay of episode 1 at step")).to_be_visible()
+        expect(page.locator("canvas[data-pictures][data-shown]")).to_be_visible()
+        expect(page.locator(".status")).to_have_text("running")
+        tab.picture("real-watched")
+        page.get_by_role("link", name="Push it, and see whether it recovers").click()
+        expect(page.get_by_text("Take hold of the body and pull.")).to_be_visible()
+        page.get_by_role("button", name="Play").click()
+        policy = page.get_by_text("Policy at step")
+        first = policy.inner_text()
+        expect(policy).not_to_have_text(first, timeout=240_000)
+        page.get_by_role("button", name="Push it right").click()
+        page.wait_for_function("() => document.querySelector('canvas').dataset.position.split(' ')[0] > 0.02")
+        tab.picture("real-push-running")
+        expect(page.locator(".status")).to_have_text("running")
+        client.cancel(job.id)
+        said, _ = watch.communicate(timeout=240)
+    assert f"Job {job.id} cancelled" in said
+    expect(page.get_by_text("the training's next one")).to_have_count(0)
 
 
 # Its trials train for moments.

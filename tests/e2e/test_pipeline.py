@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from gaitway.client import Client
 from gaitway.errors import NotFound
 from gaitway.views import Event, JobView
 from tests.e2e.installed import Installed
+from tests.e2e.watching import watching
 from tests.exports import onnx_answers
 
 # Updates of 64 × 10 = 640 steps; some ten seconds of training, so that it can be disturbed in the middle.
@@ -244,17 +243,9 @@ def test_killed_stores_change_nothing_in_the_result_and_cost_no_attempt(
 def test_a_running_job_has_what_its_page_pushes_and_watch_opens_the_page(
     client: Client, tmp_path: Path
 ) -> None:
-    browser, asked = tmp_path / "browser", tmp_path / "asked"
-    browser.write_text(f'#!/bin/sh\necho "$1" >> {asked}\n')
-    browser.chmod(0o755)
+    asked = tmp_path / "asked"
     job = client.submit({**SMALL, "algorithm": {**SMALL["algorithm"], "num_timesteps": 10_000_000}})
-    command = [sys.executable, "-c", "from gaitway.cli.main import app; app()", "--url", str(client.base_url)]
-    with subprocess.Popen(
-        [*command, "watch", job.id, "--open"],
-        env={**os.environ, "BROWSER": str(browser)},
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as watching:
+    with watching(client, job.id, asked) as watch:
         steps = list[int]()
         for event in client.events(job.id):
             if event.kind == "artifact" and event.data["name"] == "policy.npz":
@@ -264,7 +255,7 @@ def test_a_running_job_has_what_its_page_pushes_and_watch_opens_the_page(
         running = client.get(job.id)
         content = client.download(job.id, "policy.npz", tmp_path)
         client.cancel(job.id)
-        said, _ = watching.communicate(timeout=110)
+        said, _ = watch.communicate(timeout=110)
     assert running.status == "running"
     assert {a.role for a in running.artifacts} == DURING
     # The newest alone is kept; a newer one may have come since.
@@ -277,7 +268,7 @@ def test_a_running_job_has_what_its_page_pushes_and_watch_opens_the_page(
     assert simulation.metadata == {"can_run": True}
     assert asked.read_text() == f"{client.base_url}/#/jobs/{job.id}/replay\n"
     assert f"Job {job.id} cancelled" in said
-    assert watching.returncode == 1
+    assert watch.returncode == 1
 
 
 def test_a_cancel_keeps_the_checkpoint_the_policy_and_the_video(client: Client) -> None:

@@ -222,7 +222,6 @@ def test_a_running_trainings_newest_policy_takes_over(tab: Tab, training: Attemp
     x, y, _ = position(page)
     training.keep("policy.npz", newer, role="export", media_type=BINARY, step=2000)
     training.say("artifact", name="policy.npz")
-    expect(page.get_by_text("A newer policy is here, and moves it from now on.")).to_be_visible()
     expect(page.get_by_text("Policy at step 2,000")).to_be_visible()
     until(page, f"Math.hypot(x - {x}, y - {y}) > 0.05")
     tab.picture("push-newer")

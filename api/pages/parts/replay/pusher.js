@@ -90,7 +90,6 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
     if (phase !== "ready" || parts.current.policy === policy) return;
     parts.current.policy = policy;
     parts.current.physics.say({ policy });
-    setStory("A newer policy is here, and moves it from now on.");
   }, [policy, phase]);
 
   // Nobody sees a hidden page, so nothing moves there.

@@ -114,6 +114,23 @@ def test_what_is_said_before_a_file_is_stored_before_it(outbox: Outbox, claim: C
     assert len(claim.objects.get(metrics.key).splitlines()) == 2
 
 
+def test_of_one_name_the_newest_is_kept_and_what_it_replaced_is_removed_after_a_while(
+    outbox: Outbox, outage: Outage, claim: Claim, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.supervision.outbox._DELETE_AFTER_S", -1.0)
+    for step in (1, 2, 3):
+        path = tmp_path / f"{step}-policy.npz"
+        path.write_bytes(b"policy %d" % step)
+        outbox.put(FileReady(name="policy.npz", path=path.name, role="export", media_type="", step=step))
+    outage.is_over = True
+    assert outbox.close(30)
+    [kept] = claim.store.get(claim.job_id).artifacts
+    assert (kept.step, claim.objects.get(kept.key)) == (3, b"policy 3")
+    # The second is dropped last, so it waits for a next file or the collection of orphans.
+    assert {claim.objects.get(one.key) for one in claim.objects.list("")} == {b"policy 2", b"policy 3"}
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_wait_for_the_stores_can_be_called_off(outbox: Outbox, outage: Outage) -> None:
     outbox.put("a line")
     leaving = threading.Event()
