@@ -30,6 +30,7 @@ DEFAULT = {
     "page": "bench.service.page",
     "replay": "bench.service.replay",
     "push": "bench.service.push",
+    "live": "bench.service.live",
     "video": "bench.cpu.video",
     "demo": "bench.service.demo",
     "preparation": "bench.service.preparation",
