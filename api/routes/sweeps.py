@@ -72,7 +72,7 @@ class Listed(Parameters):
 def submit(
     spec: SubmittedSweep, key: IdempotencyKey, service: ServiceDep, response: Response
 ) -> SweepDetails:
-    """Start a sweep: child jobs whose settings vary, by a grid, at random or as Optuna's TPE suggests."""
+    """Start a sweep: child jobs whose settings vary, by a grid, at random or as Optuna's samplers say."""
     sweep = submit_sweep(spec, store=service.store, idempotency=idempotency(key, spec))
     response.headers["Location"] = f"/sweeps/{sweep.id}"
     return _details(sweep, service)

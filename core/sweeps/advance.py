@@ -160,8 +160,8 @@ def _drawn(spec: SweepSpec, number: int, seen: Sequence[Seen]) -> Values:
             return next(islice(combinations(spec.parameters), number, None))
         case "random" | "pbt":
             return random_values(spec, number)
-        case "tpe":
-            from core.sweeps.tpe import ask
+        case "qmc" | "tpe" | "cma_es" | "nsga2":
+            from core.sweeps.samplers import ask
 
             return ask(spec, number, seen)
 

@@ -45,7 +45,7 @@ def random_values(spec: SweepSpec, number: int) -> Values:
     drawn = Values()
     for name, axis in spec.parameters.items():
         generator = random.Random(f"{spec.seed}/{number}/{name}")  # noqa: S311 # Not for secrets.
-        drawn[name] = random_value(axis, generator)
+        drawn[name] = value_at(axis, generator.random())
     return drawn
 
 
@@ -63,15 +63,20 @@ def ends(axis: Axis) -> list[JsonValue]:
     return [axis.low, axis.high] if isinstance(axis, Range) else axis
 
 
-def random_value(axis: Axis, generator: random.Random) -> JsonValue:
-    """A value anywhere along the axis."""
+def value_at(axis: Axis, share: float) -> JsonValue:
+    """The value at this share of the axis, in [0, 1); shares that are even give values that are."""
     if not isinstance(axis, Range):
-        return axis[int(generator.random() * len(axis))]
+        return axis[int(share * len(axis))]
     if axis.step is not None:
-        return _along(axis, int(generator.random() * (_num_steps(axis) + 1)))
+        return _along(axis, int(share * (_num_steps(axis) + 1)))
     if axis.is_whole and not axis.log:
-        return int(axis.low) + int(generator.random() * (int(axis.high) - int(axis.low) + 1))
-    return _between(axis, generator.random())
+        return int(axis.low) + int(share * (int(axis.high) - int(axis.low) + 1))
+    return _between(axis, share)
+
+
+def has_one_value(axis: Range) -> bool:
+    """Whether its step leads past the upper bound at once."""
+    return axis.step is not None and _num_steps(axis) == 0
 
 
 def scaled(axis: Range, value: Number, factor: float) -> Number:

@@ -20,6 +20,7 @@ from core.sweeps.fields import axis_place, fields_of, job_of, takes_fractions
 from core.sweeps.metrics import refusal_of_metric
 from core.sweeps.pbt import steps_until
 from core.sweeps.population_checks import problems_of_population
+from core.sweeps.sampler_checks import problems_of_sampler
 from core.sweeps.spec import MAX_TRIALS, Axis, Range, SweepSpec
 from core.sweeps.sweep import Trial
 
@@ -40,7 +41,7 @@ def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
     _check_axes(spec, info)
     spec = spec.model_copy(update={"parameters": _with_fractions(spec, info)})
     _check_number(spec)
-    _raise(problems_of_population(spec, info))
+    _raise([*problems_of_population(spec, info), *problems_of_sampler(spec)])
     _check_method(spec)
     _check_objectives(spec)
     _check_values(spec, store)

@@ -30,15 +30,15 @@ def importance(
 
 
 def _by_ped_anova(spec: SweepSpec, succeeded: Sequence[Seen]) -> Mapping[str, Mapping[str, float]]:
-    from core.sweeps import tpe
+    from core.sweeps import samplers
 
-    optuna = tpe.optuna
+    optuna = samplers.optuna
     with warnings.catch_warnings(category=optuna.exceptions.ExperimentalWarning, action="ignore"):
         evaluator = optuna.importance.PedAnovaImportanceEvaluator()
     found: dict[str, dict[str, float]] = {}
     for at, objective in enumerate(spec.objectives):
         alone = spec.model_copy(update={"objective": objective})
-        study = tpe.study_of(alone, [_with_one_value(one, at) for one in succeeded])
+        study = samplers.study_of(alone, [_with_one_value(one, at) for one in succeeded])
         shares = optuna.importance.get_param_importances(study, evaluator=evaluator)
         found[objective.metric] = {name: float(shares.get(name, 0.0)) for name in spec.parameters}
     return found

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pydantic import JsonValue
 
 from core.jobs.spec import TrainSpec
-from core.sweeps.axes import Values, neighbours, random_value, random_values, scaled
+from core.sweeps.axes import Values, neighbours, random_values, scaled, value_at
 from core.sweeps.spec import Axis, Population, Range, SweepSpec
 from core.sweeps.sweep import Trial
 
@@ -133,7 +133,7 @@ def _explored(spec: SweepSpec, population: Population, number: int, values: Valu
 
 def _changed(axis: Axis, value: JsonValue, population: Population, generator: random.Random) -> JsonValue:
     if generator.random() < population.resample_probability:
-        return random_value(axis, generator)
+        return value_at(axis, generator.random())
     if not isinstance(axis, Range):
         return generator.choice(neighbours(axis, value))
     factor = generator.choice(population.perturbation_factors)

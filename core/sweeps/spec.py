@@ -7,11 +7,11 @@ from pydantic import Discriminator, Field, JsonValue, Tag, TypeAdapter, model_va
 from core.documents import Strict
 from core.jobs.spec import LabelName, Seed, SentSpec, Text
 
-# More would be a queue that nobody reads, and a study that takes TPE seconds for each draw.
+# More would be a queue that nobody reads, and a study that takes a sampler seconds for each draw.
 MAX_TRIALS = 1000
 # Values of a grid along a range that gives neither `points` nor `step`.
 DEFAULT_POINTS = 5
-Method = Literal["grid", "random", "tpe", "pbt"]
+Method = Literal["grid", "random", "qmc", "tpe", "cma_es", "nsga2", "pbt"]
 Number = int | float
 
 

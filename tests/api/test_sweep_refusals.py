@@ -8,6 +8,9 @@ from tests.api.conftest import Stack
 from tests.api.problems import pointers, problem
 from tests.api.test_sweeps import JOB, METRIC, post
 
+RATE = "algorithm.learning_rate"
+RANGE = {"low": 1e-4, "high": 1e-2}
+
 
 @pytest.mark.parametrize(
     ("changes", "pointer", "sentence"),
@@ -95,6 +98,30 @@ from tests.api.test_sweeps import JOB, METRIC, post
             "The method `random` has no end of its own: give `jobs`, `steps` or `gpu_hours`.",
         ),
         ({"method": "bayes"}, "/method", None),
+        (
+            {"method": "cma_es", "parameters": {"seed": [1, 2], RATE: RANGE}, "budget": {"jobs": 9}},
+            "/parameters/seed",
+            "`cma_es` takes ranges alone, and `seed` is a list; give a range, or take `tpe`.",
+        ),
+        (
+            {
+                "method": "cma_es",
+                "parameters": {RATE: RANGE, "algorithm.num_envs": {"low": 64, "high": 100, "step": 64}},
+                "budget": {"jobs": 9},
+            },
+            "/parameters",
+            "`cma_es` learns how axes depend on each other; give two ranges, or take `tpe`.",
+        ),
+        (
+            {
+                "method": "cma_es",
+                "parameters": {RATE: RANGE, "algorithm.entropy_cost": RANGE},
+                "objective": [{"metric": METRIC}, {"metric": "eval/forward_speed"}],
+                "budget": {"jobs": 9},
+            },
+            "/objective",
+            "`cma_es` follows one objective; give one, or take `tpe` or `nsga2`.",
+        ),
         ({"job": {**JOB, "environment": "aunt"}}, "/job/environment", None),
         ({"job": {**JOB, "seeed": 1}}, "/job/seeed", "`seeed` is not a field here; did you mean `seed`?"),
         ({"paramters": {}}, "/paramters", "`paramters` is not a field here; did you mean `parameters`?"),

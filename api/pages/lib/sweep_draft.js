@@ -9,9 +9,14 @@ import { openapi } from "./schemas.js";
 const TAKEN = {
   grid: ["pruning"],
   random: ["pruning", "seed"],
+  qmc: ["pruning", "seed"],
   tpe: ["pruning", "seed"],
+  cma_es: ["pruning", "seed"],
+  nsga2: ["pruning", "seed"],
   pbt: ["population", "seed"],
 };
+/** These compare trials by one objective. */
+export const WITH_ONE_OBJECTIVE = ["cma_es", "pbt"];
 const EMPTY = { method: "grid", parameters: {}, objectives: [{}] };
 // A trial's own; a sweep over such a job gives others.
 const OF_TRIALS = ["sweep", "trial"];
@@ -55,7 +60,7 @@ const withoutNulls = (document) => Object.fromEntries(Object.entries(document).f
 
 /** The document to send. */
 export function documentOf({ name, labels, job, method, parameters, objectives, budget, ...others }) {
-  const wanted = objectives.slice(0, method === "pbt" ? 1 : undefined);
+  const wanted = objectives.slice(0, WITH_ONE_OBJECTIVE.includes(method) ? 1 : undefined);
   const [first] = wanted;
   return {
     ...(name !== undefined && { name }),

@@ -171,6 +171,11 @@ def test_each_method_asks_and_sends_only_what_it_takes(tab: Tab) -> None:
     expect(page.get_by_role("group", name="Pruning")).to_contain_text(
         "Pruning compares trials by one objective"
     )
+    page.get_by_role("radio", name="cma_es", exact=False).check()
+    expect(page.get_by_role("group", name="Objective 2")).to_have_count(0)
+    found = document(page)
+    assert (found["method"], found["pruning"]) == ("cma_es", {"kind": "median"})
+    assert "objective" not in found  # The first one is the default.
 
 
 def test_a_job_is_pasted_or_taken_from_the_list(stack: Stack, tab: Tab) -> None:

@@ -102,8 +102,9 @@ def test_the_worse_half_is_pruned_and_its_place_is_taken() -> None:
 
 
 def test_the_same_records_give_the_same_decisions() -> None:
-    parameters = {"algorithm.learning_rate": {"low": 1e-4, "high": 1e-2, "log": True}, "seed": [1, 2, 3]}
-    for method in ("random", "tpe"):
+    rate, cost = ({"low": 1e-4, "high": 1e-2, "log": True} for _ in range(2))
+    parameters = {"algorithm.learning_rate": rate, "algorithm.entropy_cost": cost}
+    for method in ("random", "qmc", "tpe", "cma_es", "nsga2"):
         sweep = sweep_of(method=method, parameters=parameters, budget={"jobs": 30, "parallel": 2})
         seen: list[Seen] = []
         for number in range(14):

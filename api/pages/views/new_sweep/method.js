@@ -6,7 +6,10 @@ import { Field } from "../../parts/field.js";
 const METHODS = {
   grid: "Every combination; the last axis changes first.",
   random: "Independent draws. Needs a limit of jobs, steps or GPU hours.",
+  qmc: "Draws that spread more evenly (Sobol's sequence). Needs a limit.",
   tpe: "Each draw depends on the results so far (Optuna's tree-structured Parzen estimator). Needs a limit.",
+  cma_es: "Generations move towards better values of two or more ranges (Optuna's CMA-ES); one objective, no lists. Needs a limit.",
+  nsga2: "Generations cross the settings that none beats, for several objectives (Optuna's NSGA-II). Needs a limit.",
   pbt: "A population trains side by side; after each generation the worst resume from the best (population-based training).",
 };
 

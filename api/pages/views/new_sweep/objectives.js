@@ -1,14 +1,16 @@
 /** What the trials are judged by: one metric, or up to four. */
 
 import { html } from "../../lib/html.js";
+import { WITH_ONE_OBJECTIVE } from "../../lib/sweep_draft.js";
 import { Field } from "../../parts/field.js";
 
 const MOST = 4;
 
 export function Objectives({ all, document, set, errors, environment }) {
   const { objectives, method, job } = document;
-  const isAlone = objectives.length === 1 || method === "pbt";
-  const shown = method === "pbt" ? objectives.slice(0, 1) : objectives;
+  const takesOne = WITH_ONE_OBJECTIVE.includes(method);
+  const isAlone = objectives.length === 1 || takesOne;
+  const shown = takesOne ? objectives.slice(0, 1) : objectives;
   const metrics = environment?.metrics?.[job.kind === "rollout" ? "rollout" : job.algorithm?.kind || "ppo"] || [];
   const { metric, direction } = all.Objective.properties;
   // The service names a single objective without a number.
@@ -25,7 +27,7 @@ export function Objectives({ all, document, set, errors, environment }) {
         ${!isAlone && html`<p class="actions"><button type="button" aria-label="Remove objective ${i + 1}" onClick=${() => remove(i)}>Remove</button></p>`}
       </div>`;
     })}
-    ${method !== "pbt" && objectives.length < MOST && html`<p class="actions"><button type="button" onClick=${() => set(["objectives"], [...objectives, {}])}>Add another objective</button></p>`}
+    ${!takesOne && objectives.length < MOST && html`<p class="actions"><button type="button" onClick=${() => set(["objectives"], [...objectives, {}])}>Add another objective</button></p>`}
     ${!isAlone && html`<p class="facts">The best trials are those that none beats in every objective. Pruning needs a single one.</p>`}
   </fieldset>`;
 }
