@@ -44,7 +44,7 @@ class CurveCache:
     def curves(self, job_id: str, names: frozenset[str] | None) -> Generator[tuple[Curves, int]]:
         """The job's curves, at least those of these names (None: all), and the last entry's number.
 
-        They are the caller's alone within this context. Raises the errors of `feeds.read_page`.
+        They are the caller's alone within this context. Raises the errors of `feeds.read_metrics`.
         """
         with self._lock:
             known = self._known.setdefault(job_id, _Known())
@@ -72,14 +72,12 @@ class CurveCache:
 
     def _read_page(self, job_id: str, known: _Known) -> bool:
         """Whether it was the last page."""
-        page = feeds.read_page(
-            job_id, "events", known.last, feeds.PAGE, store=self._store, objects=self._objects
+        page = feeds.read_metrics(
+            job_id, known.last, feeds.METRICS_PAGE, store=self._store, objects=self._objects
         )
-        for entry in page.entries:
-            if entry.kind == "metrics":
-                known.curves.add(entry, known.names)
-        if page.entries:
-            known.last = int(page.entries[-1].id)
+        for measured in page.measured:
+            known.curves.add(measured, known.names)
+        known.last = page.last
         return page.is_end
 
     def _forget(self, job_id: str) -> None:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from math import isnan, nan
 
 from api.views import MetricsRow
-from core.jobs.store import Entry
+from core.jobs.measured import Measured
 
 
 @dataclass
@@ -60,13 +60,13 @@ def extremes(values: Sequence[float], places: range, points: int) -> list[int]:
 class Curves(dict[str, Curve]):
     """Metrics by name."""
 
-    def add(self, entry: Entry, names: frozenset[str] | None) -> None:
-        """Append the values of an entry of the kind `metrics`; names: only these metrics."""
-        time = entry.time.timestamp()
-        for name, value in entry.data["values"].items():
+    def add(self, measured: Measured, names: frozenset[str] | None) -> None:
+        """Append the values; names: only these metrics."""
+        for name, value in measured.said.values.items():
             if names is None or name in names:
-                number = nan if value is None else value
-                self.setdefault(name, Curve()).add(entry.data["step"], time, number)
+                if (curve := self.get(name)) is None:
+                    curve = self[name] = Curve()
+                curve.add(measured.said.step, measured.time, nan if value is None else value)
 
     @property
     def num_values(self) -> int:

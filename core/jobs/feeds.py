@@ -12,6 +12,7 @@ import structlog
 
 from core.errors import StorageUnavailable
 from core.jobs.lost_feeds import gap
+from core.jobs.measured import Measured, in_chunk
 from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Chunk, Entry, JobStore
 from core.storage import keys
@@ -24,6 +25,8 @@ MAX_BYTES = 256 * 1024
 MAX_AGE = timedelta(minutes=10)
 _MAX_ENTRIES = 2000
 PAGE = 1000
+# Reading these takes as long as reading a page of entries.
+METRICS_PAGE = 8000
 # If this many reads give the same wrong bytes, the object itself is damaged.
 _READINGS = 3
 
@@ -34,6 +37,15 @@ class FeedPage:
 
     entries: Sequence[Entry]
     status: JobStatus
+    is_end: bool
+
+
+@dataclass(frozen=True)
+class MetricsPage:
+    """The metrics in a part of a feed, oldest first. last: the number of that part's last entry."""
+
+    measured: Sequence[Measured]
+    last: int
     is_end: bool
 
 
@@ -99,18 +111,45 @@ def read_page(
     return FeedPage([*found, *part.entries], part.status, part.is_end)
 
 
+def read_metrics(
+    job_id: str, after: int, limit: int, *, store: JobStore, objects: ObjectStore
+) -> MetricsPage:
+    """At least `limit` metrics of the feed `events` after entry number `after`, if there are that many.
+
+    Several times as fast as `read_page`. A part that is damaged in the object store has none.
+    Raises the errors of `read_page`.
+    """
+    part = store.feed_metrics(job_id, after=after, limit=limit)
+    found, last = list[Measured](), after
+    for chunk in part.chunks:
+        body = _body_of(chunk, objects)
+        found += [] if body is None else in_chunk(body, after)
+        last = chunk.last
+        if len(found) >= limit:
+            return MetricsPage(found, last, is_end=False)
+    return MetricsPage([*found, *part.behind], max(last, part.last), part.is_end)
+
+
 def _entries_of(chunk: Chunk, store: JobStore, objects: ObjectStore) -> Iterable[Entry]:
+    body = _body_of(chunk, objects)
+    if body is None:
+        return [gap(chunk, "damaged in the object store", store.now())]
+    return map(Entry.model_validate_json, body.splitlines())
+
+
+def _body_of(chunk: Chunk, objects: ObjectStore) -> bytes | None:
+    """None if the object is damaged. Raises StorageUnavailable."""
     digests = set[str]()
     for _ in range(_READINGS):
         body = objects.get(chunk.key)
         digests.add(digest := hashlib.sha256(body).hexdigest())
         if digest == chunk.sha256:
-            return map(Entry.model_validate_json, body.splitlines())
+            return body
     if len(digests) > 1:  # Different bytes each time: they are damaged in transit.
         raise StorageUnavailable(f"The bytes of {chunk.key} do not have the SHA-256 that the record names.")
     # The record stays as it is: a bucket restored from a backup has the part again.
     log.error("feed_damaged", key=chunk.key)
-    return [gap(chunk, "damaged in the object store", store.now())]
+    return None
 
 
 def compact(*, store: JobStore, objects: ObjectStore) -> int:

@@ -10,6 +10,7 @@ from pydantic import Field
 from core.documents import Stored
 from core.errors import Problem, Rejected
 from core.jobs.job import Job, Progress, UnreadableJob
+from core.jobs.measured import Measured
 from core.jobs.spec import JobKind
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerStore
@@ -95,6 +96,19 @@ class FeedPart:
     chunks: Sequence[Chunk]
     entries: Sequence[Entry]
     status: JobStatus
+    is_end: bool
+
+
+@dataclass(frozen=True)
+class MeasuredPart:
+    """As `FeedPart`, but of entries behind the chunks only those of the kind `metrics`.
+
+    last: the number of the last entry of any kind; 0 if there is none.
+    """
+
+    chunks: Sequence[Chunk]
+    behind: Sequence[Measured]
+    last: int
     is_end: bool
 
 
@@ -236,6 +250,10 @@ class JobStore(ModelStore, WorkerStore, Protocol):
     def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
         """The feed after entry number `after`, as of one moment: up to `limit` entries, and no more than a
         few chunks. Raises JobNotFound."""
+        ...
+
+    def feed_metrics(self, job_id: str, *, after: int, limit: int) -> MeasuredPart:
+        """The part of `events` as `feed` has it, of its entries only the metrics. Raises JobNotFound."""
         ...
 
     def long_feeds(self, *, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:

@@ -3,7 +3,6 @@
 import math
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
 from typing import Any
 
 import pytest
@@ -11,7 +10,7 @@ import pytest
 from api import curve_cache
 from api.curves import Curve, Curves, extremes
 from core.jobs import feeds
-from core.jobs.store import Channel, Entry
+from core.jobs.measured import Measured, StepValues
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.problems import pointers, problem
 
@@ -64,10 +63,7 @@ def test_an_attempt_that_begins_again_replaces_what_followed() -> None:
 def test_metrics_of_one_moment_share_a_row_and_others_do_not() -> None:
     curves = Curves()
     for step, values in [(5, {"a": 1.0, "b": 2.0}), (6, {"b": None})]:
-        entry = Entry(
-            kind="metrics", time=datetime(2026, 1, 1, tzinfo=UTC), data={"step": step, "values": values}
-        )
-        curves.add(entry, None)
+        curves.add(Measured(0.0, StepValues(step, values)), None)
     rows = [(row.step, row.values) for row in curves.thinned(None, 4, None, None)]
     assert rows == [(5, {"a": 1.0, "b": 2.0}), (6, {"b": None})]
 
@@ -121,24 +117,24 @@ def test_curves_that_find_no_room_are_read_again(
 def test_long_feeds_are_read_in_turn_and_a_short_one_at_once(
     stack: Stack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feeds, "PAGE", 8)
+    monkeypatch.setattr(feeds, "METRICS_PAGE", 8)
     first, second, short = (Attempt(stack, job(f"00000000000{n}-0000000000")) for n in range(3))
     for attempt, length in ((first, 20), (second, 20), (short, 1)):
         attempt.say_all("metrics", [{"step": step, "values": {"a": 1.0}} for step in range(length)])
     cache = curve_cache.CurveCache(stack.store, stack.objects)
     inside, entered, overlapped = set[str](), threading.Event(), threading.Event()
     short_is_read = threading.Event()
-    read_page = feeds.read_page
+    read_metrics = feeds.read_metrics
 
-    def reading(job_id: str, channel: Channel, after: int, *rest: Any, **stores: Any) -> feeds.FeedPage:
+    def reading(job_id: str, after: int, *rest: Any, **stores: Any) -> feeds.MetricsPage:
         if after == 0:
-            return read_page(job_id, channel, after, *rest, **stores)
+            return read_metrics(job_id, after, *rest, **stores)
         inside.add(job_id)
         entered.set()
         assert short_is_read.wait(10)
         if len(inside) > 1 or overlapped.wait(0.1):  # The other thread has the time to come beside this one.
             overlapped.set()
-        page = read_page(job_id, channel, after, *rest, **stores)
+        page = read_metrics(job_id, after, *rest, **stores)
         inside.remove(job_id)
         return page
 
@@ -146,7 +142,7 @@ def test_long_feeds_are_read_in_turn_and_a_short_one_at_once(
         with cache.curves(attempt.id, None) as (curves, _):
             return len(curves["a"])
 
-    monkeypatch.setattr(feeds, "read_page", reading)
+    monkeypatch.setattr(feeds, "read_metrics", reading)
     with ThreadPoolExecutor(2) as pool:
         long = [pool.submit(num_values, attempt) for attempt in (first, second)]
         assert entered.wait(10)

@@ -14,7 +14,8 @@ from sqlalchemy.dialects.postgresql import insert
 from core.adapters.postgres import rows
 from core.adapters.postgres.tables import NOW, UNFINISHED, chunks, entries, jobs
 from core.jobs.job import Progress
-from core.jobs.store import Channel, Chunk, Entry, FeedPart
+from core.jobs.measured import in_rows
+from core.jobs.store import Channel, Chunk, Entry, FeedPart, MeasuredPart
 
 _NUM: dict[Channel, Column[int]] = {"events": jobs.c.num_events, "logs": jobs.c.num_logs}
 _INSERT = """
@@ -63,6 +64,25 @@ _READ = text("""
             WHERE job_id = :job_id AND channel = :channel AND number > :after ORDER BY number LIMIT :limit
         ) AS found) AS entries
     FROM jobs WHERE jobs.id = :job_id
+""")
+# JSON made by PostgreSQL for each entry would take most of the time. Entries count only after the last chunk.
+_READ_METRICS = text("""
+    WITH known AS (
+        SELECT channel, first, last, key, size, sha256 FROM chunks
+        WHERE job_id = :job_id AND channel = 'events' AND last > :after ORDER BY first LIMIT :chunks
+    )
+    SELECT (SELECT json_agg(known ORDER BY known.first) FROM known) AS chunks, behind.*
+    FROM jobs CROSS JOIN LATERAL (
+        SELECT count(*) AS num, max(number) AS last,
+            array_agg(date_part('epoch', time) ORDER BY number) FILTER (WHERE kind = 'metrics') AS times,
+            string_agg(data, ',' ORDER BY number) FILTER (WHERE kind = 'metrics') AS data
+        FROM (
+            SELECT number, kind, time, data FROM entries
+            WHERE job_id = :job_id AND channel = 'events' AND number > :after ORDER BY number
+            LIMIT CASE WHEN (SELECT count(*) FROM known) < :chunks THEN :limit ELSE 0 END
+        ) AS found
+    ) AS behind
+    WHERE jobs.id = :job_id
 """)
 # A reader gets a few chunks at a time; each is a request to the object store.
 _MAX_CHUNKS = 4
@@ -134,6 +154,19 @@ def read(connection: Connection, job_id: str, channel: Channel, after: int, limi
         return FeedPart(parts[:_MAX_CHUNKS], (), rows.status(found.status), is_end=False)
     behind = [_entry_of(*entry) for entry in found.entries or ()]
     return FeedPart(parts, behind, rows.status(found.status), is_end=len(behind) < limit)
+
+
+def read_metrics(connection: Connection, job_id: str, after: int, limit: int) -> MeasuredPart | None:
+    """As `read`, of the metrics in `events` alone."""
+    asked = {"job_id": job_id, "after": after, "chunks": _MAX_CHUNKS + 1, "limit": limit}
+    found = connection.execute(_READ_METRICS, asked).first()
+    if found is None:
+        return None
+    parts = [Chunk(**chunk) for chunk in found.chunks or ()]
+    if len(parts) > _MAX_CHUNKS:
+        return MeasuredPart(parts[:_MAX_CHUNKS], (), last=0, is_end=False)
+    behind = in_rows(found.times, f"[{found.data}]") if found.data else ()
+    return MeasuredPart(parts, behind, last=found.last or 0, is_end=found.num < limit)
 
 
 def oldest(connection: Connection, job_id: str, channel: Channel, limit: int) -> Sequence[Entry]:

@@ -38,6 +38,7 @@ from core.jobs.store import (
     Idempotency,
     JobQuery,
     Mark,
+    MeasuredPart,
     Page,
 )
 
@@ -215,6 +216,13 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
     def feed(self, job_id: str, channel: Channel, *, after: int = 0, limit: int = 1000) -> FeedPart:
         with self._statements() as connection:
             found = feeds.read(connection, job_id, channel, after, limit)
+        if found is None:
+            raise JobNotFound(job_id[:64])
+        return found
+
+    def feed_metrics(self, job_id: str, *, after: int, limit: int) -> MeasuredPart:
+        with self._statements() as connection:
+            found = feeds.read_metrics(connection, job_id, after, limit)
         if found is None:
             raise JobNotFound(job_id[:64])
         return found

@@ -47,6 +47,15 @@ class Feed:
     def texts(self, **asked: Any) -> list[str]:
         return [entry.data["text"] for entry in self.read(**asked)]
 
+    def metrics(self, after: int, limit: int) -> list[tuple[float, int, Any]]:
+        """All that `read_metrics` gives, page by page: times, steps and values."""
+        found, is_end = list[tuple[float, int, Any]](), False
+        while not is_end:
+            page = feeds.read_metrics(self.id, after, limit, store=self.store, objects=self.objects)
+            found += [(one.time, one.said.step, one.said.values) for one in page.measured]
+            after, is_end = page.last, page.is_end
+        return found
+
     def compact(self) -> int:
         return feeds.compact(store=self.store, objects=self.objects)
 
@@ -113,6 +122,25 @@ class TestReading:
             rest = feed.read("events", kind="metrics", after=int(first[-1].id), limit=3)
             assert [entry.data["i"] for entry in rest] == [39, 49]
             feed.compact()
+
+    def test_metrics_read_fast_are_those_that_entries_say(self, feed: Feed) -> None:
+        at = datetime(2026, 11, 26, 15, 38, 53, 123457, tzinfo=UTC)
+        measured = {"step": 2**53 - 1, "values": {"a/\u2028 é": 0.1, "whole": 3, "b": None}}
+        entries = [
+            Entry(kind="metrics", time=at, data=measured) if i % 3 else Entry(kind="note", time=NOON)
+            for i in range(40)
+        ]
+        feed.append(*entries)
+        for _ in range(3):
+            for after in (0, 1, 7, 30, 41, 42, 50):
+                said = [one for one in feed.read("events", after=after) if one.kind == "metrics"]
+                expected = [(one.time.timestamp(), one.data["step"], one.data["values"]) for one in said]
+                for limit in (1, 5, 100):
+                    assert feed.metrics(after, limit) == expected
+            feed.compact()
+        while feed.compact():
+            pass
+        assert len(feed.metrics(0, 100)) == 26
 
     def test_an_empty_feed_is_empty_and_an_unknown_jobs_is_not_found(self, feed: Feed) -> None:
         assert feed.read() == []
