@@ -1,4 +1,4 @@
-"""Measures how soon a running training's newest checkpoint moves on its page: as a replay, and when pushed."""
+"""Measures how soon a running training's newest checkpoint moves on its page, as a replay and pushed."""
 
 import tempfile
 from pathlib import Path
@@ -61,8 +61,9 @@ def measure(options: Options) -> Result:
         rows=[{"view": view, "seconds": value} for view, values in delays.items() for value in values],
         notes=[
             "An ant trains with PPO on all cores, beside the service and Chromium, which draws in software. "
-            "Counted from the moment at which the supervisor hears that the checkpoint is written, over those "
-            "checkpoints that the page showed: some have no replay, since replays take at most 3 % of the time."
+            "Counted from the moment at which the supervisor hears that the checkpoint is written, "
+            "over those checkpoints that the page showed: some have no replay, since replays take at most "
+            "3 % of the time."
         ],
     )
 
