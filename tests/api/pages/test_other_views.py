@@ -18,7 +18,7 @@ from core.jobs.workers import WorkerInfo
 from core.rendering.mp4 import Mp4Writer
 from core.user_models.record import ModelRecord
 from tests.api.conftest import NOON, Attempt, Stack, job
-from tests.api.pages.conftest import Tab, flaws
+from tests.api.pages.conftest import MakeTab, Tab, flaws
 
 
 @pytest.fixture
