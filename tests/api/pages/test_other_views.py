@@ -161,8 +161,11 @@ def test_videos_that_are_compared_follow_one_clock(tab: Tab, pair: list[Attempt]
 
     def expect_times(*expected: float) -> None:
         """To a tenth of a frame: Chromium's clock of a paused video may differ a bit from a seek's goal."""
-        times = page.evaluate("[...document.querySelectorAll('video')].map((video) => video.currentTime)")
-        assert times == pytest.approx(expected, abs=0.01)
+        page.wait_for_function(
+            """expected => [...document.querySelectorAll("video")].every(
+              (video, i) => video.paused && Math.abs(video.currentTime - expected[i]) < 0.01)""",
+            arg=expected,
+        )
 
     films.get_by_label("Speed").select_option("0.5")
     films.get_by_role("button", name="Play all").click()
@@ -175,10 +178,13 @@ def test_videos_that_are_compared_follow_one_clock(tab: Tab, pair: list[Attempt]
         }"""
     )
     films.get_by_role("button", name="Pause all").click()
-    expect(films.get_by_role("button", name="Play all")).to_be_visible()
-    stopped = page.evaluate("document.querySelector('video').currentTime")
-    assert 0.4 < stopped < 1.5
-    expect_times(stopped, stopped)
+    page.wait_for_function(
+        """() => {
+          const [first, second] = document.querySelectorAll("video");
+          return first.paused && second.paused && first.currentTime > 0.3
+            && Math.abs(Math.min(first.currentTime, second.duration) - second.currentTime) < 0.01;
+        }"""
+    )
     # Beyond its end the shorter one holds its last picture.
     films.get_by_role("slider", name="Moment").fill("1.8")
     expect_times(1.8, 1.5)
