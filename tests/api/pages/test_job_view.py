@@ -1,7 +1,9 @@
 """One job: live, through losses of the service, and after its end."""
 
+from typing import Any
+
 import pytest
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
 from playwright.sync_api import expect
 
 from api.app import create_app
@@ -201,7 +203,17 @@ def test_a_service_that_goes_away_and_comes_back(stack: Stack, make_tab: MakeTab
     expect(page.get_by_text("The service does not answer.")).to_be_visible()
     measure(stack, attempt, 200, eval__episode_reward=2.0)
     again: FastAPI = create_app(NOWHERE, store=stack.store, queue=MemoryJobQueue(), objects=stack.objects)
+    seen: list[str | None] = []
+
+    @again.middleware("http")
+    async def note(request: Request, answer: Any) -> Any:
+        if request.url.path.endswith("/events"):
+            # The page's own new stream says it in the address.
+            seen.append(request.headers.get("last-event-id") or request.query_params.get("after"))
+        return await answer(request)
+
     with serving(again, port):
         expect(page.get_by_role("img", name="last 2 at 200")).to_be_visible()
+        assert int(seen[0] or 0) > 0
         expect(page.get_by_text("The service does not answer.")).to_have_count(0)
         page.close()
