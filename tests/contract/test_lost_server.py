@@ -59,6 +59,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "renew": lambda jobs: jobs.renew(job.id, job.token, LEASE),
         "record": lambda jobs: jobs.record(job.id, job.token, "logs", [line("a")], write_id="w"),
         "feed": lambda jobs: jobs.feed(job.id, "logs"),
+        "feed_metrics": lambda jobs: jobs.feed_metrics(job.id, after=0, limit=1),
         "long_feeds": lambda jobs: jobs.long_feeds(max_bytes=1, max_age=LEASE),
         "oldest_entries": lambda jobs: jobs.oldest_entries(job.id, "logs", limit=1),
         "replace_by_chunk": lambda jobs: jobs.replace_by_chunk(job.id, CHUNK),

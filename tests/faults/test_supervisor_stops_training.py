@@ -98,7 +98,7 @@ def test_a_drain_ends_a_video_that_is_being_made(tmp_path: Path, data_dir: Path)
         when_it_draws(training.process.pid)
         children = psutil.Process(training.process.pid).children()  # The path's picture is drawn beside it.
         files, status, took_s = training.leave()
-        assert [file.role for file in files] == ["trajectory", "scene", "replay"]
+        assert [file.role for file in files] == ["simulation", "export", "trajectory", "scene", "replay"]
         assert status == -DRAIN_SIGNAL
         assert took_s < 1
         assert not psutil.wait_procs(children, timeout=5)[1]
