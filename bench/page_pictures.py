@@ -42,7 +42,12 @@ def main() -> None:
 
 
 def _take(browser: Browser, client: Client, url: str, folder: Path, timesteps: int) -> None:
+    desk = browser.new_page(viewport={"width": 1280, "height": 900}, reduced_motion="reduce")
     client.add_model(_EXAMPLES / "quadruped.xml")
+    # A worker that trains would not draw the body.
+    _show(desk, f"{url}/#/submit?environment=ant")
+    desk.get_by_role("img", name="ant, camera track").wait_for(timeout=120_000)
+    _keep(desk, folder / "page-submit.webp")
     trained = [
         client.submit(
             {
@@ -63,12 +68,10 @@ def _take(browser: Browser, client: Client, url: str, folder: Path, timesteps: i
         if event.kind == "artifact" and event.data["role"] == "checkpoint":
             break
     ids = ",".join(job.id for job in trained)
-    desk = browser.new_page(viewport={"width": 1280, "height": 900}, reduced_motion="reduce")
     views = {
         "page": "#/jobs",
         "page-job": f"#/jobs/{trained[1].id}",
         "page-compare": f"#/compare?ids={ids}",
-        "page-submit": "#/submit?environment=ant",
         "page-models": "#/models",
         "page-workers": "#/workers",
     }
@@ -92,14 +95,16 @@ def _show(page: Page, address: str) -> None:
     page.goto("about:blank")
     page.goto(address)
     page.locator("main h1").wait_for()
-    page.wait_for_function("!document.querySelector('main').innerText.includes('Loading')")
-    page.wait_for_function("[...document.querySelectorAll('video')].every((one) => one.readyState >= 2)")
+    page.wait_for_function("() => !document.querySelector('main').innerText.includes('Loading')")
+    page.wait_for_function(
+        "() => [...document.querySelectorAll('video')].every((one) => one.readyState >= 2)"
+    )
     page.wait_for_timeout(4000)  # Streams stay open: that the last curve is drawn shows in nothing.
 
 
 def _keep(page: Page, path: Path) -> None:
     picture = Image.open(io.BytesIO(page.screenshot(full_page=True)))
-    height = min(picture.height, 2 * picture.width)
+    height = min(picture.height, round(1.2 * picture.width) if picture.width > 1000 else 2 * picture.width)
     picture.crop((0, 0, picture.width, height)).save(path, quality=80, method=6)
 
 
