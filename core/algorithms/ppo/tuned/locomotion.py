@@ -128,7 +128,15 @@ HUMANOID: Mapping[Device, PPOSpec] = {
     ),
 }
 INVERTED_PENDULUM: Mapping[Device, PPOSpec] = {
-    "cpu": _cpu(num_timesteps=500_000, num_envs=128, unroll_length=10, num_minibatches=8, discounting=0.97),
+    # At a constant learning rate one of three seeds fell from 1,000 to 108 in the last evaluation.
+    "cpu": _cpu(
+        num_timesteps=500_000,
+        num_envs=128,
+        unroll_length=10,
+        num_minibatches=8,
+        discounting=0.97,
+        learning_rate_schedule="LINEAR",
+    ),
     "gpu": _gpu(
         num_timesteps=2_000_000,
         num_evals=1,
