@@ -1,4 +1,4 @@
-"""Takes the documentation's pictures of the page: `python -m bench.page_pictures docs/pictures`.
+"""Takes the documentation's pictures of the page: `python -m bench.service.page_pictures docs/pictures`.
 
 It trains two ants and a pendulum on this machine, for some minutes, and looks at them in Chromium. Look at
 every picture before you commit it.
@@ -17,7 +17,7 @@ from bench.service.page import chromium
 from bench.stack.processes import running
 from gaitway.client import Client
 
-_EXAMPLES = Path(__file__).parents[1] / "examples"
+_EXAMPLES = Path(__file__).parents[2] / "examples"
 _VIDEO = {"every_checkpoint": True, "seconds": 8, "width": 640, "height": 360}
 _ANT: dict[str, Any] = {
     "environment": "ant",
