@@ -20,11 +20,10 @@ import numpy as np
 from bench.measure.child import answer
 from bench.measure.statistics import alternate
 from core.environments import catalog
+from core.environments.dm_control.corridor.egocentric import CAMERA
 from core.environments.environment import Environment
 from core.physics.choose import engine_builder
 from core.rendering.gl import context_works
-
-_CAMERA = "walker/egocentric"
 
 
 def work(request: dict[str, Any]) -> dict[str, Any]:
@@ -77,7 +76,7 @@ def _drawing(model: mujoco.MjModel, positions: np.ndarray, side: int) -> Callabl
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
-            renderer.update_scene(data, _CAMERA)
+            renderer.update_scene(data, CAMERA)
             renderer.render()
 
     return draw
@@ -97,7 +96,7 @@ def _casting(model: mujoco.MjModel, positions: np.ndarray, side: int) -> tuple[C
         cam_res=(side, side),
         render_rgb=True,
         render_depth=False,
-        cam_active=[_CAMERA],
+        cam_active=[CAMERA],
     )
 
     def cast() -> None:

@@ -1,7 +1,5 @@
 """Measures how soon a running training's newest checkpoint moves on its page, as a replay and pushed."""
 
-import tempfile
-from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import Browser
@@ -9,8 +7,7 @@ from playwright.sync_api import Browser
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result
 from bench.measure.statistics import spread
-from bench.service.page import chromium
-from bench.stack.processes import running
+from bench.service.page import stack_and_browser
 from gaitway.client import Client
 
 # It outlasts the measurement; on two cores a checkpoint comes every few seconds.
@@ -36,12 +33,7 @@ _WATCH = """() => {
 def measure(options: Options) -> Result:
     """Watch a real worker's training in Chromium on the same machine until enough checkpoints have come."""
     count = 2 if options.quick else 8
-    with (
-        tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder,
-        running(Path(folder, "stack"), workers=1) as parts,
-        Client(parts.url) as client,
-        chromium("--enable-unsafe-swiftshader") as browser,
-    ):
+    with stack_and_browser(workers=1) as (parts, browser), Client(parts.url) as client:
         job = client.submit(_JOB)
         delays = {
             view: _delays(browser, client, f"{parts.url}/#/jobs/{job.id}/{view}", job.id, count)

@@ -142,6 +142,17 @@ def chromium(*flags: str) -> Generator[Browser]:
         browser.close()
 
 
+@contextmanager
+def stack_and_browser(workers: int = 0) -> Generator[tuple[Parts, Browser]]:
+    """The embedded stack, in a folder that goes afterwards, and a Chromium that draws in software."""
+    with (
+        tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder,
+        running(Path(folder, "stack"), workers=workers) as parts,
+        chromium("--enable-unsafe-swiftshader") as browser,
+    ):
+        yield parts, browser
+
+
 def _job(store: JobStore, number: int, **spec: Any) -> Job:
     document = {"kind": "train", "environment": "ant", **spec}
     now = store.now()

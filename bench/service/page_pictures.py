@@ -6,15 +6,13 @@ every picture before you commit it.
 
 import argparse
 import io
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from bench.service.page import chromium
-from bench.stack.processes import running
+from bench.service.page import stack_and_browser
 from gaitway.client import Client
 
 _EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -32,12 +30,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--timesteps", type=int, default=1_200_000, help="of each ant")
     arguments = parser.parse_args()
-    with (
-        tempfile.TemporaryDirectory(prefix="gaitway-pictures-") as folder,
-        running(Path(folder, "stack"), workers=1) as parts,
-        Client(parts.url) as client,
-        chromium("--enable-unsafe-swiftshader") as browser,
-    ):
+    with stack_and_browser(workers=1) as (parts, browser), Client(parts.url) as client:
         _take(browser, client, parts.url, arguments.folder, arguments.timesteps)
 
 
@@ -85,7 +78,7 @@ def _take(browser: Browser, client: Client, url: str, folder: Path, timesteps: i
         device_scale_factor=2,
     )
     _show(phone, f"{url}/#/jobs/{trained[1].id}")
-    _keep(phone, folder / "page-phone.webp")
+    _keep(phone, folder / "page-phone.webp", most=2)
     for job in (waiting, running_job):
         client.cancel(job.id)
 
@@ -102,9 +95,10 @@ def _show(page: Page, address: str) -> None:
     page.wait_for_timeout(4000)  # Streams stay open: that the last curve is drawn shows in nothing.
 
 
-def _keep(page: Page, path: Path) -> None:
+def _keep(page: Page, path: Path, most: float = 1.2) -> None:
+    """most: what is lower than this many times the width is cut off."""
     picture = Image.open(io.BytesIO(page.screenshot(full_page=True)))
-    height = min(picture.height, round(1.2 * picture.width) if picture.width > 1000 else 2 * picture.width)
+    height = min(picture.height, round(most * picture.width))
     picture.crop((0, 0, picture.width, height)).save(path, quality=80, method=6)
 
 

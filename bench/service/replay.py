@@ -5,12 +5,9 @@ import os
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import hashlib
-import tempfile
 import time
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from datetime import timedelta
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -20,8 +17,8 @@ from playwright.sync_api import Browser
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result
 from bench.measure.statistics import spread
-from bench.service.page import chromium, settings_of
-from bench.stack.processes import Parts, running
+from bench.service.page import settings_of, stack_and_browser
+from bench.stack.processes import Parts
 from core.adapters.connect import job_store, object_store
 from core.environments import catalog
 from core.jobs.attempts import claim_attempt, new_secret
@@ -113,17 +110,6 @@ def _motion(model: mujoco.MjModel, dt: float, seconds: float) -> Motion:
         mujoco.mj_step(model, data, substeps)
         qpos.append(data.qpos.copy())
     return Motion(dt * np.arange(steps + 1), np.array(qpos))
-
-
-@contextmanager
-def stack_and_browser() -> Generator[tuple[Parts, Browser]]:
-    """The embedded stack, in a folder that goes afterwards, and a Chromium that draws in software."""
-    with (
-        tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder,
-        running(Path(folder, "stack")) as parts,
-        chromium("--enable-unsafe-swiftshader") as browser,
-    ):
-        yield parts, browser
 
 
 def published(parts: Parts, body: str, files: Mapping[str, tuple[ArtifactRole, bytes]]) -> str:

@@ -17,8 +17,9 @@ FORMAT, VERSION = "gaitway-simulation", 1
 SHARE_VELOCITY = "share_velocity"
 # The action before this observation; zeros at the start of an episode.
 PREVIOUS_ACTION = "previous_action"
-# What lies ahead in a corridor, [3 NUM_AHEAD]: of each next obstacle, how far ahead of the body it begins and
-# ends, and how far to the left the way past it is. The body's x and y are the first two of `qpos`.
+# The next obstacles of a corridor, [3 NUM_AHEAD], in m. Each has three numbers: the distance in x from the
+# body to its beginning, the distance to its end, and the distance to the left to the way past it. The body's
+# x and y are the first two of `qpos`.
 OBSTACLES_AHEAD = "obstacles_ahead"
 NUM_AHEAD = 10
 # The options of a model that an engine may change.

@@ -8,7 +8,7 @@ import msgspec
 
 
 class StepValues(msgspec.Struct, frozen=True, gc=False):
-    """What an entry of the kind `metrics` says: metrics by name, None where they are not finite."""
+    """The data of an entry of the kind `metrics`. values: by name; None if a value is not finite."""
 
     step: int
     values: Mapping[str, float | None]

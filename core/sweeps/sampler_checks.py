@@ -1,4 +1,4 @@
-"""What a sampler cannot take: the requirements of CMA-ES on axes and objectives."""
+"""Checks that a sweep's sampler can search its axes and follow its objectives."""
 
 from collections.abc import Iterator
 

@@ -51,7 +51,7 @@ KEPT = {
     *("video", "replay", "scene", "simulation"),
 }
 
-# What of it there is while it trains.
+# The roles that are there already while it trains.
 DURING = {"checkpoint", "export", "metrics", "replay", "scene", "simulation"}
 
 

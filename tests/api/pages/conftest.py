@@ -63,8 +63,8 @@ def overflow(page: Page) -> int:
 
 
 def flaws(page: Page) -> list[str]:
-    """What axe finds, and by how much the page is wider than its window: at 1280 and 380 pixels, light and
-    dark. It is left narrow and dark."""
+    """Axe's findings, and the pixels by which the page is wider than its window. It is looked at 1280 and 380
+    pixels wide, light and dark, and is left narrow and dark."""
     found: list[str] = []
     for width, colours in product((1280, 380), ("light", "dark")):
         page.set_viewport_size({"width": width, "height": 900})

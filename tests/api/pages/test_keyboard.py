@@ -6,7 +6,8 @@ from playwright.sync_api import Page, expect
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.pages.conftest import Tab
 
-# What can be used, and is shown, gets a number; of radio buttons the chosen one, from which arrows go on.
+# Each visible control gets a number. Of a group of radio buttons only the chosen one does: arrow keys reach
+# the others.
 _NUMBERED = """() => {
   const able = "a[href], button, input, select, textarea, summary, video[controls], [tabindex='0']";
   const isOther = (one) => one.type === "radio" && !one.checked;
@@ -15,7 +16,7 @@ _NUMBERED = """() => {
   shown.forEach((one, number) => (one.dataset.number = number));
   return shown.map((one) => one.outerHTML.slice(0, 100));
 }"""
-# The number of what has the focus, and whether one sees that it has.
+# The number of the control that has the focus, and whether an outline shows it.
 _FOCUSED = """() => {
   const { outlineStyle, outlineWidth } = getComputedStyle(document.activeElement);
   const { number } = document.activeElement.dataset;

@@ -1,4 +1,4 @@
-"""What the walker's own camera sees of the arena: how far away it is behind each pixel.
+"""The depth image that the walker's own camera takes of its arena.
 
 An arena is a few boxes that stay where they are, so their distances are arithmetic that every engine has on
 its device; a picture in colours would have to be drawn.

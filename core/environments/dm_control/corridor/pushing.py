@@ -1,4 +1,4 @@
-"""What a program needs to step a walker in its corridor by MuJoCo alone (docs/push.md)."""
+"""The simulation of a walker in its corridor, for programs that have MuJoCo alone (docs/push.md)."""
 
 from collections.abc import Iterator
 
@@ -27,7 +27,7 @@ def check_can_be_pushed(options: CorridorOptions) -> None:
 
 
 def observation(options: CorridorOptions, model: mujoco.MjModel, bodies: slice) -> Iterator[Numbers]:
-    """What the walker sees; bodies: its own."""
+    """The parts of the observation, in their order. bodies: those of the walker."""
     hidden = 2 if options.exclude_current_positions_from_observation else 0
     yield numbers("qpos", range(hidden, model.nq))
     yield numbers("qvel", range(model.nv))

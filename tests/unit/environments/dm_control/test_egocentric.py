@@ -75,7 +75,7 @@ def _built(**options: Any) -> Corridor:
 
 
 def _image(environment: Corridor, turned: jax.Array | None) -> tuple[np.ndarray, mujoco.MjData]:
-    """What it sees [side, side] at its start, and MuJoCo's data there. turned: a key, to turn it aside."""
+    """The image [side, side] at the start, and MuJoCo's data there. turned: a key to turn the walker by."""
     qpos = environment.initial_qpos
     if turned is not None:
         aside = 0.1 * jax.random.normal(turned, (4,)) + jnp.array([0.0, 0.0, 0.0, 0.3])
