@@ -27,7 +27,8 @@ RODENT: Mapping[Device, SACSpec] = {
         {
             **_GPU,
             "num_timesteps": 8_000_000,
-            "num_envs": 2048,
+            "num_envs": 4096,
+            "grad_updates_per_step": 8,
             "discounting": 0.98,
             "value_max": 100.0,
             "normalize_observations_max_abs_value": 10.0,
