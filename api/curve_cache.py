@@ -6,8 +6,8 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from threading import Lock
 
-from api.curves import Curves
-from core.jobs import feeds
+from core.jobs import columns, feeds
+from core.jobs.curves import Curves
 from core.jobs.store import JobStore
 from core.storage.objects import ObjectStore
 
@@ -59,10 +59,18 @@ class CurveCache:
         self._make_room()
 
     def _read_on(self, job_id: str, known: _Known, names: frozenset[str] | None) -> None:
-        """Read the entries that came since, or the whole feed if it has metrics that were not kept."""
+        """Read the entries that came since, or the whole feed if it has metrics that were not kept.
+
+        Of a whole feed, what lies in columns comes from there: parsing those takes no time worth a turn.
+        """
         if not known.has(names):
             known.names = None if names is None or known.names is None else known.names | names
             known.last, known.curves = 0, Curves()
+        if not known.last:
+            parts = columns.read(job_id, known.names, store=self._store, objects=self._objects)
+            for part, last in parts:
+                known.curves.extend(part)
+                known.last = last
         turn: AbstractContextManager[object] = nullcontext()  # The news of a feed are one page.
         is_end = False
         while not is_end:
@@ -75,8 +83,7 @@ class CurveCache:
         page = feeds.read_metrics(
             job_id, known.last, feeds.METRICS_PAGE, store=self._store, objects=self._objects
         )
-        for measured in page.measured:
-            known.curves.add(measured, known.names)
+        known.curves.add(page.measured, known.names)
         known.last = page.last
         return page.is_end
 

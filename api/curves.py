@@ -1,42 +1,11 @@
-"""Metrics as curves, thinned so that a picture of them shows the same."""
+"""Curves thinned so that a picture of them shows the same."""
 
-from array import array
-from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
-from math import isnan, nan
+from math import isnan
 
 from api.views import MetricsRow
-from core.jobs.measured import Measured
-
-
-@dataclass
-class Curve:
-    """One metric of a job: values over rising steps. times: seconds since 1970; nan: not finite."""
-
-    steps: "array[int]" = field(default_factory=lambda: array("q"))
-    times: "array[float]" = field(default_factory=lambda: array("d"))
-    values: "array[float]" = field(default_factory=lambda: array("d"))
-
-    def __len__(self) -> int:
-        return len(self.steps)
-
-    def add(self, step: int, time: float, value: float) -> None:
-        """Append a value. One of an earlier step comes from an attempt that began again at a checkpoint: it
-        replaces what followed that checkpoint."""
-        if self.steps and step <= self.steps[-1]:
-            kept = bisect_left(self.steps, step)
-            del self.steps[kept:], self.times[kept:], self.values[kept:]
-        self.steps.append(step)
-        self.times.append(time)
-        self.values.append(value)
-
-    def between(self, first_step: int | None, last_step: int | None) -> range:
-        """The places of the values of these steps, both included."""
-        start = 0 if first_step is None else bisect_left(self.steps, first_step)
-        end = len(self) if last_step is None else bisect_right(self.steps, last_step)
-        return range(start, max(start, end))
+from core.jobs.curves import Curves
 
 
 def extremes(values: Sequence[float], places: range, points: int) -> list[int]:
@@ -52,37 +21,33 @@ def extremes(values: Sequence[float], places: range, points: int) -> list[int]:
     kept = [places[0]]
     for part in range(num_parts):
         within = inner[part * len(inner) // num_parts : (part + 1) * len(inner) // num_parts]
-        numbers = [place for place in within if not isnan(values[place])] or within[:1]
-        kept += sorted({min(numbers, key=values.__getitem__), max(numbers, key=values.__getitem__)})
+        first = next((place for place in within if not isnan(values[place])), None)
+        if first is None:
+            kept.append(within.start)
+        else:  # No nan is less or greater than another value, so `min` and `max` pass over those that follow.
+            numbers = values[first : within.stop]
+            kept += sorted({first + numbers.index(value) for value in (min(numbers), max(numbers))})
     return [*kept, places[-1]]
 
 
-class Curves(dict[str, Curve]):
-    """Metrics by name."""
+def thinned(
+    curves: Curves,
+    points: int,
+    names: Collection[str] | None = None,
+    first_step: int | None = None,
+    last_step: int | None = None,
+) -> list[MetricsRow]:
+    """Rows with at most `points` values of each metric, in the order of their steps and times.
 
-    def add(self, measured: Measured, names: frozenset[str] | None) -> None:
-        """Append the values; names: only these metrics."""
-        for name, value in measured.said.values.items():
-            if names is None or name in names:
-                if (curve := self.get(name)) is None:
-                    curve = self[name] = Curve()
-                curve.add(measured.said.step, measured.time, nan if value is None else value)
-
-    @property
-    def num_values(self) -> int:
-        return sum(map(len, self.values()))
-
-    def thinned(
-        self, names: frozenset[str] | None, points: int, first_step: int | None, last_step: int | None
-    ) -> list[MetricsRow]:
-        """Rows with at most `points` values of each metric, in the order of their steps and times."""
-        rows: dict[tuple[int, float], dict[str, float | None]] = {}
-        for name, curve in self.items():
-            if names is None or name in names:
-                for place in extremes(curve.values, curve.between(first_step, last_step), points):
-                    row = rows.setdefault((curve.steps[place], curve.times[place]), {})
-                    row[name] = curve.values[place]
-        return [
-            MetricsRow(step=step, time=datetime.fromtimestamp(time, UTC), values=values)
-            for (step, time), values in sorted(rows.items(), key=lambda row: row[0])
-        ]
+    names: only these metrics; None: all.
+    """
+    rows: dict[tuple[int, float], dict[str, float | None]] = {}
+    for name, curve in curves.items():
+        if names is None or name in names:
+            for place in extremes(curve.values, curve.between(first_step, last_step), points):
+                row = rows.setdefault((curve.steps[place], curve.times[place]), {})
+                row[name] = curve.values[place]
+    return [
+        MetricsRow(step=step, time=datetime.fromtimestamp(time, UTC), values=values)
+        for (step, time), values in sorted(rows.items(), key=lambda row: row[0])
+    ]

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from starlette.responses import StreamingResponse
 
+from api.curves import thinned
 from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
 from api.metrics_table import Overview, csv_lines
 from api.problems import refusals
@@ -109,7 +110,7 @@ def read_metrics(
 
 def _thinned(job_id: str, asked: Measured, points: int, service: Service) -> Metrics:
     with service.curves.curves(job_id, asked.names) as (curves, last):
-        rows = curves.thinned(asked.names, points, asked.first_step, asked.last_step)
+        rows = thinned(curves, points, asked.names, asked.first_step, asked.last_step)
     return Metrics(rows=rows, next=str(last) if last else None)
 
 

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from starlette.responses import StreamingResponse
 
+from api.curves import thinned
 from api.dependencies import JobId, Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, TooManyImports, UnsupportedMediaType
 from api.files import PiecesResponse
@@ -195,6 +196,6 @@ def draw_curve(job_id: JobId, asked: Annotated[Pictured, Query()], service: Serv
     """Metrics over steps as a picture in SVG, for a notebook or a page elsewhere."""
     names = tuple(asked.metric) or RETURNS
     with service.curves.curves(job_id, frozenset(names)) as (curves, _):
-        rows = curves.thinned(frozenset(names), _CURVE_POINTS, None, None)
+        rows = thinned(curves, _CURVE_POINTS, names)
     title = "Metrics" if asked.metric else "Return"
     return Response(curve_svg(lines_of(rows, names), title), headers=_HEADERS, media_type="image/svg+xml")

@@ -7,6 +7,7 @@ from datetime import datetime
 from html import escape
 from typing import Any, cast
 
+from api.curves import thinned
 from api.dependencies import Service
 from api.sharing.curve_svg import RETURNS, curve_svg, lines_of
 from api.sharing.export import versions
@@ -51,7 +52,7 @@ def sections(job: Job, service: Service) -> Iterator[str]:
 
 def _curves(job: Job, service: Service) -> str:
     with service.curves.curves(job.id, None) as (curves, _):
-        rows = curves.thinned(None, _POINTS, None, None)
+        rows = thinned(curves, _POINTS)
     names = sorted({name for row in rows for name in row.values} - set(RETURNS))
     if not rows:
         return section("Curves", "<p>Nothing was measured.</p>")

@@ -67,6 +67,7 @@ def measure(options: Options) -> Result:
         store = job_store(settings_of(parts))
         listings = _listings(store, http, sizes["jobs"])
         runs = [_ended(store, _run(store, f"seed {i}", sizes["rows"])) for i in range(sizes["runs"])]
+        _wait_until_stored(store, runs)
         cold, warm = _curves(http, runs[0])
         paints, loaded = _first_paints(browser, parts.url)
         delays = _delays(browser, parts.url, store, 5 if options.quick else 30)
@@ -196,6 +197,13 @@ def _run(store: JobStore, name: str, rows: int) -> Job:
 def _ended(store: JobStore, job: Job) -> Job:
     store.save(job.ended(JobStatus.SUCCEEDED, Reason.COMPLETED, "Everything is measured.", store.now()))
     return job
+
+
+def _wait_until_stored(store: JobStore, jobs: Sequence[Job]) -> None:
+    """Return when the events of these ended jobs lie in the object store, where those of most jobs do."""
+    for job in jobs:
+        while store.oldest_entries(job.id, "events", limit=1):
+            time.sleep(1)
 
 
 def _measured(store: JobStore, step: int, values: dict[str, float]) -> Entry:

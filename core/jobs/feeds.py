@@ -10,7 +10,8 @@ from datetime import timedelta
 
 import structlog
 
-from core.errors import StorageUnavailable
+from core.errors import ObjectNotFound, StorageUnavailable
+from core.jobs import columns
 from core.jobs.lost_feeds import gap
 from core.jobs.measured import Measured, in_chunk
 from core.jobs.status import JobStatus
@@ -162,7 +163,10 @@ def compact(*, store: JobStore, objects: ObjectStore) -> int:
     for job_id, channel in due:
         entries = store.oldest_entries(job_id, channel, limit=_MAX_ENTRIES)
         if entries:  # Otherwise another process was faster, or the job was deleted.
-            store.replace_by_chunk(job_id, _chunk(job_id, channel, entries, objects))
+            chunk = _chunk(job_id, channel, entries, objects)
+            if channel == "events":
+                _store_columns(job_id, chunk, store, objects)
+            store.replace_by_chunk(job_id, chunk)
     return len(due)
 
 
@@ -174,3 +178,19 @@ def _chunk(job_id: str, channel: Channel, entries: Sequence[Entry], objects: Obj
     key = keys.chunk(job_id, channel, first, digest)
     objects.put(key, body, media_type="application/jsonl")
     return Chunk(channel, first, last, key, len(body), digest)
+
+
+def _store_columns(job_id: str, newest: Chunk, store: JobStore, objects: ObjectStore) -> None:
+    """Store the columns of the group that this chunk completes, if it completes one.
+
+    Before the record names the chunk, so that both are repeated if this is interrupted. A group with a chunk
+    that is lost or damaged gets none.
+    """
+    group = columns.completed(newest, store.chunks([job_id]).get(job_id, ()))
+    try:
+        bodies = [body for chunk in group if (body := _body_of(chunk, objects)) is not None]
+    except ObjectNotFound as error:
+        log.error("feed_lost", **error.facts)
+        return
+    if group and len(bodies) == len(group):
+        columns.write(job_id, group, bodies, objects)

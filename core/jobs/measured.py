@@ -33,7 +33,7 @@ _one = msgspec.json.Decoder(StepValues)
 _several = msgspec.json.Decoder(list[StepValues])
 
 
-def in_chunk(body: bytes, after: int) -> Iterator[Measured]:
+def in_chunk(body: bytes, after: int = 0) -> Iterator[Measured]:
     """Those of the lines of a chunk, later than entry number `after`."""
     for line in _lines.decode_lines(body):
         if line.kind == "metrics" and int(line.id) > after:

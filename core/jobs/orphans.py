@@ -8,6 +8,7 @@ from itertools import groupby
 import structlog
 
 from core.errors import JobUnreadable, ModelNotFound, ObjectNotFound
+from core.jobs import columns
 from core.jobs.record_copy import read_copy
 from core.jobs.store import JobStore, Mark
 from core.storage import keys
@@ -92,7 +93,9 @@ def _of_jobs(
     batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     known = store.marks(batch)
-    named = store.objects_named(known)
+    named = set(store.objects_named(known))
+    for job_id, chunks in store.chunks(known).items():
+        named |= {columns.key(job_id, group) for group in columns.groups(chunks)}
     for job_id, infos in batch.items():
         files = [info for info in infos if not keys.is_description(info.key)]
         if job_id in known:

@@ -3,6 +3,8 @@
 jobs/<id>/attempts/<n>/<hash>/<name>           an attempt's files, by the hash of their bytes
 jobs/<id>/imported/<hash>/<name>               a file that came with an import, by the hash of its bytes
 jobs/<id>/<channel>/<first>-<hash>.jsonl       a finished part of a feed, from entry <first> on
+jobs/<id>/columns/<first>-<hash>.msgpack       the metrics of eight parts of `events` from entry <first> on;
+                                               a copy, which may be lost
 jobs/<id>/record.json                          a copy of the record, for `gaitway recover`
 models/<hash>/source                           a user's own model, as it was sent
 previews/<whose>/<hash>/<when>/about.json      which stills were drawn, or why none; written last
@@ -62,6 +64,11 @@ def is_imported(key: str) -> bool:
 
 def chunk(job_id: str, channel: str, first: int, sha256: str) -> str:
     return f"jobs/{job_id}/{channel}/{first:012d}-{sha256[:16]}.jsonl"
+
+
+def columns(job_id: str, first: int, sha256: str) -> str:
+    """sha256: of what the columns were made from."""
+    return f"jobs/{job_id}/columns/{first:012d}-{sha256[:16]}.msgpack"
 
 
 def models() -> str:

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from api import curve_cache
-from api.curves import Curve, Curves, extremes
-from core.jobs import feeds
+from api.curves import extremes, thinned
+from core.jobs import columns, feeds
+from core.jobs.curves import Curves
 from core.jobs.measured import Measured, StepValues
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.problems import pointers, problem
@@ -43,28 +44,10 @@ def test_a_value_that_is_no_number_hides_no_other() -> None:
     assert extremes(values, range(8), 6) == [0, 2, 3, 4, 7]
 
 
-def test_a_range_of_steps_includes_both_ends() -> None:
-    curve = Curve()
-    for step in (0, 10, 20, 30):
-        curve.add(step, float(step), 0.0)
-    assert list(curve.between(10, 20)) == [1, 2]
-    assert list(curve.between(11, None)) == [2, 3]
-    assert list(curve.between(None, 9)) == [0]
-    assert list(curve.between(31, 5)) == []
-
-
-def test_an_attempt_that_begins_again_replaces_what_followed() -> None:
-    curve = Curve()
-    for step, value in [(0, 1.0), (10, 2.0), (20, 3.0), (10, 2.5)]:
-        curve.add(step, float(step), value)
-    assert (list(curve.steps), list(curve.values)) == ([0, 10], [1.0, 2.5])
-
-
 def test_metrics_of_one_moment_share_a_row_and_others_do_not() -> None:
-    curves = Curves()
-    for step, values in [(5, {"a": 1.0, "b": 2.0}), (6, {"b": None})]:
-        curves.add(Measured(0.0, StepValues(step, values)), None)
-    rows = [(row.step, row.values) for row in curves.thinned(None, 4, None, None)]
+    said = [StepValues(5, {"a": 1.0, "b": 2.0}), StepValues(6, {"b": None})]
+    curves = Curves.of(Measured(0.0, one) for one in said)
+    rows = [(row.step, row.values) for row in thinned(curves, 4)]
     assert rows == [(5, {"a": 1.0, "b": 2.0}), (6, {"b": None})]
 
 
@@ -95,6 +78,37 @@ def test_new_values_join_those_that_were_read_before(stack: Stack, attempt: Atte
     # Another metric was not kept at first, and is read from the beginning.
     assert [row["values"] for row in rows(stack, attempt, points=4, metric="b")] == [{"b": 3.0}]
     assert [row["values"] for row in rows(stack, attempt, points=4)] == [{"a": 1.0}, {"a": 2.0, "b": 3.0}]
+
+
+def test_a_run_in_the_object_store_is_drawn_from_columns_with_the_same_points(
+    stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feeds, "MAX_BYTES", 1)
+    monkeypatch.setattr(feeds, "_MAX_ENTRIES", 10)
+    values = [{"a": float(step * 7 % 13), "b": None if step % 5 else 1.0} for step in range(100)]
+    attempt.say_all("metrics", [{"step": step, "values": each} for step, each in enumerate(values)])
+    from_record = rows(stack, attempt, points=20)
+    assert len(from_record) > 20
+
+    while feeds.compact(store=stack.store, objects=stack.objects):
+        pass
+
+    def rows_of_a_fresh_process() -> list[dict[str, Any]]:
+        stack.service.curves = curve_cache.CurveCache(stack.store, stack.objects)
+        return rows(stack, attempt, points=20)
+
+    [stored] = stack.objects.list(f"jobs/{attempt.id}/columns/")
+    # 102 entries in 11 chunks: the lines of the first eight are not read.
+    first = stack.store.chunks([attempt.id])[attempt.id][: columns.GROUP]
+    bodies = {chunk.key: stack.objects.get(chunk.key) for chunk in first}
+    for key in bodies:
+        stack.objects.delete_prefix(key)
+    assert rows_of_a_fresh_process() == from_record
+    # Without the columns, they are.
+    for key, body in bodies.items():
+        stack.objects.put(key, body)
+    stack.objects.delete_prefix(stored.key)
+    assert rows_of_a_fresh_process() == from_record
 
 
 def test_next_of_a_thinned_answer_is_where_the_events_continue(stack: Stack, attempt: Attempt) -> None:
