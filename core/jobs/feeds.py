@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 
+import msgspec
 import structlog
 
 from core.errors import ObjectNotFound, StorageUnavailable
@@ -184,13 +185,14 @@ def _store_columns(job_id: str, newest: Chunk, store: JobStore, objects: ObjectS
     """Store the columns of the group that this chunk completes, if it completes one.
 
     Before the record names the chunk, so that both are repeated if this is interrupted. A group with a chunk
-    that is lost or damaged gets none.
+    that is lost or damaged, or has metrics that cannot be read, gets none: the feed is moved all the same.
     """
     group = columns.completed(newest, store.chunks([job_id]).get(job_id, ()))
     try:
         bodies = [body for chunk in group if (body := _body_of(chunk, objects)) is not None]
+        if group and len(bodies) == len(group):
+            columns.write(job_id, group, bodies, objects)
     except ObjectNotFound as error:
         log.error("feed_lost", **error.facts)
-        return
-    if group and len(bodies) == len(group):
-        columns.write(job_id, group, bodies, objects)
+    except (msgspec.MsgspecError, OverflowError) as error:
+        log.error("metrics_unreadable", job=job_id, error=str(error))

@@ -178,6 +178,17 @@ def test_a_group_with_a_chunk_that_is_lost_or_damaged_gets_no_columns(run: Run, 
     assert key == columns.key(run.id, run.chunks()[GROUP:])
 
 
+@pytest.mark.parametrize("data", [{}, {"step": 10**30, "values": {"a": 1.0}}])
+def test_a_group_with_metrics_that_nobody_can_read_gets_no_columns(run: Run, data: dict[str, Any]) -> None:
+    entry = Entry(kind="metrics", time=NOON, data=data)
+    run.store.record(run.id, run.claim.token, "events", [entry], write_id="w")
+    run.measure(*range(PER_CHUNK * (GROUP - 1)))
+    with capture_logs() as said:
+        run.compact()
+    assert [line["event"] for line in said] == ["metrics_unreadable"]
+    assert (len(run.chunks()), run.columns()) == (GROUP, [])
+
+
 def test_columns_that_could_not_be_stored_are_stored_at_the_next_pass(run: Run) -> None:
     put = run.objects.put
 
