@@ -60,9 +60,11 @@ def worker(stack: Stack, **found: Any) -> Iterator[None]:
 
     thread = threading.Thread(target=work)
     thread.start()
-    yield
-    idle.set()
-    thread.join()
+    try:
+        yield
+    finally:  # Of a test that fails, too: pytest would wait for the thread.
+        idle.set()
+        thread.join()
 
 
 @pytest.fixture

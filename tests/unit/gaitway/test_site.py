@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from core.environments import catalog
 from core.jobs.spec import JOB_SPEC
 from gaitway.service import site
 
@@ -35,12 +34,6 @@ def test_it_describes_the_client_and_the_http_interface(built: Path) -> None:
     script = (built / "interface" / "document.js").read_text()
     assert '"/jobs/{job_id}/video"' in script
     assert (built / "interface" / "swagger-ui.js").is_file()
-
-
-def test_the_gallery_has_every_body() -> None:
-    said = (ROOT / "docs" / "gallery.md").read_text()
-    own = {name for name in catalog.ENVIRONMENTS if "/" not in name}
-    assert {name for name in own if name not in said} == set()
 
 
 def test_the_tutorials_job_names_the_model_beside_it() -> None:
