@@ -233,6 +233,16 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         ),
         (corridor(walker="fruitfly"), "/environment/options/walker", "dm_control measures it in centimetres"),
         (corridor(walker="rolling_ball") | {"physics": "compiled"}, "/physics", "a cylinder and a box"),
+        (
+            corridor(curriculum={"start": {"gap_length": [0, 50]}, "over_steps": 1000}),
+            "/environment/options",
+            "as the curriculum begins, gap_length goes up to 50 m",
+        ),
+        (
+            corridor(curriculum={"start": {"gap_length": [-1, 0]}, "over_steps": 1000}),
+            "/environment/options/curriculum/start/gap_length",
+            "must not be negative",
+        ),
         (corridor(aesthetic="sunset"), "/environment/options/aesthetic", "'default' or 'outdoor_natural'"),
         (corridor(observables=["mass"]), "/environment/options/observables/0", "'qfrc_actuator'"),
         (corridor(walker="rodent", contact_termination=True), "/environment/options", "on its forearms"),

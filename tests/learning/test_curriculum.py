@@ -11,9 +11,11 @@ import pytest
 
 from core.algorithms.catalog import resolve
 from core.algorithms.checkpoint import kind_of
+from core.algorithms.dqn.spec import DQNSpec
 from core.algorithms.events import Progress
 from core.algorithms.ppo.checkpoint import FORMAT as PPO_FORMAT
 from core.algorithms.ppo.spec import PPOSpec
+from core.algorithms.q_learning.options import ActionList
 from core.algorithms.run import Run
 from core.algorithms.sac.policy import FORMAT as SAC_FORMAT
 from core.algorithms.sac.spec import SACSpec
@@ -24,6 +26,8 @@ from tests import probes
 from tests.learning.runs import STEPS_PER_UPDATE, checkpoints, small_run
 from tests.learning.sac_runs import STEPS_PER_UPDATE as SAC_STEPS_PER_UPDATE
 from tests.learning.sac_runs import sac_run
+
+STILL = ActionList(kind="actions", actions=[[0.0] * 8])
 
 
 def begun_at(checkpoint: bytes) -> set[float]:
@@ -112,7 +116,11 @@ def test_the_progress_of_more_steps_than_an_int32_holds() -> None:
     assert progress_at(probes.endless(), np.int32(1), 1) is None
 
 
-@pytest.mark.parametrize("spec", [PPOSpec(reset_pool_size=0), SACSpec(reset_pool_size=0)], ids=["ppo", "sac"])
+@pytest.mark.parametrize(
+    "spec",
+    [PPOSpec(reset_pool_size=0), SACSpec(reset_pool_size=0), DQNSpec(action_set=STILL, reset_pool_size=0)],
+    ids=["ppo", "sac", "dqn"],
+)
 def test_a_curriculum_without_a_pool_of_starts_is_refused(spec: Any) -> None:
     options = {"curriculum": {"start": {"gap_length": [0, 0.1]}, "over_steps": 10}}
     info, _ = catalog.resolve("corridor", options)

@@ -26,10 +26,22 @@ def refusal(settings: QLearningSpec, environment: EnvironmentInfo, device: Devic
         *_of_the_schedule(settings),
         *_of_the_envs(settings),
         *_of_the_replay(settings, environment),
+        *_of_the_curriculum(environment),
     ]
     if not problems:
         return None
     return Rejected(" ".join(dict.fromkeys(problem.detail for problem in problems)), problems)
+
+
+def _of_the_curriculum(environment: EnvironmentInfo) -> list[Problem]:
+    """A round begins every episode as the options say, so a curriculum would silently change nothing."""
+    if not environment.has_curriculum:
+        return []
+    detail = (
+        "Episodes of q_learning begin as the options say, so a curriculum would change nothing: leave it "
+        "out, or take ppo, sac or dqn."
+    )
+    return [Problem(place, detail) for place in ("/environment/options/curriculum", "/algorithm/kind")]
 
 
 def _of_the_table(settings: QLearningSpec, environment: EnvironmentInfo) -> list[Problem]:

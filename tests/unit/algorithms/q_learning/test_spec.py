@@ -169,6 +169,15 @@ def test_what_does_not_go_together_is_refused_with_its_places(
     assert [problem.pointer for problem in caught.value.problems] == [f"/algorithm/{p}" for p in pointers]
 
 
+def test_a_curriculum_is_refused_as_every_episode_begins_as_the_options_say() -> None:
+    with pytest.raises(Rejected, match="a curriculum would change nothing") as caught:
+        resolve(QLearningSpec.model_validate(VALID), replace(STAR, has_curriculum=True), "cpu")
+    assert [problem.pointer for problem in caught.value.problems] == [
+        "/environment/options/curriculum",
+        "/algorithm/kind",
+    ]
+
+
 def test_a_table_is_as_large_as_its_columns_make_it_whoever_names_them() -> None:
     # 2.5 million rows, and as many columns as the generator's five arms.
     grid = {"kind": "disk_position_grid", "cells": [2500, 1000]}
