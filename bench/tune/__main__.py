@@ -26,6 +26,7 @@ from bench.tune.space import first_trial
 from bench.tune.task import CONFIRMED, Task
 from core.environments import catalog
 from core.environments.info import Device
+from core.errors import Rejected
 from worker.host.device import visible_gpus
 
 _NUM_FINALISTS = 3
@@ -73,6 +74,10 @@ def _arguments() -> argparse.Namespace:
     if given.environment not in catalog.BUILT_IN:
         known = ", ".join(catalog.BUILT_IN)
         parser.error(f"There is no environment {given.environment!r}; there are {known}.")
+    try:
+        catalog.resolve(given.environment, {})
+    except Rejected as refusal:
+        parser.error(f"{refusal.detail} For such a body a sweep searches (docs/sweeps.md).")
     return given
 
 

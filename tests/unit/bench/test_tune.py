@@ -121,6 +121,7 @@ def test_a_search_ends_with_what_other_seeds_confirm(
         (["nobody"], "There is no environment 'nobody'"),
         (["reacher"], "Nobody has set a mark for 'reacher' on a CPU"),
         (["ant", "--mark", "eval/forward_speed"], "invalid _mark value"),
+        (["mjcf"], "For such a body a sweep searches"),
     ],
 )
 def test_what_cannot_be_searched_is_refused(
