@@ -99,6 +99,14 @@ def test_of_a_table_no_network_is_made(stack: Stack, form: str) -> None:
     assert asked(stack, None).content == b"own"
 
 
+@pytest.mark.parametrize("form", ["numpy", "onnx"])
+def test_a_network_of_choices_is_not_written_as_actions(stack: Stack, form: str) -> None:
+    Attempt(stack, job(ID, **(TABLE | {"algorithm": {"kind": "dqn"}})))
+    document = problem(asked(stack, form), 422, "invalid-request")
+    assert [place["pointer"] for place in document["errors"]] == ["/format"]
+    assert f"no policy of dqn as {form}" in document["detail"]
+
+
 def test_a_rollout_has_no_policy_of_its_own(stack: Stack) -> None:
     stack.store.add(job(ID, kind="rollout", policy={"kind": "random"}))
     answer = asked(stack, None)
