@@ -1,7 +1,7 @@
 /** A job that is being written: a document that has only what was said. */
 
 import { get } from "./api.js";
-import { environmentOf, optionsOf, title } from "./job.js";
+import { algorithmOf, environmentOf, optionsOf, title } from "./job.js";
 
 /** The value at a path, or undefined. */
 export const at = (document, path) => path.reduce((part, name) => part?.[name], document);
@@ -37,5 +37,12 @@ export async function fromAddress(query) {
     return { kind: "rollout", name: `${title(job)}, rolled out`, environment, policy: { kind: "checkpoint", ...checkpoint } };
   }
   const draft = { ...job.spec, environment };
-  return query.get("fork") ? { ...draft, name: `${title(job)}, forked`, resume_from: checkpoint } : draft;
+  return query.get("fork") ? { ...further(draft, job, checkpoint.step), name: `${title(job)}, forked`, resume_from: checkpoint } : draft;
+}
+
+/** The draft with a budget that a checkpoint leaves to train: steps count from the first job's begin. */
+function further(draft, job, step) {
+  if (algorithmOf(job) === "q_learning") return draft; // It counts episodes.
+  const budget = draft.algorithm?.num_timesteps ?? job.progress.total;
+  return budget && step >= budget ? put(draft, ["algorithm", "num_timesteps"], step + budget) : draft;
 }

@@ -104,6 +104,14 @@ def test_videos_have_a_slider_through_training_and_a_fork_at_each_checkpoint(
     expect(said).to_contain_text('"step": 100')
 
 
+def test_a_fork_of_the_last_checkpoint_has_steps_left_to_train(tab: Tab, attempt: Attempt) -> None:
+    attempt.keep("checkpoint.msgpack", role="checkpoint", media_type="application/octet-stream", step=1000)
+    page = tab.open(f"#/jobs/{attempt.id}")
+    page.get_by_role("link", name="Fork from this checkpoint").click()
+    # The job's own budget of 1,000 is used; the fork has as many again.
+    expect(page.get_by_label("num timesteps", exact=True)).to_have_value("2000")
+
+
 def test_phases_costs_and_terms_are_there(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     attempt.say("phase", name="compile", seconds=12.5)
     measure(
