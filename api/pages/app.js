@@ -1,10 +1,12 @@
 /** The page: its frame, and the view of the present route. */
 
+import { get } from "./lib/api.js";
 import { useAway } from "./lib/connection.js";
 import { html, render, useEffect, useRef, useState } from "./lib/html.js";
+import { useLive } from "./lib/live.js";
 import { href, useRoute } from "./lib/route.js";
 import { applyTheme, toggleTheme, useDark } from "./lib/theme.js";
-import { Failure } from "./parts/states.js";
+import { Failure, Loading } from "./parts/states.js";
 
 // The module of each view, which is loaded when it is first shown.
 const VIEWS = {
@@ -54,6 +56,18 @@ function Banner() {
   </p>`;
 }
 
+/** A view whose module did not arrive. After an outage the page loads itself again: browsers keep a failed import. */
+function Unloaded({ error }) {
+  const wasAway = useRef(false);
+  const { data, error: outage, again } = useLive((signal) => get("/jobs", { limit: 1 }, { signal }), []);
+  if (outage) wasAway.current = true;
+  useEffect(() => {
+    if (data && wasAway.current) location.reload();
+  }, [data]);
+  if (outage) return html`<${Failure} error=${outage} again=${again} />`;
+  return data ? html`<${Failure} error=${error} again=${() => location.reload()} />` : html`<${Loading} what="the view" />`;
+}
+
 function App() {
   const route = useRoute();
   const [name = "jobs", ...path] = route.path;
@@ -69,7 +83,7 @@ function App() {
     <${Banner} />
     <main id="main" ref=${main} tabindex="-1">
       ${!isKnown && html`<p class="state">There is no page “${name}”. <a href="#/jobs">To the jobs</a></p>`}
-      ${isKnown && error && html`<${Failure} error=${error} again=${() => location.reload()} />`}
+      ${isKnown && error && html`<${Unloaded} error=${error} />`}
       ${isKnown && Component && html`<${Component} key=${path[0] || name} path=${path} query=${route.query} />`}
     </main>
   `;

@@ -367,6 +367,16 @@ def test_the_reader_chooses_light_or_dark(tab: Tab) -> None:
     assert page.evaluate(ground) != light
 
 
+def test_a_view_that_an_outage_kept_away_comes_when_it_is_over(tab: Tab) -> None:
+    page = tab.open("#/jobs")
+    expect(page.get_by_role("heading", name="Jobs")).to_be_visible()
+    page.context.set_offline(True)
+    page.get_by_role("link", name="Workers").click()
+    expect(page.get_by_role("alert")).to_contain_text("The service does not answer.")
+    page.context.set_offline(False)
+    expect(page.get_by_role("heading", name="Workers")).to_be_visible()
+
+
 def test_an_address_of_nowhere_leads_back(tab: Tab) -> None:
     page = tab.open("#/nowhere")
     expect(page.get_by_text("There is no page “nowhere”.")).to_be_visible()
