@@ -101,6 +101,18 @@ def test_the_address_names_the_moment_and_controls_change_it(
     expect(page.get_by_role("button", name="Play")).to_be_visible()
 
 
+def test_a_replay_that_plays_is_left_without_an_error(tab: Tab, attempt: Attempt, scene: bytes) -> None:
+    keep(attempt, scene, 100)
+    page = drawn(tab.open(f"#/jobs/{attempt.id}/replay"))
+    for _ in range(3):  # The error depended on the moment.
+        page.get_by_role("button", name="Play").click()
+        after(page, pictures(page) + 2)
+        page.get_by_role("link", name="Files").click()
+        expect(page.get_by_role("region", name="Files")).to_be_visible()
+        page.get_by_role("link", name="Replay", exact=True).click()
+        drawn(page)
+
+
 def test_the_mouse_turns_the_picture(tab: Tab, attempt: Attempt, scene: bytes) -> None:
     keep(attempt, scene, 100)
     page = drawn(tab.open(f"#/jobs/{attempt.id}/replay?t=0"))

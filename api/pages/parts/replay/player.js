@@ -23,10 +23,11 @@ export function Player({ Stage, shown, start, name, options, setOption, onPause,
   const { follow, contacts, shadows } = options;
   const seen = { follow, contacts, shadows };
 
-  const drawn = () => (canvas.current.dataset.pictures = Number(canvas.current.dataset.pictures || 0) + 1);
   useEffect(() => {
+    const picture = canvas.current; // A last one may be drawn after the element has left the page.
+    const drawn = () => (picture.dataset.pictures = Number(picture.dataset.pictures || 0) + 1);
     try {
-      stageOf.current = new Stage(canvas.current, drawn);
+      stageOf.current = new Stage(picture, drawn);
       setFine(stageOf.current.quality === 0);
     } catch (error) {
       setFailure(error);

@@ -30,6 +30,7 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
 
   useEffect(() => {
     const { about, recipe } = shown;
+    const picture = canvas.current; // A last one may be drawn after the element has left the page.
     const motion = new modules.LiveMotion(about);
     let news = null; // What the worker said last, until it is drawn.
     let last = 0;
@@ -61,7 +62,7 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
       stage.show(news.time);
       if (at - last < LONGEST_PICTURE_MS) stage.pace(at - last);
       last = at;
-      Object.assign(canvas.current.dataset, { time: news.time, position: motion.position(about.bodies.indexOf(recipe.tracked_body)).join(" ") });
+      Object.assign(picture.dataset, { time: news.time, position: motion.position(about.bodies.indexOf(recipe.tracked_body)).join(" ") });
       if (at - told > 100) {
         setTime(news.time);
         told = at;
@@ -69,8 +70,8 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
       news = null;
     };
     try {
-      const drawn = () => (canvas.current.dataset.pictures = Number(canvas.current.dataset.pictures || 0) + 1);
-      parts.current.stage = new modules.Stage(canvas.current, drawn);
+      const drawn = () => (picture.dataset.pictures = Number(picture.dataset.pictures || 0) + 1);
+      parts.current.stage = new modules.Stage(picture, drawn);
       parts.current.physics = modules.startPhysics(recipe, policy, hear, setFailure);
       parts.current.policy = policy;
       parts.current.frame = requestAnimationFrame(draw);
