@@ -47,9 +47,12 @@ class ApiError(GaitwayError):
         super().__init__(self.detail)
 
     def __str__(self) -> str:
-        return "\n".join(
-            [self.detail, *(f"  {error.pointer or '/'}: {error.detail}" for error in self.errors)]
-        )
+        return "\n".join([self.detail, *map(self._place, self.errors)])
+
+    def _place(self, error: FieldError) -> str:
+        """Where it is, and what is wrong there unless `detail` has said so already."""
+        pointer = error.pointer or "/"
+        return f"  at {pointer}" if error.detail in self.detail else f"  {pointer}: {error.detail}"
 
 
 class NotFound(ApiError):

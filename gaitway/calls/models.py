@@ -22,7 +22,10 @@ class ModelCalls(Asking):
         model = ModelView.model_validate_json(response.content)
         while model.status == "validating":
             if time.monotonic() > deadline:
-                raise WaitTimeout(f"Model {model.id} is not validated after {timeout:g} s.")
+                raise WaitTimeout(
+                    f"No worker has read model {model.id} after {timeout:g} s; one that trains reads it"
+                    " after its job. The service keeps it: `gaitway models show` tells when it is ready."
+                )
             yield Sleep(POLL_S)
             model = yield from self.model(model.id)
         if model.status == "refused":

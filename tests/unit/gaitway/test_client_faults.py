@@ -121,6 +121,23 @@ def test_a_rejection_reads_as_its_sentence_and_its_places() -> None:
     )
 
 
+def test_a_rejection_does_not_say_its_sentence_twice() -> None:
+    errors = [{"pointer": "/seed", "detail": "D."}]
+    with scripted(lambda *_: problem(422, errors=errors)) as service, pytest.raises(Rejected) as caught:
+        service.client.submit(environment="ant", seed=-1)
+    assert str(caught.value) == "D.\n  at /seed"
+
+
+def test_a_model_that_no_worker_reads_in_time_is_said_to_wait(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text("<mujoco/>")
+    model = {"id": "sha256:0", "status": "validating", "size": 9, "created_at": "2026-11-20T12:00:00Z"}
+    with (
+        scripted(lambda *_: Answer(200, json.dumps(model).encode())) as service,
+        pytest.raises(WaitTimeout, match=r"No worker has read model sha256:0.*reads it after its job"),
+    ):
+        service.client.add_model(tmp_path / "robot.xml", timeout=0)
+
+
 def test_an_error_page_of_a_proxy_is_a_refusal_too() -> None:
     with (
         scripted(lambda *_: Answer(403, b"<html>\nno</html>")) as service,
