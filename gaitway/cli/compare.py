@@ -128,7 +128,7 @@ def _field(cell: Cell) -> Cell:
 
 def _print_table(compared: Sequence[Compared], facts: Rows, settings: Rows) -> None:
     table = Table(box=None, pad_edge=False)
-    table.add_column("")
+    table.add_column("", overflow="fold")  # Cut, the names of two settings may look the same.
     for one in compared:
         name = f"{one.job.name}\n" if one.job.name else ""
         table.add_column(Text(f"{name}{one.job.id}"), overflow="fold")
@@ -149,4 +149,6 @@ def _shown(name: str, cell: Cell) -> str:
         return duration(cell)
     if isinstance(cell, int):
         return f"{cell:,}"
-    return "–" if cell is None else f"{cell:,.4g}" if isinstance(cell, float) else cell
+    if isinstance(cell, float):
+        return f"{cell:,.0f}" if abs(cell) >= 1000 else f"{cell:.4g}"
+    return "–" if cell is None else cell

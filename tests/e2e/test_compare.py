@@ -57,6 +57,16 @@ def test_the_table_and_the_csv_say_the_same(compared: Stack) -> None:
     assert ["best return", "9.0", ""] in rows
 
 
+def test_a_narrow_terminal_cuts_no_name_of_a_setting(
+    compared: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "50")
+    table = gaitway(compared, "compare", IDS[0], IDS[1]).stdout
+    assert "…" not in table
+    first = "".join(line[:16].strip() for line in table.splitlines())
+    assert "algorithm.learning_rate" in first
+
+
 def test_a_name_is_no_formula_in_a_spreadsheet(stack: Stack) -> None:
     for one, name in zip(IDS, ("=1+1", "two"), strict=False):
         stack.store.add(job(one, name=name))
