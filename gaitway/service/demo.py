@@ -66,11 +66,11 @@ def run_demo(options: DemoOptions) -> int:
             print(f"Gaitway is at {stack.url}  (its interface: {stack.url}/docs)", flush=True)
             started = time.monotonic()
             job = client.submit(options.specification())
-            print(f"Job {job.id}, live: {stack.url}/jobs/{job.id}/events", flush=True)
+            print(f"Job {job.id}, live: {stack.url}/#/jobs/{job.id}", flush=True)
             job = _follow(client, job)
             elapsed_s = time.monotonic() - started
             kept = _fetch(client, job, options.out)
-            _report(job, stack.url, kept, elapsed_s)
+            _report(job, kept, elapsed_s)
     except (ServerFailed, GaitwayError) as failure:
         report(f"The demo has failed: {failure}")
         _print_what_is_kept(options, job)
@@ -110,7 +110,7 @@ def _fetch(client: Client, job: JobView, out: Path) -> dict[str, Path]:
     return kept
 
 
-def _report(job: JobView, url: str, kept: dict[str, Path], elapsed_s: float) -> None:
+def _report(job: JobView, kept: dict[str, Path], elapsed_s: float) -> None:
     why = f": {job.message}" if job.message and not job.succeeded else ""
     print(f"\nThe job has {job.status} after {elapsed_s:.0f} s{why}")
     video = job.newest("video")
@@ -118,12 +118,12 @@ def _report(job: JobView, url: str, kept: dict[str, Path], elapsed_s: float) -> 
     if video is not None:
         speed = video.metadata.get("forward_speed_m_s", speed)
     if speed is not None:
-        print(f"The {job.environment} walks at {speed:.2f} m/s.")
+        where = "in the video" if video is not None else "in the last evaluation"
+        print(f"The {job.environment} walks at {speed:.2f} m/s {where}.")
     if video is None:
         print("There is no video: if this machine cannot render, `gaitway doctor` says what is missing.")
     for what, path in kept.items():
         print(f"  {what:15} {path}")
-    print(f"While the service runs, the video is at {url}/jobs/{job.id}/video", flush=True)
 
 
 def _print_what_is_kept(options: DemoOptions, job: JobView | None) -> None:
@@ -131,7 +131,7 @@ def _print_what_is_kept(options: DemoOptions, job: JobView | None) -> None:
         return
     with contextlib.suppress(BrokenPipeError):
         command = shlex.join(["./run", "up", "--data", str(options.data_dir)])
-        print(f"Job {job.id} and its files are kept; to serve them again:  {command}", flush=True)
+        print(f"The service has ended. To see job {job.id} on its page:  {command}", flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
