@@ -31,6 +31,7 @@ h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem}
 .halves{display:grid;gap:1rem;grid-template-columns:repeat(auto-fit,minmax(min(20rem,100%),1fr))}
 .table{overflow-x:auto}table{border-collapse:collapse;width:100%}
 td,th{text-align:left;padding:.2rem .6rem .2rem 0;border-bottom:1px solid var(--line);vertical-align:top}
+table{overflow-wrap:break-word}td:nth-child(4):last-child{overflow-wrap:anywhere;min-width:17rem}
 pre{overflow:auto;max-height:24rem;border:1px solid var(--line);padding:.6rem}
 .replay .tools{display:flex;flex-wrap:wrap;gap:.4rem 1rem;align-items:center}
 .replay .slider input{width:100%;margin:0}

@@ -10,7 +10,7 @@ import { Pages } from "../parts/pages.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 
 const LIMIT = 50;
-const LISTS = ["bodies", "joints", "actuators", "sensors", "cameras"];
+const LISTS = ["bodies", "joints", "actuators", "sensors", "cameras", "keyframes"];
 const isSettling = (model) => model.status === "validating" || (model.status === "ready" && !model.description?.complete);
 
 export default function Models({ query }) {
