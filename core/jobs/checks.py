@@ -1,6 +1,6 @@
 """Checks before a job is stored: each refusal names the place and the remedy."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -124,7 +124,10 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
         settings.check_sharing(spec.resources.gpus)
     _check_memory(spec, info, store)
     if spec.resume_from is not None:
-        source_checkpoint(spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get)
+        checkpoint = source_checkpoint(
+            spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get
+        )
+        _check_budget(resolved.values(), checkpoint)
         _check_fields(spec, store.get(spec.resume_from.job))
         _check_engine(spec, store.get(spec.resume_from.job))
         _check_fit(spec, info, store.get(spec.resume_from.job))
@@ -148,6 +151,17 @@ def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> No
     detail = needs[device].does_not_fit(size, f"the largest {device.upper()} of a worker")
     places = [name.replace(".", "/") for name in needs[device].lower if " " not in name]
     raise Rejected(detail, [Problem(f"/algorithm/{place}", detail) for place in places])
+
+
+def _check_budget(resolved: Collection[BaseSpec], checkpoint: Artifact) -> None:
+    """Refuse a job that would end at once, without a step, on every device that it may get."""
+    step, budget = checkpoint.step or 0, max(settings.budget for settings in resolved)
+    if step >= budget:
+        detail = (
+            f"The checkpoint is of step {step:,}, and the job's budget of {budget:,} steps counts those "
+            "before it: nothing is left to train. Ask for more."
+        )
+        raise Rejected(detail, [Problem("/algorithm", detail), Problem("/resume_from", detail)])
 
 
 def _check_engine(spec: TrainSpec, source: Job) -> None:

@@ -435,6 +435,23 @@ def test_a_job_of_another_shape_cannot_go_on_from_a_checkpoint(service: Service)
     assert "/algorithm/num_envs" in [problem.pointer for problem in caught.value.problems]
 
 
+def test_a_job_whose_budget_the_checkpoint_has_reached_is_refused(service: Service) -> None:
+    job = service.submit()
+    claim = service.claim(job)
+    claim.publish((service.checkpoint(claim, 3_000), service.checkpoint(claim, 2_000)), keep_checkpoints=2)
+
+    def asks(num_timesteps: int, **point: Any) -> Job:
+        algorithm = {"kind": "ppo", "num_timesteps": num_timesteps}
+        return service.submit(algorithm=algorithm, resume_from={"job": job.id, **point})
+
+    for refused in (lambda: asks(3_000), lambda: asks(2_000, step=2_000)):
+        with pytest.raises(Rejected, match="nothing is left to train") as caught:
+            refused()
+        assert [problem.pointer for problem in caught.value.problems] == ["/algorithm", "/resume_from"]
+    assert asks(3_001)
+    assert asks(3_000, step=2_000)
+
+
 def test_a_job_cannot_go_on_from_environments_of_warp_on_another_engine_nor_the_other_way_round(
     service: Service,
 ) -> None:
