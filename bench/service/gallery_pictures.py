@@ -123,7 +123,7 @@ def _frames(client: Client, name: str, shown: Shown, folder: Path) -> Sequence[I
 def _ended(client: Client, spec: dict[str, Any]) -> JobView:
     """Raises RuntimeError unless the job succeeds."""
     job = client.wait(client.submit(spec).id)
-    if job.status != "succeeded":
+    if not job.succeeded:
         raise RuntimeError(f"{job.id} {job.status}: {job.message}")
     return job
 

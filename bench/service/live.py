@@ -7,7 +7,7 @@ from playwright.sync_api import Browser
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result
 from bench.measure.statistics import spread
-from bench.service.page import stack_and_browser
+from bench.stack.browser import stack_and_browser
 from gaitway.client import Client
 
 # It outlasts the measurement; on two cores a checkpoint comes every few seconds.

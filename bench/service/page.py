@@ -1,23 +1,24 @@
 """Times the page in a real Chromium: first paint, a metric's way to it, long runs, the cost of readers."""
 
-import shutil
 import tempfile
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import httpx
 import psutil
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result, Target
 from bench.measure.statistics import percentile, spread
+from bench.stack.browser import chromium
 from bench.stack.processes import Parts, running
+from bench.stack.waiting import until
 from core.adapters.connect import job_store
 from core.jobs.attempts import new_secret
 from core.jobs.job import Job, Progress, new_job_id
@@ -30,7 +31,6 @@ from core.settings import WorkerSettings
 _LEASE = timedelta(seconds=50)  # At most four of the service's own.
 _RETURN = "eval/episode_reward"
 _BATCH = 1000
-_FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
 # The first paint in ms, and the bytes of all that came before the page was still.
 _LOADED = """() => [
   performance.getEntriesByName("first-contentful-paint")[0].startTime,
@@ -131,29 +131,6 @@ def settings_of(parts: Parts) -> WorkerSettings:
     return WorkerSettings.model_validate(known)
 
 
-@contextmanager
-def chromium(*flags: str) -> Generator[Browser]:
-    """A Chromium without a window. Raises RuntimeError where there is none."""
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        raise RuntimeError("There is no Chromium; on Debian: apt-get install chromium fonts-dejavu-core")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=[*_FLAGS, *flags])
-        yield browser
-        browser.close()
-
-
-@contextmanager
-def stack_and_browser(workers: int = 0) -> Generator[tuple[Parts, Browser]]:
-    """The embedded stack, in a folder that goes afterwards, and a Chromium that draws in software."""
-    with (
-        tempfile.TemporaryDirectory(prefix="gaitway-bench-") as folder,
-        running(Path(folder, "stack"), workers=workers) as parts,
-        chromium("--enable-unsafe-swiftshader") as browser,
-    ):
-        yield parts, browser
-
-
 def _job(store: JobStore, number: int, **spec: Any) -> Job:
     document = {"kind": "train", "environment": "ant", **spec}
     now = store.now()
@@ -201,9 +178,7 @@ def _ended(store: JobStore, job: Job) -> Job:
 
 def _wait_until_stored(store: JobStore, jobs: Sequence[Job]) -> None:
     """Return when the events of these ended jobs lie in the object store, where those of most jobs do."""
-    for job in jobs:
-        while store.oldest_entries(job.id, "events", limit=1):
-            time.sleep(1)
+    until(lambda: not any(store.oldest_entries(job.id, "events", limit=1) for job in jobs), timeout_s=3600)
 
 
 def _measured(store: JobStore, step: int, values: dict[str, float]) -> Entry:

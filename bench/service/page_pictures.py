@@ -12,7 +12,7 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from bench.service.page import stack_and_browser
+from bench.stack.browser import stack_and_browser
 from gaitway.client import Client
 
 _EXAMPLES = Path(__file__).parents[2] / "examples"

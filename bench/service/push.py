@@ -18,8 +18,8 @@ from playwright.sync_api import Browser
 
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result
-from bench.service.page import stack_and_browser
 from bench.service.replay import PICTURES, published
+from bench.stack.browser import stack_and_browser
 from core.algorithms.catalog import resolve
 from core.algorithms.events import Progress
 from core.algorithms.export.contract import Origin, contract

@@ -17,7 +17,8 @@ from playwright.sync_api import Browser
 from bench.measure.machine import this_machine
 from bench.measure.result import Figure, Options, Result
 from bench.measure.statistics import spread
-from bench.service.page import settings_of, stack_and_browser
+from bench.service.page import settings_of
+from bench.stack.browser import stack_and_browser
 from bench.stack.processes import Parts
 from core.adapters.connect import job_store, object_store
 from core.environments import catalog

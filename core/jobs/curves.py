@@ -61,10 +61,10 @@ class Curves(dict[str, Curve]):
     """Metrics by name."""
 
     @classmethod
-    def of(cls, measured: Iterable[Measured], names: Collection[str] | None = None) -> Self:
-        """names: only these metrics; None: all."""
+    def of(cls, measured: Iterable[Measured]) -> Self:
+        """All of their metrics."""
         curves = cls()
-        curves.add(measured, names)
+        curves.add(measured)
         return curves
 
     def add(self, measured: Iterable[Measured], names: Collection[str] | None = None) -> None:
