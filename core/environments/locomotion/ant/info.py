@@ -49,7 +49,7 @@ INFO = EnvironmentInfo(
         Rule("compiled", 1, "Measured on two cores: physics 24 × that of native; 1.8 × for one environment."),
     ),
     on_a_gpu=(
-        Rule("compiled", 1, "Measured on an H200: 71 M control steps/s of physics, 1.94 M by warp."),
+        Rule("compiled", 1, "Measured on an H200: 46 M control steps/s of physics, 1.93 M by warp."),
         Rule("warp", 1024, "Measured on an H200: 1.23 M training steps/s, 0.99 M by mjx."),
     ),
 )
