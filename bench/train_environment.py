@@ -8,23 +8,27 @@ hyperparameters, `options` the environment, `seed` the seed. On a GPU, leave JAX
 """
 
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.measure.child import answer
 
 
-def train(request: dict[str, Any]) -> dict[str, Any]:
-    """Request: environment, device (`cpu`, `gpu`), and changes to the tuned settings."""
-    import jax
+class Begun(NamedTuple):
+    """A run that has not trained yet (`core.algorithms.run.Run`), its environment, and its engine's name."""
 
+    run: Any
+    environment: Any
+    engine: str
+
+
+def begin(request: dict[str, Any]) -> Begun:
+    """Request: environment, device (`cpu`, `gpu`), and changes to the tuned settings."""
     from core.algorithms.catalog import resolve
-    from core.algorithms.events import Evaluated, Phase, Progress
     from core.algorithms.ppo.spec import PPOSpec
     from core.algorithms.run import make_run
     from core.environments import catalog
     from core.physics.choose import choose, engine_builder
 
-    began = time.perf_counter()
     info = catalog.find(request["environment"])
     options = catalog.parse_options(info, request.get("options", {}))
     info = info.under(options)
@@ -33,6 +37,17 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
     choice = choose("auto", device, settings.num_envs, info.rules_on(device), info.cannot_run)
     environment = catalog.make(info, options, engine_builder(choice.name))
     run = make_run(environment, settings, seed=request.get("seed", 0), checkpoint_every_steps=None)
+    return Begun(run, environment, choice.name)
+
+
+def train(request: dict[str, Any]) -> dict[str, Any]:
+    """What the run measured: its curve, phases, and steps a second. Request: as `begin` takes it."""
+    import jax
+
+    from core.algorithms.events import Evaluated, Phase, Progress
+
+    began = time.perf_counter()
+    run, _, engine = begin(request)
     curve: list[dict[str, float]] = []
     rates: list[float] = []
     phases: dict[str, float] = {}
@@ -48,9 +63,9 @@ def train(request: dict[str, Any]) -> dict[str, Any]:
             case _:
                 pass
     return {
-        "environment": info.id,
+        "environment": request["environment"],
         "device": jax.devices()[0].device_kind,
-        "engine": choice.name,
+        "engine": engine,
         "steps": run.step,
         "wall_s": time.perf_counter() - began,
         "steps_per_second": sorted(rates)[len(rates) // 2],
