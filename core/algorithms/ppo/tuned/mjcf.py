@@ -1,4 +1,4 @@
-"""PPO on a user's own model: values that were the ant's, with which bodies that nobody had tuned for ran sooner.
+"""PPO on a user's own model: once the ant's values, with which bodies that nobody had tuned for ran sooner.
 
 On a CPU three to five times sooner (docs/experiments/cpu_training.md), on a GPU the tutorial's quadruped
 after half of the steps (docs/experiments/gpu_tuning.md).
