@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         Unavailable,
         Unreachable,
         WaitTimeout,
+        WrongAddress,
     )
     from gaitway.retry import Retry
     from gaitway.sweep_views import SweepView
@@ -49,6 +50,7 @@ __all__ = [
     "Unavailable",
     "Unreachable",
     "WaitTimeout",
+    "WrongAddress",
 ]
 _HOMES = (
     "gaitway.errors",

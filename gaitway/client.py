@@ -12,7 +12,7 @@ from gaitway import policy
 from gaitway.calls import Calls
 from gaitway.calls.previews import preview_query
 from gaitway.downloading import OnBytes
-from gaitway.errors import GaitwayError
+from gaitway.errors import GaitwayError, WrongAddress
 from gaitway.notebook import Card
 from gaitway.retry import Retry
 from gaitway.sweep_views import SweepView
@@ -32,8 +32,11 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 
 
 def address(base_url: str | None) -> str:
-    """The service's address: the given one, that of GAITWAY_URL, or this machine's."""
-    return base_url or os.environ.get("GAITWAY_URL") or DEFAULT_URL
+    """The service's address: the given one, that of GAITWAY_URL, or this machine's. Raises WrongAddress."""
+    url = base_url or os.environ.get("GAITWAY_URL") or DEFAULT_URL
+    if not url.startswith(("http://", "https://")):
+        raise WrongAddress(url)
+    return url
 
 
 class Client:
@@ -42,7 +45,7 @@ class Client:
     base_url: by default that of GAITWAY_URL, otherwise http://127.0.0.1:8000.
     Every method raises ApiError for a refusal (NotFound, Conflict, Rejected, Unavailable), and
     Unreachable when nothing answers. Temporary failures are retried first; a retry never has an
-    effect twice, not even that of `submit`.
+    effect twice, not even that of `submit`. An address without http:// is a WrongAddress.
     """
 
     def __init__(

@@ -7,6 +7,7 @@ GaitwayError
 │   ├── Conflict       it exists, but not in a state that allows this
 │   ├── Rejected       the request itself is wrong; `errors` say where
 │   └── Unavailable    try again after `retry_after_s`
+├── WrongAddress       the service's address is not one of HTTP
 ├── Unreachable        no service answers
 ├── WaitTimeout        the job has not ended in the time given
 ├── DownloadFailed     a file could not be brought whole
@@ -83,6 +84,13 @@ class Unreachable(GaitwayError):
             f"No Gaitway service answers at {url} ({why}); start one with `./run up` or `gaitway up`."
         )
         self.url = url
+
+
+class WrongAddress(GaitwayError, ValueError):
+    """The service's address is not one of HTTP."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__(f"{url} is no address of a service: begin it with http:// or https://.")
 
 
 class WaitTimeout(GaitwayError, TimeoutError):

@@ -120,7 +120,7 @@ def api() -> Check:
             client.health()
     except errors.ApiError as error:
         return Check("api", "fail", f"{url} is not ready: {error}", "Run `gaitway doctor` where it runs.")
-    except errors.Unreachable as error:
+    except (errors.Unreachable, errors.WrongAddress) as error:
         return Check("api", "fail", str(error), remedy)
     except ValueError:
         return Check("api", "fail", f"The server at {url} is not a Gaitway service.", remedy)

@@ -18,6 +18,7 @@ from gaitway import (
     Unavailable,
     Unreachable,
     WaitTimeout,
+    WrongAddress,
 )
 from tests.unit.gaitway.scripted import QUICK, Answer, Request, scripted
 
@@ -272,3 +273,9 @@ def test_an_id_with_a_slash_stays_one_part_of_the_address() -> None:
     with scripted(lambda *_: problem(404)) as service, pytest.raises(NotFound):
         service.client.get("../x/y?z")
     assert service.requests[0].path == "/jobs/..%2Fx%2Fy%3Fz"
+
+
+@pytest.mark.parametrize("url", ["localhost:8000", "ftp://localhost"])
+def test_an_address_without_http_is_refused_before_anything_is_sent(url: str) -> None:
+    with pytest.raises(WrongAddress, match=f"^{url} is no address of a service: begin it with http://"):
+        Client(url)
