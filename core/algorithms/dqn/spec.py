@@ -36,7 +36,10 @@ class DQNSpec(OffPolicySpec):
         default=None, description="The choices: what each of the network's outputs is the value of."
     )
     num_timesteps: int = Field(
-        default=500_000, ge=1, le=10**12, description="Environment steps to train for."
+        default=500_000,
+        ge=1,
+        le=10**12,
+        description="Environment steps to train for, those before a checkpoint that it resumes included.",
     )
     num_envs: int = Field(default=32, ge=1, le=2**20, description="Environments that run side by side.")
     unroll_length: int = Field(

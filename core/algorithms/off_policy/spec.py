@@ -18,7 +18,10 @@ class OffPolicySpec(BaseSpec):
     arguments: ClassVar[tuple[str, ...]] = ("learning_rate", "discounting", "reward_scaling", "tau")
 
     num_timesteps: int = Field(
-        default=2_000_000, ge=1, le=10**12, description="Environment steps to train for."
+        default=2_000_000,
+        ge=1,
+        le=10**12,
+        description="Environment steps to train for, those before a checkpoint that it resumes included.",
     )
     num_envs: int = Field(default=128, ge=1, le=2**20, description="Environments that run side by side.")
     episode_length: int = Field(

@@ -51,7 +51,10 @@ class PPOSpec(BaseSpec):
 
     kind: Literal["ppo"] = "ppo"
     num_timesteps: int = Field(
-        default=3_000_000, ge=1, le=10**12, description="Environment steps to train for."
+        default=3_000_000,
+        ge=1,
+        le=10**12,
+        description="Environment steps to train for, those before a checkpoint that it resumes included.",
     )
     num_envs: int = Field(default=256, ge=1, le=2**20, description="Environments that run side by side.")
     episode_length: int = Field(
