@@ -3,6 +3,7 @@
 import { at } from "../lib/draft.js";
 import { html, useId, useState } from "../lib/html.js";
 import { resolve, withoutNull } from "../lib/schemas.js";
+import { Prose } from "./prose.js";
 
 const NULL = "null";
 
@@ -42,7 +43,7 @@ function Group(field) {
   const rest = names.slice(SHOWN);
   const isRestSaid = rest.some((each) => said?.[each] !== undefined || errors.some(({ pointer }) => pointer.startsWith(`/${[...path, each].join("/")}`)));
   const content = html`
-    ${schema.description && html`<p class="facts">${schema.description}</p>`}
+    ${schema.description && html`<p class="facts"><${Prose} text=${schema.description} /></p>`}
     ${errorsAt(errors, path).map(({ detail }) => html`<p class="error">${detail}</p>`)}
     ${isNullable && html`<label class="tools"><span><input type="checkbox" checked=${!isOff} onChange=${(event) => set(path, offOrOn(event.target.checked, planned))} /> ${" "}with ${words(name)}</span></label>`}
     ${!isOff && html`<div class="fields">${names.slice(0, SHOWN).map(draw)}</div>`}
@@ -69,7 +70,7 @@ function Choice(field) {
       ${isNullable && html`<option value="">${field.none || "by default"}</option>`}
       ${Object.keys(forms).map((form) => html`<option value=${form}>${form}</option>`)}
     </select>
-    ${schema.description && html`<p class="facts">${schema.description}</p>`}
+    ${schema.description && html`<p class="facts"><${Prose} text=${schema.description} /></p>`}
     ${errorsAt(errors, path).map(({ detail }) => html`<p class="error">${detail}</p>`)}
     ${forms[chosen] && html`<${Group} ...${{ all, document, set, errors, path, name }} schema=${resolve({ $ref: forms[chosen] }, all)} planned=${field.plannedFields?.(chosen)} first=${field.firstFields?.(chosen)} isOpen />`}
   </div>`;
@@ -87,7 +88,7 @@ function Input(field) {
     ${schema.enum || schema.type === "boolean"
       ? html`<${Select} common=${common} said=${said} planned=${planned} options=${schema.enum || [true, false]} onChange=${(value) => set(path, value)} />`
       : html`<${Text} common=${common} said=${said} planned=${planned} schema=${schema} isNullable=${isNullable} suggestions=${field.suggestions} onChange=${(value) => set(path, value)} />`}
-    ${schema.description && html`<p class="facts" id="${id}-about">${schema.description}</p>`}
+    ${schema.description && html`<p class="facts" id="${id}-about"><${Prose} text=${schema.description} /></p>`}
     ${wrong.length > 0 && html`<p class="error" id="${id}-error">${wrong.map(({ detail }) => detail).join(" ")}</p>`}
   </div>`;
 }

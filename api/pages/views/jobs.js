@@ -101,7 +101,7 @@ function Row({ job, picked }) {
       <h2><a href=${here}>${title(job)}</a></h2>
       <p class="facts">
         <a href=${href(["jobs"], { environment })}>${environment}</a>
-        ${` · ${algorithmOf(job) || job.kind} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
+        ${` · ${algorithmOf(job) || job.kind} · seed ${job.spec.seed} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
       </p>
       <${Labels} labels=${job.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
     </div>

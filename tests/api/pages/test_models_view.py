@@ -65,6 +65,21 @@ def test_a_model_is_sent_by_a_drop_and_described(tab: Tab) -> None:
     expect_the_ball(page)
 
 
+@pytest.mark.usefixtures("reading")
+def test_the_form_offers_the_models_that_were_sent(tab: Tab) -> None:
+    page = tab.open("#/submit")
+    page.locator("#environment").select_option("mjcf")
+    page.get_by_role("link", name="send one").click()
+    file = {"name": "ball.xml", "mimeType": "text/xml", "buffer": XML}
+    page.get_by_label(CHOOSER).set_input_files(file)  # pyright: ignore
+    expect_the_ball(page)
+    tab.open("#/submit")
+    page.locator("#environment").select_option("mjcf")
+    page.get_by_label("Model", exact=True).select_option(index=1)
+    expect(page.get_by_role("complementary", name="Preview")).to_contain_text(identity(XML))
+    tab.picture("submit-own-model")
+
+
 def test_a_model_that_is_no_model_is_refused_with_the_services_words(tab: Tab) -> None:
     page = tab.open("#/models")
     expect(page.get_by_text("No models yet.")).to_be_visible()

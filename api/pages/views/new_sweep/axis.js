@@ -6,6 +6,7 @@ import { choicesOf, isNumeric, kindOf } from "../../lib/job_fields.js";
 import { told } from "../../lib/sweep.js";
 import { DEFAULT_POINTS } from "../../lib/sweep_size.js";
 import { Field } from "../../parts/field.js";
+import { Prose } from "../../parts/prose.js";
 
 /** field: what the axis varies, as `fieldsOf` describes it; undefined where the job has no such field. */
 export function Axis({ path, axis, method, field, isKnown, errors, isNew, set, remove }) {
@@ -22,7 +23,7 @@ export function Axis({ path, axis, method, field, isKnown, errors, isNew, set, r
   }, []);
   return html`<fieldset class="axis" ref=${box} aria-describedby=${said}>
     <legend><code>${path}</code></legend>
-    <p class="facts">${field ? `${kindOf(field)}; the job has ${field.now === undefined ? "none" : told(field.now)}` : ""}${field?.schema.description ? `. ${field.schema.description}` : ""}</p>
+    <p class="facts">${field ? `${kindOf(field)}; the job has ${field.now === undefined ? "none" : told(field.now)}` : ""}${field?.schema.description && html`. <${Prose} text=${field.schema.description} />`}</p>
     ${!isKnown && html`<p class="error">The job has no such setting: remove this axis, or take another job.</p>`}
     <div class="tools">
       ${isRangePossible && html`<span class="actions" role="group" aria-label="What ${path} takes">

@@ -3,10 +3,12 @@
 import { html } from "../../lib/html.js";
 import { Field } from "../../parts/field.js";
 import { Failure } from "../../parts/states.js";
+import { OwnModels } from "./models.js";
 
 export function EnvironmentPart({ all, document, set, errors, environments, environment, problem }) {
   const families = byFamily(environments);
   const wrong = errors.filter(({ pointer }) => ["/environment", "/environment/id"].includes(pointer));
+  const { id, options: { model } = {} } = document.environment;
   const choose = (event) => set(["environment"], { id: event.target.value });
   const options = environment?.options;
   // References in an environment's own schema lead into that schema.
@@ -14,10 +16,11 @@ export function EnvironmentPart({ all, document, set, errors, environments, envi
   return html`<fieldset><legend>Environment</legend>
     <div class="field wide">
       <label for="environment">Environment</label>
-      <select id="environment" value=${document.environment.id} onChange=${choose} aria-invalid=${wrong.length ? "true" : undefined}>
+      <select id="environment" value=${id} onChange=${choose} aria-invalid=${wrong.length ? "true" : undefined}>
         ${[...families].map(([family, rows]) => html`<optgroup label=${family}>${rows.map((row) => html`<option value=${row.id}>${row.id}</option>`)}</optgroup>`)}
       </select>
       <p class="facts">${environment?.description || ""}</p>
+      ${id === "mjcf" && html`<${OwnModels} chosen=${model} choose=${(one) => set(["environment", "options", "model"], one)} />`}
       ${wrong.map(({ detail }) => html`<p class="error">${detail}</p>`)}
       ${problem && html`<${Failure} error=${problem} />`}
     </div>
