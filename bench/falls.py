@@ -9,8 +9,10 @@ from typing import Any
 from bench.measure.child import answer
 from bench.train_environment import begin
 
-# Episodes that are looked at, and the steps before which an end is counted: for the ant 1 s, 2, 10 and 50 s.
-_NUM_EPISODES, _WITHIN = 256, (20, 40, 200, 1000)
+# Episodes that are looked at, and how many of them side by side.
+_NUM_EPISODES, _AT_ONCE = 256, 64
+# Ends before so many steps are counted: for the ant 1 s, 2, 10 and 50 s.
+_WITHIN = (20, 40, 200, 1000)
 
 
 def falls(request: dict[str, Any]) -> dict[str, Any]:
@@ -19,35 +21,25 @@ def falls(request: dict[str, Any]) -> dict[str, Any]:
     import jax
     import numpy as np
 
-    from core.algorithms.evaluation import run_episodes
     from core.algorithms.policy import load_policy
-    from core.environments.environment import State
+    from core.environments.rollout import Roller
 
-    began = begin(request)
-    for _ in began.run.events():
+    begun = begin(request)
+    for _ in begun.run.events():
         pass
-    policy = load_policy(began.run.policy(), "ppo", is_checkpoint=False)
-    acting = policy.acting(began.environment)
-    state = jax.eval_shape(began.environment.reset, jax.random.key(0))
-
-    def act(observations: Any, key: jax.Array) -> tuple[jax.Array, dict[str, Any]]:
-        def one(observation: Any) -> jax.Array:
-            seen: State = state.replace(obs=observation)
-            return acting.act(policy.parameters, seen, key)
-
-        return jax.vmap(one)(observations), {}
-
-    def episodes(key: jax.Array) -> Any:
-        most = max(_WITHIN)
-        return run_episodes(acting.environment, act, key, num_envs=_NUM_EPISODES, episode_length=most)
-
-    totals = jax.device_get(jax.jit(episodes)(jax.random.key(1_000 + request.get("seed", 0))))
-    steps = totals.length
+    policy = load_policy(begun.run.policy(), "ppo", is_checkpoint=False)
+    roller = Roller(*policy.acting(begun.environment), num_envs=_AT_ONCE)
+    key = jax.random.key(1_000 + request.get("seed", 0))
+    episodes = list(
+        roller.episodes(policy.parameters, key, num_steps=max(_WITHIN), num_episodes=_NUM_EPISODES)
+    )
+    steps = np.array([episode.num_steps for episode in episodes])
+    travelled = sum(episode.metrics["x_velocity"].sum() for episode in episodes)
     return {
         "ended_within": {str(number): float(np.mean(steps < number)) for number in _WITHIN},
         "steps": float(np.mean(steps)),
-        "return": float(np.mean(totals.metrics["reward"])),
-        "speed": float(totals.metrics["x_velocity"].sum() / steps.sum()),
+        "return": float(np.mean([episode.reward.sum() for episode in episodes])),
+        "speed": float(travelled / steps.sum()),
     }
 
 

@@ -41,7 +41,7 @@ def begin(request: dict[str, Any]) -> Begun:
 
 
 def train(request: dict[str, Any]) -> dict[str, Any]:
-    """What the run measured: its curve, phases, and steps a second. Request: as `begin` takes it."""
+    """Trains, and returns the curve, the phases and the steps per second. Takes the request of `begin`."""
     import jax
 
     from core.algorithms.events import Evaluated, Phase, Progress

@@ -15,7 +15,7 @@ def _job(environment: str, num_timesteps: int | None = None) -> TrainSpec:
     return TrainSpec.model_validate(options.specification())
 
 
-def test_the_ant_starts_above_the_floor_and_slows_its_learning_down() -> None:
+def test_the_ants_starts_have_little_noise_and_its_learning_slows_down() -> None:
     job = _job("ant")
     info, options = resolve_environment(job.environment.id, job.environment.options)
     settings = resolve(job.algorithm, info, "cpu")
