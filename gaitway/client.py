@@ -34,7 +34,7 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 def address(base_url: str | None) -> str:
     """The service's address: the given one, that of GAITWAY_URL, or this machine's. Raises WrongAddress."""
     url = base_url or os.environ.get("GAITWAY_URL") or DEFAULT_URL
-    if not url.startswith(("http://", "https://")):
+    if not url.lower().startswith(("http://", "https://")):
         raise WrongAddress(url)
     return url
 

@@ -25,7 +25,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")
 
 def client_of(context: typer.Context) -> Client:
     """The client for the service that `--url` or GAITWAY_URL names."""
-    return context.find_object(Client) or Client()
+    client = Client(context.find_object(str))
+    context.call_on_close(client.close)
+    return client
 
 
 def job_id(client: Client, name: str) -> str:

@@ -6,7 +6,6 @@ import typer
 
 from gaitway.cli import compare, environments, files, jobs, models, preview, service, submit, sweeps, watch
 from gaitway.cli.errors import Group
-from gaitway.client import Client
 
 app = typer.Typer(
     cls=Group,
@@ -27,9 +26,7 @@ def main(
     ] = None,
 ) -> None:
     """Send training jobs to a Gaitway service, watch them, and fetch what they made."""
-    client = Client(url)
-    context.obj = client
-    context.call_on_close(client.close)
+    context.obj = url
 
 
 for command in (

@@ -4,6 +4,7 @@ import { get, remove, send } from "../lib/api.js";
 import { ago, bytes, compact, duration, value } from "../lib/format.js";
 import { html, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
+import { nameOf } from "../lib/models.js";
 import { href } from "../lib/route.js";
 import { Confirm } from "../parts/confirm.js";
 import { Pages } from "../parts/pages.js";
@@ -68,7 +69,7 @@ function Model({ model, again }) {
   const { description: found } = model;
   const discard = () => remove(model.links.self).then(again, setError);
   return html`<section class="card stack">
-    <h2>${found ? found.inventory.root : model.id.slice(0, 19)}</h2>
+    <h2>${nameOf(model)}</h2>
     <p class="facts"><span class="status ${model.status === "ready" ? "succeeded" : model.status === "refused" ? "failed" : ""}">${model.status}</span>
       ${` · ${bytes(model.size)} · ${ago(model.created_at)}`}</p>
     <p class="facts"><code>${model.id}</code></p>

@@ -77,6 +77,7 @@ def test_the_form_offers_the_models_that_were_sent(tab: Tab) -> None:
     page.locator("#environment").select_option("mjcf")
     page.get_by_label("Model", exact=True).select_option(index=1)
     expect(page.get_by_role("complementary", name="Preview")).to_contain_text(identity(XML))
+    assert tab.violations() == []
     tab.picture("submit-own-model")
 
 

@@ -4,6 +4,7 @@ import { get } from "../../lib/api.js";
 import { ago } from "../../lib/format.js";
 import { html, useId } from "../../lib/html.js";
 import { useLive } from "../../lib/live.js";
+import { nameOf } from "../../lib/models.js";
 import { href } from "../../lib/route.js";
 import { Failure, Loading } from "../../parts/states.js";
 
@@ -19,8 +20,7 @@ export function OwnModels({ chosen, choose }) {
   return html`<label for=${id}>Model</label>
     <select id=${id} value=${chosen || ""} onChange=${({ target }) => choose(target.value || undefined)}>
       <option value="">choose one</option>
-      ${ready.map((model) => html`<option value=${model.id}>${named(model)}</option>`)}
-    </select>`;
+      ${ready.map((model) => html`<option value=${model.id}>${`${nameOf(model)} · ${model.id.slice(7, 15)} · ${ago(model.created_at)}`}</option>`)}
+    </select>
+    ${data.next && html`<p class="facts">These are among the newest ${LIMIT}; <a href=${href(["models"])}>older ones</a> have a button there.</p>`}`;
 }
-
-const named = ({ id, description, created_at }) => `${description?.inventory?.root || "model"} · ${id.slice(7, 15)} · ${ago(created_at)}`;
