@@ -7,6 +7,7 @@ episode begins and ends. An environment states them; tests show that they give i
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -24,6 +25,20 @@ OBSTACLES_AHEAD = "obstacles_ahead"
 NUM_AHEAD = 10
 # The options of a model that an engine may change.
 _SOLVER = ("solver", "iterations", "ls_iterations", "disableflags")
+# The page's MuJoCo, the newest that npm has. It does not know these attributes of this process's MuJoCo.
+PAGE_VERSION = "3.14"
+_NEWER = {
+    ("body", "fuse"),
+    ("elasticity", "section"),
+    ("elasticity", "sectionsize"),
+    ("insidesite", "enclosed"),
+}
+# In 3.14 only these take inputs of several kinds; what `input` says of other actuators moves nothing.
+_INPUT_GAINS = {
+    int(kind)
+    for kind in (mujoco.mjtGain.mjGAIN_PID, mujoco.mjtGain.mjGAIN_DCMOTOR, mujoco.mjtGain.mjGAIN_SO3)
+}
+_INPUTS = {1: "pos", 2: "vel", 4: "ff", 8: "voltage"}
 
 
 class NotSimulated(Exception):
@@ -105,22 +120,42 @@ def rows(
 
 
 def as_xml(spec: mujoco.MjSpec, stepped: mujoco.MjModel) -> str:
-    """The spec as XML, under the solver settings of `stepped` and without skins and textures, which move
-    nothing. Raises NotSimulated if it needs files."""
+    """The spec as XML that the page's MuJoCo reads, under the solver settings of `stepped` and without skins
+    and textures, which move nothing. Raises NotSimulated if it needs files, or what the page lacks."""
     _strip_looks(spec)
     if files := [one.file for one in (*spec.meshes, *spec.hfields) if one.file]:
         raise NotSimulated(
             f"its model is more than one file (it has {files[0]}), and the page reads only one"
         )
-    spec.compile()
+    model = spec.compile()
     before = {name: getattr(spec.option, name) for name in _SOLVER}
     try:
         for name in _SOLVER:
             setattr(spec.option, name, getattr(stepped.opt, name))
-        return spec.to_xml()
+        return _as_the_page_reads_it(spec.to_xml(), model)
     finally:
         for name, value in before.items():
             setattr(spec.option, name, value)
+
+
+def _as_the_page_reads_it(text: str, model: mujoco.MjModel) -> str:
+    """The XML without what is new since the page's MuJoCo, where that changes nothing."""
+    root = ElementTree.fromstring(text)  # noqa: S314 MuJoCo wrote it
+    for element in root.iter():
+        if new := sorted(name for tag, name in _NEWER if tag == element.tag and name in element.attrib):
+            raise NotSimulated(
+                f"its model has the attribute {new[0]} of {element.tag}, which is newer than MuJoCo "
+                f"{PAGE_VERSION}, which the page has"
+            )
+        if element.tag == "plugin" and "plugin" in element.attrib:
+            raise NotSimulated(f"its model uses the plugin {element.get('plugin')}, which the page lacks")
+        if element.tag == "general":
+            element.attrib.pop("input", None)
+    for number, element in enumerate(root.findall("actuator/*")):
+        if int(model.actuator_gaintype[number]) in _INPUT_GAINS:
+            taken = [word for bit, word in _INPUTS.items() if model.actuator_ctrlspec[number] & bit]
+            element.set("input", " ".join(taken) or "none")
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _strip_looks(spec: mujoco.MjSpec) -> None:

@@ -3,6 +3,7 @@
 import io
 import json
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,9 +21,11 @@ from core.rendering.timeline import Motion
 from gaitway import exported_policy
 from tests.api.conftest import Attempt, Stack, job
 from tests.api.pages.conftest import MakeTab, Tab
-from tests.unit.environments.test_simulation import BODIES, of_the_catalog
+from tests.unit.environments.test_simulation import BODIES, of_a_user, of_the_catalog
 
 BINARY = "application/octet-stream"
+# Its twelve motors are servos.
+QUADRUPED = Path("examples/quadruped.xml").read_text()
 
 
 # The page's own modules observe and act from a start, without the worker that the page runs them in.
@@ -63,9 +66,10 @@ def policy_of(environment: MujocoEnv, scale: float, trained_steps: int = 1000) -
 
 
 @cache
-def files() -> dict[str, tuple[str, bytes]]:
-    """The role and content of an ant's files, whose policy does nothing."""
-    ant = of_the_catalog("ant")
+def files(folder: Path | None = None) -> dict[str, tuple[str, bytes]]:
+    """The role and content of an ant's files, or of the tutorial's robot (written to `folder`); its policy
+    does nothing."""
+    ant = of_the_catalog("ant") if folder is None else of_a_user(folder, QUADRUPED)
     qpos = np.array([ant.initial_qpos, ant.initial_qpos], float)
     motion = Motion(np.array([0.0, 0.05]), qpos)
     facts = {"num_steps": 1, "duration_s": 0.05, "terminated": False}
@@ -117,12 +121,16 @@ def attempt(stack: Stack) -> Attempt:
     return Attempt(stack, job(name="push", algorithm={"kind": "ppo", "num_timesteps": 1000}))
 
 
+def keep(attempt: Attempt, files: dict[str, tuple[str, bytes]]) -> None:
+    for name, (role, content) in files.items():
+        facts = {"can_run": True} if role == "simulation" else {}
+        attempt.keep(name, content, role=role, media_type=BINARY, metadata=facts)
+
+
 @pytest.fixture
 def training(attempt: Attempt) -> Attempt:
     """The attempt at a running job whose ant can be pushed."""
-    for name, (role, content) in files().items():
-        facts = {"can_run": True} if role == "simulation" else {}
-        attempt.keep(name, content, role=role, media_type=BINARY, metadata=facts)
+    keep(attempt, files())
     return attempt
 
 
@@ -193,6 +201,22 @@ def test_a_body_falls_to_its_feet_and_a_push_moves_it(tab: Tab, pushed: str) -> 
     expect(page.get_by_role("button", name="Play")).to_be_visible()
 
 
+def test_the_tutorials_robot_whose_motors_are_servos_is_pushed(
+    tab: Tab, attempt: Attempt, tmp_path: Path
+) -> None:
+    """9.1: MuJoCo 3.14, which the page has, refused what 3.17 writes of servos."""
+    keep(attempt, files(tmp_path))
+    attempt.end(JobStatus.SUCCEEDED)
+    page = standing(tab, attempt.id)
+    page.get_by_role("button", name="Play").click()
+    until(page, "time > 0.5")
+    x, y, _ = position(page)
+    page.get_by_label("Strength").select_option("2")
+    page.get_by_role("button", name="Push it right").click()
+    until(page, f"Math.hypot(x - {x}, y - {y}) > 0.1")
+    tab.picture("push-servos")
+
+
 def test_a_drag_pulls_the_body_until_it_falls_and_it_starts_again(tab: Tab, pushed: str) -> None:
     page = standing(tab, pushed)
     page.get_by_role("button", name="Play").click()
@@ -234,9 +258,7 @@ def test_a_running_training_is_pushed_from_its_first_replay_on(tab: Tab, attempt
     page = tab.open(f"#/jobs/{attempt.id}/push")
     expect(page.get_by_text("is running and has no simulation yet")).to_be_visible()
     link = page.get_by_role("link", name="Push", exact=True)
-    for name, (role, content) in reversed(files().items()):
-        facts = {"can_run": True} if role == "simulation" else {}
-        attempt.keep(name, content, role=role, media_type=BINARY, metadata=facts)
+    keep(attempt, dict(reversed(files().items())))
     attempt.say("artifact", name="replay.bin")
     expect(page.get_by_text("Take hold of the body and pull.")).to_be_visible(timeout=60_000)
     expect(link).to_be_visible()
@@ -256,12 +278,16 @@ def test_a_body_that_cannot_be_pushed_says_why(tab: Tab, attempt: Attempt) -> No
 
 
 def test_a_model_that_mujoco_there_does_not_read_says_so(tab: Tab, attempt: Attempt) -> None:
-    for name, (role, content) in files().items():
-        changed = content.replace(b"<worldbody>", b"<world_of_tomorrow>") if role == "simulation" else content
-        facts = {"can_run": True} if role == "simulation" else {}
-        attempt.keep(name, changed, role=role, media_type=BINARY, metadata=facts)
+    role, content = files()["simulation.json"]
+    changed = content.replace(b"<worldbody>", b"<world_of_tomorrow>")
+    keep(attempt, {**files(), "simulation.json": (role, changed)})
     page = tab.open(f"#/jobs/{attempt.id}/push")
-    expect(page.get_by_role("alert")).to_contain_text("cannot run this model of MuJoCo", timeout=60_000)
+    said = page.get_by_role("alert")
+    expect(said).to_contain_text("cannot run this model of MuJoCo", timeout=60_000)
+    # It stands where the body would, not below, where nobody sees it.
+    assert said.bounding_box() == page.locator(".stage").bounding_box()
+    expect(page.get_by_role("button", name="Play")).to_be_disabled()
+    tab.picture("push-refused")
 
 
 @pytest.mark.parametrize(("width", "dark"), [(1280, True), (380, False)])

@@ -1,5 +1,6 @@
 """What a simulation says of a body gives its environment's own observation, in MuJoCo alone."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -202,6 +203,68 @@ def test_a_model_of_several_files_says_why_it_has_none(tmp_path: Path) -> None:
     text = CART.replace("<worldbody>", '<asset><mesh name="m" file="arm.stl"/></asset><worldbody>')
     spec = mujoco.MjSpec.from_string(text)
     with pytest.raises(NotSimulated, match=r"more than one file \(it has arm.stl\)"):
+        as_xml(spec, mujoco.MjModel.from_xml_string(CART))
+
+
+SERVOS = """
+  <actuator>
+    <position name="servo" joint="elbow" kp="3" kv="0.1" delay="0.03" nsample="4"/>
+    <velocity name="speed" joint="elbow" kv="0.2"/>
+    <cylinder name="piston" joint="elbow"/>
+    <pid name="pid" class="pids" joint="elbow" ki="0.1"/>
+    <dcmotor name="motor" joint="elbow" motorconst="1" resistance="1" controller="1 0 0" input="pos vel"/>
+  </actuator>"""
+SERVO_DEFAULTS = """<default>
+    <position kp="5"/>
+    <default class="pids"><pid kp="2" kv="0.1" input="pos vel"/></default>
+  </default><worldbody>"""
+
+
+def test_servos_are_written_for_the_older_mujoco_of_the_page_and_move_alike() -> None:
+    """9.1: MuJoCo 3.17 writes `input` for servos, which 3.14 refuses for all but PID, DC motors and so3."""
+    text = CART.replace("<worldbody>", SERVO_DEFAULTS).replace("<sensor>", SERVOS + "<sensor>")
+    spec = mujoco.MjSpec.from_string(text)
+    stepped = spec.compile()
+    assert spec.to_xml().count("input=") >= 5
+    written = as_xml(spec, stepped)
+    assert re.findall(r'name="(\w+)"[^>]* input="([^"]*)"', written) == [
+        ("pid", "pos vel"),
+        ("motor", "pos vel"),
+    ]
+    models = [mujoco.MjModel.from_xml_string(one) for one in (spec.to_xml(), written)]
+    differing = {
+        name
+        for name in dir(models[0])
+        if isinstance(getattr(models[0], name), np.ndarray)
+        and not np.array_equal(getattr(models[0], name), getattr(models[1], name))
+    }
+    # The kind of an input, such as a position, is a remark where there is one.
+    assert differing == {"actuator_ctrlspec"}
+    states = [mujoco.MjData(model) for model in models]
+    for controls in np.random.default_rng(0).uniform(-1, 1, (500, models[0].nu)):
+        for model, data in zip(models, states, strict=True):
+            data.ctrl[:] = controls[: len(data.ctrl)]
+            mujoco.mj_step(model, data)
+    np.testing.assert_array_equal(states[0].qpos, states[1].qpos)
+    np.testing.assert_array_equal(states[0].qvel, states[1].qvel)
+
+
+@pytest.mark.parametrize(
+    ("new", "why"),
+    [
+        (
+            '<sensor><insidesite site="none" objtype="body" objname="arm" enclosed="true"/>',
+            "attribute enclosed of insidesite, which is newer than MuJoCo 3.14",
+        ),
+        (
+            '<extension><plugin plugin="mujoco.sensor.touch_grid"/></extension><sensor>',
+            "plugin mujoco.sensor.touch_grid, which the page lacks",
+        ),
+    ],
+)
+def test_what_the_mujoco_of_the_page_lacks_is_named(new: str, why: str) -> None:
+    spec = mujoco.MjSpec.from_string(CART.replace("<sensor>", new))
+    with pytest.raises(NotSimulated, match=why):
         as_xml(spec, mujoco.MjModel.from_xml_string(CART))
 
 

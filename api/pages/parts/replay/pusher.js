@@ -124,7 +124,7 @@ export function Pusher({ modules, shown, policy, name, isTraining }) {
       ${failure && html`<p class="state failure" role="alert">${failure.message}</p>`}
     </div>
     <div class="transport">
-      <button type="button" class="main" onClick=${() => setRunning(!isRunning)} aria-label=${isRunning ? "Pause" : "Play"}>${isRunning ? "❚❚" : "►"}</button>
+      <button type="button" class="main" disabled=${Boolean(failure)} onClick=${() => setRunning(!isRunning)} aria-label=${isRunning ? "Pause" : "Play"}>${isRunning ? "❚❚" : "►"}</button>
       <p><span role="status">${failure ? "" : story}</span> <span class="facts">${time.toFixed(1)} s</span></p>
     </div>
     ${trainedSteps !== null && html`<p class="facts">Policy at step ${count(trainedSteps)}${isTraining ? "; the training's next one takes its place as soon as it is here" : ""}</p>`}
