@@ -75,7 +75,8 @@ class JobView(View):
     """A job as it is now.
 
     spec: as it was sent, with the environment's options that it takes for its algorithm; the environment's
-    tuned values apply where it names none.
+    tuned values apply where it names none. progress.phase: what a job does now that a worker holds; otherwise
+    null.
 
     A record of another version that cannot be read has the reason `unreadable`, and neither attempts nor
     artifacts.
@@ -129,7 +130,7 @@ class JobView(View):
             not_before=job.not_before,
             waiting_for=None if workers is None else what_it_waits_for(job, workers),
             imported_from=None if job.imported_from is None else OriginView.model_validate(job.imported_from),
-            progress=job.progress,
+            progress=job.progress if job.status.is_held else job.progress.model_copy(update={"phase": None}),
             attempts=[AttemptView.model_validate(attempt) for attempt in job.attempts],
             artifacts=[ArtifactView.of(job.id, artifact) for artifact in job.artifacts],
             spec=job.spec,

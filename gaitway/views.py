@@ -34,13 +34,17 @@ class ArtifactView(View):
 
 
 class ProgressView(View):
-    """How far a job is. step, total: environment steps; eta_s: seconds; metrics: latest by Brax's names."""
+    """How far a job is. step, total: environment steps; eta_s: seconds; metrics: latest by Brax's names.
+
+    phase: what it does now: preparing, compiling, training, evaluating, acting or drawing.
+    """
 
     step: int = 0
     total: int = 0
     steps_per_second: float | None = None
     eta_s: float | None = None
     metrics: dict[str, float | None] = Field(default_factory=dict[str, float | None])
+    phase: str | None = None
 
 
 class AttemptView(View):

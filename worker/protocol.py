@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, TypeAdapter
 
 from core.documents import Stored
-from core.jobs.job import ArtifactRole
+from core.jobs.job import ArtifactRole, JobPhase
 from core.jobs.spec import SentSpec
 from core.physics.availability import BodySize, EngineName
 from core.reasons import Reason
@@ -29,6 +29,13 @@ class Started(Stored):
     device: str
     engine: str
     details: dict[str, Any] = {}
+
+
+class PhaseBegan(Stored):
+    """What the process does from now on, for the job's progress."""
+
+    type: Literal["phase_began"] = "phase_began"
+    phase: JobPhase
 
 
 class PhaseEnded(Stored):
@@ -93,7 +100,7 @@ class Finished(Stored):
 
 
 Message = Annotated[
-    Hello | Started | PhaseEnded | Advanced | Measured | FileReady | Noted | Failed | Finished,
+    Hello | Started | PhaseBegan | PhaseEnded | Advanced | Measured | FileReady | Noted | Failed | Finished,
     Field(discriminator="type"),
 ]
 MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)

@@ -22,6 +22,13 @@ class Progress:
 
 
 @dataclass(frozen=True)
+class Evaluating:
+    """The policy at `step` is evaluated next; the run's state is that of the event before."""
+
+    step: int
+
+
+@dataclass(frozen=True)
 class Evaluated:
     """The policy at `step` was evaluated; metrics by Brax's names (`eval/...`)."""
 
@@ -36,4 +43,4 @@ class CheckpointReady:
     step: int
 
 
-Event = Phase | Progress | Evaluated | CheckpointReady
+Event = Phase | Progress | Evaluating | Evaluated | CheckpointReady

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 
 from core.algorithms.algorithm import RunSettings
-from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.events import CheckpointReady, Evaluated, Evaluating, Event, Phase, Progress
 from core.algorithms.schedule import Schedule
 from core.errors import JobFailed
 from core.reasons import Reason
@@ -54,8 +54,8 @@ class Loop:
     def events(
         self, train: Callable[[int], Mapping[str, float]], evaluate: Callable[[], dict[str, float]]
     ) -> Iterator[Event]:
-        """Yields Progress for each epoch, and Evaluated and CheckpointReady when due; CheckpointReady at the
-        end in any case. Phase first_update precedes the first Progress.
+        """Yields Progress for each epoch, and when due Evaluating, Evaluated and CheckpointReady; the last
+        at the end in any case. Phase first_update precedes the first Progress.
 
         train: trains until the given number of updates is made or a value is not finite, records the number
         in `updates`, and returns the epoch's metrics. evaluate: the metrics of the current state.
@@ -91,6 +91,7 @@ class Loop:
     def _evaluate_if_due(self, evaluate: Callable[[], dict[str, float]]) -> Iterator[Event]:
         if self._evaluated == self.updates or not self._schedule.evaluation_due(self.updates):
             return
+        yield Evaluating(self.step)
         started = time.perf_counter()
         metrics = evaluate()
         seconds = time.perf_counter() - started

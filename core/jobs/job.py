@@ -66,14 +66,21 @@ class Artifact(Stored):
     metadata: dict[str, Any] = Field(default_factory=dict)
 
 
+JobPhase = Literal["preparing", "compiling", "training", "evaluating", "acting", "drawing"]
+
+
 class Progress(Stored):
-    """The progress of a running job. step, total: environment steps; eta_s: seconds."""
+    """The progress of a running job. step, total: environment steps; eta_s: seconds.
+
+    phase: what its attempt does now. `acting` is a rollout's word for training.
+    """
 
     step: int = 0
     total: int = 0
     steps_per_second: float | None = None
     eta_s: float | None = None
     metrics: dict[str, float] = Field(default_factory=dict)
+    phase: JobPhase | None = None
 
 
 class Attempt(Stored):

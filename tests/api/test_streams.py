@@ -18,6 +18,7 @@ from structlog.testing import capture_logs
 from api import following
 from core.jobs import feeds
 from core.jobs.feeds import compact
+from core.jobs.job import Progress
 from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Entry
 from core.reasons import Reason
@@ -63,6 +64,22 @@ def test_events_come_in_order_and_end_with_the_final_status(stack: Stack, attemp
         "succeeded",
     ]
     assert seen[2][2] == {"name": "compile", "seconds": 1.5}
+
+
+def test_the_progress_of_a_job_says_its_phase_while_an_attempt_holds_it(
+    stack: Stack, attempt: Attempt
+) -> None:
+    progress = Progress(step=10, total=10, phase="drawing")
+    stack.store.record(attempt.id, attempt.claim.token, "events", [], progress, write_id="w")
+    view = f"/jobs/{attempt.id}"
+    assert stack.http.get(view).json()["progress"]["phase"] == "drawing"
+    attempt.end()
+    ended = stack.http.get(view).json()["progress"]
+    assert (ended["step"], ended["phase"]) == (10, None)
+    phase = stack.http.get("/openapi.json").json()["components"]["schemas"]["Progress"]["properties"]["phase"]
+    assert phase["anyOf"][0]["enum"] == [
+        "preparing", "compiling", "training", "evaluating", "acting", "drawing"
+    ]  # fmt: skip
 
 
 def test_a_broken_stream_goes_on_after_the_last_event(stack: Stack, attempt: Attempt) -> None:

@@ -173,8 +173,9 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start() -> No
     assert len(compilations) == compiled
     told = [(type(event).__name__, event.step) for event in events if not isinstance(event, Phase)]
     assert told == [
-        ("Progress", 48), ("Progress", 144), ("Evaluated", 144), ("CheckpointReady", 144),
-        ("Progress", 240), ("Evaluated", 240), ("CheckpointReady", 240),
+        ("Progress", 48),
+        ("Progress", 144), ("Evaluating", 144), ("Evaluated", 144), ("CheckpointReady", 144),
+        ("Progress", 240), ("Evaluating", 240), ("Evaluated", 240), ("CheckpointReady", 240),
     ]  # fmt: skip
     last = [event for event in events if isinstance(event, Progress)][-1]
     assert (last.total, run.total) == (240, 240)

@@ -87,10 +87,12 @@ def test_events_come_in_their_order_and_nothing_compiles_after_the_start(case: C
         "Progress 2",
         "CheckpointReady 2",
         "Progress 3",
+        "Evaluating 3",
         "Evaluated 3",
         "Progress 4",
         "CheckpointReady 4",
         "Progress 6",
+        "Evaluating 6",
         "Evaluated 6",
         "CheckpointReady 6",
     ]

@@ -28,6 +28,7 @@ from worker.protocol import (
     Measured,
     Message,
     Noted,
+    PhaseBegan,
     PhaseEnded,
     Started,
 )
@@ -38,7 +39,8 @@ _DELETE_AFTER_S = 60.0
 _POLL_S = 0.1
 # The messages that become an entry of the feed and nothing else, and how many go into one write.
 _MAX_FEED_MESSAGES = 100
-_FEED_MESSAGES = Hello | PhaseEnded | Advanced | Measured | Noted
+_FEED_MESSAGES = Hello | PhaseBegan | PhaseEnded | Advanced | Measured | Noted
+_NO_PROGRESS = Progress()
 
 
 @dataclass(frozen=True)
@@ -50,14 +52,20 @@ class _Received:
 
 
 class Outbox:
-    """A thread that stores messages and log lines. An outage makes it wait, never the training."""
+    """A thread that stores messages and log lines. An outage makes it wait, never the training.
 
-    def __init__(self, claim: Claim, spool: Path, keep_checkpoints: int) -> None:
+    progress: the job's, from an attempt before.
+    """
+
+    def __init__(
+        self, claim: Claim, spool: Path, keep_checkpoints: int, progress: Progress = _NO_PROGRESS
+    ) -> None:
         self._failure: Exception | None = None
         self._is_abandoned = False
         self._claim = claim
         self._spool = spool
         self._keep_checkpoints = keep_checkpoints
+        self._progress = progress
         self._measurements = Measurements(claim.job_id, claim.store, claim.objects)
         self._dropped: list[tuple[float, str]] = []
         self._waiting: queue.SimpleQueue[_Received | None] = queue.SimpleQueue()
@@ -141,10 +149,12 @@ class Outbox:
         )
 
     def _store_said(self, said: Sequence[_Received], write_id: str) -> None:
-        entries = [_entry(item) for item in said]
-        newest = next((item.what for item in reversed(said) if isinstance(item.what, Advanced)), None)
-        progress = None if newest is None else Progress.model_validate(newest.model_dump(exclude={"type"}))
-        self._record("events", entries, write_id, progress)
+        entries, progress = list[Entry](), self._progress
+        for item in said:
+            progress = _advanced(progress, item.what)
+            entries.append(_entry(item, progress))
+        self._record("events", entries, write_id, None if progress is self._progress else progress)
+        self._progress = progress
         for entry in entries:
             if entry.kind == "metrics":
                 self._measurements.add(entry)
@@ -228,13 +238,26 @@ class Outbox:
         return keys.artifact(self._claim.job_id, self._claim.number, sha256, name)
 
 
-def _entry(item: _Received) -> Entry:
+def _advanced(progress: Progress, message: Message | str) -> Progress:
+    match message:
+        case PhaseBegan(phase=phase):
+            return progress.model_copy(update={"phase": phase})
+        case Advanced():
+            return Progress(**message.model_dump(exclude={"type"}), phase=progress.phase)
+        case _:
+            return progress
+
+
+def _entry(item: _Received, progress: Progress) -> Entry:
+    """progress: with this message."""
     match item.what:
         case Hello(pid=pid):
             return Entry(kind="phase", time=item.time, data={"name": "process", "pid": pid})
         case Noted(text=text):
             return Entry(kind="note", time=item.time, data={"text": text})
-        case PhaseEnded() | Advanced() | Measured() as message:
+        case PhaseBegan() | Advanced():
+            return Entry(kind="progress", time=item.time, data=progress.model_dump())
+        case PhaseEnded() | Measured() as message:
             return Entry(kind=message.type, time=item.time, data=message.model_dump(exclude={"type"}))
         case _:
             raise TypeError(f"{item.what!r} is no entry")

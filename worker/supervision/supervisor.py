@@ -26,7 +26,7 @@ from worker.host.device_lock import SlotTaken, slots
 from worker.host.disk import is_full, what_to_do
 from worker.host.drain_flag import Draining
 from worker.host.memory import MemoryWatch, allowed_bytes
-from worker.protocol import Advanced, Failed, Finished, Noted, PhaseEnded
+from worker.protocol import Advanced, Failed, Finished, Noted, PhaseBegan, PhaseEnded
 from worker.stop_signals import Stop
 from worker.supervision.heartbeat import Heartbeat
 from worker.supervision.left_attempts import end, leave
@@ -113,7 +113,8 @@ class Supervisor:
         )
         with self._place(folder) as (slot_fds, cohort_fd):
             caches.open(job.spec.environment, leaving)
-            outbox = Outbox(self.claim, spool, _checkpoints_kept(job))
+            outbox = Outbox(self.claim, spool, _checkpoints_kept(job), job.progress)
+            outbox.put(PhaseBegan(phase="preparing"))
             for note in notes:
                 outbox.put(Noted(text=note))
             tracking = Tracking(job, self.claim, spool, self.settings, outbox)

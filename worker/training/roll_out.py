@@ -20,7 +20,7 @@ from core.environments.rollout import (
 )
 from core.environments.trajectory import Episode
 from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, RolloutSpec, ZeroPolicy
-from worker.protocol import Advanced, Measured, Task
+from worker.protocol import Advanced, Measured, PhaseBegan, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.pictures import kept_with_path
@@ -42,6 +42,7 @@ def roll_out(
     events.send(built.started(policy=spec.policy.model_dump()))
     policy, env = _policy(task, spec, built, events)
     built = replace(built, environment=env)
+    events.send(PhaseBegan(phase="acting"))
     episodes = _act(spec, built, policy, events, stopping)
     differs = (
         {"randomization": [rule.model_dump() for rule in spec.randomization]} if spec.randomization else {}
@@ -61,6 +62,7 @@ def roll_out(
         replays = ReplayWriter(built, events)
         replays.keep(episodes, "", None)
         if spec.video is not None:
+            events.send(PhaseBegan(phase="drawing"))
             film = VideoRecorder(spec, spec.video, built, policy, events, replays)
             of_video = filmed(
                 episodes,

@@ -9,13 +9,14 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from core.algorithms.catalog import least_memory, resolve
-from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.events import CheckpointReady, Evaluated, Evaluating, Event, Phase, Progress
 from core.algorithms.policy import load_policy
 from core.algorithms.run import Run, make_run
 from core.algorithms.spec import BaseSpec
 from core.errors import JobFailed
+from core.jobs.job import JobPhase
 from core.jobs.spec import TrainSpec, VideoSpec
-from worker.protocol import Advanced, Measured, Noted, PhaseEnded, Task
+from worker.protocol import Advanced, Measured, Noted, PhaseBegan, PhaseEnded, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.exports import ExportWriter
@@ -85,6 +86,7 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
 ) -> bool:
     """Turn the run's events into messages and files; see `train`. others_wait: for as long as this takes."""
     report = Report(events, run, spec.checkpoints.every_seconds)
+    report.enter("compiling")
     exports = ExportWriter(settings.algorithm(), built, events)
     videos = (
         None if spec.video is None else PolicyVideos(spec, spec.video, built, events, run, not others_wait)
@@ -105,7 +107,7 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
                         exports.keep_newest(run.policy, run.step)
                 if isinstance(event, CheckpointReady) and videos:
                     with stopping.nothing_to_keep():
-                        videos.at_checkpoint(event.step)
+                        videos.at_checkpoint(event.step, report)
     except JobFailed:
         report.keep_checkpoint()  # The last good one.
         raise
@@ -117,6 +119,7 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
         events.keep("policy", policy, "policy", "application/octet-stream", step=run.step)
         with _tables(run, spec, events):
             if videos:
+                report.enter("drawing")
                 videos.take("video")
     return stopping.asked and run.step < run.total
 
@@ -163,15 +166,19 @@ class PolicyVideos:
     _film: VideoRecorder | None = None
     _budget: TimeBudget = field(default_factory=TimeBudget)
 
-    def at_checkpoint(self, step: int) -> None:
+    def at_checkpoint(self, step: int, report: "Report") -> None:
         """Keep a video, where the job asks for one; otherwise a replay, where that costs next to nothing."""
         if self.video.every_checkpoint:
+            report.enter("drawing")
             self.take(f"video-{step:012d}")
+            report.enter("training")
         elif self.has_time and step < self.run.total and self._budget.allows_another():
             began = time.monotonic()
+            report.enter("drawing")
             film, parameters = self._filmed()
             film.replay(f"-{step:012d}", parameters, step)
             self._budget.spent(began)
+            report.enter("training")
 
     def take(self, name: str) -> None:
         """Keep a video of the present step as `<name>.mp4`."""
@@ -203,17 +210,26 @@ class Report:
     _warned_of: set[str] = field(default_factory=set[str])
     _started: tuple[float, int] = (0.0, 0)
 
+    def enter(self, phase: JobPhase) -> None:
+        """Tell that the process does this from now on."""
+        self.events.send(PhaseBegan(phase=phase))
+
     def publish(self, event: Event) -> None:
         match event:
             case Phase(name=name, seconds=seconds):
                 self.events.send(PhaseEnded(name=name, seconds=seconds))
+                if name == "compile":
+                    self.enter("training")
             case Progress(step=step, total=total, metrics=metrics):
                 self._metrics.update(metrics)
                 self._warn(step, metrics)
                 self.events.send(Measured(step=step, values=dict(metrics)))
                 self.events.send(self._advanced(step, total))
+            case Evaluating():
+                self.enter("evaluating")
             case Evaluated(step=step, metrics=metrics):
                 self._metrics.update(metrics)
+                self.enter("training")
                 self.events.send(Measured(step=step, values=dict(metrics)))
                 self.events.send(self._advanced(step, self.run.total))
             case CheckpointReady():

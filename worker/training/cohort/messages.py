@@ -9,12 +9,14 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
 
-from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
+from core.algorithms.events import CheckpointReady, Evaluated, Evaluating, Event, Phase, Progress
 from core.documents import Stored
 from core.errors import JobFailed
 from core.reasons import Reason
 
-_EVENTS: dict[str, type[Event]] = {one.__name__: one for one in (Phase, Progress, Evaluated, CheckpointReady)}
+_EVENTS: dict[str, type[Event]] = {
+    one.__name__: one for one in (Phase, Progress, Evaluating, Evaluated, CheckpointReady)
+}
 
 
 class Request(bytes, Enum):

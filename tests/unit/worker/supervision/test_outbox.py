@@ -14,12 +14,12 @@ from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs import feeds
 from core.jobs.attempts import Claim, claim_attempt, new_secret
-from core.jobs.job import utc_now
+from core.jobs.job import Progress, utc_now
 from core.jobs.spec import JOB_SPEC
 from core.jobs.store import Channel, Entry
 from core.jobs.submission import submit
 from tests.faults.bench import wait_until
-from worker.protocol import Advanced, FileReady, Hello, Measured, Noted, PhaseEnded, Started
+from worker.protocol import Advanced, FileReady, Hello, Measured, Noted, PhaseBegan, PhaseEnded, Started
 from worker.supervision.outbox import Outbox
 
 A_DAY_S = 86_400.0
@@ -90,6 +90,22 @@ def test_what_waited_through_an_outage_comes_in_order_with_the_time_at_which_it_
     assert sum(counts) == 401
     assert max(counts) <= 100
     assert len(counts) < 20
+
+
+def test_a_phase_is_part_of_the_progress_and_keeps_its_numbers(claim: Claim, tmp_path: Path) -> None:
+    before = Progress(step=5, total=10, metrics={"reward": 1.0}, phase="drawing")
+    outbox = Outbox(claim, tmp_path, keep_checkpoints=1, progress=before)
+    for said in (
+        PhaseBegan(phase="preparing"),
+        PhaseBegan(phase="training"),
+        Advanced(step=7, total=10),
+        PhaseBegan(phase="drawing"),
+    ):
+        outbox.put(said)
+    assert outbox.close(30)
+    told = [(event.data["phase"], event.data["step"], event.data["total"]) for event in read(claim, "events")]
+    assert told == [("preparing", 5, 10), ("training", 5, 10), ("training", 7, 10), ("drawing", 7, 10)]
+    assert claim.store.get(claim.job_id).progress == Progress(step=7, total=10, phase="drawing")
 
 
 def test_what_is_said_before_a_file_is_stored_before_it(outbox: Outbox, claim: Claim, tmp_path: Path) -> None:
