@@ -1,6 +1,5 @@
 """pydantic's errors, as sentences and JSON pointers into the client's own document."""
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -8,10 +7,11 @@ from typing import Any, cast
 
 from pydantic import TypeAdapter
 
+from core.bounds import MOST_PROBLEMS
 from core.errors import Problem
 from core.jobs.spec import JOB_SPEC
+from core.nearest import nearest
 
-_MAX_PROBLEMS = 50
 _CONSTANTS: dict[bool | None, str] = {None: "null", True: "true", False: "false"}
 _NOT_FINITE = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
 
@@ -27,7 +27,7 @@ def body_problems(
     for error in errors:
         place = _place(error, document)
         pointer = _pointer(error, place)
-        if pointer not in found and len(found) == _MAX_PROBLEMS:
+        if pointer not in found and len(found) == MOST_PROBLEMS:
             break
         known = _fields_at(error["loc"][:-1], kind)
         found.setdefault(pointer, []).append(_sentence({**error, "loc": place}, known))
@@ -102,12 +102,20 @@ def _sentence(error: Mapping[str, Any], known: Sequence[str]) -> str:
             return (
                 f"`{name}` needs at least {least} item{'' if least == 1 else 's'}, and has {items or 'none'}."
             )
+        case "too_long":
+            return _too_long(name, error, len(error["input"]), "items")
+        case "string_too_long":
+            return _too_long(name, error, len(error["input"]), "characters")
         case "string_pattern_mismatch":
             return f"`{name}` must match {error['ctx']['pattern']}, not be {shown(error['input'])}."
         case _:
             words = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
             but = f", not {shown(error['input'])}" if words.startswith("must be") else ""
             return f"`{name}`: {words[0].lower()}{words[1:]}{but}."
+
+
+def _too_long(name: str, error: Mapping[str, Any], found: int, parts: str) -> str:
+    return f"`{name}` has {found:,} {parts}; at most {error['ctx']['max_length']:,} are allowed."
 
 
 def _name(location: Location) -> str:
@@ -119,7 +127,7 @@ def _discriminator(error: Mapping[str, Any]) -> str:
 
 
 def _hint(wrong: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(wrong[:60], known, n=1, cutoff=0.5)
+    near = nearest(wrong, known, cutoff=0.5)
     if near:
         return f"; did you mean `{near[0]}`?"
     return f"; known are {', '.join(f'`{name}`' for name in known)}." if known else "."

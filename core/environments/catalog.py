@@ -3,7 +3,6 @@
 To add one, write a package with `info` and `environment`; add its import and its member of `BUILT_IN` here.
 """
 
-import difflib
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from pydantic import ValidationError
 
+from core.bounds import MOST_PROBLEMS
 from core.documents import Strict
 from core.environments.brittle_star.info import INFOS as BRITTLE_STARS
 from core.environments.dm_control.corridor.info import INFO as CORRIDOR
@@ -27,6 +27,7 @@ from core.environments.locomotion.reacher.info import INFO as REACHER
 from core.environments.locomotion.walker2d.info import INFO as WALKER2D
 from core.environments.mjcf.info import INFO as MJCF
 from core.errors import EnvironmentNotFound, Problem, Rejected
+from core.nearest import nearest
 
 if TYPE_CHECKING:
     from core.environments.environment import Environment
@@ -67,7 +68,7 @@ def _nearest(environment_id: str) -> str | None:
     """The most similar id; Playground's are also found by their bare names."""
     names = {info.id.removeprefix("playground/").lower(): info.id for info in ENVIRONMENTS.values()}
     names |= {name.lower(): name for name in (*ENVIRONMENTS, *CANNOT)}
-    near = difflib.get_close_matches(environment_id.lower(), names, n=1)
+    near = nearest(environment_id.lower(), names)
     return names[near[0]] if near else None
 
 
@@ -84,7 +85,8 @@ def parse_options(info: EnvironmentInfo, options: Mapping[str, object]) -> Stric
     try:
         return info.options.model_validate(dict(options))
     except ValidationError as error:
-        problems = [_problem(info, _place(details, options), details["msg"]) for details in error.errors()]
+        wrong = error.errors(include_url=False)[:MOST_PROBLEMS]
+        problems = [_problem(info, _place(details, options), details["msg"]) for details in wrong]
         sentences = " ".join(problem.detail for problem in problems)
         raise Rejected(f"The options of {info.id!r} are not valid. {sentences}", problems) from None
 

@@ -1,6 +1,6 @@
 """Checks before a sweep is stored: each refusal names the place in the sweep's document and the remedy."""
 
-import difflib
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 
@@ -14,6 +14,7 @@ from core.jobs.needs import DEVICES
 from core.jobs.spec import RolloutSpec
 from core.jobs.store import JobStore
 from core.jobs.submission import completed as completed_job
+from core.nearest import nearest
 from core.sweeps.advance import committed_steps, why_no_more
 from core.sweeps.axes import Values, combinations, corners, num_combinations, random_values
 from core.sweeps.fields import axis_place, fields_of, job_of, takes_fractions
@@ -27,6 +28,7 @@ from core.sweeps.sweep import Trial
 _MAX_LABELS = 62
 # Each takes a millisecond or two.
 _MAX_TRIED = 64
+_MAX_HINTS = 5
 
 
 def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
@@ -93,10 +95,11 @@ def _check_axes(spec: SweepSpec, info: EnvironmentInfo) -> None:
     if not spec.parameters:
         _refuse('A sweep needs an axis, for example `"seed": [1, 2, 3]`.', "/parameters")
     known = fields_of(spec.job, info)
+    wrong = [name for name in spec.parameters if name not in known]
+    hints = (_hint(name, known) if number < _MAX_HINTS else "." for number, name in enumerate(wrong))
     problems = [
-        Problem(axis_place(name), f"`{name}` is not a field of this job{_hint(name, known)}")
-        for name in spec.parameters
-        if name not in known
+        Problem(axis_place(name), f"`{name}` is not a field of this job{hint}")
+        for name, hint in zip(wrong, hints, strict=True)
     ]
     problems += [
         Problem(axis_place(name), f"`{name}` is a part of the axis `{above}`; leave one out.")
@@ -110,18 +113,22 @@ def _check_axes(spec: SweepSpec, info: EnvironmentInfo) -> None:
 
 def _wrong(name: str, axis: Axis, spec: SweepSpec) -> Iterator[Problem]:
     if not isinstance(axis, Range):
-        if twice := next((one for at, one in enumerate(axis) if _is_among(one, axis[:at])), _NOTHING):
-            yield Problem(axis_place(name), f"`{name}` has the value {twice!r} twice.")
+        if (twice := _repeated(axis)) is not None:
+            yield Problem(axis_place(name), f"`{name}` has the value {twice:.200} twice.")
     elif spec.method != "grid" and axis.points is not None:
         detail = f"`points` is for grids; {spec.method} draws from the range."
         yield Problem(f"{axis_place(name)}/points", detail)
 
 
-_NOTHING = ()
-
-
-def _is_among(value: JsonValue, others: Sequence[JsonValue]) -> bool:
-    return any(type(value) is type(other) and value == other for other in others)
+def _repeated(values: Sequence[JsonValue]) -> str | None:
+    """The first value that is there twice, in JSON, where 1, 1.0 and true differ as they do for a sweep."""
+    seen = set[str]()
+    for value in values:
+        text = json.dumps(value, sort_keys=True, ensure_ascii=False)
+        if text in seen:
+            return text
+        seen.add(text)
+    return None
 
 
 def _with_fractions(spec: SweepSpec, info: EnvironmentInfo) -> dict[str, Axis]:
@@ -210,7 +217,7 @@ def _is_part(wanted: Sequence[str], parts: Sequence[str]) -> bool:
 
 
 def _hint(name: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    near = nearest(name, known)
     last = name.rpartition(".")[2]
     near = [one for one in known if one.rpartition(".")[2] == last] or near
     return f"; did you mean {' or '.join(f'`{one}`' for one in near)}?" if near else "."

@@ -1,12 +1,12 @@
 """The metrics that a job reports, as far as its specification tells: an objective must be one of them."""
 
-import difflib
 import json
 from collections.abc import Mapping, Sequence, Set
 from functools import cache
 from importlib.resources import files
 
 from core.jobs.spec import JobSpec, RolloutSpec
+from core.nearest import nearest
 
 _ROLLOUT = {"eval/episode_reward", "eval/episode_reward_std", "eval/avg_episode_length", "eval/forward_speed"}
 _EVALUATION = {*_ROLLOUT, "eval/epoch_eval_time", "eval/walltime", "eval/walltime_share"}
@@ -54,7 +54,7 @@ def refusal_of_metric(spec: JobSpec, metric: str) -> str | None:
         return None
     if metric in known:
         return None
-    near = difflib.get_close_matches(metric, sorted(known), n=1, cutoff=0.6) or ["eval/episode_reward"]
+    near = nearest(metric, sorted(known)) or ["eval/episode_reward"]
     return (
         f"A job of this kind on {spec.environment.id} reports no metric {metric!r}; did you mean `{near[0]}`?"
     )

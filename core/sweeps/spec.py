@@ -11,19 +11,24 @@ from core.jobs.spec import LabelName, Seed, SentSpec, Text
 MAX_TRIALS = 1000
 # Values of a grid along a range that gives neither `points` nor `step`.
 DEFAULT_POINTS = 5
+# Of a range. Beyond some 10¹⁵, doubles cannot tell the values apart.
+_MOST_STEPS = 10**12
 Method = Literal["grid", "random", "qmc", "tpe", "cma_es", "nsga2", "pbt"]
 Number = int | float
+_MOST = 10**18
+Bound = Annotated[int, Field(ge=-_MOST, le=_MOST)] | Annotated[float, Field(ge=-1e300, le=1e300)]
+StepLength = Annotated[int, Field(gt=0, le=_MOST)] | Annotated[float, Field(gt=0, le=1e300)]
 
 
 class Range(Strict):
     """Numbers from `low` to `high`, both included; whole ones if all bounds are written without a point."""
 
-    low: Number = Field(ge=-1e300, le=1e300)
-    high: Number = Field(ge=-1e300, le=1e300)
+    low: Bound
+    high: Bound
     log: bool = Field(
         default=False, description="Even in the logarithm: 1e-5 to 1e-4 is as wide as 1e-4 to 1e-3."
     )
-    step: Number | None = Field(default=None, gt=0, description="Only low, low + step, … up to high.")
+    step: StepLength | None = Field(default=None, description="Only low, low + step, … up to high.")
     points: int | None = Field(
         default=None,
         ge=1,
@@ -41,6 +46,10 @@ class Range(Strict):
             raise ValueError("`log` and `step` exclude each other; give one of them")
         if self.step is not None and self.points is not None:
             raise ValueError("`step` and `points` exclude each other; give one of them")
+        if self.step is not None and self.high - self.low > self.step * _MOST_STEPS:
+            raise ValueError(
+                f"`step` = {self.step:g} is so small that the range has more than {_MOST_STEPS:,} values"
+            )
         return self
 
     @property

@@ -1,9 +1,11 @@
 """Sweeps that cannot work, each refused with its place and a sentence."""
 
+import time
 from typing import Any
 
 import pytest
 
+from core.sweeps.checks import _repeated  # pyright: ignore[reportPrivateUsage]
 from tests.api.conftest import Stack
 from tests.api.problems import pointers, problem
 from tests.api.test_sweeps import JOB, METRIC, post
@@ -47,6 +49,11 @@ RANGE = {"low": 1e-4, "high": 1e-2}
             None,
         ),
         ({"parameters": {"seed": [1, 2, 1]}}, "/parameters/seed", "`seed` has the value 1 twice."),
+        (  # L3: it was an overflow.
+            {"parameters": {RATE: {"low": 0, "high": 1e300, "step": 1e-300}}},
+            f"/parameters/{RATE}",
+            f"`{RATE}`: `step` = 1e-300 is so small that the range has more than 1,000,000,000,000 values.",
+        ),
         (
             {
                 "parameters": {
@@ -152,3 +159,13 @@ def test_a_sweep_that_cannot_work_is_refused_in_a_sentence(
     if sentence is not None:
         assert refused["errors"][0]["detail"] == sentence
     assert stack.http.get("/sweeps").json()["items"] == []
+
+
+def test_64_axes_of_a_thousand_values_take_a_moment() -> None:
+    """L3: each value was compared with all before it."""
+    parameters = {f"environment.options.a{axis}": list(range(1000)) for axis in range(64)}
+    before = time.thread_time()
+    assert all(_repeated(values) is None for values in parameters.values())
+    assert time.thread_time() - before < 0.5
+    assert _repeated([1, True, 1.0, "1", [1], None]) is None
+    assert _repeated([{"a": 1, "b": 2}, {"b": 2, "a": 1}]) == '{"a": 1, "b": 2}'

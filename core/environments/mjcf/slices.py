@@ -47,6 +47,7 @@ _UNITS = {
     "clock": "s",
 }
 _AXES = ("x", "y", "z")
+_NUMBERS_OF_A_BODY = {"body_positions": 3, "body_orientations": 9, "cvel": 6, "cinert": 10}
 _MATRIX = tuple(f"{row}{column}" for row in _AXES for column in _AXES)
 
 
@@ -56,6 +57,29 @@ def mjcf_slices(options: MjcfOptions, model: Inventory) -> Spaces:
     seen = [one for term in terms for one in _term(term, options, model)]
     acts = [_control(name, model.actuators[place].control_range) for place, name in enumerate(_acting(model))]
     return Spaces(in_order(seen), in_order(acts))
+
+
+def num_observed(options: MjcfOptions, model: Inventory) -> int:
+    """How many numbers the observation has at most, counted without naming each."""
+    return sum(_num_of(term, model) for term in options.observation or [Qpos(), Qvel()])
+
+
+def _num_of(term: ObservationTerm, model: Inventory) -> int:
+    sizes = model.sizes
+    match term:
+        case Qpos():
+            return sizes.nq
+        case Qvel() | ActuatorForces():
+            return sizes.nv
+        case PreviousAction():
+            return sizes.nu
+        case Activation():
+            return sizes.na
+        case Sensors(names=names):
+            return sum(sensor.size for sensor in _sensors(names, model))
+        case BodyPositions() | BodyOrientations() | Cvel() | Cinert():
+            number = sizes.nbody if term.bodies is None else len(term.bodies)
+            return number * _NUMBERS_OF_A_BODY[term.kind]
 
 
 def _term(term: ObservationTerm, options: MjcfOptions, model: Inventory) -> Iterable[Slice]:  # noqa: C901 # A table.

@@ -1,6 +1,7 @@
 """What a job asks for and its model has not got, as the API sees it: from the inventory alone."""
 
 import re
+import time
 from pathlib import Path
 from typing import Any
 
@@ -183,3 +184,27 @@ def test_terms_that_do_not_go_together_are_refused_with_their_place(
     with pytest.raises(Rejected, match=sentence) as refusal:
         parsed(**given)
     assert [problem.pointer for problem in refusal.value.problems] == [f"/environment/options{pointer}"]
+
+
+def test_thousands_of_wrong_names_against_thousands_of_parts_take_no_second() -> None:
+    """H1: each was compared with every part; a request of 1 MiB took more than an hour."""
+    many = PROBE.model_copy(update={"bodies": [f"limb_{number:05}" for number in range(40_000)]})
+    names = [f"{number}_bmil" for number in range(1000)]
+    options = parsed(observation=[{"kind": kind, "bodies": names} for kind in ("cvel", "cinert") * 32])
+    before = time.thread_time()
+    found = problems(options, many)
+    assert time.thread_time() - before < 2
+    assert len(found) == 50
+    assert found[0].pointer == "/environment/options/observation/0/bodies/0"
+    assert "did you mean" in found[0].detail or "it has limb_00000" in found[0].detail
+
+
+def test_an_observation_has_a_bound_which_is_known_before_its_numbers_are_named() -> None:
+    """H1's kind: 64 terms of 1,000 bodies were millions of names."""
+    options = parsed(observation=[{"kind": "cinert", "bodies": ["arm"] * 1000}] * 64)
+    assert [(one.pointer, one.detail) for one in problems(options, PROBE)] == [
+        (
+            "/environment/options/observation",
+            "The observation has 640,000 numbers; at most 50,000 are allowed.",
+        )
+    ]
