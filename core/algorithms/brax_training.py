@@ -41,13 +41,14 @@ from brax.training.agents.ppo.networks import (  # noqa: E402
     make_inference_fn,
     make_ppo_networks,
 )
-from brax.training.types import Transition, identity_observation_preprocessor  # noqa: E402
+from brax.training.types import Transition, UInt64, identity_observation_preprocessor  # noqa: E402
 
 __all__ = [
     "PPONetworkParams",
     "PPONetworks",
     "RunningStatisticsState",
     "Transition",
+    "UInt64",
     "compute_ppo_loss",
     "distribution",
     "identity_observation_preprocessor",

@@ -12,24 +12,13 @@ import jax
 import numpy as np
 from flax import struct
 
-from core.algorithms.brax_training import RunningStatisticsState
+from core.algorithms import brax_pickle
+from core.algorithms.brax_training import RunningStatisticsState, UInt64, running_statistics
 from core.errors import JobFailed
 from core.reasons import Reason
 
 # (normaliser, policy, value), with the default config
 Triple = tuple[Any, Any, Any]
-
-# Everything that a policy file names besides plain containers.
-_ALLOWED = {
-    ("brax.training.acme.running_statistics", "NormalizationMode"),
-    ("brax.training.acme.running_statistics", "RunningStatisticsState"),
-    ("brax.training.types", "UInt64"),
-    ("numpy", "dtype"),
-    ("numpy", "ndarray"),
-    ("numpy._core.multiarray", "_reconstruct"),
-    ("numpy._core.multiarray", "scalar"),
-    ("numpy._core.numeric", "_frombuffer"),
-}
 
 
 @dataclass(frozen=True)
@@ -85,18 +74,52 @@ def write_policy(params: PolicyParams | Triple) -> bytes:
 
 
 def read_policy(content: bytes) -> PolicyParams:
-    """The policy in a file. Of the code that the file names, only that of arrays runs.
+    """The policy in a file, whoever wrote it: the file is read as data, and nothing that it names is called.
 
     Raises JobFailed("bad_checkpoint") for anything other than a policy.
     """
     try:
-        file = io.BytesIO(content)
-        normalizer, policy, value = _PolicyUnpickler(file).load()
-        rest = file.read()
+        (normalizer, policy, value), rest = brax_pickle.read(content)
         config = PolicyConfig.of(json.loads(rest)) if rest else PolicyConfig()
+        params = PolicyParams(_normalizer(normalizer), policy, value, config)
+        _check(params)
     except Exception as error:  # damaged bytes may make a decoder raise anything
         raise JobFailed(Reason.BAD_CHECKPOINT, "This is not a policy file, or it is damaged.") from error
-    return PolicyParams(normalizer, policy, value, config)
+    return params
+
+
+def _normalizer(fields: Mapping[str, Any]) -> RunningStatisticsState:
+    """Brax's own record; older files lack some fields, and count in one number."""
+    count, mode = fields["count"], fields.get("mode", 0)
+    kinds = running_statistics.NormalizationMode
+    read: dict[str, Any] = {
+        "count": UInt64(**count) if isinstance(count, dict) else count,
+        "mode": kinds[mode] if isinstance(mode, str) else kinds(mode),
+    }
+    return RunningStatisticsState(**{**fields, **read})
+
+
+def _check(params: PolicyParams) -> None:
+    """Raises an exception of some kind where the parts do not make a network with its normaliser."""
+    config = params.config
+    means: Any = params.normalizer.mean
+    deviations: Any = params.normalizer.std
+    if isinstance(means, dict):
+        means, deviations = means[config.policy_obs_key], deviations[config.policy_obs_key]
+    _check_network(params.policy, means.shape[0])
+    if params.value:  # SAC's files have none.
+        _check_network(params.value)
+    if means.shape != deviations.shape or means.ndim != 1:
+        raise ValueError("the normaliser is for other observations")
+
+
+def _check_network(network: Any, width: int | None = None) -> None:
+    layers = network["params"]
+    for i in range(sum(name.startswith("hidden_") for name in layers)):  # An export names other parts.
+        kernel, bias = layers[f"hidden_{i}"]["kernel"], layers[f"hidden_{i}"]["bias"]
+        if kernel.ndim != 2 or bias.shape != kernel.shape[1:] or width not in (None, kernel.shape[0]):
+            raise ValueError(f"layer {i} does not fit the one before")
+        width = kernel.shape[1]
 
 
 def config_of(params: PolicyParams | Triple) -> PolicyConfig:
@@ -111,19 +134,3 @@ class _PolicyPickler(pickle.Pickler):
             return np.asarray(obj).__reduce__()
         # Python 3.11.0 to 3.11.3 would write `getattr`, and others the value.
         return (type(obj), (obj.value,)) if isinstance(obj, Enum) else NotImplemented
-
-
-class _PolicyUnpickler(pickle.Unpickler):
-    def find_class(self, module_name: str, global_name: str, /) -> Any:
-        if (module_name, global_name) == ("builtins", "getattr"):
-            return _member
-        if (module_name.replace("numpy.core", "numpy._core"), global_name) not in _ALLOWED:
-            raise pickle.UnpicklingError(f"{module_name}.{global_name} does not belong in a policy")
-        return super().find_class(module_name, global_name)
-
-
-def _member(kind: object, name: str) -> Enum:
-    """An enumeration's member, as Python 3.11.0 to 3.11.3 writes it."""
-    if not (isinstance(kind, type) and issubclass(kind, Enum)):
-        raise pickle.UnpicklingError(f"{kind}.{name} does not belong in a policy")
-    return kind[name]

@@ -39,8 +39,7 @@ def load(form: str, content: bytes, is_checkpoint: bool, deterministic: bool) ->
         facts, state = checkpoint.read(content, form)
         normalizer, policy = state["normalizer"], state["params"]["policy"]
     else:
-        saved, policy, facts = brax_file.read(content)
-        normalizer = vars(saved)
+        normalizer, policy, facts = brax_file.read(content)
     activation = activation_of(facts.get("activation", "swish"))
     seen = facts.get("policy_obs_key", "state")
     bound = facts.get("normalize_observations_max_abs_value")

@@ -1,3 +1,4 @@
+import functools
 import io
 import os
 import pickle
@@ -14,7 +15,11 @@ from brax.io import model
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo.networks import make_inference_fn, make_ppo_networks
 from brax.training.agents.sac import networks as brax_sac
+from hypothesis import given
+from hypothesis import strategies as st
 
+from core.algorithms import brax_pickle
+from core.algorithms.brax_training import RunningStatisticsState, UInt64
 from core.algorithms.checkpoint import describe
 from core.algorithms.normalizer import init_normalizer
 from core.algorithms.policy_file import (
@@ -32,6 +37,9 @@ from core.algorithms.sac.networks import make_networks as make_sac_networks
 from core.algorithms.sac.spec import SACSpec
 from core.environments.rollout import Roller
 from core.errors import JobFailed
+from gaitway import PolicyUnreadable
+from gaitway import policy as client_policy
+from gaitway.policies import brax_pickle as client_pickle
 from tests import probes
 from tests.unit.algorithms.checkpoints import pack
 
@@ -227,3 +235,111 @@ def test_a_file_that_is_no_policy_is_refused_and_runs_nothing(content: bytes) ->
     with pytest.raises(JobFailed, match="not a policy file") as failure:
         read_policy(content)
     assert failure.value.reason == "bad_checkpoint"
+
+
+def test_the_service_and_its_client_read_pickles_by_the_same_code() -> None:
+    own, clients = Path(brax_pickle.__file__), Path(client_pickle.__file__)
+    assert own.read_text() == clients.read_text()
+
+
+@pytest.mark.parametrize("on", ["device", "host"])
+@pytest.mark.parametrize("protocol", [3, 4, 5])
+def test_a_file_that_brax_wrote_is_read(params: PolicyParams, tmp_path: Path, on: str, protocol: int) -> None:
+    triple = tuple(params) if on == "device" else jax.device_get(tuple(params))
+    model.save_params(str(tmp_path / "policy"), triple)  # By pickle's default protocol.
+    for content in ((tmp_path / "policy").read_bytes(), pickle.dumps(triple, protocol=protocol)):
+        assert write_policy(read_policy(content)) == write_policy(params)
+
+
+class Hostile:
+    """It is pickled as this call, with this state."""
+
+    def __init__(self, *reduced: Any) -> None:
+        self.reduced = reduced
+
+    def __reduce__(self) -> Any:
+        return self.reduced
+
+
+def _over(address: bytes, *shape: int, kind: str = "O") -> Hostile:
+    return Hostile(np.ndarray, (shape, np.dtype(kind), address))
+
+
+POINTER = (0xDEADBEEF).to_bytes(8, "little")
+RECONSTRUCT = np.zeros(1).__reduce__()[0]
+EXTENDED = functools.reduce(lambda inner, _: (inner, inner), range(60), ())
+# As the audit's pickle_core.py and pickle_in_read.py have them, and their kind.
+HOSTILE = {
+    "objects at an address": (_over(POINTER, 1), {}, None),
+    "used while it is read": (Hostile(np.ndarray, (_over(POINTER, 1),)), {}, None),
+    "numbers by ndarray": (_over(POINTER, 2, kind="f4"), {}, None),
+    "fewer bytes than the shape": (
+        Hostile(RECONSTRUCT, (np.ndarray, (0,), b"b"), (1, (9,), np.dtype("f4"), False, POINTER)),
+        {},
+        {},
+    ),
+    "objects as state": (
+        Hostile(RECONSTRUCT, (np.ndarray, (0,), b"b"), (1, (1,), np.dtype("O"), False, POINTER)),
+        {},
+        {},
+    ),
+    "the state of a dtype": (Hostile(np.dtype, ("f4",), (3, "|", None, ("a",), {"a": 1}, 1, 1, 0)), {}, {}),
+    "a text of numbers": (np.array(["a"]), {}, {}),
+    "records inside": (np.zeros(1, [("a", "O")]), {}, {}),
+    "a name many times over": (EXTENDED, {}, {}),
+    "a set": ({1}, {}, {}),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_h5_a_hostile_file_is_refused_and_nothing_of_numpys_is_called(name: str, tmp_path: Path) -> None:
+    content = pickle.dumps(HOSTILE[name], protocol=4)
+    with pytest.raises(JobFailed, match="not a policy file"):
+        read_policy(content)
+    (tmp_path / "policy").write_bytes(content)
+    with pytest.raises(PolicyUnreadable, match="not a policy file"):
+        client_policy.load(tmp_path / "policy", "ppo", is_checkpoint=False)
+
+
+def test_h5_a_key_whose_hash_takes_for_ever_is_refused() -> None:
+    nested = b"".join(b"\x94h" + bytes([number]) + b"\x86" for number in range(60))  # (x, x), 60 deep
+    with pytest.raises(JobFailed, match="not a policy file"):
+        read_policy(b"\x80\x04})" + nested + b"K\x01s.")
+
+
+_SCALAR = np.float32(0).__reduce__()[0]
+_CALLS = [np.ndarray, np.dtype, np.frombuffer, RECONSTRUCT, _SCALAR, getattr, os.system]
+_NAMES = st.sampled_from([*_CALLS, RunningStatisticsState, UInt64, running_statistics.NormalizationMode])
+_ATOMS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4) | st.binary(max_size=9)
+_KINDS = st.sampled_from(["f4", "O", "i8", "V4", "U1", "c8"]).map(np.dtype)
+_PICKLED = st.recursive(
+    _ATOMS | _KINDS | _NAMES | st.just(np.zeros(2, np.float32)),
+    lambda inner: (
+        st.tuples(inner, inner)
+        | st.dictionaries(st.text(max_size=4), inner, max_size=2)
+        | st.builds(Hostile, _NAMES, st.lists(inner, max_size=4).map(tuple), inner)
+    ),
+    max_leaves=12,
+)
+
+
+def _is_data(value: Any) -> bool:
+    if isinstance(value, dict):
+        return all(type(name) is str and _is_data(one) for name, one in value.items())
+    if isinstance(value, tuple):
+        return all(map(_is_data, value))
+    if isinstance(value, np.ndarray | np.generic):
+        return value.dtype.kind in "biuf"
+    return value is None or type(value) in (bool, int, float, str)
+
+
+@given(_PICKLED, st.sampled_from([2, 4, 5]), st.data())
+def test_h5_whatever_a_pickle_names_it_is_data_or_refused(said: Any, protocol: int, data: Any) -> None:
+    content = bytearray(pickle.dumps((said, said), protocol=protocol))
+    for _ in range(data.draw(st.integers(0, 2))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        found, _ = brax_pickle.read(bytes(content))
+    except Exception:  # Both readers make a refusal of any.
+        return
+    assert _is_data(found)
