@@ -1,9 +1,9 @@
 """An uploaded file: it is hashed and written to disk as it arrives, but not parsed."""
 
 import hashlib
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
@@ -14,6 +14,8 @@ from api.submissions import pieces_of
 from core.errors import Rejected, StorageUnavailable
 
 _BEGINNING = 8
+# The end of a zip's directory with the longest comment.
+_END = 22 + 2**16 - 1
 # A machine that sleeps in the middle of its upload closes no connection.
 _LONGEST_PAUSE_S = 60.0
 
@@ -58,3 +60,18 @@ async def _without_pauses(pieces: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         if piece is None:
             return
         yield piece
+
+
+def with_end(upload: Upload, changed: Callable[[bytes], bytes | None]) -> Upload | None:
+    """The upload with another end, in its own file; None if `changed` makes none of the last bytes."""
+    with upload.path.open("r+b") as file:
+        file.seek(max(0, upload.size - _END))
+        at, end = file.tell(), changed(file.read())
+        if end is None:
+            return None
+        file.seek(at)
+        file.truncate()
+        file.write(end)
+        file.seek(0)
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    return replace(upload, sha256=sha256, size=at + len(end))

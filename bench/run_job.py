@@ -79,7 +79,7 @@ def main() -> None:
 
 def size_of(model: Path) -> BodySize | None:
     """Of a user's own model, as sent."""
-    with read(model) as spec:
+    with read(model) as (spec, _):
         return inventory(compiled(spec)).body_size
 
 

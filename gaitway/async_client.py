@@ -215,14 +215,21 @@ class AsyncClient:
 
     # Users' own models
 
-    async def add_model(self, path: str | Path, timeout: float = 120.0) -> ModelView:
-        return await self._transport.do(self._calls.add_model(path, timeout))
+    async def add_model(
+        self,
+        path: str | Path,
+        timeout: float = 120.0,
+        *,
+        name: str | None = None,
+        main: str | None = None,
+    ) -> ModelView:
+        return await self._transport.do(self._calls.add_model(path, timeout, name, main))
 
     async def model(self, model_id: str) -> ModelView:
         return await self._transport.do(self._calls.model(model_id))
 
-    def models(self, *, limit: int | None = None) -> AsyncIterator[ModelView]:
-        return self._transport.each(self._calls.models(limit))
+    def models(self, *, limit: int | None = None, name: str | None = None) -> AsyncIterator[ModelView]:
+        return self._transport.each(self._calls.models(limit, name))
 
     async def delete_model(self, model_id: str) -> None:
         await self._transport.do(self._calls.delete_model(model_id))

@@ -308,21 +308,32 @@ class Client:
 
     # Users' own models
 
-    def add_model(self, path: str | Path, timeout: float = 120.0) -> ModelView:
+    def add_model(
+        self,
+        path: str | Path,
+        timeout: float = 120.0,
+        *,
+        name: str | None = None,
+        main: str | None = None,
+    ) -> ModelView:
         """Send a model (MJCF, URDF, or a zip of it and its meshes), and wait until it is validated.
 
-        The same file is the same model. Raises Rejected where it cannot be used, and WaitTimeout after
-        `timeout` seconds without a worker that validates it.
+        The same file is the same model; the name is the last one that it was sent by. name: by default the
+        file's. main: the document of a zip that is the model, where it has several. Raises Rejected where it
+        cannot be used, and WaitTimeout after `timeout` seconds without a worker that validates it.
         """
-        return self._transport.do(self._calls.add_model(path, timeout))
+        return self._transport.do(self._calls.add_model(path, timeout, name, main))
 
     def model(self, model_id: str) -> ModelView:
         """A model with its contents."""
         return self._transport.do(self._calls.model(model_id))
 
-    def models(self, *, limit: int | None = None) -> Iterator[ModelView]:
-        """Models, the last sent first, fetched page by page as needed; at most `limit`."""
-        return self._transport.each(self._calls.models(limit))
+    def models(self, *, limit: int | None = None, name: str | None = None) -> Iterator[ModelView]:
+        """Models, the last sent first, fetched page by page as needed; at most `limit`.
+
+        name: only those of this name.
+        """
+        return self._transport.each(self._calls.models(limit, name))
 
     def delete_model(self, model_id: str) -> None:
         """Remove a model. Raises Conflict while an unfinished job needs it."""

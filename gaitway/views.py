@@ -226,6 +226,7 @@ class ModelView(View):
     """A user's own model. status: validating, ready or refused; description: its contents."""
 
     id: str
+    name: str | None = None
     status: str
     media_type: str = ""
     size: int = 0

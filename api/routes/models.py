@@ -12,9 +12,18 @@ from pydantic import Field
 from api.dependencies import Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, TooManyModels, UnsupportedMediaType
 from api.problems import refusals
-from api.uploads import Upload, receiving
+from api.uploads import Upload, receiving, with_end
 from api.views import Listing, View
-from core.errors import BadModel, ModelInUse, ModelNotFound, RecordsUnavailable, Rejected, StorageUnavailable
+from core.environments.mjcf.main_document import MAX_MAIN_CHARACTERS, with_main
+from core.errors import (
+    BadModel,
+    ModelInUse,
+    ModelNotFound,
+    Problem,
+    RecordsUnavailable,
+    Rejected,
+    StorageUnavailable,
+)
 from core.jobs.model_removal import remove_model
 from core.user_models import library
 from core.user_models.record import Description, ModelRecord, ModelStatus
@@ -47,6 +56,24 @@ ModelId = Annotated[
 ]
 
 
+# What people call a model; without line breaks and other characters that a terminal would act on.
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f-\x9f]+$")]
+
+
+class Sent(Parameters):
+    """What is said about the file."""
+
+    name: Name | None = Field(None, description="What people call it; several models may have the same name.")
+    main: str | None = Field(
+        None,
+        min_length=1,
+        max_length=MAX_MAIN_CHARACTERS,
+        description="Of a zip: the document that is the model, by its path or the end of it. By default the "
+        "one that no other includes, or the least deep one called scene or model. It is part of the model: "
+        "another one makes another id.",
+    )
+
+
 class Listed(Parameters):
     """A part of the listing."""
 
@@ -58,12 +85,14 @@ class Listed(Parameters):
         json_schema_extra={"pattern": "^[0-9]{1,17}-sha256:[0-9a-f]{64}$"},
     )
     limit: int = Field(50, ge=1, le=200)
+    name: Name | None = Field(None, description="Only models of this name.")
 
 
 class ModelView(View):
     """A model. description: set once it is `ready`; message: why it was `refused`; size: bytes."""
 
     id: str
+    name: str | None
     status: ModelStatus
     media_type: str
     size: int
@@ -77,11 +106,14 @@ class ModelView(View):
         return cls(**dict(record), links={"self": f"/models/{record.id}"})
 
 
-async def _added(request: Request, service: ServiceDep) -> ModelRecord:
+async def _added(request: Request, sent: Annotated[Sent, Query()], service: ServiceDep) -> ModelRecord:
     said = request.headers.get("content-type", "")
     media_type = _KNOWN.get(said.partition(";")[0].strip().lower())
     if media_type is None:
         raise UnsupportedMediaType(said, what="a model", accepted=(XML, ZIP))
+    if sent.main is not None and media_type != ZIP:
+        detail = "`main` names a document of a zip, but the file is a single one: leave it out."
+        raise Rejected(detail, [Problem("/main", detail)])
     most = service.settings.max_waiting_models
     if await run_sync(service.store.num_waiting_models) + service.num_uploads >= most:
         raise TooManyModels(most)
@@ -91,7 +123,7 @@ async def _added(request: Request, service: ServiceDep) -> ModelRecord:
             is_zip = upload.beginning.startswith(_ZIP_BEGINNING)
             if (media_type == ZIP) != is_zip:
                 raise BadModel(f"The file is {'a' if is_zip else 'not a'} zip, but was sent as {media_type}.")
-            return await run_sync(_add, upload, media_type, service)
+            return await run_sync(_add, upload, media_type, sent, service)
     finally:
         service.num_uploads -= 1
 
@@ -113,6 +145,7 @@ async def _added(request: Request, service: ServiceDep) -> ModelRecord:
             UnsupportedMediaType,
             TooManyModels,
             BadModel,
+            Rejected,
             StorageUnavailable,
             RecordsUnavailable,
         ),
@@ -137,7 +170,7 @@ async def add_model(
 @router.get("/models", responses=refusals(Rejected, RecordsUnavailable))
 def list_models(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listing[ModelView]:
     """Models, the last sent first."""
-    page = service.store.list_models(cursor=listed.cursor, limit=listed.limit)
+    page = service.store.list_models(cursor=listed.cursor, limit=listed.limit, name=listed.name)
     items = [ModelView.of(record) for record in page.models]
     return Listing[ModelView](items=items, next=page.next_cursor)
 
@@ -158,8 +191,13 @@ def delete_model(model_id: ModelId, service: ServiceDep) -> None:
     remove_model(model_id, store=service.store, objects=service.objects)
 
 
-def _add(upload: Upload, media_type: str, service: Service) -> ModelRecord:
-    store = service.store
+def _add(upload: Upload, media_type: str, sent: Sent, service: Service) -> ModelRecord:
+    store, main = service.store, sent.main
+    if main is not None:
+        named = with_end(upload, lambda end: with_main(end, main))
+        if named is None:
+            raise BadModel("The zip cannot be read: it has no directory at its end.")
+        upload = named
     return library.add(
         upload.path,
         upload.sha256,
@@ -168,6 +206,7 @@ def _add(upload: Upload, media_type: str, service: Service) -> ModelRecord:
         objects=service.objects,
         queue=service.queue,
         now=store.now(),
+        name=sent.name,
     )
 
 

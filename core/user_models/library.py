@@ -33,17 +33,29 @@ def add(  # noqa: PLR0913 # What was sent, and where it goes.
     objects: ObjectStore,
     queue: ModelQueue,
     now: datetime,
+    name: str | None = None,
 ) -> ModelRecord:
-    """The record of this file. Unless it is known and good, the file is stored and queued for validation."""
+    """The record of this file. Unless it is known and good, the file is stored and queued for validation.
+
+    A known model gets the new name.
+    """
     model_id = f"sha256:{sha256}"
     try:
         known = find(model_id, store)
     except ModelNotFound:
         known = None
     if known is not None and known.status != "refused":
-        return known
+        if name is None or name == known.name:
+            return known
+        store.name_model(model_id, name)
+        return known.model_copy(update={"name": name})
     record = ModelRecord(
-        id=model_id, status="validating", media_type=media_type, size=file.stat().st_size, created_at=now
+        id=model_id,
+        name=name,
+        status="validating",
+        media_type=media_type,
+        size=file.stat().st_size,
+        created_at=now,
     )
     objects.put_file(keys.model_source(model_id), file, media_type=media_type)
     store.add_model(record)

@@ -13,13 +13,14 @@ ModelStatus = Literal["validating", "ready", "refused"]
 class Description(Stored):
     """The contents of a model, and how it moves without actions.
 
-    engines: null for an engine that can run it, otherwise the reason why it cannot; engines that were not
-    tried are left out. complete: whether no more engines will be tried. physics_steps_per_second: of C MuJoCo
-    on one core, without actions. settled_height: the root's, in metres, after up to 2 s of that. notes: for
-    people.
+    main: the document that was read, of those in its file. engines: null for an engine that can run it,
+    otherwise the reason why it cannot; engines that were not tried are left out. complete: whether no more
+    engines will be tried. physics_steps_per_second: of C MuJoCo on one core, without actions.
+    settled_height: the root's, in metres, after up to 2 s of that. notes: for people.
     """
 
     inventory: Inventory
+    main: str | None = None
     engines: dict[EngineName, str | None] = {}
     complete: bool = False
     physics_steps_per_second: float
@@ -28,9 +29,13 @@ class Description(Stored):
 
 
 class ModelRecord(Stored):
-    """id: `sha256:` and the file's hash. message, refused_at: why and when it was refused. size: bytes."""
+    """id: `sha256:` and the file's hash. message, refused_at: why and when it was refused. size: bytes.
+
+    name: for people, as its sender gave it; several models may have the same.
+    """
 
     id: str
+    name: str | None = None
     status: ModelStatus
     media_type: str
     size: int

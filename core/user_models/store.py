@@ -30,8 +30,15 @@ class ModelStore(Protocol):
         """Record that the queue has received the model."""
         ...
 
+    def name_model(self, model_id: str, name: str) -> None:
+        """Give it another name. Raises ModelNotFound."""
+        ...
+
     def settle_model(self, record: ModelRecord) -> None:
-        """Store the result of the validation. Raises ModelNotFound where the model was deleted meanwhile."""
+        """Store the result of the validation; the name stays.
+
+        Raises ModelNotFound where the model was deleted meanwhile.
+        """
         ...
 
     def delete_model(self, model_id: str) -> None:
@@ -46,8 +53,10 @@ class ModelStore(Protocol):
         """All models, ordered by id."""
         ...
 
-    def list_models(self, *, cursor: str | None = None, limit: int = 50) -> ModelPage:
-        """Some of them, the last sent first. cursor: the `next_cursor` of an earlier page.
+    def list_models(
+        self, *, cursor: str | None = None, limit: int = 50, name: str | None = None
+    ) -> ModelPage:
+        """Some of them, the last sent first. cursor: the `next_cursor` of an earlier page. name: only those.
 
         Raises Rejected for any other.
         """

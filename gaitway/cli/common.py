@@ -3,12 +3,12 @@
 import json
 import sys
 from collections.abc import Callable, Iterable
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 from pydantic import BaseModel
 
-from gaitway.cli.errors import wrong_usage
+from gaitway.cli.errors import complain, wrong_usage
 from gaitway.client import Client
 from gaitway.sweep_views import SweepView
 from gaitway.views import JobView
@@ -33,6 +33,24 @@ def client_of(context: typer.Context) -> Client:
 def job_id(client: Client, name: str) -> str:
     """The full id. Raises typer.Exit(2) where the abbreviation fits several jobs or none."""
     return full_id(name, lambda limit: client.list(limit=limit), "job")
+
+
+def model_id(client: Client, name: str) -> str:
+    """The id of the model of this name, the last sent of several. Raises typer.Exit(2) if there is none."""
+    if name.startswith("sha256:"):
+        return name
+    found = list(client.models(name=name, limit=2))
+    if not found:
+        raise wrong_usage(f"No model is called {name!r}; `gaitway models list` shows names and ids.")
+    if len(found) > 1:
+        complain(f"Several models are called {name!r}; this is the last one that was sent, {found[0].id}.")
+    return found[0].id
+
+
+def name_to_model(client: Client, options: Any) -> None:
+    """Put the id of a model in the place of its name, among an environment's options."""
+    if isinstance(options, dict) and isinstance(name := cast("dict[str, Any]", options).get("model"), str):
+        options["model"] = model_id(client, name)
 
 
 def full_id(name: str, newest: Callable[[int], Iterable[JobView | SweepView]], what: str) -> str:

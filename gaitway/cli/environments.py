@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gaitway.cli.common import AsJson, client_of, print_json
+from gaitway.cli.common import AsJson, client_of, name_to_model, print_json
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.submit import assigned
 from gaitway.client import Client
@@ -39,6 +39,7 @@ def environments(
     given: dict[str, Any] = {}
     for text in options or ():
         assigned(given, text)
+    name_to_model(client, given)
     found = client.environment(environment, given)
     if as_json:
         print_json(found)

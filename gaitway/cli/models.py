@@ -1,16 +1,21 @@
 """`gaitway models add`, `list`, `show`, `delete`: users' own models."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.text import Text
 
-from gaitway.cli.common import AsJson, client_of, print_json
+from gaitway.cli.common import AsJson, client_of, model_id, print_json
 from gaitway.cli.errors import Group
-from gaitway.views import ModelView
+from gaitway.views import ModelView, WorkerView
 
 models = typer.Typer(cls=Group, help="Bring models of your own, for jobs in the environment `mjcf`.")
-ModelId = Annotated[str, typer.Argument(metavar="MODEL", help="`sha256:…`, as `add` and `list` print it.")]
+ModelName = Annotated[
+    str, typer.Argument(metavar="MODEL", help="Its name or its `sha256:…`, as `add` and `list` print them.")
+]
 
 
 @models.command()
@@ -19,10 +24,20 @@ def add(
     file: Annotated[
         Path, typer.Argument(exists=True, dir_okay=False, help="MJCF, URDF, or a zip of it and its meshes.")
     ],
+    name: Annotated[
+        str | None, typer.Option(help="What to call it, up to 100 characters; by default as the file.")
+    ] = None,
+    main: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Of a zip with several documents: the one that is the model."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Send a model, and show what is in it once it is validated."""
-    _told(client_of(context).add_model(file), as_json)
+    client = client_of(context)
+    if wait := what_a_model_waits_for(list(client.workers())):
+        Console(stderr=True).print(Text(wait), soft_wrap=True)
+    _told(client.add_model(file, name=name, main=main), as_json)
 
 
 @models.command("list")
@@ -37,29 +52,46 @@ def list_all(
         print_json(found)
         return
     for model in found:
-        print(f"{model.id}  {model.status}  {model.size:,} bytes")
+        print(f"{model.id}  {model.status}  {model.size:,} bytes  {model.name or ''}".rstrip())
     if not found:
         print("No models.")
 
 
 @models.command()
-def show(context: typer.Context, model: ModelId, as_json: AsJson = False) -> None:
+def show(context: typer.Context, model: ModelName, as_json: AsJson = False) -> None:
     """Show what is in a model."""
-    _told(client_of(context).model(model), as_json)
+    client = client_of(context)
+    _told(client.model(model_id(client, model)), as_json)
 
 
 @models.command()
-def delete(context: typer.Context, model: ModelId) -> None:
+def delete(context: typer.Context, model: ModelName) -> None:
     """Delete a model that no unfinished job needs."""
-    client_of(context).delete_model(model)
-    print(f"Model {model} is deleted.")
+    client = client_of(context)
+    client.delete_model(found := model_id(client, model))
+    print(f"Model {found} is deleted.")
+
+
+def what_a_model_waits_for(workers: Sequence[WorkerView]) -> str | None:
+    """A sentence if no worker can read a model soon; None if one is free."""
+    if not workers:
+        return "No worker runs; the model waits until one does."
+    if any(not worker.job and not worker.jobs for worker in workers):
+        return None
+    first = workers[0]
+    job = first.job or first.jobs[0]
+    who = "The only worker is" if len(workers) == 1 else f"All {len(workers)} workers are"
+    return (
+        f"{who} busy ({first.name} with job {job}): a worker reads the model after its job, "
+        "and after the jobs that wait."
+    )
 
 
 def _told(model: ModelView, as_json: bool) -> None:
     if as_json:
         print_json(model)
         return
-    print(f"{model.id}  {model.status}")
+    print(f"{model.id}  {model.status}  {model.name or ''}".rstrip())
     if model.message:
         print(f"  {model.message}")
     if model.description:
@@ -70,6 +102,7 @@ def _told(model: ModelView, as_json: bool) -> None:
 def _lines(found: dict[str, Any]) -> list[str]:
     has, sizes = found["inventory"], found["inventory"]["sizes"]
     lines = [
+        *([f"read from {found['main']}"] if found.get("main") else []),
         f"nq {sizes['nq']}, nv {sizes['nv']}, nu {sizes['nu']}",
         f"{has['mass_kg']:.3g} kg, root {has['root']!r}",
         f"bodies: {', '.join(has['bodies'])}",

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gaitway.cli.common import AsJson, client_of, print_json
+from gaitway.cli.common import AsJson, client_of, name_to_model, print_json
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.submit import Show, assigned
 
@@ -35,7 +35,9 @@ def preview(  # noqa: PLR0913 # A command line's options.
     given: dict[str, Any] = {}
     for text in options or ():
         assigned(given, text)
-    pictures = client_of(context).preview(
+    client = client_of(context)
+    name_to_model(client, given)
+    pictures = client.preview(
         environment,
         output,
         options=given,

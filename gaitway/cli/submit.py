@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 import typer
 from rich.console import Console
 
-from gaitway.cli.common import AsJson, client_of, end_code, print_json
+from gaitway.cli.common import AsJson, client_of, end_code, name_to_model, print_json
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.watch import print_what_it_waits_for, watch_job
 
@@ -73,6 +73,9 @@ def submit(  # noqa: PLR0913 # A command line's options.
         assigned(spec, text)
     _name_the_algorithm(spec, num_timesteps)
     client = client_of(context)
+    if isinstance(spec["environment"], dict):
+        chosen = cast("dict[str, Any]", spec["environment"])
+        name_to_model(client, chosen.get("options"))
     job = client.submit(spec)
     if watch:
         job = watch_job(client, job, Console(stderr=as_json))

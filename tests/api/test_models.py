@@ -16,6 +16,7 @@ import mujoco
 import pytest
 
 from api.routes import models as route
+from core.environments.mjcf.archive import examine
 from core.environments.mjcf.describe import inventory
 from core.jobs.reconciliation import Reconciler
 from core.physics.availability import beyond_compiled
@@ -91,6 +92,62 @@ def test_a_model_is_answered_with_what_is_in_it(stack: Stack) -> None:
     assert "its geom 'rock' is a mesh" in engines["compiled"]
     assert stack.http.get(f"/models/{document['id']}").json() == document
     assert stack.http.get("/models").json()["items"] == [document]
+
+
+def test_a_model_has_the_name_that_it_was_sent_by_and_can_be_found_by_it(stack: Stack) -> None:
+    with worker(stack, status="ready", description=DESCRIPTION):
+        headers = {"Content-Type": "application/xml"}
+        first = stack.http.post("/models", content=XML, headers=headers, params={"name": "my dog"}).json()
+        other = send(stack.http, XML + b"\n").json()
+    assert (first["name"], other["name"]) == ("my dog", None)
+    assert stack.http.get("/models", params={"name": "my dog"}).json()["items"] == [first]
+    again = stack.http.post("/models", content=XML, headers=headers, params={"name": "cat"})
+    assert (again.status_code, again.json()["name"]) == (200, "cat")
+    assert stack.http.get(f"/models/{first['id']}").json()["name"] == "cat"
+    assert stack.http.get("/models", params={"name": "my dog"}).json()["items"] == []
+
+
+@pytest.mark.parametrize("name", ["", "x" * 101, "two\nlines", "\x1b[2J"])
+def test_a_name_of_a_model_is_short_and_of_one_line(name: str, stack: Stack) -> None:
+    headers = {"Content-Type": "application/xml"}
+    answer = stack.http.post("/models", content=XML, headers=headers, params={"name": name})
+    document = problem(answer, 422, "invalid-request")
+    assert [error["pointer"] for error in document["errors"]] == ["/name"]
+    assert stack.is_empty()
+
+
+def test_the_main_document_of_a_zip_is_part_of_the_model(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(route, "_TIMEOUT_S", 0.01)
+    body, headers = zipped({"a.xml": XML, "b.xml": XML}), {"Content-Type": "application/zip"}
+
+    def sent(main: str) -> dict[str, Any]:
+        return stack.http.post("/models", content=body, headers=headers, params={"main": main}).json()
+
+    ids = [sent(main)["id"] for main in ("a.xml", "b.xml", "a.xml")]
+    assert ids[0] == ids[2] != ids[1]
+    stored = stack.objects.get(keys.model_source(ids[1]))
+    assert (identity(stored), examine(stored).main) == (ids[1], "b.xml")
+    assert sent("a.xml")["size"] == len(stored)
+
+
+@pytest.mark.parametrize(
+    ("body", "main", "code", "sentence"),
+    [
+        (XML, "a.xml", "invalid-request", "names a document of a zip"),
+        (zipped({"a.xml": XML}), "x" * 1001, "invalid-request", "1000 characters"),
+        (b"PK\x03\x04 and no zip", "a.xml", "bad-model", "no directory at its end"),
+    ],
+)
+def test_a_main_document_that_cannot_be_named_is_refused_at_once(
+    body: bytes, main: str, code: str, sentence: str, stack: Stack
+) -> None:
+    headers = {"Content-Type": "application/zip" if body.startswith(b"PK") else "application/xml"}
+    answer = stack.http.post("/models", content=body, headers=headers, params={"main": main})
+    document = problem(answer, 422, code)
+    assert sentence in document["detail"]
+    assert stack.is_empty()
 
 
 def test_a_model_that_can_be_used_is_answered_before_each_engine_was_tried(stack: Stack) -> None:

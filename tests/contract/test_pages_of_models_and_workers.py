@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterator
 from datetime import timedelta
+from functools import partial
 from typing import Any
 
 import pytest
 from structlog.testing import capture_logs
 
-from core.errors import Rejected
+from core.errors import ModelNotFound, Rejected
 from core.jobs.store import JobStore
 from tests.contract.recording import LEASE, MODEL, NOW, Database, model, worker
 
@@ -33,6 +34,23 @@ class TestModels:
             jobs.add_model(record)
         found = [list(page.models) for page in pages(jobs.list_models, 2)]
         assert found == [[made[4], made[3]], [made[2], made[1]], [made[0]]]
+
+    def test_models_of_one_name_are_listed_alone(self, jobs: JobStore) -> None:
+        made = [model(MODEL.replace("0", digit), name=name) for digit, name in zip("123", "aba", strict=True)]
+        for record in made:
+            jobs.add_model(record)
+        found = [list(page.models) for page in pages(partial(jobs.list_models, name="a"), 1)]
+        assert found == [[made[2]], [made[0]]]
+
+    def test_a_name_that_is_given_during_the_validation_stays(self, jobs: JobStore) -> None:
+        record = model(name="one")
+        jobs.add_model(record)
+        jobs.name_model(record.id, "two")
+        jobs.settle_model(record.model_copy(update={"status": "refused"}))
+        found = jobs.find_model(record.id)
+        assert (found.name, found.status) == ("two", "refused")
+        with pytest.raises(ModelNotFound):
+            jobs.name_model(MODEL.replace("0", "9"), "two")
 
     def test_a_full_last_page_has_no_next_one(self, jobs: JobStore) -> None:
         for digit in "12":

@@ -9,17 +9,23 @@ from zipfile import ZipFile
 import pytest
 from typer.testing import CliRunner, Result
 
+from core.environments.mjcf.archive import examine
 from core.jobs.job import Progress
 from core.jobs.status import JobStatus
 from core.reasons import Reason
+from core.storage import keys
 from core.sweeps.controller import SweepController
 from gaitway import Client, Conflict, NotFound, NotReady, Rejected, WaitTimeout
 from gaitway.cli.main import app
+from gaitway.cli.models import what_a_model_waits_for
+from gaitway.views import WorkerView
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
 from tests.api.test_models import DESCRIPTION
 from tests.api.test_models import worker as validating_worker
 from tests.api.test_previews import announced, drawing_worker
+from tests.models import identity
 from tests.unit.environments.mjcf.probe import XML
+from tests.unit.environments.mjcf.test_archive import zipped
 
 __all__ = ["quiet", "server", "stack"]  # fixtures
 
@@ -241,14 +247,62 @@ def test_the_cli_brings_a_body_and_shows_what_is_in_it(stack: Stack, tmp_path: P
     found = DESCRIPTION.model_copy(update={"complete": False, "notes": ["It fell 20 m."]})
     with validating_worker(stack, status="ready", description=found):
         added = gaitway(stack, "models", "add", str(file)).stdout
-    model = added.split()[0]
+    model, _, name = added.splitlines()[0].split()
+    assert name == "ball.xml"
     for said in ("nu 1", "keyframes: raised", "native: runs it", "mjx: Ellipsoids", "being tried", "It fell"):
         assert said in added
     assert gaitway(stack, "models", "show", model).stdout == added
-    assert model in gaitway(stack, "models", "list").stdout
+    assert gaitway(stack, "models", "show", "ball.xml").stdout == added
+    assert gaitway(stack, "models", "list").stdout == f"{model}  ready  {len(XML):,} bytes  ball.xml\n"
     assert model in gaitway(stack, "models", "list", "--limit", "1").stdout
-    assert model in gaitway(stack, "models", "delete", model).stdout
+    assert model in gaitway(stack, "models", "delete", "ball.xml").stdout
     assert gaitway(stack, "models", "list").stdout == "No models.\n"
+
+
+def test_a_job_may_name_its_model_as_people_do(stack: Stack, client: Client, tmp_path: Path) -> None:
+    file, other = tmp_path / "ball.xml", tmp_path / "other.xml"
+    file.write_bytes(XML)
+    other.write_bytes(XML + b"\n")
+    with validating_worker(stack, status="ready", description=DESCRIPTION):
+        for one in (file, other):
+            gaitway(stack, "models", "add", str(one), "--name", "my ball")
+    last = identity(XML + b"\n")
+    sent = gaitway(stack, "submit", "mjcf", "--set", "environment.options.model=my ball")
+    assert f"this is the last one that was sent, {last}" in sent.stderr
+    assert client.get(sent.stdout.split()[0]).spec["environment"]["options"] == {"model": last}
+    unknown = gaitway(stack, "environments", "mjcf", "--set", "model=my bell")
+    assert (unknown.exit_code, "No model is called 'my bell'" in unknown.stderr) == (2, True)
+    assert json.loads(gaitway(stack, "environments", "mjcf", "--set", "model=my ball", "--json").stdout)[
+        "action"
+    ]
+
+
+def test_the_document_of_a_zip_that_is_the_model_can_be_named(stack: Stack, tmp_path: Path) -> None:
+    file = tmp_path / "two.zip"
+    file.write_bytes(zipped({"a.xml": XML, "b.xml": XML}))
+    found = DESCRIPTION.model_copy(update={"main": "b.xml"})
+    with validating_worker(stack, status="ready", description=found):
+        said = gaitway(stack, "models", "add", str(file), "--main", "b.xml").stdout
+    assert "read from b.xml" in said
+    assert examine(stack.objects.get(keys.model_source(said.split()[0]))).main == "b.xml"
+
+
+def test_who_sends_a_model_is_told_at_once_what_it_waits_for(stack: Stack, tmp_path: Path) -> None:
+    file = tmp_path / "ball.xml"
+    file.write_bytes(XML)
+    told = list[str]()
+    with validating_worker(stack, status="ready", description=DESCRIPTION):
+        told.append(gaitway(stack, "models", "add", str(file)).stderr)
+        announced(stack)
+        told.append(gaitway(stack, "models", "add", str(file)).stderr)
+    assert told == ["No worker runs; the model waits until one does.\n", ""]
+    busy = WorkerView(name="gpu-1", job="j1")
+    assert what_a_model_waits_for([busy]) == (
+        "The only worker is busy (gpu-1 with job j1): a worker reads the model after its job, "
+        "and after the jobs that wait."
+    )
+    assert "All 2 workers are busy (gpu-1 with job j1)" in str(what_a_model_waits_for([busy, busy]))
+    assert what_a_model_waits_for([busy, WorkerView(name="gpu-2")]) is None
 
 
 def test_a_client_waits_for_its_stills_while_workers_are_busy(

@@ -34,13 +34,14 @@ def findings(file: Path) -> Iterator[Description]:
 
     Raises BadModel or JobFailed if no job could use the model.
     """
-    with read(file) as spec:
+    with read(file) as (spec, main):
         model = compiled(spec)
     _check(model)
     trial = _let_go(model)
     found = inventory(model)
     description = Description(
         inventory=found,
+        main=main,
         # Reading the model shows whether `compiled` can run it: that needs no compiler.
         engines={"native": None, "compiled": _what_keeps(check_covered, model)},
         physics_steps_per_second=trial.steps_per_second,

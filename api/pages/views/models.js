@@ -1,6 +1,6 @@
 /** Models of users: upload one by dropping it, see what a worker found in it. */
 
-import { get, remove, send } from "../lib/api.js";
+import { get, remove, send, withQuery } from "../lib/api.js";
 import { ago, bytes, compact, duration, value } from "../lib/format.js";
 import { html, useRef, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
@@ -11,6 +11,7 @@ import { Pages } from "../parts/pages.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 
 const LIMIT = 50;
+const LONGEST_NAME = 100; // Characters, as the service allows.
 const LISTS = ["bodies", "joints", "actuators", "sensors", "cameras", "keyframes"];
 const isSettling = (model) => model.status === "validating" || (model.status === "ready" && !model.description?.complete);
 
@@ -35,16 +36,20 @@ export default function Models({ query }) {
 function Drop({ onAdded }) {
   const [state, setState] = useState({});
   const [isOver, setOver] = useState(false);
+  const [main, setMain] = useState("");
   const input = useRef();
   const upload = async (file) => {
     if (!file) return;
     setState({ text: `Sending ${file.name} (${bytes(file.size)}); a worker reads it…` });
     try {
-      const type = file.name.endsWith(".zip") ? "application/zip" : "application/xml";
-      const model = await (await send("/models", { method: "POST", body: file, type })).json();
-      setState({ text: model.status === "validating" ? `${file.name} waits for a worker to read it.` : `${file.name} is there.` });
+      const type = file.name.toLowerCase().endsWith(".zip") ? "application/zip" : "application/xml";
+      const path = withQuery("/models", { name: file.name.slice(0, LONGEST_NAME), main: main.trim() });
+      const model = await (await send(path, { method: "POST", body: file, type })).json();
+      const read = model.description?.main;
+      const isThere = read && read !== file.name && type.endsWith("zip") ? `is there, read from ${read}.` : "is there.";
+      setState({ text: `${file.name} ${model.status === "validating" ? "waits for a worker to read it." : isThere}` });
     } catch (error) {
-      setState({ error });
+      setState({ error, file });
     }
     input.current.value = "";
     onAdded();
@@ -59,8 +64,12 @@ function Drop({ onAdded }) {
     <label class="field">Drop an MJCF or URDF file here, or a zip with its meshes; or choose one:
       <input ref=${input} type="file" accept=".xml,.mjcf,.urdf,.zip" onChange=${(event) => upload(event.target.files[0])} />
     </label>
+    <label class="field">Of a zip with several documents, the one that is the model (such as scene.xml):
+      <input value=${main} onInput=${(event) => setMain(event.target.value)} />
+    </label>
     <p role="status">${state.text || ""}</p>
     ${state.error && html`<${Failure} error=${state.error} />`}
+    ${state.file && html`<p><button type="button" onClick=${() => upload(state.file)}>Send ${state.file.name} again</button></p>`}
   </section>`;
 }
 
@@ -73,6 +82,7 @@ function Model({ model, again }) {
     <p class="facts"><span class="status ${model.status === "ready" ? "succeeded" : model.status === "refused" ? "failed" : ""}">${model.status}</span>
       ${` · ${bytes(model.size)} · ${ago(model.created_at)}`}</p>
     <p class="facts"><code>${model.id}</code></p>
+    ${found?.main && html`<p class="facts">Read from ${found.main}</p>`}
     ${model.message && html`<p class="error">${model.message}</p>`}
     ${found && html`<${Contents} found=${found} />`}
     ${error && html`<${Failure} error=${error} />`}

@@ -25,6 +25,10 @@ class PostgresModels(Connected):
         with self._statements() as connection:
             dispatch.remove(connection, [Dispatch("model", model_id)])
 
+    def name_model(self, model_id: str, name: str) -> None:
+        with self._statements() as connection:
+            models.rename(connection, model_id, name)
+
     def settle_model(self, record: ModelRecord) -> None:
         with self._transaction() as connection:
             models.settle(connection, record)
@@ -41,8 +45,10 @@ class PostgresModels(Connected):
         with self._statements() as connection:
             return models.every(connection)
 
-    def list_models(self, *, cursor: str | None = None, limit: int = 50) -> ModelPage:
+    def list_models(
+        self, *, cursor: str | None = None, limit: int = 50, name: str | None = None
+    ) -> ModelPage:
         before = None if cursor is None else check_model_cursor(cursor)
         with self._statements() as connection:
-            found = models.newest(connection, before, limit + 1)
+            found = models.newest(connection, before, limit + 1, name)
         return ModelPage(found[:limit], model_cursor(found[limit - 1]) if len(found) > limit else None)

@@ -43,11 +43,21 @@ def add(connection: Connection, record: ModelRecord) -> None:
 
 
 def settle(connection: Connection, record: ModelRecord) -> None:
+    values = _values(record)
+    del values["name"]  # Somebody may have sent it by another one meanwhile.
+    _change(connection, record.id, values)
+
+
+def rename(connection: Connection, model_id: str, name: str) -> None:
+    _change(connection, model_id, {"name": name})
+
+
+def _change(connection: Connection, model_id: str, values: dict[str, Any]) -> None:
     changed = connection.execute(
-        update(models).where(models.c.id == record.id).values(_values(record)).returning(models.c.id)
+        update(models).where(models.c.id == model_id).values(values).returning(models.c.id)
     )
     if changed.first() is None:
-        raise ModelNotFound(record.id)
+        raise ModelNotFound(model_id)
 
 
 def forget(connection: Connection, model_id: str) -> None:
@@ -61,12 +71,19 @@ def every(connection: Connection) -> Sequence[ModelRecord]:
     return [_record(row) for row in connection.execute(select(models).order_by(models.c.id))]
 
 
-def newest(connection: Connection, before: tuple[datetime, str] | None, limit: int) -> Sequence[ModelRecord]:
-    """The newest models, of those that were sent before this moment; ids order those of one moment."""
+def newest(
+    connection: Connection, before: tuple[datetime, str] | None, limit: int, name: str | None = None
+) -> Sequence[ModelRecord]:
+    """The newest models, of those that were sent before this moment; ids order those of one moment.
+
+    name: only those of this name.
+    """
     place = tuple_(models.c.created_at, models.c.id)
     wanted = select(models).order_by(models.c.created_at.desc(), models.c.id.desc()).limit(limit)
     if before is not None:
         wanted = wanted.where(place < tuple_(*before))
+    if name is not None:
+        wanted = wanted.where(models.c.name == name)
     return [_record(row) for row in connection.execute(wanted)]
 
 

@@ -170,8 +170,10 @@ models = Table(
     Column("description", Text),
     Column("message", Text),
     _moment("refused_at"),
+    Column("name", Text),
 )
 Index("models_by_status", models.c.status)
+Index("models_by_name", models.c.name, postgresql_where=models.c.name.isnot(None))
 
 workers = Table(
     "workers",

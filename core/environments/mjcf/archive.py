@@ -1,6 +1,6 @@
 """A model's uploaded file: one XML, or a zip of it and its meshes and textures.
 
-The API checks it before it stores a byte, without unpacking it and without MuJoCo.
+The confined processes that read models check it, before they unpack it and before MuJoCo sees it.
 """
 
 import io
@@ -11,8 +11,10 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from uuid import uuid4
 
-from core.environments.mjcf.document import Document, parse
+from core.environments.mjcf.document import INCLUDING, MJCF, URDF, Document, parse
+from core.environments.mjcf.main_document import main_of, named_main, read_from
 from core.errors import BadModel
 
 MAX_FILES = 1000
@@ -25,14 +27,10 @@ MAX_XML_BYTES = 16 * 2**20
 _MAX_RATIO, _HARMLESS_BYTES = 100, 2**20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _DOCUMENTS = (".xml", ".mjcf", ".urdf")
+# MuJoCo reads a main document by these endings alone, in small letters.
+_KNOWN_ENDINGS = (".xml", ".urdf")
 # The longest name that every file system accepts.
 _MAX_NAME_BYTES = 255
-# Root elements.
-_MJCF, _URDF = "mujoco", "robot"
-# Elements whose file is also a document.
-_INCLUDING = ("include", "model")
-# Names of the main document, if several are included by no other.
-_MAIN = ("scene", "model")
 _ZIP = b"PK\x03\x04"
 # What zipfile raises for a file that is not a zip, or is damaged.
 _BROKEN = (zipfile.BadZipFile, EOFError, OSError, RuntimeError, ValueError)
@@ -54,7 +52,16 @@ class Archive:
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(_content(self.body, name))
-        return folder / self.main
+        return self._readable(folder)
+
+    def _readable(self, folder: Path) -> Path:
+        """The main document, by a name with an ending that MuJoCo knows."""
+        if self.main.endswith(_KNOWN_ENDINGS):
+            return folder / self.main
+        ending = ".urdf" if self.is_urdf else ".xml"
+        copy = (folder / self.main).with_name(f"{PurePosixPath(self.main).stem[:50]}-{uuid4().hex}{ending}")
+        (folder / self.main).rename(copy)
+        return copy
 
 
 def is_zip(body: bytes) -> bool:
@@ -73,17 +80,37 @@ def examine(body: bytes) -> Archive:
                 f"The document names the file {document.references[0].file!r}: send both in a zip."
             )
         _check_root(main, document)
-        return Archive(body, main, document.root == _URDF, (main,))
-    names = _names(body)
-    if sum(name.lower().endswith(_DOCUMENTS) for name in names) > MAX_DOCUMENTS:
-        raise BadModel(f"The zip has more than {MAX_DOCUMENTS} documents.")
-    documents = {
-        name: parse(name, _content(body, name)) for name in names if name.lower().endswith(_DOCUMENTS)
-    }
-    main = _main(documents)
-    _check_root(main, documents[main])
-    _check_references(main, documents, names)
-    return Archive(body, main, documents[main].root == _URDF, tuple(names))
+        return Archive(body, main, document.root == URDF, (main,))
+    entries, comment = _entries(body)
+    names = [entry.filename for entry in entries]
+    sizes = {entry.filename: entry.file_size for entry in entries if _is_document(entry.filename)}
+    if len(sizes) > MAX_DOCUMENTS:
+        raise BadModel(f"The zip has {len(sizes)} documents; {MAX_DOCUMENTS} are allowed.")
+    documents = {name: _read(name, body) for name in sizes}
+    main = main_of(documents, sizes, named_main(comment))
+    surely, possibly = read_from(main, documents)
+    # What the main document does not reach is neither read nor checked.
+    reached = {name: _sound(documents[name]) for name in documents if name in possibly}
+    _check_root(main, reached[main])
+    _check_references(main, reached, surely, names)
+    return Archive(body, main, reached[main].root == URDF, tuple(names))
+
+
+def _is_document(name: str) -> bool:
+    return name.lower().endswith(_DOCUMENTS)
+
+
+def _read(name: str, body: bytes) -> Document | BadModel:
+    try:
+        return parse(name, _content(body, name))
+    except BadModel as error:
+        return error
+
+
+def _sound(document: Document | BadModel) -> Document:
+    if isinstance(document, BadModel):
+        raise document
+    return document
 
 
 def _content(body: bytes, name: str) -> bytes:
@@ -97,13 +124,13 @@ def _content(body: bytes, name: str) -> bytes:
         raise BadModel(f"{name!r} cannot be unpacked: {error}.") from None
 
 
-def _names(body: bytes) -> list[str]:
-    """The files in a zip. Raises BadModel for anything that would be harmful to unpack."""
+def _entries(body: bytes) -> tuple[list[zipfile.ZipInfo], bytes]:
+    """The files in a zip, and its comment. Raises BadModel for anything that would be harmful to unpack."""
     if body.count(b"PK\x01\x02") > 2 * MAX_FILES:  # An entry's signature; a mesh may hold it, too.
         raise BadModel(f"The zip has more than {MAX_FILES:,} entries.")
     try:
         with zipfile.ZipFile(io.BytesIO(body)) as archive:
-            entries = archive.infolist()
+            entries, comment = archive.infolist(), archive.comment
     except _BROKEN as error:
         raise BadModel(f"The zip cannot be read: {error}.") from None
     if len(entries) > MAX_FILES:
@@ -123,7 +150,7 @@ def _names(body: bytes) -> list[str]:
     folders = {str(folder) for name in names for folder in PurePosixPath(name).parents}
     if both := next((name for name in names if name in folders), None):
         raise BadModel(f"The zip has {both!r} as a file and as a folder.")
-    return names
+    return files, comment
 
 
 def _is_litter(name: str) -> bool:
@@ -146,75 +173,57 @@ def _check_entry(entry: zipfile.ZipInfo) -> None:
         raise BadModel(f"{name!r} is encrypted.")
     if entry.compress_type not in _METHODS:
         raise BadModel(f"{name!r} is not compressed with `deflate`.")
-    limit = MAX_XML_BYTES if name.lower().endswith(_DOCUMENTS) else MAX_FILE_BYTES
+    limit = MAX_XML_BYTES if _is_document(name) else MAX_FILE_BYTES
     if entry.file_size > limit:
         raise BadModel(f"{name!r} has {entry.file_size:,} bytes; {limit:,} are allowed.")
 
 
-def _included(documents: Mapping[str, Document]) -> list[str]:
-    """The documents that another one may include, whichever folder its paths start from."""
-    meant = {
-        posixpath.basename(reference.file)
-        for document in documents.values()
-        for reference in document.references
-        if reference.element in _INCLUDING
-    }
-    return [name for name in documents if posixpath.basename(name) in meant]
-
-
-def _main(documents: Mapping[str, Document]) -> str:
-    """The document that no other includes."""
-    included = _included(documents)
-    free = [name for name in documents if name not in included]
-    named = [name for word in _MAIN for name in free if posixpath.basename(name).partition(".")[0] == word]
-    if len(free) == 1 or named:
-        return (named or free)[0]
-    if not free:
-        raise BadModel("The zip has no .xml or .urdf that no other includes.")
-    raise BadModel(
-        f"The zip has {len(free)} documents that no other includes ({', '.join(sorted(free)[:5])}): call the "
-        "main one scene.xml or model.xml."
-    )
-
-
 def _check_root(name: str, document: Document) -> None:
-    if document.root not in (_MJCF, _URDF):
+    if document.root not in (MJCF, URDF):
         raise BadModel(f"{name}: its root is <{document.root[:60]}>, but MJCF's is <mujoco>, URDF's <robot>.")
 
 
-def _check_references(main: str, documents: Mapping[str, Document], names: list[str]) -> None:
-    """Raises BadModel unless every file that a document names is in the archive, whichever folder MuJoCo
-    starts from."""
+def _check_references(
+    main: str, documents: Mapping[str, Document], surely: set[str], names: list[str]
+) -> None:
+    """Raises BadModel unless every file that a document names lies in the archive, whichever folder MuJoCo
+    starts from; and is there, if MuJoCo surely reads the document."""
     folders = ["", *{folder for document in documents.values() for folder in document.folders}]
     if len(folders) > MAX_FOLDERS:
-        raise BadModel(f"The documents look for files in more than {MAX_FOLDERS} folders.")
-    if sum(len(document.references) for document in documents.values()) > MAX_REFERENCES:
-        raise BadModel(f"The documents name more than {MAX_REFERENCES:,} files.")
+        raise BadModel(f"The documents look for files in {len(folders)} folders; {MAX_FOLDERS} are allowed.")
+    if (number := sum(len(document.references) for document in documents.values())) > MAX_REFERENCES:
+        raise BadModel(f"The documents name {number:,} files; {MAX_REFERENCES:,} are allowed.")
     known = set(names)
     # Paths in an included document may start from the folder of the main document or of any included one.
-    least_deep = min(_depth(name) for name in (main, *_included(documents)))
+    least_deep = min(_depth(name) for name in documents)
     for name, document in documents.items():
         bases = {posixpath.dirname(main), posixpath.dirname(name)}
-        depth = _depth(main) if name == main else min(least_deep, _depth(name))
-        for folder in document.folders:
-            _check_inside(name, folder, folder, depth)
+        depth = _depth(main) if name == main else least_deep
         for reference in document.references:
-            if reference.element in _INCLUDING and not reference.file.lower().endswith(_DOCUMENTS):
+            is_document = reference.element in INCLUDING
+            if is_document and not _is_document(reference.file):
                 raise BadModel(
                     f"{name} includes {reference.file!r}: a document's name must end with "
                     f"{', '.join(_DOCUMENTS[:-1])} or {_DOCUMENTS[-1]}."
                 )
+            if reference.element == "model" and not reference.file.endswith(_KNOWN_ENDINGS):
+                raise BadModel(
+                    f"{name} attaches the model {reference.file!r}: MuJoCo reads it only if its name ends "
+                    f"with {' or '.join(_KNOWN_ENDINGS)}, in small letters."
+                )
             file = reference.file.removeprefix("package://")
-            for folder in folders:
-                _check_inside(name, posixpath.join(folder, file), file, depth)
+            # The compiler's folders are those of meshes and textures.
+            starts = [""] if reference.element == "include" else folders
+            for folder in starts:
+                _check_inside(name, folder, file, depth)
             # The basename alone counts with the compiler's `strippath`, and in every URDF.
             paths = {
                 posixpath.normpath(posixpath.join(base, folder, said))
                 for base in bases
-                for folder in folders
+                for folder in starts
                 for said in (file, posixpath.basename(file))
             }
-            if not known.intersection(paths):
+            if name in surely and not known.intersection(paths):
                 raise BadModel(f"{name} names the file {reference.file!r}, which is not in the zip.")
 
 
@@ -223,8 +232,9 @@ def _depth(name: str) -> int:
     return name.count("/")
 
 
-def _check_inside(name: str, path: str, said: str, depth: int) -> None:
+def _check_inside(name: str, folder: str, file: str, depth: int) -> None:
     """Raises BadModel if the path leaves the archive when it starts in a folder of this depth."""
-    climbs = posixpath.normpath(path).split("/").count("..")
-    if said.startswith("/") or "\\" in said or ":" in said or climbs > depth:
-        raise BadModel(f"{name} names {said!r}, which is outside the archive.")
+    climbs = posixpath.normpath(posixpath.join(folder, file)).split("/").count("..")
+    for said in (file, folder):
+        if said.startswith("/") or "\\" in said or ":" in said or climbs > depth:
+            raise BadModel(f"{name} names {said!r}, which is outside the archive.")

@@ -5,6 +5,10 @@ from xml.parsers import expat
 
 from core.errors import BadModel
 
+# Root elements.
+MJCF, URDF = "mujoco", "robot"
+# Elements whose file is also a document.
+INCLUDING = ("include", "model")
 _MAX_ELEMENTS, _MAX_DEPTH = 200_000, 200
 _NOT_FINITE = {"nan", "inf", "infinity"}
 # Attributes that may be one of these words without being a number.

@@ -38,7 +38,7 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
     """
     if model is None:
         raise JobFailed(Reason.BAD_MODEL, f"The file of the model {options.model} is missing.")
-    with read(model) as spec:
+    with read(model) as (spec, _):
         original = inventory(compiled(spec))
         if found := problems(options, original):
             raise JobFailed(Reason.BAD_MODEL, " ".join(problem.detail for problem in found))

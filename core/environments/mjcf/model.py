@@ -14,8 +14,9 @@ from core.reasons import Reason
 
 
 @contextmanager
-def read(file: Path) -> Generator[mujoco.MjSpec]:
-    """The specification in an uploaded file; inside the context, compilation finds its meshes.
+def read(file: Path) -> Generator[tuple[mujoco.MjSpec, str]]:
+    """The specification in an uploaded file, and the document that it is from; inside the context,
+    compilation finds its meshes.
 
     Raises JobFailed("bad_model"), with MuJoCo's own message, if MuJoCo cannot read it.
     """
@@ -33,7 +34,7 @@ def read(file: Path) -> Generator[mujoco.MjSpec]:
         spec.nconmax = spec.njmax = -1
         if archive.is_urdf:
             _add_motors(spec)
-        yield spec
+        yield spec, archive.main
 
 
 def compiled(

@@ -5,11 +5,14 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Page, expect
 
+from core.environments.mjcf.archive import examine
+from core.storage import keys
 from tests.api.conftest import Stack
 from tests.api.pages.conftest import Tab
 from tests.api.test_models import DESCRIPTION, worker
 from tests.models import identity
 from tests.unit.environments.mjcf.probe import XML
+from tests.unit.environments.mjcf.test_archive import zipped
 
 CHOOSER = "Drop an MJCF or URDF file here"
 
@@ -24,7 +27,7 @@ def reading(stack: Stack) -> Iterator[None]:
 def expect_the_ball(page: Page) -> None:
     """The page describes the model: a ball of 1 kg, and an arm of 0.1 kg that a motor moves at its elbow."""
     expect(page.get_by_role("status").filter(has_text="ball.xml is there.")).to_be_visible()
-    expect(page.get_by_role("heading", name="ball", exact=True)).to_be_visible()
+    expect(page.get_by_role("heading", name="ball.xml", exact=True)).to_be_visible()
     expect(page.get_by_text(identity(XML))).to_be_visible()
     facts = page.locator(".facts-list")
     expect(facts.locator("dt:text-is('Mass') + dd")).to_have_text("1.1 kg")
@@ -63,6 +66,23 @@ def test_a_model_is_sent_by_a_drop_and_described(tab: Tab) -> None:
     target.dispatch_event("drop", {"dataTransfer": dragged})
     expect(target).not_to_have_class("drop over")
     expect_the_ball(page)
+
+
+def test_the_document_of_a_zip_that_is_the_model_can_be_named(stack: Stack, tab: Tab) -> None:
+    page = tab.open("#/models")
+    file = {"name": "two.zip", "mimeType": "application/zip", "buffer": zipped({"a.xml": XML, "b.xml": XML})}
+    with worker(stack, status="refused", message="The zip has 2 documents that no other includes."):
+        page.get_by_label(CHOOSER).set_input_files(file)  # pyright: ignore
+        expect(page.get_by_role("alert")).to_contain_text("2 documents")
+    page.get_by_label("the one that is the model").fill("b.xml")
+    described = DESCRIPTION.model_copy(update={"main": "b.xml"})
+    with worker(stack, status="ready", description=described):
+        page.get_by_role("button", name="Send two.zip again").click()
+        expect(page.get_by_role("status")).to_have_text("two.zip is there, read from b.xml.")
+    expect(page.get_by_text("Read from b.xml", exact=True)).to_be_visible()
+    (model,) = stack.store.models()
+    assert examine(stack.objects.get(keys.model_source(model.id))).main == "b.xml"
+    assert tab.violations() == []
 
 
 @pytest.mark.usefixtures("reading")

@@ -9,6 +9,8 @@ import pytest
 
 from core.environments.mjcf import archive
 from core.environments.mjcf.archive import examine
+from core.environments.mjcf.main_document import with_main
+from core.environments.mjcf.model import compiled, read
 from core.errors import BadModel
 
 PLAIN = b"<mujoco><worldbody/></mujoco>"
@@ -51,8 +53,94 @@ def test_of_several_documents_the_one_that_nobody_includes_is_meant() -> None:
     scene = b'<mujoco><include file="robot.xml"/></mujoco>'
     assert examine(zipped({"robot.xml": PLAIN, "arena.xml": scene})).main == "arena.xml"
     both = {"one.xml": PLAIN, "two.xml": PLAIN}
-    assert "call the main one scene.xml" in refusal(zipped(both))
     assert examine(zipped({**both, "scene.xml": PLAIN})).main == "scene.xml"
+    assert examine(zipped({**both, "old/scene.xml": PLAIN, "scene.xml": PLAIN})).main == "scene.xml"
+
+
+def of(main: str, files: dict[str, bytes]) -> bytes:
+    """A zip that names its main document."""
+    named = with_main(zipped(files), main)
+    assert named is not None
+    return named
+
+
+def test_two_documents_that_may_be_the_model_are_named_with_their_sizes_and_one_can_be_chosen() -> None:
+    both = {"a/one.xml": PLAIN, "a/two.xml": PLAIN + b"\n" * 1000}
+    # 29 bytes of PLAIN; the largest comes first.
+    assert "a/two.xml (1,029 bytes), a/one.xml (29 bytes)" in refusal(zipped(both))
+    assert "--main FILE" in refusal(zipped(both))
+    assert examine(of("a/one.xml", both)).main == "a/one.xml"
+    assert examine(of("two.xml", both)).main == "a/two.xml"
+    # Another choice takes the place of the one before.
+    again = with_main(of("one.xml", both), "two.xml")
+    assert again is not None
+    assert examine(again).main == "a/two.xml"
+    assert "no document 'ne.xml'; it has a/two.xml (1,029 bytes), a/one.xml" in refusal(of("ne.xml", both))
+    assert "2 documents 'one.xml'" in refusal(of("one.xml", {**both, "b/one.xml": PLAIN}))
+    assert with_main(b"PK\x03\x04 and no end", "one.xml") is None
+
+
+def test_only_what_the_main_document_reaches_is_checked() -> None:
+    robot = b'<mujoco><include file="parts/leg.xml"/></mujoco>'
+    leg = b'<mujocoinclude><include file="foot.xml"/></mujocoinclude>'
+    files = {
+        "robot.xml": robot,
+        "parts/leg.xml": leg,
+        "parts/foot.xml": b"<mujocoinclude/>",
+        "package.xml": b"<package/>",
+        "lost.xml": WITH_MESH,
+        "beside.xml": WITH_MESH.replace(b'"meshes"', b'"../meshes"'),
+        "broken.xml": b"<mujoco>",
+        "typed.xml": b"<!DOCTYPE m><mujoco/>",
+    }
+    assert examine(of("robot.xml", files)).main == "robot.xml"
+    assert "outside the archive" in refusal(of("beside.xml", files))
+    assert "not in the zip" in refusal(of("lost.xml", files))
+    assert "broken.xml is not XML" in refusal(of("broken.xml", files))
+    assert "its root is <package>" in refusal(of("package.xml", files))
+    # A file of ROS about the package is no rival of the model.
+    assert examine(zipped({"go.xml": PLAIN, "package.xml": b"<package/>"})).main == "go.xml"
+    # Another leg.xml is not the one that is read, so that its meshes may be missing; it may climb nowhere.
+    assert examine(of("robot.xml", {**files, "old/leg.xml": WITH_MESH})).main == "robot.xml"
+    climbing = {**files, "old/leg.xml": WITH_MESH.replace(b"foot.stl", b"../../../secret.stl")}
+    assert "outside the archive" in refusal(of("robot.xml", climbing))
+
+
+def test_a_folder_for_meshes_that_no_mesh_uses_may_be_anywhere() -> None:
+    scene = b'<mujoco><include file="robot.xml"/></mujoco>'
+    robot = b'<mujoco><compiler meshdir="../meshes/"/></mujoco>'
+    assert examine(zipped({"scene.xml": scene, "robot.xml": robot})).main == "scene.xml"
+
+
+MOVING = b"<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>"
+LINK = b'<mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+HINGED = (
+    b'<robot name="r"><link name="a"><inertial>%s</inertial></link>'
+    b'<link name="b"><inertial>%s</inertial></link>'
+    b'<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>'
+) % (LINK, LINK)
+
+
+@pytest.mark.parametrize(
+    ("name", "document"), [("m.mjcf", MOVING), ("d/M.XML", MOVING), ("m.Mjcf", MOVING), ("r.URDF", HINGED)]
+)
+def test_a_documents_name_may_end_in_any_way_that_people_write(
+    name: str, document: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "model").write_bytes(zipped({name: document}))
+    with read(tmp_path / "model") as (spec, main):
+        assert (main, compiled(spec).nv) == (name, 1)
+
+
+def test_a_scene_reads_what_it_includes_by_any_such_name(tmp_path: Path) -> None:
+    scene = b'<mujoco><include file="robot.mjcf"/></mujoco>'
+    (tmp_path / "model").write_bytes(zipped({"scene.XML": scene, "robot.mjcf": MOVING}))
+    with read(tmp_path / "model") as (spec, main):
+        assert (main, compiled(spec).nv) == ("scene.XML", 1)
+    attached = b'<mujoco><asset><model name="r" file="robot.mjcf"/></asset></mujoco>'
+    assert "only if its name ends with .xml or .urdf" in refusal(
+        zipped({"scene.xml": attached, "robot.mjcf": MOVING})
+    )
 
 
 def test_meshes_may_lie_beside_the_documents_folder() -> None:
@@ -178,11 +266,11 @@ def test_too_many_files_are_refused() -> None:
 
 
 def test_what_would_keep_the_service_busy_is_refused() -> None:
-    assert "more than 50 documents" in refusal(zipped({f"{number}.xml": PLAIN for number in range(51)}))
+    assert "51 documents; 50 are allowed" in refusal(zipped({f"{number}.xml": PLAIN for number in range(51)}))
     folders = b"".join(b'<compiler meshdir="%d"/>' % number for number in range(9))
-    assert "more than 8 folders" in refusal(zipped({"model.xml": b"<mujoco>%s</mujoco>" % folders}))
+    assert "10 folders; 8 are allowed" in refusal(zipped({"model.xml": b"<mujoco>%s</mujoco>" % folders}))
     files = b'<mesh file="a.stl"/>' * 5001
-    assert "more than 5,000 files" in refusal(zipped({"model.xml": b"<mujoco>%s</mujoco>" % files}))
+    assert "5,001 files; 5,000 are allowed" in refusal(zipped({"model.xml": b"<mujoco>%s</mujoco>" % files}))
     assert "more than 1,000 entries" in refusal(zipped({"a": b"PK\x01\x02" * 2001}, zipfile.ZIP_STORED))
 
 
@@ -200,7 +288,7 @@ def test_what_no_file_system_takes_is_refused() -> None:
     ("body", "sentence"),
     [
         (b"PK\x03\x04 and nothing else", "cannot be read"),
-        (zipped({"readme.txt": b""}), "no .xml or .urdf"),
+        (zipped({"readme.txt": b""}), "no .xml, .mjcf or .urdf"),
         (zipped({"model.xml": PLAIN}, zipfile.ZIP_LZMA), "`deflate`"),
         (zipped({"model.xml": PLAIN})[:-30], "cannot be read"),
     ],

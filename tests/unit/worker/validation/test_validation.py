@@ -137,7 +137,7 @@ def test_a_model_that_needs_too_much_memory_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("body", [URDF, zipped({"arm.urdf": URDF}), zipped({"arm.xml": URDF})])
 def test_a_urdf_gets_a_motor_for_each_joint_whatever_it_is_called(body: bytes, tmp_path: Path) -> None:
     (tmp_path / "model").write_bytes(body)
-    with read(tmp_path / "model") as spec:
+    with read(tmp_path / "model") as (spec, _):
         has = inventory(compiled(spec))
     assert [(one.name, one.control_range) for one in has.actuators] == [("elbow", (-1.0, 1.0))]
 
