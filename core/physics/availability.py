@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Literal
+from typing import Literal, get_args
 
 from core.errors import JobFailed, Problem, Rejected
 from core.reasons import Reason
@@ -79,9 +79,14 @@ def share_states(one: str, other: str) -> bool:
 CHOOSE_ANOTHER = "Choose another engine, or omit `physics`."
 
 
+def beyond(engine: EngineName, reason: str) -> str:
+    """The sentence that refuses an engine. reason: such as "its geom 'hills' is a height field"."""
+    return f"The engine '{engine}' cannot run the model: {reason}. {CHOOSE_ANOTHER}"
+
+
 def beyond_compiled(reason: str) -> str:
     """The sentence that refuses the engine `compiled`. reason: that of `compiled.coverage.uncovered`."""
-    return f"The engine 'compiled' cannot run the model: {reason}. {CHOOSE_ANOTHER}"
+    return beyond("compiled", reason)
 
 
 NEWTON_ALONE = "its job asks for the solver 'cg', and 'compiled' has Newton's alone"
@@ -89,11 +94,14 @@ NEWTON_ALONE = "its job asks for the solver 'cg', and 'compiled' has Newton's al
 
 
 def check_physics(choice: PhysicsChoice, cannot_run: Mapping[EngineName, str] = NO_REFUSALS) -> None:
-    """Raises Rejected if the engine that the job names cannot run the environment.
+    """Raises Rejected if the engine that the job names cannot run the environment, or none can.
 
     cannot_run: engines that cannot run it under its options or with its model, and why.
     """
     if choice != "auto" and (why := cannot_run.get(choice)):
+        raise Rejected(why, [Problem("/physics", why)])
+    if choice == "auto" and set(get_args(EngineName)) <= set(cannot_run):
+        why = "No engine can run it. " + cannot_run["native"].removesuffix(CHOOSE_ANOTHER).strip()
         raise Rejected(why, [Problem("/physics", why)])
 
 

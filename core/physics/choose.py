@@ -6,6 +6,7 @@ from typing import assert_never
 import mujoco
 
 from core.physics.availability import EngineChoice, EngineName, check_installed, choose
+from core.physics.coverage import check_runs
 from core.physics.engine import DERIVED_FIELDS, Engine, EngineBuilder, SolverSettings
 from core.physics.model import (
     with_asked_solver,
@@ -34,6 +35,7 @@ class _Builder:
         unknown = sorted(set(derived) - set(DERIVED_FIELDS))
         if unknown:
             raise ValueError(f"No engine computes {unknown}; the derived fields are {DERIVED_FIELDS}.")
+        check_runs(self.name, model)
         match self.name:
             case "native":
                 from core.physics.native import NativeEngine

@@ -75,6 +75,8 @@ class PhysicsState:
     derived: the fields the engine was built for, by MuJoCo's names and shapes; with `warp` also `OVERFLOW`.
     model: those of `MODEL_FIELDS` in which this environment differs from the engine's model, in MuJoCo's
     shapes; float32. They stay the same during an episode.
+    exact: what an engine has to carry in MuJoCo's own precision, each number as the sum of three float32
+    [..., 3]; `native` does so with the delays' history and with the time at which it is read.
     """
 
     qpos: jax.Array
@@ -84,18 +86,24 @@ class PhysicsState:
     time: jax.Array
     derived: Mapping[str, jax.Array]
     model: ModelFields = field(default_factory=dict[str, jax.Array])
+    exact: Mapping[str, jax.Array] = field(default_factory=dict[str, jax.Array])
+
+
+# A state in which these are empty is stored as before they existed.
+_LEFT_OUT_IF_EMPTY = ("model", "exact")
 
 
 def _to_state_dict(state: PhysicsState) -> dict[str, Any]:
     named = {field.name: getattr(state, field.name) for field in fields(state)}
-    # An empty `model` is left out, so that a state without it is stored as before `model` existed.
     return {
-        name: serialization.to_state_dict(value) for name, value in named.items() if name != "model" or value
+        name: serialization.to_state_dict(value)
+        for name, value in named.items()
+        if name not in _LEFT_OUT_IF_EMPTY or value
     }
 
 
 def _from_state_dict(target: PhysicsState, stored: dict[str, Any]) -> PhysicsState:
-    whole = {"model": {}, **stored}
+    whole: dict[str, Any] = {**{name: {} for name in _LEFT_OUT_IF_EMPTY}, **stored}
     values: dict[str, Any] = {
         field.name: serialization.from_state_dict(getattr(target, field.name), whole[field.name])
         for field in fields(target)

@@ -24,8 +24,9 @@ _Move = Callable[[Batch, NDArray[np.intp] | None], None]
 class NativeEngine:
     """`mujoco.batch` behind a call to the host; under `jax.vmap` one call moves them all on all cores.
 
-    Environments are float64 inside and float32 outside. An environment that is not finite, or for which
-    MuJoCo reports an error or a warning (an unstable state, a full contact buffer), comes back as NaN.
+    Environments are float64 inside and float32 outside, but for `PhysicsState.exact`: where the model has
+    delays, their history and the time. An environment that is not finite, or for which MuJoCo reports an
+    error or a warning (an unstable state, a full contact buffer), comes back as NaN.
     """
 
     name = "native"
@@ -38,12 +39,18 @@ class NativeEngine:
         self._fingerprint = _fingerprint(model, num_substeps, derived)
         blank = mujoco.MjData(model)
         carried = ("time", "qpos", "qvel", "act", "qacc_warmstart")
+        # Delayed controls and readings are looked up by their times; a rounded time may find another one.
+        self._exact = ("history", "time") if model.nhistory else ()
         # Fields without elements are not passed to the callback.
-        self._carried = tuple(name for name in carried if np.size(getattr(blank, name)))
+        self._carried = tuple(
+            name for name in carried if np.size(getattr(blank, name)) and name not in self._exact
+        )
+        self._at_time_0 = {name: in_parts(getattr(blank, name)) for name in self._exact}
         self._derived = derived
         stage = mujoco.mjtStage.mjSTAGE_VEL if derived else mujoco.mjtStage.mjSTAGE_NONE
         self._stage_afterwards = int(stage)
         self._shapes = {name: np.shape(getattr(blank, name)) for name in (*carried, *derived)}
+        self._shapes.update({name: parts.shape for name, parts in self._at_time_0.items()})
 
     def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
         check_model_fields(model)
@@ -55,6 +62,7 @@ class NativeEngine:
             time=jnp.zeros((), jnp.float32),
             derived={},
             model=model,
+            exact={name: jnp.asarray(parts) for name, parts in self._at_time_0.items()},
         )
         if not self._derived:
             return at_rest
@@ -65,21 +73,24 @@ class NativeEngine:
         def substeps(batch: Batch, ids: NDArray[np.intp] | None) -> None:
             batch.step(ids, nstep=self._num_substeps, stage=self._stage_afterwards)
 
-        fields = self._fields(substeps, state, ctrl, (*self._carried, *self._derived))
+        fields = self._fields(substeps, state, ctrl, (*self._carried, *self._derived, *self._exact))
         derived = {name: fields.pop(name) for name in self._derived}
-        return replace(state, **fields, derived=derived)
+        exact = {name: fields.pop(name) for name in self._exact}
+        if exact:
+            fields["time"] = exact["time"][0]
+        return replace(state, **fields, derived=derived, exact=exact)
 
     def _fields(
         self, move: _Move, state: PhysicsState, ctrl: jax.Array, wanted: tuple[str, ...]
     ) -> dict[str, jax.Array]:
         """The wanted fields after the move, as a node of the compiled program."""
-        inputs = {name: getattr(state, name) for name in self._carried}
+        inputs = {name: getattr(state, name) for name in self._carried} | dict(state.exact)
         if self._num_ctrl:
             inputs["ctrl"] = ctrl
         inputs.update({name: values for name, values in state.model.items() if values.size})
 
         def on_the_host(*arrays: Floats) -> tuple[Floats, ...]:
-            return self._batches.move(move, dict(zip(inputs, arrays, strict=True)), wanted)
+            return self._batches.move(move, dict(zip(inputs, arrays, strict=True)), wanted, self._exact)
 
         name = f"{self._fingerprint} {move.__name__} {','.join(inputs)} to {','.join(wanted)}"
         shapes = [self._shapes[field] for field in wanted]
@@ -98,17 +109,24 @@ class _Batches:
         # Two threads must not use a Batch at once, and JAX may call back from any of its threads.
         self._lock = threading.Lock()
 
-    def move(self, move: _Move, given: Mapping[str, Floats], wanted: tuple[str, ...]) -> tuple[Floats, ...]:
-        """The wanted fields after the move, NaN for a broken environment; leading axes as in `given`."""
-        batch_shape = given["time"].shape
+    def move(
+        self, move: _Move, given: Mapping[str, Floats], wanted: tuple[str, ...], exact: tuple[str, ...]
+    ) -> tuple[Floats, ...]:
+        """The wanted fields after the move, NaN for a broken environment; leading axes as in `given`.
+
+        exact: those of both that are in parts.
+        """
+        time = given["time"]
+        batch_shape = time.shape[:-1] if "time" in exact else time.shape
         with self._lock:
             batch = self._batch(int(np.prod(batch_shape)), frozenset(MODEL_FIELDS.intersection(given)))
             for name, values in given.items():
                 field = batch.expand(name) if name in MODEL_FIELDS else batch.bind(name)
-                field[...] = values.reshape(field.shape)
-            outputs = [batch.bind(name) for name in wanted]
+                whole = of_parts(values) if name in exact else values
+                field[...] = whole.reshape(field.shape)
+            outputs = [(batch.bind(name), in_parts if name in exact else _rounded) for name in wanted]
             broken = _broken(batch, move)
-            results = [output.astype(np.float32) for output in outputs]
+            results = [said(output) for output, said in outputs]
         if broken.any():
             for result in results:
                 result[broken] = np.nan
@@ -121,6 +139,24 @@ class _Batches:
             model = _with_loose_geoms(self._model) if own_fields.intersection(GEOMETRY) else self._model
             self._batches[key] = Batch(model, num_envs, nthread=min(num_envs, num_cores()))
         return self._batches[key]
+
+
+def in_parts(values: NDArray[np.float64] | float) -> Floats:
+    """Numbers [...] as sums of three float32, [..., 3], which hold all of their bits."""
+    rest, parts = np.asarray(values, np.float64), list[Floats]()
+    for _ in range(3):
+        parts.append(rest.astype(np.float32))
+        rest = rest - parts[-1]
+    return np.stack(parts, axis=-1)
+
+
+def of_parts(parts: Floats) -> NDArray[np.float64]:
+    """The numbers of `in_parts`."""
+    return parts.astype(np.float64).sum(axis=-1)
+
+
+def _rounded(values: NDArray[np.float64]) -> Floats:
+    return values.astype(np.float32)
 
 
 def _with_loose_geoms(model: mujoco.MjModel) -> mujoco.MjModel:

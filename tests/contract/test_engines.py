@@ -11,12 +11,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from flax import serialization
 
 from core.environments import catalog
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.engine import DERIVED_FIELDS, Engine, PhysicsState, SolverSettings
 from core.physics.model import brax_model, initial_qpos
+from core.physics.native import of_parts
 
 NUM_SUBSTEPS = 3
 # A ball with an arm that falls on a floor: contacts, a tendon, sites, sensors, and an actuator with a state.
@@ -379,3 +381,44 @@ def test_the_ant_settles_when_nothing_moves_it(ant: mujoco.MjModel) -> None:
     assert float(jnp.abs(state.qvel).max()) < 1e-3
     assert 0.25 < float(state.qpos[2]) < 1.0
     assert float(state.time) == pytest.approx(20.0, abs=1e-3)
+
+
+DELAYED = """
+<mujoco>
+  <option timestep="0.004"/>
+  <worldbody>
+    <body pos="0 0 1">
+      <joint name="elbow" axis="0 1 0" damping="0.1"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="elbow" delay="0.04" nsample="12"/></actuator>
+  <sensor>
+    <jointpos joint="elbow" delay="0.02" nsample="8"/>
+    <jointvel joint="elbow" interval="0.012" nsample="2"/>
+  </sensor>
+</mujoco>
+"""
+
+
+def test_delays_are_part_of_the_state_to_the_last_bit() -> None:
+    """Issue 41, o_act_delay and o_sensor_delay: without the history, and with a rounded time, a resumed run
+    was another one."""
+    model = mujoco.MjModel.from_xml_string(DELAYED)
+    engine = engine_builder("native")(model, 5, ("sensordata",))
+    step = jax.jit(jax.vmap(engine.step))
+    state = jax.vmap(engine.reset)(jnp.zeros((2, 1)), jnp.zeros((2, 1)))
+    data = mujoco.MjData(model)
+    for ctrl in np.random.default_rng(0).uniform(-1, 1, 100).astype(np.float32):
+        data.ctrl[:] = ctrl
+        mujoco.mj_step(model, data, 5)
+        for name in ("qpos", "qvel", "qacc_warmstart"):  # These are float32 between control steps.
+            getattr(data, name)[:] = np.float32(getattr(data, name))
+        # Stored and read again, as by a checkpoint.
+        state = serialization.from_bytes(state, serialization.to_bytes(step(state, jnp.full((2, 1), ctrl))))
+    mujoco.mj_forward(model, data)
+    np.testing.assert_array_equal(state.qpos[1], np.float32(data.qpos))
+    np.testing.assert_array_equal(state.derived["sensordata"][1], np.float32(data.sensordata))
+    np.testing.assert_array_equal(of_parts(np.asarray(state.exact["history"][1])), data.history)
+    assert of_parts(np.asarray(state.exact["time"][1])) == data.time
+    assert state.time[1] == np.float32(data.time)

@@ -1,28 +1,24 @@
 """Examines a model: compiles it, lets it fall, and loads it into each engine."""
 
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.describe import height_of, inventory, root_of
+from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.info import LONGEST_STEP_S, SHORTEST_STEP_S
-from core.environments.mjcf.inventory import Inventory
-from core.environments.mjcf.model import compiled, read
+from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, is_to_sleep, read
 from core.errors import BadModel
 from core.physics.availability import EngineName, is_installed
 from core.physics.compiled.refusal import check_covered
-from core.physics.model import initial_qpos
+from core.physics.coverage import check_runs
 from core.user_models.record import Description
+from worker.validation.letting_go import let_go, notes
 
-_TRIAL_S, _TRIAL_WALL_S, _STEPS_AT_ONCE = 2.0, 0.5, 20
 _LONGEST_REASON = 300
-_FELL_M = 5.0
-_UNSTABLE = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 _MUST_BE_FINITE = (
     *("actuator_gainprm", "actuator_gear", "body_inertia", "body_mass", "body_pos", "body_quat"),
     *("dof_armature", "dof_damping", "geom_pos", "geom_size", "jnt_range", "jnt_stiffness", "qpos0"),
@@ -35,23 +31,24 @@ def findings(file: Path) -> Iterator[Description]:
     Raises BadModel or JobFailed if no job could use the model.
     """
     with read(file) as (spec, main):
+        sleeps = is_to_sleep(spec)
         model = compiled(spec)
     _check(model)
-    trial = _let_go(model)
+    fall = let_go(model)
     found = inventory(model)
     description = Description(
         inventory=found,
         main=main,
-        # Reading the model shows whether `compiled` can run it: that needs no compiler.
-        engines={"native": None, "compiled": _what_keeps(check_covered, model)},
-        physics_steps_per_second=trial.steps_per_second,
-        settled_height=trial.height,
-        notes=list(_notes(found, trial)),
+        engines=_judged_by_reading(model),
+        physics_steps_per_second=fall.steps_per_second,
+        settled_height=float(fall.ended[2]),
+        notes=[*([SLEEP_IS_OFF] if sleeps else []), *notes(model, found, fall)],
     )
     yield description
     turns: list[tuple[EngineName, Callable[[mujoco.MjModel], None]]] = [("mjx", _try_mjx)]
     if is_installed("warp"):
         turns.append(("warp", _try_warp))
+    turns = [turn for turn in turns if turn[0] not in description.engines]
     for name, attempt in turns:
         engines = {**description.engines, name: _what_keeps(attempt, model)}
         description = description.model_copy(update={"engines": engines})
@@ -59,11 +56,17 @@ def findings(file: Path) -> Iterator[Description]:
     yield description.model_copy(update={"complete": True})
 
 
-@dataclass(frozen=True)
-class _Trial:
-    steps_per_second: float
-    height: float
-    stable: bool
+def _judged_by_reading(model: mujoco.MjModel) -> dict[EngineName, str | None]:
+    """What reading the model shows, without loading an engine: `native` and `compiled` are then known, and
+    what the others would leave out in silence."""
+    engines: dict[EngineName, str | None] = {
+        "native": _what_keeps(partial(check_runs, "native"), model),
+        "compiled": _what_keeps(check_covered, model),
+    }
+    for name in get_args(EngineName):
+        if name not in engines and (why := _what_keeps(partial(check_runs, name), model)):
+            engines[name] = why
+    return engines
 
 
 def _check(model: mujoco.MjModel) -> None:
@@ -81,27 +84,6 @@ def _check(model: mujoco.MjModel) -> None:
             raise BadModel(f"The model's {name} has a value that is not a finite number.")
     if not model.body_mass.sum() > 0:
         raise BadModel("The model has no mass.")
-
-
-def _notes(found: Inventory, trial: _Trial) -> Iterator[str]:
-    if not trial.stable:
-        yield "It becomes unstable within 2 s, without any action: try a smaller `timestep`."
-    elif found.travels and (fell := found.initial_height - trial.height) > _FELL_M:
-        yield f"It fell {fell:.0f} m within 2 s: there is no floor that it touches."
-
-
-def _let_go(model: mujoco.MjModel) -> _Trial:
-    """Steps it without actions: how fast that is, and where its root ends."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = initial_qpos(model)
-    steps, began = 0, time.perf_counter()
-    while data.time < _TRIAL_S and time.perf_counter() - began < _TRIAL_WALL_S:
-        mujoco.mj_step(model, data, _STEPS_AT_ONCE)
-        steps += _STEPS_AT_ONCE
-    rate = steps / (time.perf_counter() - began)
-    stable = not any(data.warning[getattr(mujoco.mjtWarning, kind)].number for kind in _UNSTABLE)
-    height = height_of(model, data.qpos, root_of(model))
-    return _Trial(rate, height if np.isfinite(height) else 0.0, stable)
 
 
 def _what_keeps(attempt: Callable[[mujoco.MjModel], None], model: mujoco.MjModel) -> str | None:

@@ -12,6 +12,11 @@ from core.environments.mjcf.contacts import add_sensors
 from core.errors import BadModel, JobFailed
 from core.reasons import Reason
 
+SLEEP_IS_OFF = (
+    "It lets what rests sleep (`<flag sleep>`). Jobs switch that off: who sleeps is not part of an "
+    "environment's state."
+)
+
 
 @contextmanager
 def read(file: Path) -> Generator[tuple[mujoco.MjSpec, str]]:
@@ -40,7 +45,11 @@ def read(file: Path) -> Generator[tuple[mujoco.MjSpec, str]]:
 def compiled(
     spec: mujoco.MjSpec, timestep: float | None = None, contacts: list[tuple[str, str | None]] | None = None
 ) -> mujoco.MjModel:
-    """The model, with sensors for these contacts. Raises JobFailed("bad_model")."""
+    """The model, with sensors for these contacts, and without sleep: no engine carries who sleeps.
+
+    Raises JobFailed("bad_model").
+    """
+    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     if timestep is not None:
         spec.option.timestep = timestep
     add_sensors(spec, contacts or [])
@@ -48,6 +57,11 @@ def compiled(
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise JobFailed(Reason.BAD_MODEL, _sentence(error, spec.modelfiledir)) from None
+
+
+def is_to_sleep(spec: mujoco.MjSpec) -> bool:
+    """Whether the model, before it is compiled, lets what rests sleep."""
+    return bool(spec.option.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
 def _add_motors(spec: mujoco.MjSpec) -> None:

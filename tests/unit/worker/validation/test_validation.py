@@ -2,12 +2,14 @@
 
 import dataclasses
 import os
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import psutil
 import pytest
 
@@ -15,11 +17,12 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.environments.mjcf.describe import inventory
-from core.environments.mjcf.model import compiled, read
+from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, read
 from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
 from core.storage import keys
 from core.user_models import library
+from core.user_models.record import Description
 from tests import models
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
@@ -93,6 +96,64 @@ def test_a_body_without_a_floor_is_described_with_a_word_about_that(tmp_path: Pa
         (tmp_path / "model").write_bytes(body)
         notes = next(findings(tmp_path / "model")).notes
         assert (len(notes), " ".join(notes)[: len(said)]) == (bool(said), said)
+
+
+def first_findings(body: bytes, folder: Path) -> Description:
+    """What is said before any engine is loaded."""
+    (folder / "model").write_bytes(body)
+    return next(findings(folder / "model"))
+
+
+CAR = b"""<mujoco><option timestep="0.004"/><worldbody><geom type="plane" size="5 5 .1"/>
+  <body pos="0 0 .11"><freejoint/><geom type="box" size=".2 .1 .03" mass="1"/>
+    <body pos=".15 .14 0"><joint name="left" axis="0 1 0"/>
+      <geom type="cylinder" size=".1 .02" euler="90 0 0" mass=".2"/></body>
+    <body pos=".15 -.14 0"><joint name="right" axis="0 1 0"/>
+      <geom type="cylinder" size=".1 .02" euler="90 0 0" mass=".2"/></body>
+  </body></worldbody>
+  <actuator><velocity joint="left" kv="5"/><velocity joint="right" kv="5"/></actuator></mujoco>"""
+
+
+def test_of_a_model_that_bursts_is_said_what_helps(tmp_path: Path) -> None:
+    """Issue 41, a06_wheel_velocity: a smaller time step does not help a servo on a wheel."""
+    assert first_findings(CAR, tmp_path).notes == [
+        'It becomes unstable within 2 s, without any action: `integrator="implicitfast"` helps.'
+    ]
+    helped = CAR.replace(b'timestep="0.004"', b'timestep="0.004" integrator="implicitfast"')
+    assert first_findings(helped, tmp_path).notes == []
+
+
+def test_of_a_body_that_is_thrown_away_is_said_how_far_and_what_helps(tmp_path: Path) -> None:
+    """Issue 41, a11_frictionless: a box "settled" at 39 m, without a word."""
+    sled = b"""<mujoco><option timestep="0.01" gravity="1 0 -1"/><worldbody>
+      <geom name="ice" type="plane" size="50 50 .1" friction="0 0 0"/>
+      <body pos="0 0 .1"><freejoint/><geom name="sled" type="box" size=".1 .1 .1" friction="0 0 0" mass="1"/>
+        <body pos="0 0 .15"><joint name="j" axis="0 0 1" damping=".1"/><geom size=".03" mass=".01"/></body>
+      </body></worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
+    said = first_findings(sled, tmp_path)
+    words = r'It is \d+ m away within 2 s, without any action: `cone="elliptic"` helps\.'
+    assert [bool(re.fullmatch(words, note)) for note in said.notes] == [True]
+    assert "'ice' and 'sled' can touch with hardly any friction" in (said.engines["warp"] or "")
+    assert said.engines["native"] is None
+
+
+def test_sleep_is_switched_off_with_a_note(tmp_path: Path) -> None:
+    """Issue 41, o_sleep: a training ended with a traceback."""
+    sleepy = XML.replace(b"<mujoco>", b'<mujoco><option><flag sleep="enable"/></option>')
+    said = first_findings(sleepy, tmp_path)
+    assert said.notes == [SLEEP_IS_OFF]
+    assert (said.engines["native"], said.engines["compiled"]) == (None, None)
+    with read(tmp_path / "model") as (spec, _):
+        assert not compiled(spec).opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP
+
+
+def test_what_engines_would_leave_out_is_said_at_once(tmp_path: Path) -> None:
+    """Issue 41, o_act_delay: all engines were said to run it."""
+    late = XML.replace(b'<motor name="elbow"', b'<motor name="elbow" delay="0.02" nsample="4"')
+    engines = first_findings(late, tmp_path).engines
+    assert engines.pop("native") is None
+    assert set(engines) == {"mjx", "warp", "compiled"}
+    assert all("'elbow' acts with a delay" in (why or "") for why in engines.values())
 
 
 @pytest.mark.parametrize(
