@@ -11,8 +11,9 @@ from core.jobs.curves import Curves
 from core.jobs.store import JobStore
 from core.storage.objects import ObjectStore
 
-# 24 bytes each: 64 MB.
+# 24 bytes each: 64 MB. A name takes as much as so many values.
 _MAX_VALUES = 2_700_000
+_VALUES_OF_A_NAME = 33
 
 
 @dataclass
@@ -23,6 +24,11 @@ class _Known:
     last: int = 0
     curves: Curves = field(default_factory=Curves)
     lock: Lock = field(default_factory=Lock)
+
+    @property
+    def size(self) -> int:
+        """In values."""
+        return self.curves.num_values + _VALUES_OF_A_NAME * len(self.curves)
 
     def has(self, names: frozenset[str] | None) -> bool:
         return self.names is None or (names is not None and names <= self.names)
@@ -92,10 +98,10 @@ class CurveCache:
             self._known.pop(job_id, None)
 
     def _make_room(self) -> None:
-        """Forget the jobs that were asked for longest ago, but not the last one."""
+        """Forget the jobs that were asked for longest ago; the last one, too, if it is too large alone."""
         with self._lock:
-            sizes = {job_id: known.curves.num_values for job_id, known in self._known.items()}
+            sizes = {job_id: known.size for job_id, known in self._known.items()}
             total = sum(sizes.values())
-            while total > _MAX_VALUES and len(self._known) > 1:
+            while total > _MAX_VALUES and self._known:
                 job_id, _ = self._known.popitem(last=False)
                 total -= sizes[job_id]

@@ -60,8 +60,15 @@ class Service:
         self.curves = CurveCache(self.store, self.objects)
         self.acknowledgements = Acknowledgements(self.store.dispatched)
 
-    def read_feed(
-        self, job_id: str, channel: Channel, *, after: int = 0, kind: str | None = None, limit: int = 1000
+    def read_feed(  # As in `core.jobs.feeds.read`.
+        self,
+        job_id: str,
+        channel: Channel,
+        *,
+        after: int = 0,
+        kind: str | None = None,
+        limit: int = 1000,
+        max_values: int | None = None,
     ) -> Sequence[Entry]:
         """Read a feed from these stores, as `core.jobs.feeds.read` does."""
         return feeds.read(
@@ -72,6 +79,7 @@ class Service:
             after=after,
             kind=kind,
             limit=limit,
+            max_values=max_values,
         )
 
 

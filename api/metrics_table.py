@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from api.views import MetricsRow
 from core.jobs.store import Entry
 
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # A row's step, and the names that were measured.
 Identity = tuple[int, frozenset[str]]
 
@@ -54,7 +55,7 @@ class Overview:
 def csv_lines(pages: Iterable[Sequence[Entry]], overview: Overview) -> Iterator[str]:
     """CSV (RFC 4180), page by page: step, time, then every name in alphabetical order; empty for no value."""
     names = sorted(overview.names)
-    yield _csv([["step", "time", *names]])
+    yield _csv([["step", "time", *map(_harmless, names)]])
     for page in pages:
         yield _csv(
             [row.step, row.time.isoformat(), *(row.values.get(name) for name in names)]
@@ -64,6 +65,11 @@ def csv_lines(pages: Iterable[Sequence[Entry]], overview: Overview) -> Iterator[
 
 def _identity(entry: Entry) -> Identity:
     return entry.data["step"], frozenset(entry.data["values"])
+
+
+def _harmless(text: str) -> str:
+    """A cell that no spreadsheet takes for a formula, as the page's CSV has it."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def _csv(rows: Iterable[Iterable[object]]) -> str:

@@ -1,6 +1,7 @@
 """An uploaded file: it is hashed and written to disk as it arrives, but not parsed."""
 
 import hashlib
+import time
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
@@ -18,6 +19,8 @@ _BEGINNING = 8
 _END = 22 + 2**16 - 1
 # A machine that sleeps in the middle of its upload closes no connection.
 _LONGEST_PAUSE_S = 60.0
+# After the first minute: an upload holds one of few places.
+_SLOWEST_BYTES_PER_S = 2**16
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,15 @@ class Upload:
 async def receiving(request: Request, limit: int) -> AsyncGenerator[Upload]:
     """The whole body in a file.
 
-    Raises BodyTooLarge; Rejected where it stops coming; StorageUnavailable where this machine has no room.
+    Raises BodyTooLarge; Rejected where it stops coming or comes too slowly; StorageUnavailable where this
+    machine has no room.
     """
     digest, size, beginning = hashlib.sha256(), 0, b""
     with NamedTemporaryFile(prefix="gaitway-upload-") as file:
         try:
+            began = time.monotonic()
             async for piece in _without_pauses(pieces_of(request, limit)):
+                _check_pace(size, time.monotonic() - began)
                 file.write(piece)
                 digest.update(piece)
                 size += len(piece)
@@ -60,6 +66,15 @@ async def _without_pauses(pieces: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         if piece is None:
             return
         yield piece
+
+
+def _check_pace(size: int, seconds: float) -> None:
+    """Raises Rejected. size: bytes that have come until now."""
+    if seconds > _LONGEST_PAUSE_S + size / _SLOWEST_BYTES_PER_S:
+        raise Rejected(
+            f"The body of the request came too slowly: {size:,} bytes in {seconds:.0f} s. After the first "
+            f"{_LONGEST_PAUSE_S:.0f} s it may take a second for each {_SLOWEST_BYTES_PER_S:,} bytes."
+        )
 
 
 def with_end(upload: Upload, changed: Callable[[bytes], bytes | None]) -> Upload | None:

@@ -49,12 +49,18 @@ def _within(number: int) -> Callable[[Any], Any]:
     return check
 
 
-def facts(number: int = LARGEST_FACTS_BYTES) -> Any:
-    """A document whose form is its writer's own, of at most so many bytes as JSON."""
-    bound = Field(max_length=MOST_ITEMS, json_schema_extra={"x-maxBytes": number})
-    return Annotated[dict[str, Any], bound, AfterValidator(_within(number))]
-
-
+# Documents whose form is their writer's own.
+_Free = Annotated[dict[str, Any], Field(max_length=MOST_ITEMS)]
+Facts = Annotated[
+    _Free,
+    AfterValidator(_within(LARGEST_FACTS_BYTES)),
+    Field(json_schema_extra={"x-maxBytes": LARGEST_FACTS_BYTES}),
+]
+JobDocument = Annotated[
+    _Free,
+    AfterValidator(_within(LARGEST_JOB_BYTES)),
+    Field(json_schema_extra={"x-maxBytes": LARGEST_JOB_BYTES}),
+]
 # A value whose form another check knows.
 FreeValue = Annotated[
     JsonValue,

@@ -77,8 +77,8 @@ class BadExport(Rejected):
     code = "bad-export"
     title = "The export cannot be imported"
 
-    def __init__(self, detail: str) -> None:
-        super().__init__(detail, [Problem("", detail)])
+    def __init__(self, detail: str, pointer: str = "") -> None:
+        super().__init__(detail, [Problem(pointer, detail)])
 
 
 class Unavailable(GaitwayError):

@@ -22,6 +22,8 @@ from core.jobs.store import Entry, entry_number
 router = APIRouter(tags=["jobs"])
 
 _MAX_ROWS_AS_JSON = 10_000
+# Of one answer; 10,000 rows of twenty metrics.
+_MAX_VALUES = 200_000
 _EXAMPLE = "step,time,eval/episode_reward\r\n0,2026-11-20T09:00:00+00:00,1.0\r\n"
 _CSV: dict[str, Any] = {
     "content": {"text/csv": {"schema": {"type": "string"}, "example": _EXAMPLE}},
@@ -43,7 +45,8 @@ class Measured(Parameters):
         ge=1,
         le=100_000,
         description=f"The most rows of one answer. By default {_MAX_ROWS_AS_JSON} as JSON, where `next` "
-        "leads to the others, and all of them as CSV.",
+        "leads to the others, and all of them as CSV; fewer where they have more than "
+        f"{_MAX_VALUES:,} values.",
     )
     format: Literal["json", "csv"] | None = Field(
         None, description="Takes precedence over the header Accept."
@@ -103,7 +106,9 @@ def read_metrics(
             return _whole_table(job_id, after, service)
         return _part_of_table(job_id, after, asked.limit, service)
     limit = asked.limit or _MAX_ROWS_AS_JSON
-    entries = service.read_feed(job_id, "events", after=after, kind="metrics", limit=limit)
+    entries = service.read_feed(
+        job_id, "events", after=after, kind="metrics", limit=limit, max_values=_MAX_VALUES
+    )
     rows = Overview.of(entries).newest(entries)
     return Metrics(rows=rows, next=entries[-1].id if entries else asked.after or None)
 
@@ -128,10 +133,11 @@ def _whole_table(job_id: str, after: int, service: Service) -> Response:
 
 def _part_of_table(job_id: str, after: int, limit: int, service: Service) -> Response:
     """At most `limit` rows; the header Link tells where to continue if there are more."""
-    found = service.read_feed(job_id, "events", after=after, kind="metrics", limit=limit + 1)
-    page, rest = found[:limit], found[limit:]
+    page = service.read_feed(
+        job_id, "events", after=after, kind="metrics", limit=limit, max_values=_MAX_VALUES
+    )
     headers = dict[str, str]()
-    if rest:
+    if page and service.read_feed(job_id, "events", after=int(page[-1].id), kind="metrics", limit=1):
         query = urlencode({"format": "csv", "after": page[-1].id, "limit": limit})
         headers["Link"] = f'</jobs/{job_id}/metrics?{query}>; rel="next"'
     return _table(job_id, [page], Overview.of(page), headers)

@@ -15,9 +15,9 @@ from core.errors import BadExport
 _LONGEST_DIRECTORY = 2**20
 # A part of an upload to the object store has 8 MiB.
 _LONGEST_READ = 2**24
-_LONGEST_DOCUMENT = 2**24
-# A line of a log has 4,000 characters at most, and a row of metrics some hundred numbers.
-_LONGEST_LINE = 2**17
+LONGEST_DOCUMENT = 2**20
+# A line of a log has 4,000 characters at most, and a row of metrics 500 numbers.
+_LONGEST_LINE = 2**16
 _PIECE = 2**20
 _ENCRYPTED = 1
 
@@ -44,9 +44,9 @@ class Archive:
     def document(self, name: str) -> bytes:
         """The whole file; for small ones. Raises BadExport."""
         with self.open(name) as file, _reading():
-            body = file.read(_LONGEST_DOCUMENT + 1)
-        if len(body) > _LONGEST_DOCUMENT:
-            raise BadExport(f"{name} is longer than {_LONGEST_DOCUMENT:,} bytes.")
+            body = file.read(LONGEST_DOCUMENT + 1)
+        if len(body) > LONGEST_DOCUMENT:
+            raise BadExport(f"{name} is longer than {LONGEST_DOCUMENT:,} bytes.")
         return body
 
     def lines(self, name: str) -> Iterator[bytes]:

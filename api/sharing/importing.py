@@ -6,17 +6,19 @@ from datetime import datetime
 from functools import partial
 from itertools import chain
 from math import isfinite
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
-from pydantic_core import to_json
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic_core import from_json, to_json
 
 from api.dependencies import Service
+from api.sentences import body_problems
 from api.sharing.archive import Archive
 from api.sharing.documents import Contents, Format, Record, Row, Versions
 from api.sharing.export import FORMAT
 from api.submissions import parse
 from core.algorithms.catalog import reported
+from core.bounds import MOST_METRICS
 from core.environments import catalog
 from core.errors import BadExport, EnvironmentNotFound, ModelNotFound, Rejected
 from core.jobs.checks import chosen
@@ -34,8 +36,12 @@ from core.user_models import library
 Document = TypeVar("Document", bound=BaseModel)
 
 _FILES = "files/"
+# No field is unknown here, so no known one is named.
+_ANY: TypeAdapter[Any] = TypeAdapter(dict[str, Any])
 # All entries of a feed are stored in one transaction, and the search for feeds to compact sums over them.
 _MOST_ENTRIES = 300_000
+# Rows that have the same names are of one kind; a training has two or three.
+_MOST_KINDS_OF_ROWS = 200
 _UNFINISHED = "It was {status} when it was exported; this is what it had then."
 
 
@@ -79,19 +85,24 @@ def _check_format(archive: Archive) -> None:
 
 
 def _parsed(archive: Archive, name: str, kind: type[Document]) -> Document:
+    body = archive.document(name)
     try:
-        return kind.model_validate_json(archive.document(name))
+        return kind.model_validate_json(body)
     except ValidationError as error:
-        raise _unreadable(name, error) from None
+        raise _unreadable(name, error, body) from None
 
 
-def _unreadable(name: str, error: ValidationError) -> BadExport:
+def _unreadable(name: str, error: ValidationError, body: bytes) -> BadExport:
     first = error.errors(include_url=False)[0]
     place = "/".join(map(str, first["loc"]))
     if first["type"] in ("enum", "literal_error"):
         known = f"This version of Gaitway does not know {first['input']!r:.100}, which {name} has at {place}"
         return BadExport(f"{known}: import it into the version that made it, or a newer one.")
-    return BadExport(f"{name} is not that of an export: {place}{': ' if place else ''}{first['msg']}.")
+    if first["type"] == "json_invalid":
+        return BadExport(f"{name} is not that of an export: {first['msg']}.")
+    [problem] = body_problems([first], from_json(body), _ANY)
+    detail = f"{name} is not that of an export: {place}{': ' if place else ''}{problem.detail}"
+    return BadExport(detail, f"/{name.partition(',')[0]}{problem.pointer}")
 
 
 def _job(record: Record, end: datetime, origin: Origin) -> Job:
@@ -204,12 +215,30 @@ def _events(rows: _Feed, job: Job) -> Iterator[Entry]:
 
 
 def _rows(archive: Archive) -> Iterator[Entry]:
+    kinds, names = set[frozenset[str]](), set[str]()
     for number, line in enumerate(archive.lines("metrics.jsonl"), 1):
         try:
             row = Row.model_validate_json(line)
         except ValidationError as error:
-            raise _unreadable(f"metrics.jsonl, line {number},", error) from None
+            raise _unreadable(f"metrics.jsonl, line {number},", error, line) from None
+        if (kind := frozenset(row.values)) not in kinds:
+            kinds.add(kind)
+            names |= kind
+            _check_names(len(names), len(kinds), number)
         yield Entry(kind="metrics", time=row.time, data={"step": row.step, "values": row.values})
+
+
+def _check_names(num_names: int, num_kinds: int, line: int) -> None:
+    if num_names > MOST_METRICS:
+        raise BadExport(
+            f"metrics.jsonl has {num_names:,} names of metrics in its first {line:,} lines; at most "
+            f"{MOST_METRICS:,} are allowed."
+        )
+    if num_kinds > _MOST_KINDS_OF_ROWS:
+        raise BadExport(
+            f"metrics.jsonl has {num_kinds:,} sets of names in its first {line:,} lines; at most "
+            f"{_MOST_KINDS_OF_ROWS} are allowed."
+        )
 
 
 def _log(archive: Archive, time: datetime) -> Iterator[Entry]:

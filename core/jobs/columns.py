@@ -10,6 +10,7 @@ from itertools import chain
 
 import structlog
 
+from core.bounds import MOST_METRICS
 from core.errors import ObjectNotFound
 from core.jobs.curves import Curves, decode, encode
 from core.jobs.measured import in_chunk
@@ -40,8 +41,15 @@ def key(job_id: str, group: Sequence[Chunk]) -> str:
     return keys.columns(job_id, group[0].first, digest)
 
 
-def write(job_id: str, group: Sequence[Chunk], bodies: Iterable[bytes], objects: ObjectStore) -> None:
-    """bodies: the bytes of the group's chunks. Raises StorageUnavailable."""
+def write(job_id: str, group: Sequence[Chunk], bodies: Sequence[bytes], objects: ObjectStore) -> None:
+    """bodies: the bytes of the group's chunks. Of very many metrics there are no columns, whose names would
+    take more memory than all else here. Raises StorageUnavailable."""
+    names = set[str]()
+    for _, said in chain.from_iterable(map(in_chunk, bodies)):
+        names.update(said.values)
+        if len(names) > MOST_METRICS:
+            log.warning("columns_skipped", job=job_id, first=group[0].first, most=MOST_METRICS)
+            return
     curves = Curves.of(chain.from_iterable(map(in_chunk, bodies)))
     objects.put(key(job_id, group), encode(curves), media_type="application/msgpack")
 

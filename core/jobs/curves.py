@@ -10,6 +10,7 @@ from typing import Self
 
 import msgspec
 
+from core.bounds import MOST_METRICS
 from core.jobs.measured import Measured
 
 _DIGEST_BYTES = 32
@@ -68,11 +69,13 @@ class Curves(dict[str, Curve]):
         return curves
 
     def add(self, measured: Iterable[Measured], names: Collection[str] | None = None) -> None:
-        """Append values. names: only these metrics; None: all."""
+        """Append values. names: only these metrics; None: all, up to `MOST_METRICS`."""
         for time, said in measured:
             for name, value in said.values.items():
                 if names is None or name in names:
                     if (curve := self.get(name)) is None:
+                        if len(self) >= MOST_METRICS:
+                            continue
                         curve = self[name] = Curve()
                     curve.add(said.step, time, nan if value is None else value)
 

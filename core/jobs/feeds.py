@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
+from itertools import accumulate, takewhile
 
 import msgspec
 import structlog
@@ -26,6 +27,7 @@ log = structlog.get_logger()
 MAX_BYTES = 256 * 1024
 MAX_AGE = timedelta(minutes=10)
 _MAX_ENTRIES = 2000
+_MAX_CHUNK_BYTES = 2**20
 PAGE = 1000
 # Reading these takes as long as reading a page of entries.
 METRICS_PAGE = 8000
@@ -60,8 +62,11 @@ def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
     after: int = 0,
     kind: str | None = None,
     limit: int = PAGE,
+    max_values: int | None = None,
 ) -> Sequence[Entry]:
     """Entries later than number `after`, oldest first; of one kind where given. Empty at the feed's end.
+
+    max_values: fewer where these and one more would have more values of metrics together.
 
     Raises the errors of `read_page`.
     """
@@ -70,9 +75,15 @@ def read(  # noqa: PLR0913 # Where from, which feed, which part of it.
     found: list[Entry] = []
     for page in read_pages(job_id, channel, store=store, objects=objects, after=after, at_once=at_once):
         found += [entry for entry in page if kind in (None, entry.kind)]
-        if len(found) >= limit:
+        if len(found) >= limit or (max_values is not None and _num_within(found, max_values) < len(found)):
             break
-    return found[:limit]
+    return found[: limit if max_values is None else min(limit, _num_within(found, max_values))]
+
+
+def _num_within(entries: Sequence[Entry], max_values: int) -> int:
+    """How many of these, at least one, have at most so many values together."""
+    sums = accumulate(len(entry.data.get("values", ())) for entry in entries)
+    return max(1, sum(1 for _ in takewhile(lambda total: total <= max_values, sums)))
 
 
 def read_pages(
@@ -162,7 +173,7 @@ def compact(*, store: JobStore, objects: ObjectStore) -> int:
     """
     due = store.long_feeds(max_bytes=MAX_BYTES, max_age=MAX_AGE)
     for job_id, channel in due:
-        entries = store.oldest_entries(job_id, channel, limit=_MAX_ENTRIES)
+        entries = store.oldest_entries(job_id, channel, limit=_MAX_ENTRIES, max_bytes=_MAX_CHUNK_BYTES)
         if entries:  # Otherwise another process was faster, or the job was deleted.
             chunk = _chunk(job_id, channel, entries, objects)
             if channel == "events":

@@ -261,8 +261,10 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         `max_bytes`, or an entry older than `max_age`."""
         ...
 
-    def oldest_entries(self, job_id: str, channel: Channel, *, limit: int) -> Sequence[Entry]:
-        """The oldest entries that lie in no chunk yet."""
+    def oldest_entries(
+        self, job_id: str, channel: Channel, *, limit: int, max_bytes: int = 2**40
+    ) -> Sequence[Entry]:
+        """The oldest entries that lie in no chunk yet; as many as have these bytes, and one more."""
         ...
 
     def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:

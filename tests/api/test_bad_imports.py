@@ -1,9 +1,11 @@
 """The service refuses bad and too large exports, says why, and keeps nothing of them."""
 
 import io
+import json
 import socket
 import struct
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from zipfile import ZIP_BZIP2, ZipFile
 
@@ -12,6 +14,15 @@ import pytest
 from tests.api.conftest import Stack
 from tests.api.exports import Change, bring, changed, edit, sent_in_pieces, with_file, without
 from tests.api.problems import problem
+
+_ATTEMPT = {"number": 1, "worker": "w", "started_at": "2026-11-20T12:00:00Z"}
+
+
+def _row(first: int, number: int) -> bytes:
+    """A line of metrics with so many names."""
+    values = {f"m{name}": 0.5 for name in range(first, first + number)}
+    return json.dumps({"step": first, "time": "2026-11-20T12:00:00Z", "values": values}).encode() + b"\n"
+
 
 BAD: dict[str, tuple[Change, str]] = {
     "no spec.json": (without("spec.json"), "The zip has no spec.json"),
@@ -45,6 +56,38 @@ BAD: dict[str, tuple[Change, str]] = {
     ),
     "a long line": (with_file("log.txt", bytes(2**18)), "log.txt has a line of more than"),
     "U+0000": (edit("job.json", attempts__0__worker="a\0b"), "The record of the job cannot be stored"),
+    # H2: an import's record had no bounds, and every listing carried it.
+    "a long message": (
+        edit("job.json", message="x" * 4001),
+        "job.json is not that of an export: message: `message` has 4,001 characters; at most 4,000",
+    ),
+    "large details": (
+        edit("job.json", attempts__0__details={"a": "x" * 2**16}),
+        "attempts/0/details: `details`: has 65,544 bytes as JSON; at most 65,536 are allowed.",
+    ),
+    "many attempts": (
+        edit("job.json", attempts=[_ATTEMPT] * 201),
+        "attempts: `attempts` has 201 items; at most 200 are allowed.",
+    ),
+    "a large record": (with_file("job.json", bytes(2**20 + 1)), "job.json is longer than 1,048,576 bytes."),
+    "a large specification": (edit("job.json", spec={"a": "x" * 2**17}), "at most 131,072 are allowed."),
+    # H3: names of metrics had none, and the reconciler and the curves hold each.
+    "many names in a row": (
+        with_file("metrics.jsonl", _row(0, 501)),
+        "metrics.jsonl, line 1, is not that of an export: values: `values` has 501 items; at most 500",
+    ),
+    "a long name": (
+        with_file("metrics.jsonl", _row(0, 1).replace(b"m0", b"m" * 201)),
+        "has 201 characters; at most 200 are allowed.",
+    ),
+    "many names": (
+        with_file("metrics.jsonl", b"".join(_row(400 * row, 400) for row in range(6))),
+        "metrics.jsonl has 2,400 names of metrics in its first 6 lines; at most 2,000 are allowed.",
+    ),
+    "many sets of names": (
+        with_file("metrics.jsonl", b"".join(_row(0, row + 1) for row in range(201))),
+        "metrics.jsonl has 201 sets of names in its first 201 lines; at most 200 are allowed.",
+    ),
     "a newer format": (edit("contents.json", format=2), "A newer version of Gaitway wrote this export"),
     "an unknown field": (
         edit("job.json", spec__gravity=0),
@@ -170,4 +213,26 @@ def test_an_upload_that_stops_coming_gives_its_place_up(
         answer = connection.recv(2**16)
     assert answer.startswith(b"HTTP/1.1 422")
     assert b"stopped coming" in answer
+    assert stack.service.num_imports == 0
+
+
+def test_an_upload_that_comes_too_slowly_gives_its_place_up(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """M10: a byte before each pause ends kept a place for ever."""
+    monkeypatch.setattr("api.uploads._LONGEST_PAUSE_S", 0.5)
+    head = (
+        f"POST /jobs/import HTTP/1.1\r\nHost: 127.0.0.1:{stack.port}\r\n"
+        "Content-Type: application/zip\r\nContent-Length: 1000\r\n\r\n"
+    )
+    with socket.create_connection(("127.0.0.1", stack.port), timeout=0.1) as connection:
+        connection.sendall(head.encode())
+        answer = b""
+        for _ in range(100):
+            connection.sendall(b"P")
+            with suppress(TimeoutError):
+                answer = connection.recv(2**16)
+                break
+    assert answer.startswith(b"HTTP/1.1 422")
+    assert b"came too slowly" in answer
     assert stack.service.num_imports == 0

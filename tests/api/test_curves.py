@@ -9,6 +9,7 @@ import pytest
 
 from api import curve_cache
 from api.curves import extremes, thinned
+from api.routes import metrics
 from core.jobs import columns, feeds
 from core.jobs.curves import Curves
 from core.jobs.measured import Measured, StepValues
@@ -126,6 +127,7 @@ def test_curves_that_find_no_room_are_read_again(
     attempt.say_all("metrics", [{"step": step, "values": {"a": 1.0}} for step in range(3)])
     for _ in range(2):
         assert len(rows(stack, attempt, points=4)) == 3
+        assert not stack.service.curves._known  # H3: the last one stayed, however large.
 
 
 def test_long_feeds_are_read_in_turn_and_a_short_one_at_once(
@@ -164,6 +166,36 @@ def test_long_feeds_are_read_in_turn_and_a_short_one_at_once(
         short_is_read.set()
         assert [future.result() for future in long] == [20, 20]
     assert not overlapped.is_set()
+
+
+def test_names_count_in_the_room_of_curves(
+    stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """H3: only values were counted, and a name takes as much as 33 of them."""
+    monkeypatch.setattr(curve_cache, "_MAX_VALUES", 500)
+    attempt.say("metrics", step=0, values={f"m{number}": 1.0 for number in range(20)})
+    assert len(rows(stack, attempt, points=4)[0]["values"]) == 20
+    assert not stack.service.curves._known
+
+
+def test_a_page_of_rows_ends_at_a_number_of_values(
+    stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """H3: 10,000 rows of hundreds of metrics were one answer."""
+    monkeypatch.setattr(metrics, "_MAX_VALUES", 7)
+    said = [{"step": step, "values": {"=a": 1.0, "b": 2.0}} for step in range(10)]
+    attempt.say_all("metrics", said)
+    here, after, steps = f"/jobs/{attempt.id}/metrics", "", list[int]()
+    for _ in range(4):
+        page = stack.http.get(here, params={"after": after}).json()
+        steps += [row["step"] for row in page["rows"]]
+        after = page["next"]
+    assert steps == list(range(10))
+    table = stack.http.get(here, params={"format": "csv", "limit": 5})
+    assert len(table.text.splitlines()) == 1 + 3
+    assert 'rel="next"' in table.headers["Link"]
+    # L8: a spreadsheet would take the name for a formula.
+    assert table.text.splitlines()[0] == "step,time,'=a,b"
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,13 @@ class Connected:
         self._breaker = Breaker()
 
     @contextmanager
-    def _transaction(self) -> Generator[Connection]:
-        with self._breaker.reaching(), self._engine.connect() as connection, connection.begin():
+    def _transaction(self, *, is_large: bool = False) -> Generator[Connection]:
+        """is_large: its statements may be slow because of their size, which says nothing to other calls."""
+        with (
+            self._breaker.reaching(is_large=is_large),
+            self._engine.connect() as connection,
+            connection.begin(),
+        ):
             yield connection
 
     @contextmanager

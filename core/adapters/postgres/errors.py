@@ -85,10 +85,10 @@ class Breaker:
         self._said = ""
 
     @contextmanager
-    def reaching(self) -> Generator[None]:
+    def reaching(self, *, is_large: bool = False) -> Generator[None]:
         """Turn outages into RecordsUnavailable, and what only a changed setting mends into RecordsRefuse.
 
-        Errors of ours pass through.
+        Errors of ours pass through. is_large: silence is no reason to refuse other calls.
         """
         if time.monotonic() < self._closed_at:
             raise RecordsUnavailable(self._said)
@@ -100,7 +100,7 @@ class Breaker:
             meant = meaning(error)
             if meant is None:
                 raise
-            if _is_silence(error):
+            if _is_silence(error) and not is_large:
                 self._closed_at, self._said = time.monotonic() + self._REST_S, meant.detail
             raise meant from error
 

@@ -2,21 +2,25 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import timedelta
-from itertools import islice
+from tempfile import TemporaryFile
 from typing import Any
 
-from pydantic_core import to_json
+from pydantic_core import from_json, to_json
 from sqlalchemy import Column, Connection, Row, TextClause, delete, func, or_, select, text, update
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres import rows
 from core.adapters.postgres.tables import NOW, UNFINISHED, chunks, entries, jobs
+from core.errors import StorageUnavailable
 from core.jobs.job import Progress
 from core.jobs.measured import in_rows
 from core.jobs.store import Channel, Chunk, Entry, FeedPart, MeasuredPart
 
+# Kinds, times and data of entries.
+_Batch = tuple[list[str], list[str], list[str]]
 _NUM: dict[Channel, Column[int]] = {"events": jobs.c.num_events, "logs": jobs.c.num_logs}
 _INSERT = """
     INSERT INTO entries (job_id, channel, number, kind, time, data)
@@ -53,42 +57,63 @@ _APPEND_AS_ATTEMPT: dict[Channel, TextClause] = {
     """)  # noqa: S608 # Names of columns.
     for channel, counter in _NUM.items()
 }
-_READ = text("""
+# Entries may be long: of those that a reader asks for, it gets as many as have these bytes, and one more.
+_BYTES_BEFORE = """
+    sum(octet_length(data)) OVER (ORDER BY number ROWS UNBOUNDED PRECEDING) - octet_length(data)
+    AS bytes_before
+"""
+_READ = text(f"""
     SELECT jobs.status,
         (SELECT json_agg(found ORDER BY found.first) FROM (
             SELECT channel, first, last, key, size, sha256 FROM chunks
             WHERE job_id = :job_id AND channel = :channel AND last > :after ORDER BY first LIMIT :chunks
-        ) AS found) AS chunks,
-        (SELECT json_agg(json_build_array(number, kind, time, data) ORDER BY number) FROM (
-            SELECT number, kind, time, data FROM entries
+        ) AS found) AS chunks, behind.*
+    FROM jobs CROSS JOIN LATERAL (
+        SELECT count(*) AS num, json_agg(json_build_array(number, kind, time, data) ORDER BY number)
+            FILTER (WHERE bytes_before < :bytes) AS entries
+        FROM (
+            SELECT number, kind, time, data, {_BYTES_BEFORE} FROM entries
             WHERE job_id = :job_id AND channel = :channel AND number > :after ORDER BY number LIMIT :limit
-        ) AS found) AS entries
-    FROM jobs WHERE jobs.id = :job_id
-""")
+        ) AS found
+    ) AS behind
+    WHERE jobs.id = :job_id
+""")  # noqa: S608 # A constant.
+_OLDEST = text(f"""
+    SELECT number, kind, time, data FROM (
+        SELECT number, kind, time, data, {_BYTES_BEFORE} FROM entries
+        WHERE job_id = :job_id AND channel = :channel ORDER BY number LIMIT :limit
+    ) AS found WHERE bytes_before < :bytes ORDER BY number
+""")  # noqa: S608 # A constant.
 # JSON made by PostgreSQL for each entry would take most of the time. Entries count only after the last chunk.
-_READ_METRICS = text("""
+_READ_METRICS = text(f"""
     WITH known AS (
         SELECT channel, first, last, key, size, sha256 FROM chunks
         WHERE job_id = :job_id AND channel = 'events' AND last > :after ORDER BY first LIMIT :chunks
     )
     SELECT (SELECT json_agg(known ORDER BY known.first) FROM known) AS chunks, behind.*
     FROM jobs CROSS JOIN LATERAL (
-        SELECT count(*) AS num, max(number) AS last,
-            array_agg(date_part('epoch', time) ORDER BY number) FILTER (WHERE kind = 'metrics') AS times,
-            string_agg(data, ',' ORDER BY number) FILTER (WHERE kind = 'metrics') AS data
+        SELECT count(*) FILTER (WHERE bytes_before < :bytes) AS num, count(*) AS num_before_bytes,
+            max(number) FILTER (WHERE bytes_before < :bytes) AS last,
+            array_agg(date_part('epoch', time) ORDER BY number)
+                FILTER (WHERE kind = 'metrics' AND bytes_before < :bytes) AS times,
+            string_agg(data, ',' ORDER BY number)
+                FILTER (WHERE kind = 'metrics' AND bytes_before < :bytes) AS data
         FROM (
-            SELECT number, kind, time, data FROM entries
+            SELECT number, kind, time, data, {_BYTES_BEFORE} FROM entries
             WHERE job_id = :job_id AND channel = 'events' AND number > :after ORDER BY number
             LIMIT CASE WHEN (SELECT count(*) FROM known) < :chunks THEN :limit ELSE 0 END
         ) AS found
     ) AS behind
     WHERE jobs.id = :job_id
-""")
+""")  # noqa: S608 # A constant.
 # A reader gets a few chunks at a time; each is a request to the object store.
 _MAX_CHUNKS = 4
+_PART_BYTES = 2**20
+_AT_ONCE = {"chunks": _MAX_CHUNKS + 1, "bytes": _PART_BYTES}
 _MAX_DUE = 200
 # Appending one batch takes a fraction of a call's time limit.
 _BATCH = 1000
+_BATCH_BYTES = 2**20
 
 
 def append_as_attempt(  # noqa: PLR0913 # As in the seam.
@@ -123,11 +148,41 @@ def append(
     connection.execute(_APPEND[channel], values)
 
 
-def append_all(connection: Connection, job_id: str, channel: Channel, said: Iterable[Entry]) -> None:
-    """Append any number of entries, in batches."""
-    left = iter(said)
-    while batch := list(islice(left, _BATCH)):
-        append(connection, job_id, channel, batch)
+@contextmanager
+def prepared(said: Iterable[Entry]) -> Generator[Iterator[_Batch]]:
+    """Any number of entries, read now, and ready to be appended in batches: a file holds them, so that the
+    transaction waits for nobody. Raises StorageUnavailable where this machine has no room for it."""
+    with TemporaryFile(prefix="gaitway-feed-") as file:
+        try:
+            for batch in _batches(said):
+                file.write(to_json(batch) + b"\n")
+            file.seek(0)
+        except OSError as error:
+            raise StorageUnavailable(f"The API has no room for the feed: {error.strerror}.") from error
+        yield map(from_json, file)
+
+
+def _batches(said: Iterable[Entry]) -> Iterator[_Batch]:
+    """Kinds, times and data of entries, as many as one statement stores."""
+    kinds, times, data, size = list[str](), list[str](), list[str](), 0
+    for entry in said:
+        text = _text(entry)
+        if kinds and (len(kinds) == _BATCH or size + len(text) > _BATCH_BYTES):
+            yield kinds, times, data
+            kinds, times, data, size = [], [], [], 0
+        kinds.append(entry.kind)
+        times.append(entry.time.isoformat())
+        data.append(text)
+        size += len(text)
+    if kinds:
+        yield kinds, times, data
+
+
+def append_all(connection: Connection, job_id: str, channel: Channel, batches: Iterable[_Batch]) -> None:
+    """Append what `prepared` has made ready."""
+    for kinds, times, data in batches:
+        said = {"count": len(kinds), "kinds": kinds, "times": times, "data": data}
+        connection.execute(_APPEND[channel], {"job_id": job_id, "channel": channel, "progress": None, **said})
 
 
 def _said(said: Sequence[Entry], progress: Progress | None) -> dict[str, Any]:
@@ -136,8 +191,12 @@ def _said(said: Sequence[Entry], progress: Progress | None) -> dict[str, Any]:
         "count": len(said),
         "kinds": [entry.kind for entry in said],
         "times": [entry.time for entry in said],
-        "data": [to_json(entry.data, inf_nan_mode="null").decode() for entry in said],
+        "data": [_text(entry) for entry in said],
     }
+
+
+def _text(entry: Entry) -> str:
+    return to_json(entry.data, inf_nan_mode="null").decode()
 
 
 def read(connection: Connection, job_id: str, channel: Channel, after: int, limit: int) -> FeedPart | None:
@@ -145,7 +204,7 @@ def read(connection: Connection, job_id: str, channel: Channel, after: int, limi
 
     None if there is no such job.
     """
-    asked = {"job_id": job_id, "channel": channel, "after": after, "chunks": _MAX_CHUNKS + 1, "limit": limit}
+    asked = {"job_id": job_id, "channel": channel, "after": after, "limit": limit, **_AT_ONCE}
     found = connection.execute(_READ, asked).first()
     if found is None:
         return None
@@ -153,12 +212,13 @@ def read(connection: Connection, job_id: str, channel: Channel, after: int, limi
     if len(parts) > _MAX_CHUNKS:
         return FeedPart(parts[:_MAX_CHUNKS], (), rows.status(found.status), is_end=False)
     behind = [_entry_of(*entry) for entry in found.entries or ()]
-    return FeedPart(parts, behind, rows.status(found.status), is_end=len(behind) < limit)
+    is_end = found.num == len(behind) < limit
+    return FeedPart(parts, behind, rows.status(found.status), is_end=is_end)
 
 
 def read_metrics(connection: Connection, job_id: str, after: int, limit: int) -> MeasuredPart | None:
     """As `read`, of the metrics in `events` alone."""
-    asked = {"job_id": job_id, "after": after, "chunks": _MAX_CHUNKS + 1, "limit": limit}
+    asked = {"job_id": job_id, "after": after, "limit": limit, **_AT_ONCE}
     found = connection.execute(_READ_METRICS, asked).first()
     if found is None:
         return None
@@ -166,16 +226,16 @@ def read_metrics(connection: Connection, job_id: str, after: int, limit: int) ->
     if len(parts) > _MAX_CHUNKS:
         return MeasuredPart(parts[:_MAX_CHUNKS], (), last=0, is_end=False)
     behind = in_rows(found.times, f"[{found.data}]") if found.data else ()
-    return MeasuredPart(parts, behind, last=found.last or 0, is_end=found.num < limit)
+    is_end = found.num == found.num_before_bytes < limit
+    return MeasuredPart(parts, behind, last=found.last or 0, is_end=is_end)
 
 
-def oldest(connection: Connection, job_id: str, channel: Channel, limit: int) -> Sequence[Entry]:
+def oldest(
+    connection: Connection, job_id: str, channel: Channel, limit: int, max_bytes: int
+) -> Sequence[Entry]:
     """Entries that lie in no chunk, oldest first."""
     found = connection.execute(
-        select(entries.c.number, entries.c.kind, entries.c.time, entries.c.data)
-        .where(entries.c.job_id == job_id, entries.c.channel == channel)
-        .order_by(entries.c.number)
-        .limit(limit)
+        _OLDEST, {"job_id": job_id, "channel": channel, "limit": limit, "bytes": max_bytes}
     )
     return [_entry_of(*row) for row in found]
 

@@ -90,11 +90,15 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
     ) -> bool:
         """As in the seam; version 0.1 also has queued jobs, and `keys`, those of the job's submission."""
         try:
-            with self._transaction() as connection:
+            with (
+                feeds.prepared(events) as said,
+                feeds.prepared(logs) as printed,
+                self._transaction(is_large=True) as connection,
+            ):
                 if not submissions.add(connection, job, idempotency):
                     return False
-                feeds.append_all(connection, job.id, "events", events)
-                feeds.append_all(connection, job.id, "logs", logs)
+                feeds.append_all(connection, job.id, "events", said)
+                feeds.append_all(connection, job.id, "logs", printed)
                 for key in keys:
                     submissions.remember(connection, key, job.id)
         except IntegrityError as error:
@@ -231,9 +235,11 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
         with self._transaction() as connection:
             return feeds.due(connection, max_bytes, max_age)
 
-    def oldest_entries(self, job_id: str, channel: Channel, *, limit: int) -> Sequence[Entry]:
+    def oldest_entries(
+        self, job_id: str, channel: Channel, *, limit: int, max_bytes: int = 2**40
+    ) -> Sequence[Entry]:
         with self._statements() as connection:
-            return feeds.oldest(connection, job_id, channel, limit)
+            return feeds.oldest(connection, job_id, channel, limit, max_bytes)
 
     def replace_by_chunk(self, job_id: str, chunk: Chunk) -> None:
         with self._transaction() as connection:

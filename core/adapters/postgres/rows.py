@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 from sqlalchemy import Row
 
+from core.bounds import LONGEST_MESSAGE
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
 from core.jobs.status import JobStatus
 from core.jobs.stored_spec import read_spec
@@ -131,7 +132,10 @@ def status(text: str) -> JobStatus:
 
 def words(text: str | None) -> str | None:
     """A message, which may be the tail of a log, without U+0000: PostgreSQL does not store that as text."""
-    return None if text is None else text.replace("\0", "\N{REPLACEMENT CHARACTER}")
+    if text is None:
+        return None
+    short = text if len(text) <= LONGEST_MESSAGE else f"{text[: LONGEST_MESSAGE - 1]}…"
+    return short.replace("\0", "\N{REPLACEMENT CHARACTER}")
 
 
 def interval(span: timedelta) -> timedelta:

@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy.exc import DBAPIError
 
 from core.adapters.postgres import schema
-from core.adapters.postgres.connection import DEADLINE_S, PromptConnection, connect_postgres
+from core.adapters.postgres.connection import DEADLINE_S, NoAnswer, PromptConnection, connect_postgres
 from core.adapters.postgres.errors import Breaker
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import Misconfigured, RecordsRefuse, RecordsUnavailable
@@ -299,3 +299,16 @@ class TestAddresses:
     )
     def test_one_that_can_be_read_is_taken_before_anything_is_asked_there(self, url: str) -> None:
         connect_postgres(url).dispose()
+
+
+def test_silence_after_a_large_call_refuses_no_other() -> None:
+    """M4: one wide import made every request of its process wait for a second, again and again."""
+    breaker = Breaker()
+    with pytest.raises(RecordsUnavailable), breaker.reaching(is_large=True):
+        raise NoAnswer("no answer within 2 s")
+    with breaker.reaching():
+        pass
+    with pytest.raises(RecordsUnavailable), breaker.reaching():
+        raise NoAnswer("no answer within 2 s")
+    with pytest.raises(RecordsUnavailable), breaker.reaching():
+        pytest.fail("It was called.")

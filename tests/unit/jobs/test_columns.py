@@ -222,3 +222,29 @@ def test_logs_have_no_columns(run: Run) -> None:
     run.worker.say(run.claim, "logs", *map(str, range(PER_CHUNK * GROUP)))
     run.compact()
     assert run.columns() == []
+
+
+def test_a_group_with_very_many_names_gets_no_columns_and_its_feed_is_moved(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """H3: the names of an import of 3.6 MB took the reconciler 1.3 GB, again after each restart."""
+    monkeypatch.setattr(columns, "MOST_METRICS", 1)
+    run.measure_chunks(GROUP)
+    with capture_logs() as said:
+        run.compact()
+    assert [line["event"] for line in said] == ["columns_skipped"]
+    assert len(run.chunks()) == GROUP
+    assert run.columns() == []
+    assert set(run.drawn()) == {"a", "b"}
+
+
+def test_chunks_are_made_by_bytes_too(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """H3: 2,000 wide rows were one object of 250 MB."""
+    monkeypatch.setattr(feeds, "_MAX_ENTRIES", 1000)
+    monkeypatch.setattr(feeds, "_MAX_CHUNK_BYTES", 200)
+    run.measure(*range(100))
+    before = run.by_lines()
+    run.compact()
+    assert len(run.chunks()) > 10
+    assert run.by_lines() == before
+    assert list(before["b"].steps) == list(range(100))
