@@ -2,7 +2,9 @@
 
 import { get } from "./lib/api.js";
 import { useAway } from "./lib/connection.js";
+import { docsOf } from "./lib/docs.js";
 import { html, render, useEffect, useRef, useState } from "./lib/html.js";
+import { useCurrentInSight } from "./lib/in_sight.js";
 import { useLive } from "./lib/live.js";
 import { href, useRoute } from "./lib/route.js";
 import { applyTheme, toggleTheme, useDark } from "./lib/theme.js";
@@ -37,12 +39,13 @@ function Header({ present }) {
   const dark = useDark();
   return html`<header class="top">
     <a class="brand" href="#/jobs">Gaitway</a>
-    <nav aria-label="Pages">
+    <nav aria-label="Pages" ref=${useCurrentInSight(present)}>
       ${Object.entries(NAMES).map(
         ([name, text]) =>
           html`<a href=${href([name])} aria-current=${name === present ? "page" : undefined}>${text}</a>`,
       )}
       <a href="/docs">HTTP</a>
+      <a href=${docsOf(present)} target="_blank" rel="noopener" title="The documentation, on another host">Docs</a>
     </nav>
     <button class="plain" type="button" onClick=${toggleTheme}>${dark ? "Light" : "Dark"}</button>
   </header>`;
@@ -74,9 +77,10 @@ function App() {
   const main = useRef();
   const isKnown = name in VIEWS;
   const { Component, error } = useView(isKnown ? name : "jobs", path);
+  const isOne = path.length > 0 && path[0] !== "new"; // One job or sweep, whose view says how it goes.
   useEffect(() => {
-    document.title = name === "jobs" && !path.length ? "Gaitway" : `${NAMES[name] || "Compare"} · Gaitway`;
-  }, [name, path[0]]);
+    if (!isOne) document.title = `${path[0] === "new" ? "New sweep" : NAMES[name] || "Compare"} · Gaitway`;
+  }, [name, isOne, path[0]]);
   return html`
     <a class="skip" href="#main" onClick=${(event) => (event.preventDefault(), main.current.focus())}>To the content</a>
     <${Header} present=${name} />

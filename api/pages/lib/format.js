@@ -15,6 +15,43 @@ export function value(number) {
   return String(Number(number.toPrecision(4)));
 }
 
+const exact = new Intl.NumberFormat("en", { notation: "compact", maximumFractionDigits: 6 });
+
+/** Ticks of an axis whose neighbours are `increment` apart: with as many digits as that takes, so that none lies. */
+export function ticks(numbers, increment) {
+  return numbers.map((number) => {
+    if (number === null || number === 0) return number === null ? "" : "0";
+    const size = Math.abs(number);
+    const digits = Math.min(Math.max(Math.ceil(Math.log10(size / increment)) + 2, 2), 15);
+    const precise = Number(number.toPrecision(digits)); // Without the noise of sums such as 0.1 + 0.2.
+    return size < 1e-3 || size >= 1e6 ? precise.toExponential().replace("e+", "e") : String(precise);
+  });
+}
+
+/** Ticks of steps, such as 1.25M. */
+export const stepTicks = (numbers) => numbers.map((number) => exact.format(number));
+
+/** What lies between ticks of seconds, so that minutes and hours come out whole. */
+export const TIME_INCREMENTS = [
+  ...[1e-3, 1e-2, 0.1].flatMap((one) => [one, 2 * one, 5 * one]),
+  ...[1, 60].flatMap((unit) => [1, 2, 5, 10, 15, 30].map((one) => one * unit)),
+  ...[1, 2, 3, 6, 12, 24, 48, 96, 240, 480, 960].map((hours) => hours * 3600),
+];
+
+/** Ticks of seconds: 45 s, 2:30 min, 1:15 h. */
+export function timeTicks(numbers, increment) {
+  const most = Math.max(...numbers);
+  if (most < 120 || increment < 1) return ticks(numbers, increment).map((text) => `${text} s`);
+  if (increment >= 3600) return numbers.map((number) => `${number / 3600} h`);
+  if (increment >= 60 && most < 7200) return numbers.map((number) => `${number / 60} min`);
+  const two = (part) => String(part).padStart(2, "0");
+  return numbers.map((number) => {
+    const [hours, minutes, rest] = [Math.floor(number / 3600), Math.floor(number / 60) % 60, Math.round(number % 60)];
+    if (increment >= 60) return `${hours}:${two(minutes)} h`;
+    return hours ? `${hours}:${two(minutes)}:${two(rest)} h` : `${minutes}:${two(rest)} min`;
+  });
+}
+
 /** @param {number} seconds */
 export function duration(seconds) {
   if (seconds < 0.95) return `${Math.round(seconds * 1000)} ms`;

@@ -57,3 +57,13 @@ export function useInSight(load, version, isOver) {
   }, [isSeen, version, isOver]);
   return [place, data];
 }
+
+/** A ref for links in a row that is wider than a phone's window: the present one is brought into sight. */
+export function useCurrentInSight(...inputs) {
+  const row = useRef();
+  useEffect(() => {
+    const current = row.current?.querySelector("[aria-current]");
+    if (current) row.current.scrollLeft = current.offsetLeft - row.current.offsetLeft - (row.current.clientWidth - current.offsetWidth) / 2;
+  }, inputs);
+  return row;
+}

@@ -13,6 +13,13 @@ export const optionsOf = (spec) => (typeof spec.environment === "object" && spec
 /** The job's name, or what it does. */
 export const title = (job) => job.name || `${environmentOf(job.spec)}, ${job.kind}`;
 
+/** The job's labels; of an imported one, without those that name a sweep of the service that it came from. */
+export function labelsOf({ labels, imported_from: origin }) {
+  if (!origin) return labels;
+  const { sweep, trial, ...own } = labels;
+  return sweep === undefined ? labels : own;
+}
+
 /** The algorithm's kind; none for a rollout. */
 export const algorithmOf = (job) => (job.kind === "train" ? job.spec.algorithm?.kind || "ppo" : null);
 

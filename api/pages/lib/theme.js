@@ -19,6 +19,9 @@ export function toggleTheme() {
   applyTheme();
 }
 
+/** Call a listener with whether the page is dark, at each change. */
+export const onTheme = (listener) => listeners.add(listener);
+
 /** Whether the page is dark now. */
 export function useDark() {
   const [dark, setDark] = useState(isDark);

@@ -1,6 +1,6 @@
 /** Curves in one picture (uPlot), which follow the colours and the width of the page. */
 
-import { compact, duration, value } from "../lib/format.js";
+import { TIME_INCREMENTS, compact, count, duration, stepTicks, ticks, timeTicks, value } from "../lib/format.js";
 import { html, useEffect, useRef } from "../lib/html.js";
 import { colour, useDark } from "../lib/theme.js";
 import uPlot from "../vendor/uplot.js";
@@ -68,17 +68,18 @@ function table(lines, log) {
 function options(latest, lines, { x, log, width, height }) {
   const [ink, grid] = [colour("--soft"), colour("--line")];
   const axis = { stroke: ink, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1 }, font: "12px system-ui, sans-serif" };
-  const across = x === "time" ? duration : compact;
+  const isTime = x === "time";
+  const xTicks = isTime ? timeTicks : stepTicks;
   return {
     width,
     height,
     scales: { x: { time: false, auto: false }, y: log ? { distr: 3, log: 10 } : {} },
     axes: [
-      { ...axis, size: 28, values: (_, found) => found.map((one) => across(one)), space: 70 },
-      { ...axis, size: 58, values: (_, found) => found.map((one) => (one === null ? "" : value(one))) },
+      { ...axis, size: 28, values: (_, found, ...[, , increment]) => xTicks(found, increment), incrs: isTime ? TIME_INCREMENTS : undefined, space: 80 },
+      { ...axis, size: 58, values: (_, found, ...[, , increment]) => (log ? found.map((one) => (one === null ? "" : value(one))) : ticks(found, increment)) },
     ],
     series: [
-      { label: x === "time" ? "Time" : "Step", value: (_, one) => (one === null ? "–" : across(one)) },
+      { label: isTime ? "Time" : "Step", value: (_, one) => (one === null ? "–" : isTime ? duration(one) : count(one)) },
       ...lines.map((line) => ({
         label: line.label,
         class: line.edge && lines.length > MOST_EDGES ? "unlisted" : undefined,

@@ -44,7 +44,7 @@ function Group(field) {
   const isRestSaid = rest.some((each) => said?.[each] !== undefined || errors.some(({ pointer }) => pointer.startsWith(`/${[...path, each].join("/")}`)));
   const content = html`
     ${schema.description && html`<p class="facts"><${Prose} text=${schema.description} /></p>`}
-    ${errorsAt(errors, path).map(({ detail }) => html`<p class="error">${detail}</p>`)}
+    ${errorsAt(errors, path).map(({ detail }) => html`<p class="error"><${Prose} text=${detail} /></p>`)}
     ${isNullable && html`<label class="tools"><span><input type="checkbox" checked=${!isOff} onChange=${(event) => set(path, offOrOn(event.target.checked, planned))} /> ${" "}with ${words(name)}</span></label>`}
     ${!isOff && html`<div class="fields">${names.slice(0, SHOWN).map(draw)}</div>`}
     ${!isOff && rest.length > 0 && html`<details open=${isRestSaid}><summary>${rest.length} more</summary><div class="fields">${rest.map(draw)}</div></details>`}
@@ -71,7 +71,7 @@ function Choice(field) {
       ${Object.keys(forms).map((form) => html`<option value=${form}>${form}</option>`)}
     </select>
     ${schema.description && html`<p class="facts"><${Prose} text=${schema.description} /></p>`}
-    ${errorsAt(errors, path).map(({ detail }) => html`<p class="error">${detail}</p>`)}
+    ${errorsAt(errors, path).map(({ detail }) => html`<p class="error"><${Prose} text=${detail} /></p>`)}
     ${forms[chosen] && html`<${Group} ...${{ all, document, set, errors, path, name }} schema=${resolve({ $ref: forms[chosen] }, all)} planned=${field.plannedFields?.(chosen)} first=${field.firstFields?.(chosen)} isOpen />`}
   </div>`;
 }
@@ -89,7 +89,7 @@ function Input(field) {
       ? html`<${Select} common=${common} said=${said} planned=${planned} options=${schema.enum || [true, false]} onChange=${(value) => set(path, value)} />`
       : html`<${Text} common=${common} said=${said} planned=${planned} schema=${schema} isNullable=${isNullable} suggestions=${field.suggestions} onChange=${(value) => set(path, value)} />`}
     ${schema.description && html`<p class="facts" id="${id}-about"><${Prose} text=${schema.description} /></p>`}
-    ${wrong.length > 0 && html`<p class="error" id="${id}-error">${wrong.map(({ detail }) => detail).join(" ")}</p>`}
+    ${wrong.length > 0 && html`<p class="error" id="${id}-error"><${Prose} text=${wrong.map(({ detail }) => detail).join(" ")} /></p>`}
   </div>`;
 }
 

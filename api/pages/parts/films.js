@@ -10,7 +10,8 @@ export const filmsOf = (job) =>
 
 export const filmName = (film) => (film.step === null ? "at the end" : `at step ${count(film.step)}`);
 
-export function Films({ job, onStep }) {
+/** Children: what stands there while the job has no video. */
+export function Films({ job, onStep, children }) {
   const films = filmsOf(job);
   const [chosen, setChosen] = useState(null); // null: the newest, also when another comes.
   const player = useRef();
@@ -18,7 +19,7 @@ export function Films({ job, onStep }) {
   const place = chosen === null ? films.length - 1 : Math.min(chosen, films.length - 1);
   const film = films[place];
   useEffect(() => onStep?.(film?.step ?? null), [film?.name]);
-  if (!film) return html`<${NoFilm} job=${job} />`;
+  if (!film) return html`${children}<${NoFilm} job=${job} />`;
   const choose = (event) => {
     const next = Number(event.target.value);
     at.current = player.current?.currentTime || 0;
@@ -47,8 +48,10 @@ function NoFilm({ job }) {
       ? "This job asks for no video."
       : ["succeeded", "failed", "cancelled"].includes(job.status)
         ? "The job ended without a video."
-        : job.kind === "train" && !job.spec.video?.every_checkpoint
-          ? "The video is made at the end. A job with “every_checkpoint” has one for each checkpoint."
-          : "No video yet: the first one comes with the first checkpoint.";
+        : job.progress.phase === "drawing"
+          ? "The video is drawn now."
+          : job.kind === "train" && !job.spec.video?.every_checkpoint
+            ? "The video is made at the end. A job with “every_checkpoint” has one for each checkpoint."
+            : "No video yet: the first one comes with the first checkpoint.";
   return html`<p class="state">${text}</p>`;
 }

@@ -6,16 +6,24 @@ import { isOver } from "../lib/job.js";
 
 export const Status = ({ job }) => html`<span class="status ${job.status}">${job.status}</span>`;
 
-/** Steps, speed and the time that is left; nothing before the first step. */
+// What a job does besides the steps that its progress counts.
+const PHASES = { preparing: "prepares", compiling: "compiles", evaluating: "evaluates", drawing: "draws the video" };
+
+/** What the job does now, unless the steps say it. */
+export const phaseOf = (job) => PHASES[job.progress.phase];
+
+/** Steps, speed and the time that is left; before the first step what is done for it. */
 export function Progress({ job }) {
   const { step, total, steps_per_second: speed, eta_s: eta } = job.progress;
   const isGoing = !isOver(job) && job.status !== "queued";
-  if (!total) return null;
+  const phase = isGoing && phaseOf(job);
+  if (!total) return phase ? html`<span class="facts">${phase}…</span>` : null;
+  const isMoving = isGoing && phase !== PHASES.drawing;
   return html`<div class="progress">
     ${isGoing && html`<progress max=${total} value=${step} aria-label="Progress of ${job.name || job.id}"></progress>`}
     <span class="facts" title="${count(step)} of ${count(total)} steps">
       ${compact(step)} of ${compact(total)} steps
-      ${isGoing && speed ? ` · ${compact(speed)}/s` : ""}${isGoing && eta ? ` · ${duration(eta)} left` : ""}
+      ${isMoving && speed ? ` · ${compact(speed)}/s` : ""}${isMoving && eta ? ` · ${duration(eta)} left` : ""}${phase ? ` · ${phase}…` : ""}
     </span>
   </div>`;
 }

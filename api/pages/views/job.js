@@ -1,12 +1,17 @@
 /** One job: its head, and the tab that the address names. */
 
-import { post, remove } from "../lib/api.js";
+import { everyItem, get, post, remove } from "../lib/api.js";
 import { duration, moment, seconds } from "../lib/format.js";
 import { html, useState } from "../lib/html.js";
-import { algorithmOf, environmentOf, isOver, title } from "../lib/job.js";
+import { useCurrentInSight } from "../lib/in_sight.js";
+import { algorithmOf, environmentOf, isOver, labelsOf, title } from "../lib/job.js";
+import { useLive } from "../lib/live.js";
 import { useJob } from "../lib/live_job.js";
+import { whyQueued } from "../lib/queue.js";
 import { go, href } from "../lib/route.js";
+import { useTitle } from "../lib/title.js";
 import { Confirm } from "../parts/confirm.js";
+import { Prose } from "../parts/prose.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 import { Labels, Progress, Status } from "../parts/status.js";
 import { CurvesTab } from "./job/curves.js";
@@ -30,13 +35,15 @@ const TABS = {
 export default function JobView({ path: [id, tab = "overview"], query }) {
   const live = useJob(id);
   const { job, error, isGone, again } = live;
+  const tabs = useCurrentInSight(tab, Boolean(job));
+  useTitle(job ? headline(job) : "Job", tab !== "overview" && TABS[tab]?.[0]);
   if (isGone) return html`<${Empty}><p>Somebody deleted this job.</p><p><a href="#/jobs">To the jobs</a></p><//>`;
   if (!job && error) return html`<${Failure} error=${error} again=${again} /><p><a href="#/jobs">To the jobs</a></p>`;
   if (!job) return html`<${Loading} what="the job" />`;
   const Tab = (TABS[tab] || TABS.overview)[1];
   return html`
-    <${Head} job=${job} again=${again} />
-    <nav class="tabs" aria-label="Parts of the job">
+    <${Head} job=${job} again=${again} isBrief=${tab !== "overview"} />
+    <nav class="tabs" aria-label="Parts of the job" ref=${tabs}>
       ${Object.entries(TABS).filter(([name]) => name !== "push" || tab === "push" || canPush(job)).map(
         ([name, [text]]) => html`<a href=${href(["jobs", id, name])} aria-current=${name === tab ? "page" : undefined}>${text}</a>`,
       )}
@@ -45,7 +52,15 @@ export default function JobView({ path: [id, tab = "overview"], query }) {
   `;
 }
 
-function Head({ job, again }) {
+/** How the job goes, and its name, in a few words. */
+function headline(job) {
+  const { step, total } = job.progress;
+  if (job.status === "running" && total) return `${Math.floor((100 * step) / total)} % ${title(job)}`;
+  return `${job.status} ${title(job)}`;
+}
+
+/** isBrief: on a phone, without what the overview says. */
+function Head({ job, again, isBrief }) {
   const [problem, setProblem] = useState(null);
   const act = (action) => async () => {
     setProblem(null);
@@ -61,23 +76,23 @@ function Head({ job, again }) {
   return html`
     <div class="title">
       <h1>${title(job)}</h1>
-      <div class="actions">
-        <a class="button" href=${href(["submit"], { from: job.id })}>Run again</a>
-        <a class="button" href=${href(["sweeps", "new"], { from: job.id })}>Sweep over these settings</a>
-        <a class="button" href=${job.links.report} target="_blank" rel="noopener" title="A report as one HTML file">Share</a>
-        <a class="button" href=${job.links.export} download=${`${job.id}.zip`} title="All that is needed to run it again elsewhere, as a zip">Export</a>
+      <div class="actions scrolling">
+        <a class="button quiet" href=${href(["submit"], { from: job.id })}>Run again</a>
+        <a class="button quiet" href=${href(["sweeps", "new"], { from: job.id })}>Sweep over these settings</a>
+        <a class="button quiet" href=${job.links.report} target="_blank" rel="noopener" title="A report as one HTML file">Share</a>
+        <a class="button quiet" href=${job.links.export} download=${`${job.id}.zip`} title="All that is needed to run it again elsewhere, as a zip">Export</a>
         ${!isOver(job) && html`<${Confirm} text="Cancel" question="Stop it, and keep its work so far?" onYes=${cancel} />`}
         ${isOver(job) && html`<${Confirm} text="Delete" question="Delete the job and its files for good?" onYes=${discard} isDangerous />`}
       </div>
     </div>
-    <div class="about-job">
+    <div class="about-job ${isBrief ? "brief" : ""}">
       <${Status} job=${job} />
       <span class="facts">${job.kind} · <a href=${href(["jobs"], { environment })}>${environment}</a>${algorithmOf(job) ? ` · ${algorithmOf(job)}` : ""} · ${job.id}</span>
       <span class="facts"><time datetime=${job.created_at} title=${moment(job.created_at)}>${times(job)}</time></span>
       <${Origin} job=${job} />
       <${Progress} job=${job} />
     </div>
-    <${Labels} labels=${job.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
+    <${Labels} labels=${labelsOf(job)} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
     ${problem && html`<${Failure} error=${problem} />`}
     <${Message} job=${job} />
   `;
@@ -90,10 +105,19 @@ function Origin({ job }) {
 }
 
 function Message({ job }) {
-  if (job.waiting_for) return html`<p class="message" role="status">It waits. ${job.waiting_for}</p>`;
-  if (job.not_before) return html`<p class="message" role="status">It is tried again at ${moment(job.not_before)}.</p>`;
+  if (job.status === "queued") return html`<${Waits} job=${job} />`;
   if (!job.message || job.status === "succeeded") return null;
-  return html`<p class="message ${job.status}">${job.reason}: ${job.message}</p>`;
+  return html`<p class="message ${job.status}">${job.reason}: <${Prose} text=${job.message} /></p>`;
+}
+
+/** Why it waits, and what comes before it. */
+function Waits({ job }) {
+  const { data } = useLive((signal) => Promise.all([everyItem("/workers", { signal }), get("/jobs", { status: "queued", limit: 100 }, { signal })]), [job.id], 3000);
+  if (!data) return job.waiting_for && html`<p class="message" role="status">It waits. ${job.waiting_for}</p>`;
+  const [workers, queued] = data;
+  const before = queued.items.filter((one) => one.created_at < job.created_at).length;
+  return html`<p class="message" role="status">It waits. <${Prose} text=${whyQueued(job, workers)} />
+    ${before > 0 && ` ${before} older ${before === 1 ? "job waits" : "jobs wait"}, too.`} <a href="#/workers">The queue</a></p>`;
 }
 
 function times(job) {

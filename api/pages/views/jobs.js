@@ -3,11 +3,12 @@
 import { get } from "../lib/api.js";
 import { ago, value } from "../lib/format.js";
 import { html, useEffect, useRef, useState } from "../lib/html.js";
-import { algorithmOf, environmentOf, isOver, lastReturn, RETURNS, title } from "../lib/job.js";
+import { algorithmOf, environmentOf, isOver, labelsOf, lastReturn, RETURNS, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
 import { change, href } from "../lib/route.js";
 import { Import } from "../parts/import.js";
 import { Pages } from "../parts/pages.js";
+import { Prose } from "../parts/prose.js";
 import { Sparkline } from "../parts/sparkline.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 import { Labels, Progress, Status } from "../parts/status.js";
@@ -48,6 +49,7 @@ export default function Jobs({ query }) {
 
 function Filters({ asked }) {
   const [search, setSearch] = useState(asked.search[0] || "");
+  const [refused, setRefused] = useState(null); // A label that is none.
   const timer = useRef();
   useEffect(() => () => clearTimeout(timer.current), []);
   const set = (parts, quietly) => change({ ...parts, cursor: [] }, quietly);
@@ -60,7 +62,10 @@ function Filters({ asked }) {
   const addLabel = (event) => {
     event.preventDefault();
     const input = event.target.elements.label;
-    if (/^[\w.-]+[:=]/.test(input.value)) set({ label: [...asked.label, input.value.replace("=", ":")] });
+    const isLabel = /^[\w.-]+[:=]/.test(input.value);
+    setRefused(isLabel || !input.value ? null : input.value);
+    if (!isLabel) return;
+    set({ label: [...asked.label, input.value.replace("=", ":")] });
     input.value = "";
   };
   return html`<search class="filters">
@@ -76,8 +81,8 @@ function Filters({ asked }) {
         <option value="">any</option><option value="train">train</option><option value="rollout">rollout</option>
       </select>
     </label>
-    <form onSubmit=${addLabel}>
-      <label>Label <input name="label" placeholder="key:value" pattern="[A-Za-z0-9_.\\-]+[:=].*" title="key:value" /></label>
+    <form onSubmit=${addLabel} novalidate>
+      <label>Label <input name="label" placeholder="key:value" aria-invalid=${refused ? "true" : undefined} aria-describedby=${refused ? "label-error" : undefined} /></label>
     </form>
     ${["environment", "label"].flatMap((name) =>
       asked[name].map(
@@ -85,6 +90,7 @@ function Filters({ asked }) {
           onClick=${() => set({ [name]: asked[name].filter((other) => other !== value) })}>${value} ×</button>`,
       ),
     )}
+    ${refused && html`<p class="error" id="label-error" role="alert">A label is a key and a value with a colon between them, such as <code>team:legs</code>; “${refused}” has no colon after a key.</p>`}
   </search>`;
 }
 
@@ -101,9 +107,9 @@ function Row({ job, picked }) {
       <h2><a href=${here}>${title(job)}</a></h2>
       <p class="facts">
         <a href=${href(["jobs"], { environment })}>${environment}</a>
-        ${` · ${algorithmOf(job) || job.kind} · seed ${job.spec.seed} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
+        ${` · ${algorithmOf(job) || job.kind}${job.spec.seed === undefined ? "" : ` · seed ${job.spec.seed}`}${job.imported_from ? " · imported" : ""} · `}<time datetime=${job.created_at}>${ago(job.created_at)}</time>
       </p>
-      <${Labels} labels=${job.labels} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
+      <${Labels} labels=${labelsOf(job)} hrefOf=${(key, value) => href(["jobs"], { label: `${key}:${value}` })} />
     </div>
     <div class="how">
       <${Status} job=${job} />
@@ -119,7 +125,7 @@ function Row({ job, picked }) {
 /** Why it waits, or why it did not succeed. */
 function Why({ job }) {
   const text = job.waiting_for || (job.status !== "succeeded" && job.message);
-  return text ? html`<p class="facts why">${text}</p>` : null;
+  return text ? html`<p class="facts why"><${Prose} text=${text} /></p>` : null;
 }
 
 const Nothing = ({ isFiltered }) =>

@@ -8,6 +8,7 @@ import { nameOf } from "../lib/models.js";
 import { href } from "../lib/route.js";
 import { Confirm } from "../parts/confirm.js";
 import { Pages } from "../parts/pages.js";
+import { Prose } from "../parts/prose.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 
 const LIMIT = 50;
@@ -83,7 +84,7 @@ function Model({ model, again }) {
       ${` · ${bytes(model.size)} · ${ago(model.created_at)}`}</p>
     <p class="facts"><code>${model.id}</code></p>
     ${found?.main && html`<p class="facts">Read from ${found.main}</p>`}
-    ${model.message && html`<p class="error">${model.message}</p>`}
+    ${model.message && html`<p class="error"><${Prose} text=${model.message} /></p>`}
     ${found && html`<${Contents} found=${found} />`}
     ${error && html`<${Failure} error=${error} />`}
     <p class="actions">
@@ -101,14 +102,14 @@ function Contents({ found }) {
   const unable = Object.entries(engines).filter(([, reason]) => reason !== null);
   return html`<dl class="facts-list">
       <dt>Engines</dt><dd>${able.join(", ") || "none yet"}${found.complete ? "" : " (others are still tried)"}</dd>
-      ${unable.map(([name, reason]) => html`<dt>not ${name}</dt><dd>${reason}</dd>`)}
+      ${unable.map(([name, reason]) => html`<dt>not ${name}</dt><dd><${Prose} text=${reason} /></dd>`)}
       <dt>Root</dt><dd>${inventory.root}, ${inventory.travels ? "travels" : "stays in its place"}; ${value(inventory.initial_height)} m high, settles at ${value(found.settled_height)} m</dd>
       <dt>Mass</dt><dd>${value(inventory.mass_kg)} kg</dd>
       <dt>Sizes</dt><dd>nq ${nq}, nv ${nv}, nu ${nu}; steps of ${duration(inventory.timestep_s)}</dd>
       <dt>Speed</dt><dd>${compact(found.physics_steps_per_second)} physics steps/s on one core</dd>
       ${LISTS.map((kind) => html`<dt>${kind}</dt><dd><${Names} items=${inventory[kind]} /></dd>`)}
     </dl>
-    ${notes.map((note) => html`<p class="facts">${note}</p>`)}`;
+    ${notes.map((note) => html`<p class="facts"><${Prose} text=${note} /></p>`)}`;
 }
 
 function Names({ items }) {

@@ -42,10 +42,10 @@ function Form({ all, environments, begun, given, jobs }) {
   const summary = useRef();
   const environment = useEnvironment(draft.job.environment);
   const document = documentOf(draft);
-  const { problem, setProblem, isBusy, submit } = useSubmission(async () => go(["sweeps", (await post("/sweeps", document)).id]));
+  const { problem, errors, setProblem, isBusy, submit } = useSubmission(async () => go(["sweeps", (await post("/sweeps", document)).id]), document);
   const known = fieldsOf(draft.job, all, environment.data);
   const set = (path, value) => setDraft((before) => put(before, path, value));
-  const fields = { all, document: draft, set, errors: problem?.errors || [] };
+  const fields = { all, document: draft, set, errors };
   const schema = all.SweepSpec.properties;
   // Of another draft, nothing was refused yet.
   const renew = (next) => (setDraft(next), setProblem(null));
@@ -55,7 +55,7 @@ function Form({ all, environments, begun, given, jobs }) {
       <p class="facts">A sweep runs one job many times with other settings; each run is a trial, and a job of its own.</p></div>
     <form class="form" onSubmit=${submit} novalidate>
       <div class="stack">
-        ${problem && html`<${Errors} problem=${problem} box=${summary} />`}
+        ${problem && html`<${Errors} problem=${problem} errors=${errors} box=${summary} />`}
         <${JobPart} all=${all} draft=${draft} setDraft=${setDraft} renew=${renew} errors=${fields.errors} environments=${environments} environment=${environment} given=${given} jobs=${jobs} />
         <${Axes} draft=${draft} setDraft=${setDraft} errors=${fields.errors} known=${known} environment=${environment.data} />
         <${MethodPart} ...${fields} />

@@ -28,14 +28,14 @@ function Form({ all, environments, draft }) {
   const [document, setDocument] = useState(draft);
   const summary = useRef();
   const environment = useEnvironment(document.environment);
-  const { problem, isBusy, submit } = useSubmission(async () => go(["jobs", (await post("/jobs", document)).id]));
+  const { problem, errors, isBusy, submit } = useSubmission(async () => go(["jobs", (await post("/jobs", document)).id]), document);
   useEffect(() => problem && summary.current?.focus(), [problem]);
   return html`
     <h1>Submit a job</h1>
     <form class="form" onSubmit=${submit} novalidate>
       <div class="stack">
-        ${problem && html`<${Errors} problem=${problem} box=${summary} />`}
-        <${JobFields} all=${all} document=${document} change=${setDocument} errors=${problem?.errors || []} environments=${environments} environment=${environment} />
+        ${problem && html`<${Errors} problem=${problem} errors=${errors} box=${summary} />`}
+        <${JobFields} all=${all} document=${document} change=${setDocument} errors=${errors} environments=${environments} environment=${environment} />
       </div>
       <aside aria-label="Preview">
         <p class="actions"><button class="main" disabled=${isBusy}>${isBusy ? "Submitting…" : "Submit"}</button>

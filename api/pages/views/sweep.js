@@ -2,10 +2,12 @@
 
 import { get, post } from "../lib/api.js";
 import { ago, duration, seconds } from "../lib/format.js";
+import { isFinal } from "../lib/events.js";
 import { html, useState } from "../lib/html.js";
 import { useLive } from "../lib/live.js";
 import { change, href } from "../lib/route.js";
 import { byObjective, chosenObjective, isOver, objectivesOf, title } from "../lib/sweep.js";
+import { useTitle } from "../lib/title.js";
 import { Confirm } from "../parts/confirm.js";
 import { Copy } from "../parts/copy.js";
 import { Failure, Loading } from "../parts/states.js";
@@ -27,6 +29,7 @@ export default function Sweep({ path, query }) {
     [id],
     (found) => (isOver(found) ? 0 : 2000),
   );
+  useTitle(sweep ? headline(sweep) : "Sweep");
   if (!sweep) return error ? html`<${Failure} error=${error} again=${again} />` : html`<${Loading} what="the sweep" />`;
   const objective = chosenObjective(sweep, query);
   const picked = query.getAll("pick").map(Number);
@@ -48,6 +51,13 @@ export default function Sweep({ path, query }) {
     <details><summary>Specification</summary><${Copy} text=${JSON.stringify(sweep.spec, null, 2)} name="The sweep as JSON" /></details>
     ${picked.length > 0 && html`<${Picked} sweep=${sweep} picked=${picked} />`}
   </div>`;
+}
+
+/** How the sweep goes, and its name, in a few words. */
+function headline(sweep) {
+  if (isOver(sweep)) return `${sweep.status} ${title(sweep)}`;
+  const ended = sweep.trials.filter((trial) => isFinal(trial.status)).length;
+  return `${ended}/${sweep.max_trials} ${title(sweep)}`;
 }
 
 function Head({ sweep, objective, again }) {

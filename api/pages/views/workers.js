@@ -5,7 +5,9 @@ import { ago, bytes, moment } from "../lib/format.js";
 import { html } from "../lib/html.js";
 import { environmentOf, title } from "../lib/job.js";
 import { useLive } from "../lib/live.js";
+import { whyQueued } from "../lib/queue.js";
 import { Pages } from "../parts/pages.js";
+import { Prose } from "../parts/prose.js";
 import { Empty, Failure, Loading } from "../parts/states.js";
 
 const STATES = { ready: "ready", testing: "tests its device", device_failed: "device set aside" };
@@ -62,14 +64,14 @@ function Queue({ queued, workers }) {
   const jobs = [...queued.items].reverse(); // The oldest is the next of its priority.
   return html`<section class="card"><h2>Queue</h2>
     ${!jobs.length && html`<p class="facts">Nothing waits.</p>`}
-    ${jobs.length > 0 && html`<div class="table" tabindex="0" role="region" aria-label="Queue"><table>
+    ${jobs.length > 0 && html`<div class="table stacking" tabindex="0" role="region" aria-label="Queue"><table>
       <thead><tr><th>Job</th><th>Priority</th><th>Needs</th><th>Waits since</th><th>Why</th></tr></thead>
       <tbody>${jobs.map((job) => html`<tr key=${job.id}>
-        <td><a href="#/jobs/${job.id}">${title(job)}</a> <span class="facts">${environmentOf(job.spec)}</span></td>
-        <td>${job.spec.priority || "normal"}</td>
-        <td>${needs(job.spec.resources)}</td>
-        <td>${ago(job.created_at)}</td>
-        <td>${why(job, workers)}</td>
+        <td data-label="Job"><a href="#/jobs/${job.id}">${title(job)}</a> <span class="facts">${environmentOf(job.spec)}</span></td>
+        <td data-label="Priority">${job.spec.priority || "normal"}</td>
+        <td data-label="Needs">${needs(job.spec.resources)}</td>
+        <td data-label="Waits since">${ago(job.created_at)}</td>
+        <td data-label="Why"><${Prose} text=${whyQueued(job, workers)} /></td>
       </tr>`)}</tbody>
     </table></div>`}
     ${queued.next && html`<p class="facts">The newest 100 are shown. <a href="#/jobs?status=queued">All queued jobs</a></p>`}
@@ -79,10 +81,4 @@ function Queue({ queued, workers }) {
 function needs(resources = {}) {
   if (resources.gpus > 1) return `${resources.gpus} GPUs of one host`;
   return { cpu: "a CPU", gpu: "a GPU" }[resources.accelerator] || "any device";
-}
-
-function why(job, workers) {
-  if (job.waiting_for) return job.waiting_for;
-  if (job.not_before && new Date(job.not_before) > Date.now()) return `The attempt before failed; it is tried again at ${moment(job.not_before)}.`;
-  return workers.every((worker) => worker.job) ? "Every worker that could run it is busy." : "Jobs before it come first.";
 }

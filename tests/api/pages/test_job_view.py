@@ -1,5 +1,6 @@
 """One job: live, through losses of the service, and after its end."""
 
+from datetime import timedelta
 from typing import Any
 
 import pytest
@@ -9,9 +10,11 @@ from playwright.sync_api import expect
 from api.app import create_app
 from core.adapters.memory.queue import MemoryJobQueue
 from core.jobs.job import Progress
+from core.jobs.queue import queue_names
 from core.jobs.status import JobStatus
+from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
-from tests.api.conftest import NOWHERE, Attempt, Stack, job, serving
+from tests.api.conftest import NOON, NOWHERE, Attempt, Stack, job, serving
 from tests.api.pages.conftest import MakeTab, Tab
 
 
@@ -57,6 +60,123 @@ def test_every_metric_has_a_curve_over_steps_or_time_smoothed_and_on_a_log_axis(
     assert all(part in page.url for part in ("x=time", "smooth=0.5", "log=1", "metric=reward"))
     page.reload()
     expect(page.get_by_label("Log axis")).to_be_checked()
+
+
+def test_curves_come_in_sections_and_what_is_pinned_comes_first(
+    stack: Stack, make_tab: MakeTab, attempt: Attempt
+) -> None:
+    """9.7: the important ones first, sums of positions closed and explained, pins kept by the browser."""
+    names = ["eval/episode_reward", "training/sps", "training/v_loss", "training/height"]
+    names += ["eval/episode_reward_survive", "eval/walltime", "eval/episode_distance_from_origin"]
+    for step in (100, 200):
+        measure(stack, attempt, step, **{name.replace("/", "__"): 1.0 for name in names})
+    tab = make_tab()
+    page = tab.open(f"#/jobs/{attempt.id}/curves")
+    shown = page.locator("figure.chart h2")
+    expect(shown).to_have_text(["eval/episode_reward", "training/sps", "training/v_loss"])
+    headings = page.locator("details.curves > summary")
+    sums = "Sums over an episode's steps 1"
+    expect(headings).to_have_text(["Important 3", "Reward by term 1", "Evaluation 1", "Training 1", sums])
+    headings.filter(has_text="Sums").click()
+    expect(page.get_by_text("Divided by the episode's length they are means.")).to_be_visible()
+    headings.filter(has_text="Training").click()
+    page.get_by_role("button", name="Pin training/height").click()
+    expect(shown.first).to_have_text("training/height")
+    assert tab.violations() == []
+    tab.picture("curves-pinned")
+    page.reload()
+    expect(headings.first).to_have_text("Pinned 1")
+    expect(shown.last).to_have_text("eval/episode_distance_from_origin")
+    page.get_by_role("button", name="Pin training/height").click()
+    expect(headings.first).to_have_text("Important 3")
+    # What is looked for is shown wherever it stands.
+    page.get_by_label("Metrics").fill("walltime")
+    expect(shown).to_have_text(["eval/walltime"])
+
+
+def test_ticks_have_the_digits_that_they_need(tab: Tab) -> None:
+    """9.3: "1.5M 1.8M 2M 2.3M" stood at equal distances."""
+    page = tab.open()
+    told = page.evaluate(
+        """async () => {
+          const pages = document.querySelector("script[src]").src.replace("app.js", "");
+          const { stepTicks, ticks, timeTicks } = await import(pages + "lib/format.js");
+          return [
+            stepTicks([1.5e6, 1.75e6, 2e6, 2.25e6]), stepTicks([999990, 999995, 1e6, 1000005]),
+            ticks([0, 0.1, 0.2, 0.1 + 0.2], 0.1), ticks([12345, 12345.5], 0.5),
+            ticks([-2.5e-5, 0, null], 2.5e-5),
+            ticks([1000000, 1000250], 250), timeTicks([0, 30, 60, 90], 30), timeTicks([120, 150, 180], 30),
+            timeTicks([3600, 4500, 7200, 9000], 900), timeTicks([3590, 3605], 15),
+            timeTicks([0, 3600, 86400], 3600),
+            timeTicks([600, 1200], 600),
+          ];
+        }"""
+    )
+    assert told == [
+        ["1.5M", "1.75M", "2M", "2.25M"],
+        ["999.99K", "999.995K", "1M", "1.000005M"],
+        ["0", "0.1", "0.2", "0.3"],
+        ["12345", "12345.5"],
+        ["-2.5e-5", "0", ""],
+        ["1e6", "1.00025e6"],
+        ["0 s", "30 s", "60 s", "90 s"],
+        ["2:00 min", "2:30 min", "3:00 min"],
+        ["1:00 h", "1:15 h", "2:00 h", "2:30 h"],
+        ["59:50 min", "1:00:05 h"],
+        ["0 h", "1 h", "24 h"],
+        ["10 min", "20 min"],
+    ]
+
+
+def test_the_tabs_title_says_how_the_job_goes(stack: Stack, tab: Tab, attempt: Attempt) -> None:
+    """9.7: it never changed."""
+    page = tab.open(f"#/jobs/{attempt.id}/log")
+    expect(page).to_have_title("running first steps · Log · Gaitway")
+    measure(stack, attempt, 620, eval__episode_reward=1.0)
+    attempt.say("progress", step=620, total=1000, metrics={})
+    expect(page).to_have_title("62 % first steps · Log · Gaitway")
+    attempt.end()
+    expect(page).to_have_title("succeeded first steps · Log · Gaitway")
+    page.get_by_role("link", name="Models").click()
+    expect(page).to_have_title("Models · Gaitway")
+
+
+def test_a_queued_job_says_why_it_waits(stack: Stack, tab: Tab, attempt: Attempt) -> None:
+    busy = WorkerInfo(
+        name="worker-1",
+        host="h",
+        pid=1,
+        device="cpu",
+        queues=queue_names("cpu"),
+        job=attempt.id,
+        started_at=NOON,
+        seen_at=NOON,
+    )
+    stack.store.announce(busy, timedelta(minutes=1))
+    stack.store.add(job("0" * 12 + "-0000000001", name="first"))
+    later = job("0" * 12 + "-0000000002", name="second").model_copy(
+        update={"created_at": NOON + timedelta(seconds=1)}
+    )
+    stack.store.add(later)
+    page = tab.open(f"#/jobs/{later.id}")
+    said = page.get_by_text("It waits. Every worker that could run it is busy. 1 older job waits, too.")
+    expect(said).to_be_visible()
+    said.get_by_role("link", name="The queue").click()
+    expect(page.get_by_role("heading", name="Queue")).to_be_visible()
+
+
+def test_on_a_phone_the_replay_begins_in_the_upper_third(
+    stack: Stack, make_tab: MakeTab, attempt: Attempt
+) -> None:
+    """9.7: 530 of 800 pixels were header."""
+    measure(stack, attempt, 300, eval__episode_reward=1.0)
+    page = make_tab(380).open(f"#/jobs/{attempt.id}/specification")
+    expect(page.get_by_role("region", name="All settings")).to_be_visible()
+    tabs = page.get_by_role("navigation", name="Parts of the job").bounding_box()
+    assert tabs is not None
+    assert tabs["y"] + tabs["height"] < 265
+    # The tab that is shown is in sight though it is the last of a row that is wider than the window.
+    expect(page.get_by_role("link", name="Specification")).to_be_in_viewport(ratio=0.9)
 
 
 def test_a_part_of_the_curve_is_drawn_by_dragging(stack: Stack, tab: Tab, attempt: Attempt) -> None:

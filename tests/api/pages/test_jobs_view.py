@@ -4,7 +4,7 @@ import re
 
 from playwright.sync_api import Page, expect
 
-from core.jobs.job import Job, Progress
+from core.jobs.job import Job, Origin, Progress
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
@@ -33,6 +33,8 @@ def test_a_running_job_shows_its_progress_its_return_and_what_comes(stack: Stack
     page = tab.open()
     row = page.get_by_role("listitem").filter(has_text="first steps")
     expect(row.locator(".status")).to_have_text("running")
+    # 9.3: none was sent.
+    expect(row).not_to_contain_text("seed")
     for step in (100, 200, 300):
         attempt.say("metrics", step=step, values={"eval/episode_reward": step / 10})
     progress = Progress(
@@ -42,6 +44,9 @@ def test_a_running_job_shows_its_progress_its_return_and_what_comes(stack: Stack
     expect(row).to_contain_text("300 of 1K steps · 100/s · 7 s left")
     expect(row).to_contain_text("return 30")
     expect(row.get_by_role("img", name="Return, from 10 to 30")).to_be_visible()
+    drawing = progress.model_copy(update={"step": 1000, "phase": "drawing"})
+    stack.store.record(attempt.id, attempt.claim.token, "events", [], drawing, write_id="q")
+    expect(row).to_contain_text("1K of 1K steps · draws the video…")
     attempt.end()
     expect(row.locator(".status")).to_have_text("succeeded")
 
@@ -72,6 +77,39 @@ def test_filters_stand_in_the_address_and_come_back_with_it(stack: Stack, tab: T
     expect(page.locator(".job")).to_have_count(1)
     page.get_by_role("button", name="Remove the filter project:gaits").click()
     expect(page.locator(".job")).to_have_count(1)
+
+
+def test_a_label_without_a_colon_says_so(stack: Stack, tab: Tab) -> None:
+    """9.3: it filtered nothing, silently."""
+    stack.store.add(numbered(1, name="a walk", labels={"project": "gaits"}))
+    page = tab.open()
+    label = page.get_by_label("Label", exact=True)
+    label.fill("project")
+    label.press("Enter")
+    expect(page.get_by_role("alert")).to_contain_text("“project” has no colon after a key")
+    expect(label).to_have_value("project")
+    assert tab.violations() == []
+    label.fill("project:gaits")
+    label.press("Enter")
+    expect(page.get_by_role("button", name="Remove the filter project:gaits")).to_be_visible()
+    expect(page.get_by_role("alert")).to_have_count(0)
+    # By hand in the address; backticks of the service's sentences are code.
+    page = tab.open("#/jobs?label=project")
+    expect(page.get_by_role("alert")).to_contain_text("label must be key:value")
+    expect(page.get_by_role("alert").locator("code").first).to_have_text("label")
+
+
+def test_an_imported_trial_does_not_look_like_a_trial_of_a_sweep_here(stack: Stack, tab: Tab) -> None:
+    """9.3."""
+    labels = {"sweep": "019aa3c2f0b1-0000000000", "trial": "3", "project": "gaits"}
+    origin = Origin(job="019aa3c2f0b1-5be0c1d2e3", version="1.0", imported_at=NOON)
+    stack.store.add(numbered(1, name="theirs", labels=labels).model_copy(update={"imported_from": origin}))
+    stack.store.add(numbered(2, name="ours", labels=labels))
+    page = tab.open()
+    theirs, ours = (page.get_by_role("listitem").filter(has_text=name) for name in ("theirs", "ours"))
+    expect(theirs.get_by_role("list", name="Labels")).to_have_text("project: gaits")
+    expect(theirs).to_contain_text("imported")
+    expect(ours.get_by_role("list", name="Labels")).to_contain_text("trial: 3")
 
 
 def test_an_export_becomes_a_job_that_says_where_it_was_run(stack: Stack, tab: Tab, exported: bytes) -> None:

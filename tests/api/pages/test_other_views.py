@@ -4,6 +4,7 @@ import ast
 import csv
 import io
 import json
+import re
 import shlex
 from datetime import timedelta
 from pathlib import Path
@@ -226,6 +227,11 @@ def test_a_form_from_the_schemas_submits_and_shows_refusals_in_place(stack: Stac
     expect(page.get_by_label("num envs", exact=True)).to_have_attribute("aria-invalid", "true")
     assert rate.count() == 1
     page.get_by_label("num envs", exact=True).fill("64")
+    # 9.3: what is corrected is no longer called wrong.
+    expect(page.get_by_label("num envs", exact=True)).not_to_have_attribute("aria-invalid", "true")
+    expect(page.get_by_role("alert")).to_have_text(
+        "It was not submittedAll that was refused has been changed since."
+    )
     expect(page.get_by_role("region", name="The submission as JSON")).to_contain_text('"num_envs": 64')
     page.get_by_role("button", name="Submit", exact=True).click()
     expect(page.get_by_role("heading", name="by hand")).to_be_visible()
@@ -323,6 +329,13 @@ def test_the_http_interface_is_there_without_another_network(tab: Tab) -> None:
     expect(page.get_by_text("/jobs/{job_id}/cancel", exact=True)).to_be_visible()
     page.get_by_role("button", name="GET /jobs List Jobs", exact=False).first.click()
     expect(page.get_by_text("Jobs, newest first.").first).to_be_visible()
+    # 9.7: it had no dark colours and no way back.
+    page.get_by_role("button", name="Dark").click()
+    expect(page.locator("html.dark-mode")).to_have_count(1)
+    page.get_by_role("link", name="Gaitway").click()
+    expect(page.get_by_role("button", name="Light")).to_be_visible()
+    documentation = page.get_by_role("link", name="Docs")
+    expect(documentation).to_have_attribute("href", re.compile("/docs/training.md$"))
 
 
 VIEWS = [

@@ -101,6 +101,26 @@ def test_the_address_names_the_moment_and_controls_change_it(
     expect(page.get_by_role("button", name="Play")).to_be_visible()
 
 
+def test_a_running_job_without_a_video_plays_its_newest_replay(
+    tab: Tab, attempt: Attempt, scene: bytes
+) -> None:
+    """9.5: its page said only that the video is made at the end."""
+    page = tab.open(f"#/jobs/{attempt.id}")
+    expect(page.get_by_text("The video is made at the end.")).to_be_visible()
+    keep(attempt, scene, 100)
+    attempt.say("artifact", name="replay-100.bin")
+    drawn(page)
+    page.get_by_role("button", name="Play").click()
+    after(page, pictures(page) + 2)
+    expect(page.get_by_text("The policy at step 100")).to_be_visible()
+    assert tab.violations() == []
+    tab.picture("overview-replay")
+    attempt.keep("video.mp4")
+    attempt.say("artifact", name="video.mp4")
+    expect(page.get_by_text("Video at the end")).to_be_visible()
+    expect(page.locator("canvas")).to_have_count(0)
+
+
 def test_a_replay_that_plays_is_left_without_an_error(tab: Tab, attempt: Attempt, scene: bytes) -> None:
     keep(attempt, scene, 100)
     page = drawn(tab.open(f"#/jobs/{attempt.id}/replay"))
@@ -213,6 +233,7 @@ def test_a_damaged_file_says_so(tab: Tab, attempt: Attempt, scene: bytes) -> Non
 
 def test_three_js_is_loaded_only_with_a_replay(tab: Tab, attempt: Attempt, scene: bytes) -> None:
     keep(attempt, scene, 100)
+    attempt.keep("video-100.mp4", step=100)  # Without one, the job's page shows the replay.
     asked: list[str] = []
     tab.page.on("request", lambda request: asked.append(request.url))
     page = tab.open(f"#/jobs/{attempt.id}")

@@ -1,12 +1,13 @@
 /** The physics' worker as the page sees it, and its body as a motion that a figure follows (lib/replay/figure.js). */
 
-const SETTLES = 0.15; // The share of the way that the camera goes with each picture, so that it does not shake.
+const SETTLE_S = 0.1; // How long the camera takes to follow, so that it does not shake.
 
 export class LiveMotion {
   constructor(about) {
     this.bodies = about.bodies;
     this.time = 0;
     this.look = null;
+    this.lookedAt = 0;
   }
 
   /** @param {{time: number, positions: Float32Array, rotations: Float32Array}} said By the worker. */
@@ -28,7 +29,9 @@ export class LiveMotion {
 
   lookAt(_, body) {
     const here = this.position(body);
-    this.look = this.look ? this.look.map((part, i) => part + SETTLES * (here[i] - part)) : here;
+    const share = 1 - Math.exp((this.lookedAt - this.time) / SETTLE_S);
+    this.look = this.look ? this.look.map((part, i) => part + share * (here[i] - part)) : here;
+    this.lookedAt = this.time;
     return this.look;
   }
 

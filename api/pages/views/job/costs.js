@@ -3,6 +3,7 @@
 import { send } from "../../lib/api.js";
 import { duration } from "../../lib/format.js";
 import { html, useEffect, useState } from "../../lib/html.js";
+import { Prose } from "../../parts/prose.js";
 
 const NAMES = { import: "import", trace: "trace", compile: "compile", first_update: "first update" };
 
@@ -39,7 +40,7 @@ export function Costs({ job, onPhase }) {
         </li>`,
       )}
     </ul>
-    ${notes.map((note) => html`<p class="facts" key=${note.time}>${note.text}</p>`)}
+    ${notes.map((note) => html`<p class="facts" key=${note.time}><${Prose} text=${note.text} /></p>`)}
   </section>`;
 }
 

@@ -8,9 +8,10 @@ import { href } from "../../lib/route.js";
 import { Chart } from "../../parts/chart.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
 import { Films } from "../../parts/films.js";
+import { Prose } from "../../parts/prose.js";
 import { Failure } from "../../parts/states.js";
 import { Costs } from "./costs.js";
-import { replaysOf } from "./replay.js";
+import { NewestReplay, replaysOf } from "./replay.js";
 
 // Terms of the reward, as environments name them.
 const TERM = /^eval\/episode_((?:reward|cost)_.+)$/;
@@ -18,7 +19,7 @@ const TERM = /^eval\/episode_((?:reward|cost)_.+)$/;
 export function OverviewTab({ job, query, onMetrics, onPhase }) {
   return html`<div class="stack">
     <div class="halves">
-      <section class="card" aria-label="Video"><${FilmsAndForks} job=${job} /></section>
+      <section class="card" aria-label="Video"><${FilmsAndForks} job=${job} query=${query} /></section>
       ${job.kind === "train" && html`<section class="card" aria-label="Return"><${Return} job=${job} query=${query} onMetrics=${onMetrics} /></section>`}
       <${Summary} job=${job} />
     </div>
@@ -30,13 +31,13 @@ export function OverviewTab({ job, query, onMetrics, onPhase }) {
   </div>`;
 }
 
-function FilmsAndForks({ job }) {
+function FilmsAndForks({ job, query }) {
   const [step, setStep] = useState(null);
   const checkpoints = job.artifacts.filter((file) => file.role === "checkpoint").sort((a, b) => a.step - b.step);
   const replay = replaysOf(job).find((file) => step === null || file.step === step);
   const checkpoint = checkpoints.find((file) => file.step === step) || (step === null ? checkpoints.at(-1) : null);
   return html`
-    <${Films} job=${job} onStep=${setStep} />
+    <${Films} job=${job} onStep=${setStep}><${NewestReplay} job=${job} query=${query} /><//>
     ${replay && html`<p><a href=${href(["jobs", job.id, "replay"], step === null ? {} : { step })}>See it from any side</a></p>`}
     ${checkpoints.length > 0 &&
     html`<p class="actions">
@@ -96,15 +97,15 @@ function Terms({ metrics }) {
 
 function Attempts({ job }) {
   if (!job.attempts.length) return null;
-  return html`<section class="card"><h2>Attempts</h2><div class="table" tabindex="0" role="region" aria-label="Attempts">
+  return html`<section class="card"><h2>Attempts</h2><div class="table stacking" tabindex="0" role="region" aria-label="Attempts">
     <table>
       <thead><tr><th>#</th><th>Worker</th><th>Device</th><th>Engine</th><th>Started</th><th>Took</th><th>Ended because</th></tr></thead>
       <tbody>${job.attempts.map(
         (attempt) => html`<tr key=${attempt.number}>
-          <td>${attempt.number}</td><td>${attempt.worker}</td><td>${attempt.device || "–"}</td>
-          <td>${attempt.engine || "–"}</td><td>${moment(attempt.started_at)}</td>
-          <td>${duration(seconds(attempt.started_at, attempt.ended_at || Date.now()))}</td>
-          <td>${attempt.reason ? `${attempt.reason}: ${attempt.message || ""}` : "still running"}</td>
+          <td data-label="#">${attempt.number}</td><td data-label="Worker">${attempt.worker}</td><td data-label="Device">${attempt.device || "–"}</td>
+          <td data-label="Engine">${attempt.engine || "–"}</td><td data-label="Started">${moment(attempt.started_at)}</td>
+          <td data-label="Took">${duration(seconds(attempt.started_at, attempt.ended_at || Date.now()))}</td>
+          <td data-label="Ended because">${attempt.reason ? html`${attempt.reason}: <${Prose} text=${attempt.message || ""} />` : "still running"}</td>
         </tr>`,
       )}</tbody>
     </table>

@@ -5,6 +5,7 @@ import { html, useRef } from "../../lib/html.js";
 import { isOver } from "../../lib/job.js";
 import { useLive } from "../../lib/live.js";
 import { Pusher } from "../../parts/replay/pusher.js";
+import { Prose } from "../../parts/prose.js";
 import { Empty, Loading } from "../../parts/states.js";
 import { canPush, policyOf, replaysOf } from "./replay.js";
 
@@ -13,9 +14,9 @@ export const PushTab = ({ job }) => html`<${Push} key=${job.id} job=${job} />`;
 function Push({ job }) {
   const body = useLive((signal) => loadBody(job, signal), [canPush(job)]);
   const newest = useNewestPolicy(job);
-  if (body.data?.refusal) return html`<${Empty}><p>${body.data.refusal}</p><//>`;
+  if (body.data?.refusal) return html`<${Empty}><p><${Prose} text=${body.data.refusal} /></p><//>`;
   const failed = [body, newest].find((one) => one.error);
-  if (failed) return html`<${Empty}><p>${failed.error.message}</p><p><button type="button" onClick=${failed.again}>Try again</button></p><//>`;
+  if (failed) return html`<${Empty}><p><${Prose} text=${failed.error.message} /></p><p><button type="button" onClick=${failed.again}>Try again</button></p><//>`;
   if (!body.data || !newest.policy) return html`<${Loading} what="the body" />`;
   return html`<section class="card" aria-label="Push">
     <${Pusher} ...${body.data} policy=${newest.policy} isTraining=${!isOver(job)} name="The trained body" />

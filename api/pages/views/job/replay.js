@@ -32,6 +32,12 @@ export function ReplayTab({ job, query }) {
   </section>`;
 }
 
+/** The newest replay, for a view of something else; nothing without one. */
+export function NewestReplay({ job, query }) {
+  const files = replaysOf(job);
+  return files.length > 0 && html`<${Loaded} job=${job} files=${files} file=${files.at(-1)} query=${query} isAlone />`;
+}
+
 /** Why there is none, in the service's words. */
 function NoReplay({ job, step }) {
   const { error } = useLive((signal) => get(`/jobs/${job.id}/replay`, { step }, { signal }), [job.id, step, job.artifacts.length]);
@@ -42,7 +48,7 @@ function NoReplay({ job, step }) {
   <//>`;
 }
 
-function Loaded({ job, files, file, query }) {
+function Loaded({ job, files, file, query, isAlone }) {
   // three.js and what uses it are loaded here, when a replay is opened.
   const modules = useLive(() => Promise.all([import("../../lib/replay/stage.js"), import("../../lib/replay/fetching.js")]), []);
   const numbers = query.getAll("episode").map(Number).filter((number) => number >= 1).slice(0, MOST_AT_ONCE);
@@ -79,7 +85,7 @@ function Loaded({ job, files, file, query }) {
       setOption=${setOption} onPause=${(time) => change({ t: time.toFixed(2) }, true)}>
       <${Episodes} about=${shown.about} chosen=${wanted} isBeside=${isBeside} />
     <//>
-    <${Steps} files=${files} file=${file} />
+    ${isAlone ? html`<p class="facts">The policy${at(file.step)}</p>` : html`<${Steps} files=${files} file=${file} />`}
     ${canPush(job) && html`<p><a href="#/jobs/${job.id}/push">Push it, and see whether it recovers</a></p>`}
   `;
 }

@@ -3,6 +3,7 @@
 import { html, useRef, useState } from "../../lib/html.js";
 import { choicesOf, isNumeric, kindOf } from "../../lib/job_fields.js";
 import { told } from "../../lib/sweep.js";
+import { Prose } from "../../parts/prose.js";
 import { Axis } from "./axis.js";
 
 const LENGTH = "algorithm.num_timesteps";
@@ -24,7 +25,7 @@ export function Axes({ draft, setDraft, errors, known, environment }) {
   const here = errors.filter(({ pointer }) => pointer === "/parameters");
   return html`<fieldset class="part"><legend>Axes</legend>
     ${!Object.keys(parameters).length && html`<p class="facts">Nothing varies yet: add a setting of the job.</p>`}
-    ${here.map(({ detail }) => html`<p class="error">${detail}</p>`)}
+    ${here.map(({ detail }) => html`<p class="error"><${Prose} text=${detail} /></p>`)}
     <div class="stack">
       ${Object.entries(parameters).map(
         ([path, axis]) => html`<${Axis} key=${path} path=${path} axis=${axis} method=${method} errors=${errors} isNew=${path === added}

@@ -5,6 +5,7 @@ import { ago } from "../../lib/format.js";
 import { html, useState } from "../../lib/html.js";
 import { algorithmOf, environmentOf, title } from "../../lib/job.js";
 import { asWritten, draftOf, readDraft } from "../../lib/sweep_draft.js";
+import { Prose } from "../../parts/prose.js";
 import { Failure } from "../../parts/states.js";
 import { JobFields } from "../submit/job.js";
 
@@ -18,7 +19,7 @@ export function JobPart({ all, draft, setDraft, renew, errors, environments, env
   return html`<fieldset class="part"><legend>Job</legend>
     <p><strong>${environmentOf(draft.job)}</strong>${` · ${algorithmOf({ kind: draft.job.kind, spec: draft.job }) || draft.job.kind}`}${draft.job.name ? ` · ${draft.job.name}` : ""}</p>
     <${Source} draft=${draft} renew=${renew} given=${given} jobs=${jobs} />
-    ${own.map(({ pointer, detail }) => html`<p class="error" key=${pointer}>${detail}</p>`)}
+    ${own.map(({ pointer, detail }) => html`<p class="error" key=${pointer}><${Prose} text=${detail} /></p>`)}
     <details open=${isOpen || own.length > 0} onToggle=${(event) => setOpen(event.target.open)}>
       <summary>Environment, algorithm and other settings of the job</summary>
       ${(isOpen || own.length > 0) &&

@@ -2,6 +2,7 @@
 
 import { html } from "../../lib/html.js";
 import { Field } from "../../parts/field.js";
+import { Prose } from "../../parts/prose.js";
 
 const METHODS = {
   grid: "Every combination; the last axis changes first.",
@@ -24,7 +25,7 @@ export function MethodPart(fields) {
         ([name, text]) => html`<label key=${name} class="tick"><input type="radio" name="method" value=${name} checked=${name === method} onChange=${() => set(["method"], name)} />
           <span><strong>${name}</strong> <span class="facts">${text}</span></span></label>`,
       )}</div>
-      ${wrong.map(({ detail }) => html`<p class="error">${detail}</p>`)}
+      ${wrong.map(({ detail }) => html`<p class="error"><${Prose} text=${detail} /></p>`)}
       ${method === "pbt" && html`<fieldset><legend>Population</legend><${Field} ...${fields} path=${["population"]} schema=${{ $ref: "Population" }} isOpen /></fieldset>`}
       ${method !== "grid" && html`<div class="fields"><${Field} ...${fields} path=${["seed"]} schema=${schema.seed} /></div>`}
     </fieldset>

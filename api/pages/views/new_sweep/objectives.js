@@ -3,6 +3,7 @@
 import { html } from "../../lib/html.js";
 import { WITH_ONE_OBJECTIVE } from "../../lib/sweep_draft.js";
 import { Field } from "../../parts/field.js";
+import { Prose } from "../../parts/prose.js";
 
 const MOST = 4;
 
@@ -17,7 +18,7 @@ export function Objectives({ all, document, set, errors, environment }) {
   const here = errors.map((error) => ({ ...error, pointer: error.pointer.replace(isAlone ? /^\/objective(?=\/)/ : /^\/objective(?=\/\d)/, isAlone ? "/objectives/0" : "/objectives") }));
   const remove = (at) => set(["objectives"], objectives.filter((_, i) => i !== at));
   return html`<fieldset class="part"><legend>Objective</legend>
-    ${errors.filter(({ pointer }) => pointer === "/objective").map(({ detail }) => html`<p class="error">${detail}</p>`)}
+    ${errors.filter(({ pointer }) => pointer === "/objective").map(({ detail }) => html`<p class="error"><${Prose} text=${detail} /></p>`)}
     ${shown.map((objective, i) => {
       const put = ([, , name], value) => set(["objectives"], objectives.map((one, at) => (at === i ? withPart(one, name, value) : one)));
       const fields = { all, document: { objectives }, set: put, errors: here };

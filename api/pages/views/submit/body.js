@@ -2,6 +2,7 @@
 
 import { send } from "../../lib/api.js";
 import { html, useEffect, useState } from "../../lib/html.js";
+import { Prose } from "../../parts/prose.js";
 
 const SETTLE_MS = 600;
 const PAUSE_MS = 2000;
@@ -42,8 +43,8 @@ export function Body({ environment }) {
   }, [environment.id, options]);
   const { preview, error, text } = state;
   return html`<section class="card" aria-label="The body"><h2>${environment.id}</h2>
-    ${text && html`<p class="facts" role="status">${text}</p>`}
-    ${error && html`<p class="facts">${error.message}</p>`}
+    ${text && html`<p class="facts" role="status"><${Prose} text=${text} /></p>`}
+    ${error && html`<p class="facts"><${Prose} text=${error.message} /></p>`}
     ${preview && html`<div class="stills">${preview.stills.map(
       (still) => html`<figure key=${still.href}><img src=${still.href} alt="${environment.id}, camera ${still.camera}" /><figcaption>${still.camera}</figcaption></figure>`,
     )}</div>`}

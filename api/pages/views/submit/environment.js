@@ -2,6 +2,7 @@
 
 import { html } from "../../lib/html.js";
 import { Field } from "../../parts/field.js";
+import { Prose } from "../../parts/prose.js";
 import { Failure } from "../../parts/states.js";
 import { OwnModels } from "./models.js";
 
@@ -19,9 +20,9 @@ export function EnvironmentPart({ all, document, set, errors, environments, envi
       <select id="environment" value=${id} onChange=${choose} aria-invalid=${wrong.length ? "true" : undefined}>
         ${[...families].map(([family, rows]) => html`<optgroup label=${family}>${rows.map((row) => html`<option value=${row.id}>${row.id}</option>`)}</optgroup>`)}
       </select>
-      <p class="facts">${environment?.description || ""}</p>
+      <p class="facts"><${Prose} text=${environment?.description || ""} /></p>
       ${id === "mjcf" && html`<${OwnModels} chosen=${model} choose=${(one) => set(["environment", "options", "model"], one)} />`}
-      ${wrong.map(({ detail }) => html`<p class="error">${detail}</p>`)}
+      ${wrong.map(({ detail }) => html`<p class="error"><${Prose} text=${detail} /></p>`)}
       ${problem && html`<${Failure} error=${problem} />`}
     </div>
     ${options && Object.keys(options.properties || {}).length > 0 &&

@@ -22,19 +22,18 @@ export function Resume({ sweep, again }) {
 function Form({ sweep, again }) {
   const { data: all, error, again: retry } = useLive(schemas, []);
   const [document, setDocument] = useState({ budget: said(sweep.spec.budget) });
-  const { problem, isBusy, submit } = useSubmission(async () => {
+  const { problem, errors, isBusy, submit } = useSubmission(async () => {
     await post(sweep.links.resume, { budget: {}, ...document });
     again();
-  });
+  }, document);
   if (!all) return error ? html`<${Failure} error=${error} again=${retry} />` : html`<${Loading} what="the form" />`;
   const steps = sweep.trials.reduce((sum, trial) => sum + trial.step, 0);
-  const errors = problem?.errors || [];
   return html`<form class="stack" onSubmit=${submit} novalidate>
     <p class="facts">The budget counts what the sweep has done: ${sweep.trials.length.toLocaleString("en")} trials with ${steps.toLocaleString("en")} steps.
       They stay as they are, and the next trial follows the last.</p>
     <${Field} all=${all} document=${document} errors=${errors} path=${["budget"]} schema=${{ $ref: "Budget" }} isOpen
       set=${(path, value) => setDocument((before) => put(before, path, value))} />
-    ${problem && !errors.length && html`<${Failure} error=${problem} />`}
+    ${problem && !problem.errors?.length && html`<${Failure} error=${problem} />`}
     <p class="actions"><button class="main" disabled=${isBusy}>${isBusy ? "Resuming…" : "Resume"}</button></p>
   </form>`;
 }
