@@ -112,7 +112,7 @@ def _row_of(info: EnvironmentInfo, options: MjcfOptions, description: Descriptio
         action_size=has.sizes.nu,
         slices=partial(mjcf_slices, model=has),
         cameras=tuple(has.cameras),
-        cannot_run=engines_that_cannot(description),
+        cannot_run=engines_that_cannot(description, options),
     )
 
 

@@ -7,7 +7,7 @@ from core.environments.mjcf.check import problems
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import ModelNotFound, Problem, Rejected
 from core.jobs.spec import EnvironmentSpec
-from core.physics.availability import EngineName
+from core.physics.availability import EngineName, beyond
 from core.user_models import library
 from core.user_models.record import Description
 from core.user_models.store import ModelStore
@@ -43,7 +43,14 @@ def model_of(environment: EnvironmentSpec) -> str | None:
     return str(environment.options["model"])
 
 
-def engines_that_cannot(description: Description | None) -> Mapping[EngineName, str]:
-    """Engines that cannot run the model, each with the reason."""
-    tried = {} if description is None else description.engines
-    return {name: why for name, why in tried.items() if why is not None}
+def engines_that_cannot(description: Description | None, options: MjcfOptions) -> Mapping[EngineName, str]:
+    """Engines that cannot run the model, or read what the options read of it, each with the reason."""
+    if description is None:
+        return {}
+    tried = description.engines.items()
+    cannot: dict[EngineName, str] = {name: why for name, why in tried if why is not None}
+    for sensor in description.inventory.sensors:
+        if options.sensors is None or sensor.name in options.sensors:
+            for engine, why in sensor.beyond.items():
+                cannot.setdefault(engine, beyond(engine, why))
+    return cannot

@@ -35,7 +35,7 @@ class _Builder:
         unknown = sorted(set(derived) - set(DERIVED_FIELDS))
         if unknown:
             raise ValueError(f"No engine computes {unknown}; the derived fields are {DERIVED_FIELDS}.")
-        check_runs(self.name, model)
+        check_runs(self.name, model, derived)
         match self.name:
             case "native":
                 from core.physics.native import NativeEngine

@@ -4,7 +4,7 @@ The other engines' rules; `compiled.coverage` has those of `compiled`. What an e
 is not repeated here.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from core.errors import JobFailed
 from core.physics.availability import EngineName, beyond
 from core.physics.compiled.named import named, where
+from core.physics.compiled.readings.sensor_coverage import unread
 from core.reasons import Reason
 
 # MuJoCo makes the edges of a friction pyramid stiffer than its contact by 1 / (2 · friction²). With less
@@ -20,10 +21,24 @@ _LEAST_FRICTION = 0.01
 _MOST_GEOMS = 1000
 
 
-def check_runs(engine: EngineName, model: mujoco.MjModel) -> None:
-    """Raises JobFailed("bad_model") if the engine would move the model otherwise than C MuJoCo does."""
-    if (reason := unrun(engine, model)) is not None:
+def check_runs(engine: EngineName, model: mujoco.MjModel, derived: Sequence[str] = ()) -> None:
+    """Raises JobFailed("bad_model") if the engine would move the model, or read these fields of it, otherwise
+    than C MuJoCo does."""
+    reason = unrun(engine, model)
+    if reason is None and "sensordata" in derived and engine in ("mjx", "warp"):
+        reason = next((why for _, why in _late_sensors(model)), None)
+    if reason is not None:
         raise JobFailed(Reason.BAD_MODEL, beyond(engine, reason))
+
+
+def unread_sensors(model: mujoco.MjModel) -> Mapping[int, Mapping[EngineName, str]]:
+    """By number of a sensor: engines that cannot read it, and why. They run jobs that do not read it."""
+    found = dict[int, dict[EngineName, str]]()
+    for number, why in unread(model):
+        found.setdefault(number, {})["compiled"] = why
+    for number, why in _late_sensors(model):
+        found.setdefault(number, {}).update({"mjx": why, "warp": why})
+    return found
 
 
 def unrun(engine: EngineName, model: mujoco.MjModel) -> str | None:
@@ -41,8 +56,12 @@ def _states_of_their_own(model: mujoco.MjModel) -> Iterator[str]:
 
 def _delays(model: mujoco.MjModel) -> Iterator[str]:
     yield from where(model, "actuator", model.actuator_delay > 0, "acts with a delay")
+
+
+def _late_sensors(model: mujoco.MjModel) -> Iterator[tuple[int, str]]:
     late = (model.sensor_delay > 0) | model.sensor_interval.any(axis=1)
-    yield from where(model, "sensor", late, "is read late or at intervals")
+    for number in np.flatnonzero(late).tolist():
+        yield number, f"its sensor {named(model, 'sensor', number)} is read late or at intervals"
 
 
 def _plugins(model: mujoco.MjModel) -> Iterator[str]:

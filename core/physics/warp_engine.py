@@ -95,6 +95,7 @@ class WarpEngine:
             **{name: values[name] for name in _CARRIED},
             derived={**derived, OVERFLOW: jnp.where(lost, 1.0, 0.0).astype(jnp.float32)},
             model=state.model,
+            exact={},
         )
 
     def _program(self, move: Move, own: tuple[str, ...]) -> Callable[..., Any]:

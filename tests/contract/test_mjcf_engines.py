@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -39,6 +40,47 @@ def after_a_step(engine: EngineName, folder: Path, heights: tuple[float, ...]) -
         for height in heights
     ]
     return [step(replace(start, physics=one), jnp.array([0.3])) for one in starts]
+
+
+HOPPING = """
+<mujoco>
+  <option timestep="0.004"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1"/>
+    <body pos="0 0 0.35">
+      <freejoint/>
+      <geom type="box" size="0.1 0.1 0.05" mass="1"/><site name="imu" pos="0.05 0 0.02" euler="10 20 30"/>
+      <body pos="0 0.1 0">
+        <joint name="hip" axis="0 1 0" damping="0.2" stiffness="5"/>
+        <geom name="foot" type="capsule" fromto="0 0 0 0 0 -0.2" size="0.03" mass="0.2"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="hip" joint="hip" gear="3" ctrlrange="-1 1"/></actuator>
+  <sensor>
+    <contact geom1="foot" geom2="floor" data="found"/>
+    <accelerometer site="imu"/><actuatorfrc actuator="hip"/><jointactuatorfrc joint="hip"/>
+  </sensor>
+</mujoco>
+"""
+
+
+def test_contacts_are_counted_in_the_state_that_is_returned_and_accelerations_felt_before_it() -> None:
+    """Issue 41: native read contacts after the step and compiled those of the last substep."""
+    model = mujoco.MjModel.from_xml_string(HOPPING)
+    native, compiled = (engine_builder(name)(model, 5, ("sensordata",)) for name in ("native", "compiled"))
+    step = jax.jit(native.step)
+    states = [native.reset(jnp.asarray(model.qpos0, jnp.float32), jnp.zeros(model.nv))]
+    controls = np.random.default_rng(0).uniform(-1, 1, (60, 1)).astype(np.float32)
+    for ctrl in controls:
+        states.append(step(states[-1], ctrl))
+    before = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states[:-1])
+    ours = np.asarray(jax.vmap(compiled.step)(before, jnp.asarray(controls)).derived["sensordata"])
+    theirs = np.stack([np.asarray(state.derived["sensordata"]) for state in states[1:]])
+    np.testing.assert_array_equal(ours[:, 0], theirs[:, 0])
+    np.testing.assert_allclose(ours[:, 1:], theirs[:, 1:], rtol=2e-3, atol=2e-3)
+    changes = np.count_nonzero(np.diff(theirs[:, 0]))
+    assert changes > 3  # It leaves the floor and meets it again.
 
 
 # MJX and MuJoCo Warp compile for half a minute each.

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import get_args
 
 from core.algorithms.catalog import reported
+from core.environments.mjcf.info import MjcfOptions
 from core.errors import JobFailed, NotFound, ObjectNotFound
 from core.jobs.attempts import Claim
 from core.jobs.checks import source_checkpoint
@@ -133,6 +134,7 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
     except NotFound:
         raise JobFailed(Reason.BAD_MODEL, f"The model {model_id} was deleted before the job began.") from None
     described = record.description
-    known = {"engines_that_cannot": dict(engines_that_cannot(described))}
+    options = MjcfOptions.model_validate(task.spec.environment.options)
+    known = {"engines_that_cannot": dict(engines_that_cannot(described, options))}
     body = None if described is None else described.inventory.body_size
     return task.model_copy(update={"model": "model", "body": body, **known})

@@ -10,11 +10,12 @@ import numpy as np
 
 from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.info import LONGEST_STEP_S, SHORTEST_STEP_S
+from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, is_to_sleep, read
 from core.errors import BadModel
 from core.physics.availability import EngineName, is_installed
 from core.physics.compiled.refusal import check_covered
-from core.physics.coverage import check_runs
+from core.physics.coverage import check_runs, unread_sensors
 from core.user_models.record import Description
 from worker.validation.letting_go import let_go, notes
 
@@ -35,7 +36,7 @@ def findings(file: Path) -> Iterator[Description]:
         model = compiled(spec)
     _check(model)
     fall = let_go(model)
-    found = inventory(model)
+    found = _with_unread_sensors(inventory(model), model)
     description = Description(
         inventory=found,
         main=main,
@@ -54,6 +55,15 @@ def findings(file: Path) -> Iterator[Description]:
         description = description.model_copy(update={"engines": engines})
         yield description
     yield description.model_copy(update={"complete": True})
+
+
+def _with_unread_sensors(found: Inventory, model: mujoco.MjModel) -> Inventory:
+    beyond = unread_sensors(model)
+    sensors = [
+        sensor.model_copy(update={"beyond": dict(beyond.get(number, {}))})
+        for number, sensor in enumerate(found.sensors)
+    ]
+    return found.model_copy(update={"sensors": sensors})
 
 
 def _judged_by_reading(model: mujoco.MjModel) -> dict[EngineName, str | None]:

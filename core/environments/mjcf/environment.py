@@ -42,7 +42,7 @@ def make(options: MjcfOptions, build_engine: EngineBuilder, model: Path | None =
         original = inventory(compiled(spec))
         if found := problems(options, original):
             raise JobFailed(Reason.BAD_MODEL, " ".join(problem.detail for problem in found))
-        stepped = compiled(spec, options.timestep, options.contacts)
+        stepped = compiled(spec, options.timestep, options.contacts, options.sensors)
         return Mjcf(options, original, spec, stepped, build_engine)
 
 

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from core.documents import Strict
 from core.environments.info import EnvironmentInfo
-from core.environments.mjcf.vocabulary.observations import ObservationTerm
+from core.environments.mjcf.vocabulary.observations import ObservationTerm, Sensors
 from core.environments.mjcf.vocabulary.parts import Name
 from core.environments.mjcf.vocabulary.reset import Reset
 from core.environments.mjcf.vocabulary.rewards import RewardTerm
@@ -76,6 +76,14 @@ class MjcfOptions(Strict):
         terms = [*(self.reward or []), *(self.termination or [])]
         asked = [(geom, term.against) for term in terms if term.kind == "contact" for geom in term.geoms]
         return list(dict.fromkeys(asked))
+
+    @property
+    def sensors(self) -> list[str] | None:
+        """The model's own sensors that some term reads; None: all."""
+        terms = [term for term in self.observation or [] if isinstance(term, Sensors)]
+        if any(term.names is None for term in terms):
+            return None
+        return [name for term in terms for name in term.names or []]
 
 
 def metric_names(terms: list[RewardTerm]) -> list[str]:

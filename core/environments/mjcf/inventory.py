@@ -3,7 +3,7 @@
 from typing import Literal
 
 from core.documents import Stored
-from core.physics.availability import BodySize
+from core.physics.availability import BodySize, EngineName
 
 Kind = Literal["body", "geom", "joint", "sensor"]
 
@@ -27,11 +27,12 @@ class Actuator(Stored):
 
 
 class Sensor(Stored):
-    """type: MuJoCo's. size: how many numbers it gives."""
+    """type: MuJoCo's. size: how many numbers it gives. beyond: engines that cannot read it, and why."""
 
     name: str
     type: str
     size: int
+    beyond: dict[EngineName, str] = {}
 
 
 class Sizes(Stored):

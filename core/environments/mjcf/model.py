@@ -43,15 +43,22 @@ def read(file: Path) -> Generator[tuple[mujoco.MjSpec, str]]:
 
 
 def compiled(
-    spec: mujoco.MjSpec, timestep: float | None = None, contacts: list[tuple[str, str | None]] | None = None
+    spec: mujoco.MjSpec,
+    timestep: float | None = None,
+    contacts: list[tuple[str, str | None]] | None = None,
+    sensors: list[str] | None = None,
 ) -> mujoco.MjModel:
     """The model, with sensors for these contacts, and without sleep: no engine carries who sleeps.
 
+    sensors: those of its own to keep, so that an engine need not have the others; None: all.
     Raises JobFailed("bad_model").
     """
     spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     if timestep is not None:
         spec.option.timestep = timestep
+    for sensor in spec.sensors if sensors is not None else ():
+        if sensor.name not in sensors:
+            spec.delete(sensor)
     add_sensors(spec, contacts or [])
     try:
         return spec.compile()

@@ -60,7 +60,7 @@ def uncovered_fields(model: mujoco.MjModel, names: Sequence[str]) -> str | None:
     """The first reason why these derived fields cannot be computed for a model that the stages can move."""
     if unknown := sorted(set(names) - set(DERIVED_FIELDS)):
         return f"{unknown[0]} is not a derived field"
-    return next(unread(model), None) if "sensordata" in names else None
+    return next((why for _, why in unread(model)), None) if "sensordata" in names else None
 
 
 def uncovered_own(model: mujoco.MjModel, names: Sequence[str], derived: Sequence[str] = ()) -> str | None:

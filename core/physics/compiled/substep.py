@@ -3,7 +3,9 @@
 Source: MuJoCo's documentation, Computation, "Simulation pipeline" and "Numerical integration".
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import mujoco
 
@@ -13,7 +15,18 @@ from core.physics.compiled.constraints.solver import Problem, Settings, accelera
 from core.physics.compiled.fields import NOMINAL, Fields, Own, is_zero
 from core.physics.compiled.program.arithmetic import Number, Vector, add, scale
 from core.physics.compiled.program.flow import repeat
-from core.physics.compiled.readings.contact_sensors import ContactSensor, contact_readings
+from core.physics.compiled.readings.contact_sensors import (
+    ContactSensor,
+    normal_forces,
+    numbers_touching,
+    read_contact_sensors,
+)
+from core.physics.compiled.readings.force_sensors import (
+    ForceSensor,
+    Instant,
+    force_readings,
+    read_force_sensors,
+)
 from core.physics.compiled.smooth.actuation import Actuator, ActuatorState, Driven, driven, read_actuators
 from core.physics.compiled.smooth.dynamics import Entries, Motion, bias_forces, mass_matrix, motion
 from core.physics.compiled.smooth.factor import factorize, multiply, solve
@@ -29,7 +42,7 @@ from core.physics.compiled.smooth.tree import Tree, read_tree
 class Model:
     """timestep: in s. warm_start: whether the solver may begin at the last substep's acceleration.
 
-    contact_sensors: those to read at each substep.
+    touch_sensors, force_sensors: those to read at each substep. contact_sensors: those that count contacts.
     """
 
     tree: Tree
@@ -41,7 +54,13 @@ class Model:
     implicit: Implicit
     warm_start: bool
     solver: Settings
+    touch_sensors: tuple[ContactSensor, ...] = ()
+    force_sensors: tuple[ForceSensor, ...] = ()
     contact_sensors: tuple[ContactSensor, ...] = ()
+
+    @property
+    def num_readings(self) -> int:
+        return len(self.touch_sensors) + sum(3 if one.frame else 1 for one in self.force_sensors)
 
 
 @dataclass(frozen=True)
@@ -56,7 +75,7 @@ class State:
 
 @dataclass(frozen=True)
 class Moved(State):
-    """qfrc_actuator: [nv], and the readings of the contacts' sensors: of the last substep."""
+    """qfrc_actuator: [nv], and the readings of touch and force sensors: of the last substep."""
 
     qfrc_actuator: Vector
     readings: Vector
@@ -100,32 +119,59 @@ def control_step(
         kept = moved if reads_forces else replace(moved, qfrc_actuator=[])
         return _joined(kept), True
 
-    unread: Vector = [0.0] * len(model.contact_sensors)
+    unread: Vector = [0.0] * model.num_readings
     begun = Moved(state.qpos, state.qvel, state.act, state.qacc, blank, unread)
     return Moved(*_parted(repeat(num_substeps, body, _joined(begun)), sizes))
 
 
 def substep(model: Model, state: State, ctrl: Vector) -> Moved:
     """The state one timestep later under a control [nu]."""
-    problem, done = _problem(model, state, ctrl)
+    problem, now = _problem(model, state, ctrl)
+    done = now.done
     found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
     qvel = add(state.qvel, scale(_integrated(model, problem, found, done), model.timestep))
     qpos = integrated(model.tree, state.qpos, qvel, model.timestep)
-    return Moved(qpos, qvel, done.act, found, done.on_dofs, _readings(model, problem, found))
+    return Moved(qpos, qvel, done.act, found, done.on_dofs, _readings(model, problem, now, found))
 
 
 def unmoved(model: Model, state: State, ctrl: Vector) -> Moved:
     """The state itself, with the forces in it under a control [nu]."""
-    problem, done = _problem(model, state, ctrl)
+    problem, now = _problem(model, state, ctrl)
     readings: Vector = []
-    if model.contact_sensors:
+    if model.num_readings:
         found = acceleration(problem, state.qacc if model.warm_start else problem.free, model.solver)
-        readings = _readings(model, problem, found)
-    return Moved(state.qpos, state.qvel, state.act, state.qacc, done.on_dofs, readings)
+        readings = _readings(model, problem, now, found)
+    return Moved(state.qpos, state.qvel, state.act, state.qacc, now.done.on_dofs, readings)
 
 
-def _problem(model: Model, state: State, ctrl: Vector) -> tuple[Problem, Driven]:
-    """The solver's problem in this state, and the forces of the actuators."""
+def readings_by_sensor(model: Model, moved: Moved) -> Mapping[int, Vector]:
+    """By number of a sensor: forces and accelerations of the last substep, and how many points touch now."""
+    left = iter(moved.readings)
+    found = {one.number: [next(left)] for one in model.touch_sensors}
+    found |= {one.number: list(islice(left, 3 if one.frame else 1)) for one in model.force_sensors}
+    if model.contact_sensors:
+        at = poses(model.tree, moved.qpos)
+        moving = motion(model.tree, at, moved.qvel)
+        rows = constraint_rows(model.tree, model.constraints, at, moving, Placed(moved.qpos, moved.qvel))
+        counted = numbers_touching(model.contact_sensors, model.constraints.contacts, rows.distances)
+        pairs = zip(model.contact_sensors, counted, strict=True)
+        found |= {one.number: [number] for one, number in pairs}
+    return found
+
+
+def with_sensors(read: Model, model: mujoco.MjModel) -> Model:
+    """The model with its sensors of contacts and forces, which `coverage` must have let pass."""
+    of_contacts = read_contact_sensors(model, read.constraints.contacts)
+    return replace(
+        read,
+        touch_sensors=tuple(one for one in of_contacts if not one.counts),
+        contact_sensors=tuple(one for one in of_contacts if one.counts),
+        force_sensors=read_force_sensors(model),
+    )
+
+
+def _problem(model: Model, state: State, ctrl: Vector) -> tuple[Problem, Instant]:
+    """The solver's problem in this state, and the state with the forces of the actuators."""
     tree = model.tree
     at = poses(tree, state.qpos)
     moving = motion(tree, at, state.qvel)
@@ -134,14 +180,17 @@ def _problem(model: Model, state: State, ctrl: Vector) -> tuple[Problem, Driven]
     free = solve(tree, factorize(tree, mass), force)
     placed = Placed(state.qpos, state.qvel)
     rows = constraint_rows(tree, model.constraints, at, moving, placed)
-    return Problem(tree, mass, force, free, rows), done
+    return Problem(tree, mass, force, free, rows), Instant(tree, at, moving, state.qvel, done)
 
 
-def _readings(model: Model, problem: Problem, found: Vector) -> Vector:
-    """Of the contacts' sensors, under the acceleration [nv] that was found."""
-    if not model.contact_sensors:
-        return []
-    return contact_readings(model.contact_sensors, model.constraints.contacts, problem.rows, found)
+def _readings(model: Model, problem: Problem, now: Instant, found: Vector) -> Vector:
+    """Of the touch and force sensors, under the acceleration [nv] that was found."""
+    felt = list[Vector]()
+    if model.touch_sensors:
+        felt.append(normal_forces(model.touch_sensors, model.constraints.contacts, problem.rows, found))
+    if model.force_sensors:
+        felt += force_readings(model.force_sensors, now, found)
+    return [number for one in felt for number in one]
 
 
 def _implicit(fields: Fields, tree: Tree) -> Implicit:

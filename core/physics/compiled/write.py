@@ -14,10 +14,18 @@ from core.physics.compiled.lanes.lane_constants import NotAlike, alike_inputs, w
 from core.physics.compiled.lanes.limbs import Limbs, ways_to_share
 from core.physics.compiled.program.arithmetic import Vector, absolute, select
 from core.physics.compiled.program.program import Program, Symbol
-from core.physics.compiled.readings.contact_sensors import by_number, read_contact_sensors
 from core.physics.compiled.readings.derived import derived
-from core.physics.compiled.readings.scene import Scene
-from core.physics.compiled.substep import Model, Moved, State, control_step, read_model, unmoved
+from core.physics.compiled.readings.scene import NO_READINGS, Scene
+from core.physics.compiled.substep import (
+    Model,
+    Moved,
+    State,
+    control_step,
+    read_model,
+    readings_by_sensor,
+    unmoved,
+    with_sensors,
+)
 
 # In float32 no solver gets below this part of its cost.
 _LEAST_TOLERANCE = 1e-6
@@ -73,7 +81,7 @@ def derived_program(plan: Plan) -> Program:
     blank: Vector = [0.0] * plan.model.na
     state = State(given["qpos"], given["qvel"], blank, [0.0] * plan.model.nv)
     standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
-    if _OF_FORCES in plan.derived or model.contact_sensors:
+    if _OF_FORCES in plan.derived or model.num_readings:
         standing = unmoved(model, state, [0.0] * plan.model.nu)
     for name, values in _derived(plan, given, model, standing, [0.0]):
         if values:
@@ -90,8 +98,7 @@ def _begun(plan: Plan, limbs: Limbs | None = None) -> tuple[Program, dict[str, V
     tolerance = max(_LEAST_TOLERANCE, read.solver.tolerance)
     read = replace(read, solver=replace(read.solver, tolerance=tolerance))
     if "sensordata" in plan.derived:
-        sensors = read_contact_sensors(plan.model, read.constraints.contacts)
-        read = replace(read, contact_sensors=sensors)
+        read = with_sensors(read, plan.model)
     return program, given, with_lane_constants(program, read, limbs) if limbs else read
 
 
@@ -104,7 +111,7 @@ def _derived(
 ) -> Iterator[tuple[str, Vector]]:
     """One after the other: so each is written out before the next is computed."""
     own = {name: given[name] for name in plan.own}
-    readings = by_number(model.contact_sensors, moved.readings)
+    readings = readings_by_sensor(model, moved) if "sensordata" in plan.derived else NO_READINGS
     scene = Scene(Fields(plan.model, own), moved.qpos, moved.qvel, time[0] if time else 0.0, readings)
     scene.tree = model.tree  # It has the lanes' constants.
     for name in plan.derived:

@@ -7,7 +7,7 @@ import pytest
 from core.errors import JobFailed, Rejected
 from core.physics.availability import EngineName, check_physics
 from core.physics.choose import engine_builder
-from core.physics.coverage import unrun
+from core.physics.coverage import check_runs, unread_sensors, unrun
 
 ARM = """
 <mujoco>
@@ -52,14 +52,6 @@ def test_a_plain_model_is_run_by_all() -> None:
             {"motor": '<motor name="lift" joint="elbow" delay="0.02" nsample="6"/>'},
             "'lift' acts with a delay",
         ),
-        (
-            {"sensor": '<jointpos name="angle" joint="elbow" delay="0.02" nsample="6"/>'},
-            "'angle' is read late",
-        ),
-        (
-            {"sensor": '<jointpos name="angle" joint="elbow" interval="0.02" nsample="2"/>'},
-            "'angle' is read late",
-        ),
         ({"option": 'actuatorgroupdisable="1"'}, "disables groups of actuators"),
         ({"floor": 'type="hfield" hfield="hills"'}, "'floor' is a height field"),
         (
@@ -80,6 +72,19 @@ def test_what_mjx_and_warp_would_leave_out_is_not_run_by_them(parts: dict[str, s
         with pytest.raises(JobFailed, match=f"The engine '{engine}' cannot run the model: its? "):
             engine_builder(engine)(arm(**parts), 5, ())
     assert unrun("native", arm(**parts)) is None
+
+
+@pytest.mark.parametrize("late", ['delay="0.02" nsample="6"', 'interval="0.02" nsample="2"'])
+def test_a_late_sensor_keeps_an_engine_only_from_jobs_that_read_it(late: str) -> None:
+    model = arm(sensor=f'<jointvel joint="elbow"/><jointpos name="angle" joint="elbow" {late}/>')
+    assert {number: set(why) for number, why in unread_sensors(model).items()} == {
+        1: {"mjx", "warp", "compiled"}
+    }
+    for engine in ON_JAX:
+        check_runs(engine, model, ("xpos",))
+        with pytest.raises(JobFailed, match="its sensor 'angle' is read late"):
+            check_runs(engine, model, ("sensordata",))
+    check_runs("native", model, ("sensordata",))
 
 
 def test_a_controller_by_a_plugin_is_run_by_native_alone() -> None:

@@ -1,9 +1,10 @@
-"""Sensors of contacts: touch sensors sum normal forces, contact sensors count points.
+"""Sensors of contacts: touch sensors sum normal forces of the last substep, contact sensors count the points
+of the state that is returned.
 
 Source: MuJoCo's documentation, XML reference, "sensor/touch", "sensor/contact".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -40,31 +41,36 @@ def read_contact_sensors(model: mujoco.MjModel, contacts: Sequence[Contact]) -> 
     )
 
 
-def contact_readings(
+def normal_forces(
     sensors: Sequence[ContactSensor], contacts: Sequence[Contact], rows: Rows, acceleration: Vector
 ) -> Vector:
-    """By sensor, under this acceleration [nv]. rows: those of the contacts last."""
+    """By sensor that sums them, under this acceleration [nv]. rows: those of the contacts last."""
     first = len(rows.groups) - len(rows.distances)
     places = _places(contacts)
-    pushing = {place for one in sensors if not one.counts for i in one.contacts for place in places[i]}
+    pushing = {place for one in sensors for i in one.contacts for place in places[i]}
     kept = replace(rows, groups=[rows.groups[first + place] for place in sorted(pushing)])
     groups = by_group(kept, residual(kept, acceleration))
     pushes = {
         place: group.law.forces(own)[0] for place, (group, own) in zip(sorted(pushing), groups, strict=True)
     }
 
-    def reading(sensor: ContactSensor) -> Number:
-        if not sensor.counts:
-            return total(maximum(pushes[place], 0.0) for i in sensor.contacts for place in places[i])
+    return [
+        total(maximum(pushes[place], 0.0) for i in sensor.contacts for place in places[i])
+        for sensor in sensors
+    ]
+
+
+def numbers_touching(
+    sensors: Sequence[ContactSensor], contacts: Sequence[Contact], distances: Sequence[Number]
+) -> Vector:
+    """By sensor that counts: at how many points the geoms touch. distances: of all contacts' points."""
+    places = _places(contacts)
+
+    def number(sensor: ContactSensor) -> Number:
         near = ((contacts[i].parameters.reach, place) for i in sensor.contacts for place in places[i])
-        return total(select(rows.distances[place] < reach, 1.0, 0.0) for reach, place in near)
+        return total(select(distances[place] < reach, 1.0, 0.0) for reach, place in near)
 
-    return [reading(sensor) for sensor in sensors]
-
-
-def by_number(sensors: Sequence[ContactSensor], readings: Vector) -> Mapping[int, Number]:
-    """The readings by the sensors' numbers."""
-    return {sensor.number: reading for sensor, reading in zip(sensors, readings, strict=True)}
+    return [number(sensor) for sensor in sensors]
 
 
 def encloses(model: mujoco.MjModel, site: int, geom: int, margin: float) -> bool:

@@ -26,7 +26,7 @@ from core.physics.compiled.smooth.kinematics import Poses, poses
 from core.physics.compiled.smooth.tendons import Tendon, read_tendons
 from core.physics.compiled.smooth.tree import Tree, read_tree
 
-NO_READINGS: Mapping[int, Number] = {}
+NO_READINGS: Mapping[int, Vector] = {}
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class Frame:
 
 
 class Scene:
-    """qpos: [nq]. qvel: [nv]. time: in s. readings: of sensors of contacts, by their numbers."""
+    """qpos: [nq]. qvel: [nv]. time: in s. readings: by the numbers of sensors of contacts and
+    forces."""
 
     def __init__(
         self,
@@ -47,7 +48,7 @@ class Scene:
         qpos: Vector,
         qvel: Vector,
         time: Number = 0.0,
-        readings: Mapping[int, Number] = NO_READINGS,
+        readings: Mapping[int, Vector] = NO_READINGS,
     ) -> None:
         self.fields, self.qpos, self.qvel = fields, qpos, qvel
         self.time, self.readings = time, readings

@@ -13,23 +13,24 @@ from core.physics.compiled.readings.contact_sensors import encloses
 from core.physics.compiled.readings.sensors import is_known
 
 
-def unread(model: mujoco.MjModel) -> Iterator[str]:
-    """Why sensors cannot be read, the first in the model first."""
+def unread(model: mujoco.MjModel) -> Iterator[tuple[int, str]]:
+    """The sensors that cannot be read, by number, and why: the first in the model first."""
     kinds, camera, disable = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_CAMERA, mujoco.mjtDisableBit
-    if model.nsensor and model.opt.disableflags & (disable.mjDSBL_SENSOR | disable.mjDSBL_ACTUATION):
-        yield "sensordata: it disables sensors or actuators"
+    disables = model.opt.disableflags & (disable.mjDSBL_SENSOR | disable.mjDSBL_ACTUATION)
     for number, kind in enumerate(model.sensor_type):
         name = f"sensordata: its sensor {named(model, 'sensor', number)}"
-        if not is_known(int(kind)):
-            yield f"{name} is of the kind {word(kinds(int(kind)).name)}"
+        if disables:
+            yield number, "sensordata: it disables sensors or actuators"
+        elif not is_known(int(kind)):
+            yield number, f"{name} is of the kind {word(kinds(int(kind)).name)}"
         elif reason := _unread_contacts(model, number):
-            yield f"{name} {reason}"
+            yield number, f"{name} {reason}"
         elif (model.sensor_objtype[number] == camera) or (model.sensor_reftype[number] == camera):
-            yield f"{name} is about a camera"
+            yield number, f"{name} is about a camera"
         elif model.sensor_delay[number] or model.sensor_interval[number].any():
-            yield f"{name} is read late or at intervals"
+            yield number, f"{name} is read late or at intervals"
         elif kind == kinds.mjSENS_ACTUATORPOS and not is_on_scalar(model, int(model.sensor_objid[number])):
-            yield f"{name} is the length of an actuator on a joint with several axes"
+            yield number, f"{name} is the length of an actuator on a joint with several axes"
 
 
 def _unread_contacts(model: mujoco.MjModel, sensor: int) -> str | None:

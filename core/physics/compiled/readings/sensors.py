@@ -1,4 +1,4 @@
-"""Sensors that follow from positions and velocities, and those of the last substep's contacts.
+"""Sensors that follow from positions and velocities; contacts and forces, which `Scene.readings` has.
 
 Source: MuJoCo's documentation, XML reference, "sensor".
 """
@@ -20,7 +20,8 @@ from core.physics.compiled.program.arithmetic import (
     subtract,
     transpose,
 )
-from core.physics.compiled.readings.contact_sensors import KINDS
+from core.physics.compiled.readings.contact_sensors import KINDS as CONTACT_KINDS
+from core.physics.compiled.readings.force_sensors import KINDS as FORCE_KINDS
 from core.physics.compiled.readings.scene import Frame, Scene
 from core.physics.compiled.smooth.actuation import transmission
 from core.physics.compiled.smooth.rotations import conjugate
@@ -149,8 +150,8 @@ def _subtree(scene: Scene, sensor: Sensor) -> Vector:
     return scene.means([scene.velocity(frame)[1] for frame in frames])[sensor.object]
 
 
-def _of_contacts(scene: Scene, sensor: Sensor) -> Vector:
-    return [scene.readings[sensor.number]]
+def _read_before(scene: Scene, sensor: Sensor) -> Vector:
+    return scene.readings[sensor.number]
 
 
 _READ: Mapping[int, Callable[[Scene, Sensor], Vector]] = {
@@ -167,6 +168,6 @@ _READ: Mapping[int, Callable[[Scene, Sensor], Vector]] = {
     **dict.fromkeys((_Kind.mjSENS_FRAMELINVEL, _Kind.mjSENS_FRAMEANGVEL), _velocity),
     **dict.fromkeys((_Kind.mjSENS_GYRO, _Kind.mjSENS_VELOCIMETER, _Kind.mjSENS_MAGNETOMETER), _at_site),
     **dict.fromkeys((_Kind.mjSENS_SUBTREECOM, _Kind.mjSENS_SUBTREELINVEL), _subtree),
-    **dict.fromkeys(KINDS, _of_contacts),
+    **dict.fromkeys((*CONTACT_KINDS, *FORCE_KINDS), _read_before),
     _Kind.mjSENS_CLOCK: lambda scene, _: [scene.time],
 }

@@ -1,4 +1,4 @@
-"""Touch sensors and contact sensors against C MuJoCo's, which has them of the last substep, too."""
+"""Touch, contact, acceleration and force sensors against C MuJoCo's: forces are those of the last substep."""
 
 from dataclasses import replace
 
@@ -10,10 +10,18 @@ from core.environments.brittle_star.model import star_model
 from core.environments.brittle_star.options import DirectedOptions
 from core.physics.compiled.coverage import uncovered, uncovered_fields
 from core.physics.compiled.fields import Fields
-from core.physics.compiled.readings.contact_sensors import by_number, read_contact_sensors
 from core.physics.compiled.readings.scene import Scene
 from core.physics.compiled.readings.sensors import sensor_values
-from core.physics.compiled.substep import Model, Moved, State, control_step, read_model, unmoved
+from core.physics.compiled.substep import (
+    Model,
+    Moved,
+    State,
+    control_step,
+    read_model,
+    readings_by_sensor,
+    unmoved,
+    with_sensors,
+)
 from core.physics.model import initial_qpos
 from tests.unit.physics.compiled.test_contacts import PLANE, at_random, meeting
 from tests.unit.physics.compiled.test_substep import converge, of_all, relative
@@ -29,18 +37,19 @@ SENSORS = """<sensor>
   <touch name="felt" site="left"/><touch site="rod" cutoff="20"/>
   <contact geom1="left" data="found"/><contact geom1="rod" geom2="left" data="found" cutoff="0.5"/>
   <contact geom1="still" geom2="rod" data="found"/><jointpos joint="b"/>
+  <accelerometer site="left"/><framelinacc objtype="geom" objname="rod"/>
+  <frameangacc objtype="body" objname="right"/>
 </sensor>"""
 
 
 def sensing(model: mujoco.MjModel) -> Model:
     read = read_model(model)
-    found = read_contact_sensors(model, read.constraints.contacts)
     solver = replace(read.solver, iterations=20, line_search_iterations=30)
-    return replace(read, contact_sensors=found, solver=solver)
+    return with_sensors(replace(read, solver=solver), model)
 
 
 def values_of(ours: Model, model: mujoco.MjModel, moved: Moved) -> list[np.ndarray]:
-    readings = by_number(ours.contact_sensors, moved.readings)
+    readings = readings_by_sensor(ours, moved)
     return sensor_values(Scene(Fields(model), moved.qpos, moved.qvel, 0.0, readings))
 
 

@@ -82,8 +82,8 @@ def test_derived_fields_are_mujoco_s(name: str) -> None:
             np.testing.assert_allclose(np.broadcast_to(mine, NUM_STATES), other, rtol=1e-12, atol=1e-12)
 
 
-def test_sensors_of_accelerations_are_named() -> None:
-    xml = SENSING.replace("<clock/>", '<accelerometer name="bump" site="tip"/>')
+def test_sensors_of_what_is_not_computed_are_named() -> None:
+    xml = SENSING.replace("<clock/>", '<force name="bump" site="tip"/>')
     model = mujoco.MjModel.from_xml_string(xml)
     assert uncovered_fields(model, ("xpos",)) is None
     assert "'bump'" in (uncovered_fields(model, ("sensordata",)) or "")

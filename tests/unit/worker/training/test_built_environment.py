@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import pytest
 
+from core.environments.mjcf.environment import Mjcf
 from core.errors import JobFailed
 from core.jobs.spec import JOB_SPEC
 from core.physics.availability import EngineName, PhysicsChoice
@@ -113,7 +114,7 @@ OWN = """
     </body>
   </worldbody>
   <actuator><general name="motor" joint="axle" dyntype="filterexact" dynprm="0.1"/></actuator>
-  <sensor><rangefinder name="far" site="eye"/></sensor>
+  <sensor><rangefinder name="far" site="eye"/><gyro name="turn" site="eye"/></sensor>
 </mujoco>
 """
 OPTIONS = {"model": f"sha256:{'0' * 64}", "reward": [{"kind": "alive"}], "termination": []}
@@ -156,6 +157,17 @@ def test_where_compiled_lacks_what_a_job_reads_or_randomises_auto_takes_native_a
     assert built.engine_reason == f"The engine 'compiled' cannot run the model: {why}."
     with pytest.raises(JobFailed, match=why.partition(":")[0]):
         build_environment(own(tmp_path, options, physics="compiled", **fields))
+
+
+def test_a_sensor_that_a_job_does_not_read_keeps_no_engine_from_it(tmp_path: Path) -> None:
+    """Issue 41, an IMU: a job that read another sensor, or counted contacts, fell to `native`."""
+    turns = {"observation": [{"kind": "sensors", "names": ["turn"]}]}
+    touches = {"reward": [{"kind": "contact", "geoms": ["ball"]}]}
+    for reads, num_read in ((turns, 3), (touches, 1)):
+        built = build_environment(own(tmp_path, reads))
+        assert built.engine == "compiled"
+        assert isinstance(built.environment, Mjcf)
+        assert built.environment.model.nsensordata == num_read
 
 
 def test_what_no_engine_can_run_fails_as_before(tmp_path: Path) -> None:
