@@ -114,7 +114,7 @@ class Task(Stored):
     of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with the
     reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint, which
     `auto` then takes again. lent_by: the engine that moved the environments in another job's checkpoint,
-    which `auto` takes if no other can.
+    which `auto` takes if no other can. commit: of the code that runs.
     """
 
     job_id: str
@@ -128,3 +128,4 @@ class Task(Stored):
     body: BodySize | None = None
     begun_on: EngineName | None = None
     lent_by: EngineName | None = None
+    commit: str | None = None

@@ -133,6 +133,29 @@ def test_what_the_attempt_found_is_in_the_record(undisturbed: JobView) -> None:
     assert "mujoco" in attempt.details["versions"]
 
 
+def test_the_log_tells_the_story_of_a_training(client: Client, undisturbed: JobView) -> None:
+    log = list(client.logs(undisturbed.id))
+    told = " ".join(line.strip() for line in log)
+    assert "inverted_pendulum, seed 3, ppo" in log[1]
+    for said in (
+        f"Attempt 1 on worker {undisturbed.attempts[0].worker}",
+        "Device: cpu ×",
+        "Engine: native. ",
+        "mujoco 3.",
+        "commit ",
+        "Settings that the job names: num_timesteps=256000, num_envs=64",
+        "Settings that were filled in: ",
+        "Compiled in ",
+        "Step 256,000: return ",
+        "Checkpoint of step 51,200: ",
+        "video.mp4",
+        "Seconds by phase: preparing ",
+        "The job has succeeded (completed). Everything asked for is done.",
+    ):
+        assert said in told
+    assert len(log) < 60
+
+
 def test_metrics_have_braxs_names_and_rise_in_step(client: Client, undisturbed: JobView) -> None:
     rows = client.metrics(undisturbed.id)
     steps = [row.step for row in rows]

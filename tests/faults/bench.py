@@ -1,5 +1,6 @@
 """What tests of the supervisor share: a service in one process, and a training of the smallest size."""
 
+import re
 import sys
 import threading
 import time
@@ -102,6 +103,10 @@ class Bench:
     def lines(self, job: Job) -> list[str]:
         """Its log."""
         return [entry.data["text"] for entry in self.feed(job, "logs")]
+
+    def printed(self, job: Job) -> list[str]:
+        """The part of its log that the process printed: the supervisor's own lines begin with their time."""
+        return [line for line in self.lines(job) if re.match(r"\d\d:\d\d:\d\d  | {10}", line) is None]
 
     @contextmanager
     def running(self, job: Job, behaviour: str) -> Iterator[Supervisor]:

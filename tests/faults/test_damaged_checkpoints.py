@@ -104,6 +104,8 @@ def test_a_job_that_names_the_step_gets_no_other(bench: Bench) -> None:
     ended, _, _ = resumed(bench, job)
     assert (ended.status, ended.reason) == (JobStatus.FAILED, Reason.BAD_CHECKPOINT)
     assert f"{NEWEST} is damaged" in str(ended.message)
+    # No process began, and the log tells why.
+    assert f"The job has failed (bad_checkpoint). {NEWEST} is damaged" in " ".join(bench.lines(job))
 
 
 def test_a_promised_checkpoint_outlives_its_number(bench: Bench) -> None:

@@ -38,7 +38,7 @@ def test_what_the_process_says_becomes_facts(bench: Bench) -> None:
         {"eval/episode_reward": 10.0},
         {"eval/episode_reward": 20.0},
     ]
-    assert bench.lines(job) == ["a line of the log"]
+    assert bench.printed(job) == ["a line of the log"]
 
 
 def test_metrics_up_to_the_last_checkpoint_are_a_file(bench: Bench) -> None:
@@ -57,7 +57,7 @@ def test_the_process_is_told_the_workers_setting_for_models(bench: Bench, models
     supervisor.settings = bench.settings.model_copy(update={"models": models})
     supervisor.command = ("/bin/sh", "-c", "echo $GAITWAY_MODELS")
     supervisor.run()
-    assert bench.lines(job) == [models]
+    assert bench.printed(job) == [models]
 
 
 def test_nothing_is_left_in_the_spool(bench: Bench) -> None:
@@ -74,7 +74,7 @@ def test_a_failure_carries_the_process_own_reason(bench: Bench) -> None:
 def test_a_crash_without_a_word_is_said_to_be_one_and_its_log_is_there(bench: Bench) -> None:
     job = bench.run("crashes")
     assert (job.status, job.reason) == (JobStatus.FAILED, Reason.TRAINING_CRASHED)
-    assert bench.lines(job) == ["Traceback: something"]
+    assert bench.printed(job) == ["Traceback: something"]
 
 
 def test_a_killed_process_gives_the_job_another_attempt_that_starts_from_the_checkpoint(bench: Bench) -> None:
@@ -212,13 +212,13 @@ def test_a_child_that_the_process_leaves_behind_is_ended(bench: Bench) -> None:
 def test_many_lines_halt_nothing_and_are_all_in_the_log(bench: Bench) -> None:
     job = bench.run("prints_much")
     assert job.status == JobStatus.SUCCEEDED
-    assert bench.lines(job) == ["x" * 199] * 15_000
+    assert bench.printed(job) == ["x" * 199] * 15_000
 
 
 def test_a_flood_of_lines_halts_nothing_and_the_log_says_what_is_missing(bench: Bench) -> None:
     job = bench.run("floods")
     assert job.status == JobStatus.SUCCEEDED
-    lines = bench.lines(job)
+    lines = bench.printed(job)
     left_out = [int(line[1:].split()[0]) for line in lines if line.startswith("[")]
     assert left_out
     assert lines.count("x" * 199) + sum(left_out) == 50_000

@@ -5,7 +5,7 @@ import hashlib
 import queue
 import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -33,6 +33,7 @@ from worker.protocol import (
     Started,
 )
 from worker.supervision.measurements import Measurements
+from worker.supervision.story import Story
 
 # How long an object that the record no longer names is kept for those who are reading it.
 _DELETE_AFTER_S = 60.0
@@ -54,11 +55,16 @@ class _Received:
 class Outbox:
     """A thread that stores messages and log lines. An outage makes it wait, never the training.
 
-    progress: the job's, from an attempt before.
+    progress: the job's, from an attempt before. story: tells the log what the messages say.
     """
 
     def __init__(
-        self, claim: Claim, spool: Path, keep_checkpoints: int, progress: Progress = _NO_PROGRESS
+        self,
+        claim: Claim,
+        spool: Path,
+        keep_checkpoints: int,
+        progress: Progress = _NO_PROGRESS,
+        story: Story | None = None,
     ) -> None:
         self._failure: Exception | None = None
         self._is_abandoned = False
@@ -66,6 +72,7 @@ class Outbox:
         self._spool = spool
         self._keep_checkpoints = keep_checkpoints
         self._progress = progress
+        self._story = story
         self._measurements = Measurements(claim.job_id, claim.store, claim.objects)
         self._dropped: list[tuple[float, str]] = []
         self._waiting: queue.SimpleQueue[_Received | None] = queue.SimpleQueue()
@@ -79,7 +86,14 @@ class Outbox:
 
     def put(self, item: Message | str) -> None:
         """Take a message, or a line of the log."""
+        if self._story is not None and not isinstance(item, str):
+            self.put_all(self._story.lines(item))
         self._waiting.put(_Received(item, utc_now()))
+
+    def put_all(self, lines: Iterable[str]) -> None:
+        """Take several lines of the log."""
+        for line in lines:
+            self._waiting.put(_Received(line, utc_now()))
 
     def close(self, timeout_s: float, called_off: Callable[[], bool] = lambda: False) -> bool:
         """Wait until all is stored, at most `timeout_s` or until called off; returns whether all is stored.

@@ -17,6 +17,7 @@ from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
+from worker.host.commit import commit_here
 from worker.protocol import Task
 
 _FILE = "start.msgpack"
@@ -31,7 +32,8 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
     model has ("bad_model"), or if no checkpoint of another job is whole ("bad_checkpoint").
     """
     notes: list[str] = []
-    task = _as_begun(Task(job_id=job.id, attempt=claim.number, spec=job.spec, device=device), job.begun)
+    task = Task(job_id=job.id, attempt=claim.number, spec=job.spec, device=device, commit=commit_here())
+    task = _as_begun(task, job.begun)
     checkpoint = _own_checkpoint(job, claim, spool, notes)
     if checkpoint is None:
         checkpoint = _lent_checkpoint(job, claim, spool, notes)

@@ -1,5 +1,6 @@
 """One attempt at one job: start the training process, watch it, store what it says, end it for certain."""
 
+import secrets
 import threading
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -10,11 +11,12 @@ from pathlib import Path
 
 import structlog
 
-from core.errors import JobFailed, LeaseLost, NotFound, Rejected, Unavailable
+from core.errors import JobFailed, LeaseLost, NotFound, RecordsUnavailable, Rejected, Unavailable
 from core.jobs.attempts import Claim
-from core.jobs.job import Job
+from core.jobs.job import Job, utc_now
 from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
+from core.jobs.store import Entry
 from core.reasons import Reason
 from core.retry import CalledOff, retry_while_unavailable
 from core.settings import WorkerSettings
@@ -37,6 +39,7 @@ from worker.supervision.seat import Seat
 from worker.supervision.spool import SPOOLS, spool
 from worker.supervision.stall import StallWatch
 from worker.supervision.starting_point import write_task
+from worker.supervision.story import Story, ending, timed
 from worker.supervision.tracking import Tracking
 
 log = structlog.get_logger()
@@ -69,6 +72,7 @@ class Supervisor:
     draining: Draining = field(default_factory=Draining)
     device_test: Sequence[str] | None = None
     seat: Seat | None = None
+    _is_told: bool = field(default=False, init=False)
 
     def run(self) -> None:
         folder = self.settings.data_dir.absolute()  # The training process has another working directory.
@@ -76,7 +80,9 @@ class Supervisor:
         caches = Caches(self.claim.objects, self.settings, self.device, own)
         try:
             with Heartbeat(self.claim, self.settings) as heartbeat:
-                self._conclude(self._outcome(heartbeat, caches, folder, own))
+                outcome = self._outcome(heartbeat, caches, folder, own)
+                self._tell(outcome)
+                self._conclude(outcome)
         except LeaseLost:
             log.warning("attempt_abandoned", job_id=self.claim.job_id, attempt=self.claim.number)
         caches.close(self.draining.is_set)  # The job has ended: nobody waits for this.
@@ -106,6 +112,7 @@ class Supervisor:
         job = retry_while_unavailable(
             partial(self.claim.store.get, self.claim.job_id), _STORAGE_TIMEOUT_S, called_off=leaving
         )
+        story = Story(job, spool)
         notes = retry_while_unavailable(
             partial(write_task, job, self.claim, self.device, spool),
             _STORAGE_TIMEOUT_S,
@@ -113,7 +120,8 @@ class Supervisor:
         )
         with self._place(folder) as (slot_fds, cohort_fd):
             caches.open(job.spec.environment, leaving)
-            outbox = Outbox(self.claim, spool, _checkpoints_kept(job), job.progress)
+            outbox = Outbox(self.claim, spool, _checkpoints_kept(job), job.progress, story)
+            outbox.put_all(story.begin())
             outbox.put(PhaseBegan(phase="preparing"))
             for note in notes:
                 outbox.put(Noted(text=note))
@@ -141,6 +149,8 @@ class Supervisor:
             tracking.abandon()
         else:
             tracking.finish(outcome.status)
+        outbox.put_all(story.end(outcome))
+        self._is_told = True
         if not outbox.close(_STORAGE_TIMEOUT_S, self._must_leave(_LAST_S)):
             outbox.abandon()
             return _not_stored(leaving())
@@ -223,6 +233,16 @@ class Supervisor:
         """Whether the grace time of a drain is over, and `at_least_s` from now have passed."""
         grace_s, not_before = self.settings.grace.total_seconds(), time.monotonic() + at_least_s
         return lambda: self.draining.for_s() >= grace_s and time.monotonic() >= not_before
+
+    def _tell(self, outcome: Outcome) -> None:
+        """Write the end of an attempt that never began into the log, if the record is there just now."""
+        if self._is_told:
+            return
+        said = [Entry(kind="line", time=utc_now(), data={"text": line}) for line in timed(ending(outcome))]
+        with suppress(RecordsUnavailable):
+            self.claim.store.record(
+                self.claim.job_id, self.claim.token, "logs", said, write_id=secrets.token_hex(8)
+            )
 
     def _conclude(self, outcome: Outcome) -> None:
         record_end = partial(end, self.claim, outcome)

@@ -2,10 +2,8 @@
 
 import os
 import platform
-import subprocess
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -34,7 +32,10 @@ _ENGINES_PACKAGES = {"warp": ("warp-lang",), "compiled": ("llvmlite",)}
 
 @dataclass(frozen=True)
 class BuiltEnvironment:
-    """An environment, its engine and the reason for that. num_devices: how many share a training."""
+    """An environment, its engine and the reason for that.
+
+    num_devices: how many share a training. commit: of the code.
+    """
 
     info: EnvironmentInfo
     environment: Environment
@@ -43,11 +44,12 @@ class BuiltEnvironment:
     engine: str
     engine_reason: str
     num_devices: int = 1
+    commit: str | None = None
 
     def started(self, **details: Any) -> Started:
         """The facts on this attempt for the job's record."""
         also = [*_ENGINES_PACKAGES.get(self.engine, ()), *_brought_by(self.info)]
-        packages = ("jax", "brax", "mujoco", "mujoco-mjx", *also)
+        packages = ("gaitway", "jax", "brax", "mujoco", "mujoco-mjx", *also)
         versions = {name: version(name) for name in packages}
         return Started(
             device=self.device_name,
@@ -56,28 +58,11 @@ class BuiltEnvironment:
                 "engine_reason": self.engine_reason,
                 "host": platform.node(),
                 "python": platform.python_version(),
-                "commit": _commit(),
+                "commit": self.commit,
                 "versions": versions,
                 **details,
             },
         )
-
-
-def _commit() -> str | None:
-    """The commit of this code, with `-dirty` after changes; None outside a clone."""
-    command = [
-        "git",
-        "-C",
-        str(Path(__file__).parent),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=40",
-        "--exclude=*",
-    ]
-    with suppress(OSError, subprocess.SubprocessError):
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
-    return None
 
 
 def build_environment(task: Task) -> BuiltEnvironment:
@@ -110,7 +95,7 @@ def build_environment(task: Task) -> BuiltEnvironment:
     engine, reason = choice.name, choice.reason
     if info.own_physics:
         engine, reason = info.own_physics, f"{info.id} brings its own physics."
-    return BuiltEnvironment(info, environment, device, name, engine, reason, num_devices)
+    return BuiltEnvironment(info, environment, device, name, engine, reason, num_devices, task.commit)
 
 
 def _choice(task: Task, info: EnvironmentInfo, device: Device, num_envs: int) -> EngineChoice:

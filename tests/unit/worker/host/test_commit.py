@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from worker.training import built_environment
+from worker.host.commit import commit_here
 
 
 def test_an_attempt_names_the_commit_of_its_code() -> None:
@@ -15,11 +15,11 @@ def test_an_attempt_names_the_commit_of_its_code() -> None:
     )
     if head.returncode != 0:
         pytest.skip("This is no clone.")
-    named = built_environment._commit()
+    named = commit_here()
     assert named is not None
     assert named.removesuffix("-dirty") == head.stdout.strip()
 
 
 def test_where_there_is_no_git_it_names_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
-    assert built_environment._commit() is None
+    assert commit_here() is None
