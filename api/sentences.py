@@ -3,15 +3,23 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from types import MappingProxyType
 from typing import Any, cast
 
 from pydantic import TypeAdapter
 
 from core.bounds import MOST_PROBLEMS
+from core.environments import catalog
 from core.errors import Problem
 from core.jobs.spec import JOB_SPEC
 from core.nearest import nearest
 
+# Objects lie this deep in a document.
+_DEPTH = 2
+# Fields below are compared for so many wrong names: each takes milliseconds.
+_MAX_PATHS = 5
+_VERY_LIKE = 0.8
+_NOTHING: Mapping[str, str] = MappingProxyType({})
 _CONSTANTS: dict[bool | None, str] = {None: "null", True: "true", False: "false"}
 _NOT_FINITE = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
 
@@ -30,7 +38,10 @@ def body_problems(
         if pointer not in found and len(found) == MOST_PROBLEMS:
             break
         known = _fields_at(error["loc"][:-1], kind)
-        found.setdefault(pointer, []).append(_sentence({**error, "loc": place}, known))
+        inner = _NOTHING
+        if len(found) < _MAX_PATHS and error["type"] == "extra_forbidden":
+            inner = {**_paths_below(error["loc"][:-1], kind), **_options(place[:-1], document)}
+        found.setdefault(pointer, []).append(_sentence({**error, "loc": place}, known, inner))
     return [Problem(pointer, _joined(sentences)) for pointer, sentences in found.items()]
 
 
@@ -82,11 +93,12 @@ def _pointer(error: Mapping[str, Any], place: Location) -> str:
     return pointer
 
 
-def _sentence(error: Mapping[str, Any], known: Sequence[str]) -> str:
+def _sentence(error: Mapping[str, Any], known: Sequence[str], inner: Mapping[str, str] = _NOTHING) -> str:
+    """known: the fields at this place. inner: paths of fields below it, by their last part."""
     name = _name(error["loc"])[:60]
     match error["type"]:
         case "extra_forbidden":
-            return f"`{name}` is not a field here{_hint(name, known)}"
+            return f"`{name}` is not a field here{_hint(name, known, inner)}"
         case "missing" if isinstance(error["loc"][-1], int):
             return f"`{name}` has too few items: item {error['loc'][-1]}, counted from 0, is missing."
         case "missing":
@@ -126,9 +138,12 @@ def _discriminator(error: Mapping[str, Any]) -> str:
     return str(error["ctx"]["discriminator"]).strip("'")
 
 
-def _hint(wrong: str, known: Sequence[str]) -> str:
-    near = nearest(wrong, known, cutoff=0.5)
-    if near:
+def _hint(wrong: str, known: Sequence[str], inner: Mapping[str, str] = _NOTHING) -> str:
+    if wrong in inner:
+        return f"; did you mean `{inner[wrong]}`?"
+    if (near := nearest(wrong, inner, cutoff=_VERY_LIKE)) and not nearest(wrong, known, cutoff=_VERY_LIKE):
+        return f"; did you mean `{inner[near[0]]}`?"
+    if near := nearest(wrong, known, cutoff=0.5):
         return f"; did you mean `{near[0]}`?"
     return f"; known are {', '.join(f'`{name}`' for name in known)}." if known else "."
 
@@ -148,13 +163,53 @@ def _schema(kind: TypeAdapter[Any]) -> dict[str, Any]:
 
 def _fields_at(location: Location, kind: TypeAdapter[Any]) -> Sequence[str]:
     """The fields that an object at this place may have; pydantic's union tags select its type."""
+    return list(_node_at(location, kind).get("properties", {}))
+
+
+@cache
+def _paths_below(location: Location, kind: TypeAdapter[Any]) -> Mapping[str, str]:
+    """The paths of fields in the objects below this place, by their last part; shorter paths win."""
+    found, level = dict[str, str](), [("", _node_at(location, kind))]
+    for _ in range(_DEPTH):
+        inner = [
+            (f"{path}{name}.", form)
+            for path, node in level
+            for name, field in node.get("properties", {}).items()
+            for form in _objects(field, _schema(kind))
+        ]
+        for path, node in inner:
+            for name in node.get("properties", {}):
+                found.setdefault(name, f"{path}{name}")
+        level = inner
+    return found
+
+
+def _options(location: Location, document: Any) -> Mapping[str, str]:
+    """The paths of the options of the environment that the object at this place names, if it does."""
+    here = document
+    for part in location:
+        here = here[part]
+    chosen = cast("dict[str, Any]", here).get("environment") if isinstance(here, dict) else None
+    name = cast("dict[str, Any]", chosen).get("id") if isinstance(chosen, dict) else chosen
+    info = catalog.ENVIRONMENTS.get(name) if isinstance(name, str) else None
+    fields = () if info is None else info.options.model_fields
+    return {field: f"environment.options.{field}" for field in fields}
+
+
+def _node_at(location: Location, kind: TypeAdapter[Any]) -> dict[str, Any]:
     schema = _schema(kind)
     node = schema
     for part in location:
         node = _object(node, schema)
         mapping = node.get("discriminator", {}).get("mapping", {})
         node = {"$ref": mapping[part]} if part in mapping else node.get("properties", {}).get(part, {})
-    return list(_object(node, schema).get("properties", {}))
+    return _object(node, schema)
+
+
+def _objects(node: dict[str, Any], schema: dict[str, Any]) -> Sequence[dict[str, Any]]:
+    """Every form of the node that is an object."""
+    forms = node.get("oneOf", node.get("anyOf", [node]))
+    return [_object(form, schema) for form in forms if "$ref" in form]
 
 
 def _object(node: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:

@@ -58,6 +58,8 @@ def find(environment_id: str) -> EnvironmentInfo:
     else:
         near = _nearest(environment_id)
         suggestion = f" Did you mean {near!r}?" if near else ""
+        if near in CANNOT:
+            suggestion = f" {near!r} is like it, but is not available here: {CANNOT[near]}."
         detail = (
             f"There is no environment {environment_id!r}.{suggestion} There are {_known(environment_id)}."
         )
@@ -65,9 +67,9 @@ def find(environment_id: str) -> EnvironmentInfo:
 
 
 def _nearest(environment_id: str) -> str | None:
-    """The most similar id; Playground's are also found by their bare names."""
-    names = {info.id.removeprefix("playground/").lower(): info.id for info in ENVIRONMENTS.values()}
-    names |= {name.lower(): name for name in (*ENVIRONMENTS, *CANNOT)}
+    """The most similar id; those of other packages are also found by their bare names."""
+    names = {name.rpartition("/")[2].lower(): name for name in (*CANNOT, *ENVIRONMENTS)}
+    names |= {name.lower(): name for name in (*CANNOT, *ENVIRONMENTS)}
     near = nearest(environment_id.lower(), names)
     return names[near[0]] if near else None
 
@@ -138,5 +140,7 @@ def _problem(info: EnvironmentInfo, location: tuple[int | str, ...], message: st
         return Problem(pointer, f"{sentence}.")
     if location and location[0] not in info.options.model_fields:
         known = ", ".join(info.options.model_fields) or "none"
-        return Problem(pointer, f"{field}: there is no such option; there are {known}.")
+        near = nearest(field, info.options.model_fields)
+        hint = f" Did you mean {near[0]}?" if near else ""
+        return Problem(pointer, f"{field}: there is no such option; there are {known}.{hint}")
     return Problem(pointer, f"{field}: {sentence}.")

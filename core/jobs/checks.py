@@ -238,6 +238,8 @@ def source_checkpoint(
             f"{source.spec.environment.options}, this one {spec.environment.id!r} with "
             f"{spec.environment.options}; they must be the same{excepted}."
         )
+        if isinstance(spec, RolloutSpec):
+            detail += " Leave `environment` out to take that of the job."
         raise Rejected(detail, [Problem(f"{pointer}/job", detail), Problem("/environment", detail)])
     checkpoint = source.newest("checkpoint", step)
     if checkpoint is None:

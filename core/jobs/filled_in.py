@@ -21,6 +21,8 @@ def filled_in(job: Job, store: ModelStore) -> dict[str, Any]:
     """
     spec = job.spec
     document: dict[str, Any] = {"kind": spec.kind, **spec.model_dump(mode="json")}
+    if "gpus" not in spec.resources.model_fields_set:
+        del document["resources"]["gpus"]  # A job that says 1 gets a GPU.
     info = None
     try:
         info, options = chosen(spec.environment, store)

@@ -141,13 +141,15 @@ class ResourcesSpec(Strict):
         default=1,
         ge=1,
         le=64,
-        description="How many GPUs of one host share a training; with more than one, `any` means "
+        description="How many GPUs of one host share a training; where it is given, `any` means "
         "`gpu`. num_envs and batch_size must be multiples of this number.",
     )
 
     @property
     def kind(self) -> Accelerator:
-        """The kind of worker that the job needs."""
+        """The kind of worker that the job needs: a job that says how many GPUs it shares needs one."""
+        if self.accelerator == "any" and "gpus" in self.model_fields_set:
+            return "gpu"
         return "gpu" if self.gpus > 1 else self.accelerator
 
 
@@ -267,10 +269,19 @@ PolicyChoice = Annotated[
 ]
 
 
+def _that_of_the_job() -> EnvironmentSpec:
+    """Stands for the environment that a rollout leaves out, until the submission fills it in."""
+    return EnvironmentSpec.model_construct(id="")
+
+
 class RolloutSpec(_Common):
     """Run a policy; keep the trajectory, a summary and a video."""
 
     kind: Literal["rollout"] = "rollout"
+    environment: EnvironmentChoice = Field(
+        default_factory=_that_of_the_job,
+        description="With a checkpoint's policy it may be left out: that of the checkpoint's job is taken.",
+    )
     policy: PolicyChoice
     num_steps: int = Field(
         default=1000, ge=1, le=100_000, description="The most environment steps in an episode."

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import structlog
 
 from core.algorithms.catalog import environment_options
-from core.errors import GaitwayError, RecordsUnavailable
+from core.errors import GaitwayError, JobNotFound, JobUnreadable, Problem, RecordsUnavailable, Rejected
 from core.jobs.checks import check
 from core.jobs.job import Job, new_job_id
 from core.jobs.queue import JobQueue
-from core.jobs.spec import JobSpec, TrainSpec
+from core.jobs.spec import CheckpointPolicy, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Dispatch, Idempotency, JobStore
 
 log = structlog.get_logger()
@@ -40,7 +40,7 @@ def submit(
 
 def new_job(spec: JobSpec, store: JobStore) -> Job:
     """The job of a submission, checked and not stored yet. Raises Rejected."""
-    spec = completed(spec)
+    spec = completed(with_environment(spec, store))
     check(spec, store)
     now = store.now()
     return Job(id=new_job_id(now), spec=spec, created_at=now)
@@ -58,6 +58,20 @@ def completed(spec: JobSpec) -> JobSpec:
         return spec
     options = {**environment.options, **taken}
     return spec.model_copy(update={"environment": environment.model_copy(update={"options": options})})
+
+
+def with_environment(spec: JobSpec, store: JobStore) -> JobSpec:
+    """The specification; a rollout without an environment gets that of its policy's job. Raises Rejected."""
+    if not isinstance(spec, RolloutSpec) or "environment" in spec.model_fields_set:
+        return spec
+    if not isinstance(spec.policy, CheckpointPolicy):
+        detail = "`environment` is missing; only a rollout of a checkpoint may leave it out."
+        raise Rejected(detail, [Problem("/environment", detail)])
+    try:
+        source = store.get(spec.policy.job)
+    except (JobNotFound, JobUnreadable) as error:
+        raise Rejected(error.detail, [Problem("/policy/job", error.detail)]) from None
+    return spec.model_copy(update={"environment": source.spec.environment})
 
 
 def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job | None = None) -> bool:

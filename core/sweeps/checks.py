@@ -14,6 +14,7 @@ from core.jobs.needs import DEVICES
 from core.jobs.spec import RolloutSpec
 from core.jobs.store import JobStore
 from core.jobs.submission import completed as completed_job
+from core.jobs.submission import with_environment
 from core.nearest import nearest
 from core.sweeps.advance import committed_steps, why_no_more
 from core.sweeps.axes import Values, combinations, corners, num_combinations, random_values
@@ -34,6 +35,7 @@ _MAX_HINTS = 5
 def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
     """The sweep as it is stored: bounds of fields that take fractions are fractions. Raises Rejected."""
     try:
+        spec = spec.model_copy(update={"job": with_environment(spec.job, store)})
         info, _ = job_checks.chosen(spec.job.environment, store)
     except Rejected as error:
         raise Rejected(

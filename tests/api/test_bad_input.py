@@ -49,6 +49,23 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         ({"kind": "train", "environment": "unicorn"}, "/environment", "no environment 'unicorn'"),
         ({"kind": "train", "environment": {"id": "antt"}}, "/environment", "'ant'?"),
         ({"kind": "train"}, "/environment", "`environment` is missing."),
+        (
+            {"kind": "rollout", "policy": {"kind": "zero"}},
+            "/environment",
+            "`environment` is missing; only a rollout of a checkpoint may leave it out.",
+        ),
+        (
+            {"kind": "train", "environment": "mjcf", "model": "sha256:0"},
+            "/model",
+            "`model` is not a field here; did you mean `environment.options.model`?",
+        ),
+        (MINIMAL | {"learning_rate": 1}, "/learning_rate", "did you mean `algorithm.learning_rate`?"),
+        (MINIMAL | {"num_timestep": 1}, "/num_timestep", "did you mean `algorithm.num_timesteps`?"),
+        (
+            MINIMAL | {"environment": "Go1JoystickFlatTerrian"},
+            "/environment",
+            "'playground/Go1JoystickFlatTerrain' is like it, but is not available here",
+        ),
         ({"environment": "ant"}, "/kind", "`kind` is missing"),
         ({"kind": "trian", "environment": "ant"}, "/kind", "did you mean `train`?"),
         ({"kind": "zzz", "environment": "ant"}, "/kind", "known are `train`, `rollout`."),

@@ -15,7 +15,7 @@ def test_a_job_that_nobody_can_take_says_so_until_somebody_can(stack: Stack) -> 
     announce(stack, "cpu")
     job = submit(stack, gpus=4)
     assert stack.http.get(f"/jobs/{job}").json()["waiting_for"] == _SENTENCE
-    other = submit(stack, gpus=1)
+    other = stack.http.post("/jobs", json={"kind": "train", "environment": "ant"}).json()["id"]
     listed = stack.http.get("/jobs").json()["items"]
     assert {item["id"]: item["waiting_for"] for item in listed} == {job: _SENTENCE, other: None}
     announce(stack, "gpu:0-3")

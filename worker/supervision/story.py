@@ -109,8 +109,9 @@ def ending(outcome: Outcome) -> str:
 def timed(text: str) -> Iterator[str]:
     """A line that begins with its time; what is long goes on below, indented."""
     yield from textwrap.wrap(
-        f"{utc_now():%H:%M:%S}  {' '.join(text.split())}",
+        text,
         _WIDTH,
+        initial_indent=f"{utc_now():%H:%M:%S}  ",
         subsequent_indent=" " * 10,
         break_long_words=False,
         break_on_hyphens=False,

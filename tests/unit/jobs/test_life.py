@@ -333,8 +333,24 @@ def test_a_rollout_needs_a_job_with_a_checkpoint_in_the_same_environment(service
     claim = service.claim(job)
     claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
     assert roll_out("ant").spec.kind == "rollout"
-    with pytest.raises(Rejected, match="must be the same"):
+    with pytest.raises(Rejected, match=r"must be the same.*Leave `environment` out"):
         roll_out("hopper")
+
+
+def test_a_rollout_of_a_checkpoint_takes_the_jobs_own_environment_where_it_names_none(
+    service: Service,
+) -> None:
+    chosen = {"id": "ant", "options": {"healthy_reward": 0.5}}
+    job = service.submit(environment=chosen)
+    claim = service.claim(job)
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
+    spec = JOB_SPEC.validate_python({"kind": "rollout", "policy": {"kind": "checkpoint", "job": job.id}})
+    rollout = submit(spec, store=service.store, queue=service.queue)
+    assert service.store.get(rollout.id).spec.environment.model_dump() == chosen
+    unknown = {"kind": "rollout", "policy": {"kind": "checkpoint", "job": "019aa3c2f0b1-5be0c1d2e3"}}
+    with pytest.raises(Rejected, match="There is no job") as refused:
+        submit(JOB_SPEC.validate_python(unknown), store=service.store, queue=service.queue)
+    assert [problem.pointer for problem in refused.value.problems] == ["/policy/job"]
 
 
 def test_a_rollout_may_lay_the_arena_out_anew_and_change_nothing_that_the_policy_sees(

@@ -37,6 +37,9 @@ def worker(device: str, state: WorkerState = "ready", **has: Any) -> WorkerInfo:
         ({}, ["gpu:1"], None),
         ({"accelerator": "gpu"}, ["cpu", "gpu:0"], None),
         ({"gpus": 2}, ["cpu", "gpu:0,1"], None),
+        ({"gpus": 1}, ["cpu"], "No worker has exactly one GPU: the workers here have cpu."),
+        ({"gpus": 1}, ["gpu:0"], None),
+        ({"gpus": 1, "accelerator": "cpu"}, ["cpu"], None),
         (
             {"gpus": 4},
             ["gpu:0", "cpu", "cpu", "gpu:0,1"],

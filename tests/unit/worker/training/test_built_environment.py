@@ -95,7 +95,7 @@ def test_the_record_has_the_versions_of_what_the_engine_needs() -> None:
     native = build_environment(Task(job_id="j", attempt=1, spec=spec, device="cpu"))
     for engine, also in (("native", set[str]()), ("warp", {"warp-lang"}), ("compiled", {"llvmlite"})):
         versions = replace(native, engine=engine).started().details["versions"]
-        assert set(versions) == {"jax", "brax", "mujoco", "mujoco-mjx"} | also
+        assert set(versions) == {"gaitway", "jax", "brax", "mujoco", "mujoco-mjx"} | also
 
 
 # A ball on the floor; `far` looks for the nearest geom, which `compiled` does not compute.
