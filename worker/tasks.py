@@ -17,7 +17,7 @@ from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cohort import companions
 from core.jobs.job import Job
 from core.jobs.needs import kind_of, packages_here
-from core.jobs.store import JobStore
+from core.jobs.store import JobQuery, JobStore
 from core.jobs.waiting import why_left_to_others
 from core.previews.record import PreviewRequest
 from core.retry import CalledOff, pause, retry_while_unavailable
@@ -100,15 +100,23 @@ def validate_model(model_id: str) -> None:
     die_with_parent(signal_number=signal.SIGTERM)
     settings = read(WorkerSettings)
     spools = settings.data_dir.absolute() / SPOOLS
+    store = job_store(settings)
     with spool(spools / f"{model_id.replace(':', '-')}.{os.getpid()}") as folder, suppress(NotFound):
         validate(
             model_id,
-            job_store(settings),
+            store,
             object_store(settings),
             folder,
             settings.data_dir.absolute(),
             strictly=settings.models == "confined",
+            is_wanted=partial(_a_job_waits, store),
         )
+
+
+def _a_job_waits(store: JobStore) -> bool:
+    with suppress(Unavailable):
+        return bool(store.list(JobQuery(status="queued"), limit=1).jobs)
+    return False
 
 
 def draw_preview(document: str) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from core.devices import num_cores
 from core.physics.engine import NOMINAL, ModelFields, PhysicsState, check_model_fields
+from core.physics.exact import in_parts, of_parts
 from core.physics.host_call import Floats, host_call
 from core.physics.model import GEOMETRY
 
@@ -139,20 +140,6 @@ class _Batches:
             model = _with_loose_geoms(self._model) if own_fields.intersection(GEOMETRY) else self._model
             self._batches[key] = Batch(model, num_envs, nthread=min(num_envs, num_cores()))
         return self._batches[key]
-
-
-def in_parts(values: NDArray[np.float64] | float) -> Floats:
-    """Numbers [...] as sums of three float32, [..., 3], which hold all of their bits."""
-    rest, parts = np.asarray(values, np.float64), list[Floats]()
-    for _ in range(3):
-        parts.append(rest.astype(np.float32))
-        rest = rest - parts[-1]
-    return np.stack(parts, axis=-1)
-
-
-def of_parts(parts: Floats) -> NDArray[np.float64]:
-    """The numbers of `in_parts`."""
-    return parts.astype(np.float64).sum(axis=-1)
 
 
 def _rounded(values: NDArray[np.float64]) -> Floats:

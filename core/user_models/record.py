@@ -4,6 +4,7 @@ from datetime import datetime
 from typing import Literal
 
 from core.documents import Stored
+from core.environments.info import Device
 from core.environments.mjcf.inventory import Inventory
 from core.physics.availability import EngineName
 
@@ -15,11 +16,16 @@ class Description(Stored):
 
     main: the document that was read, of those in its file. engines: null for an engine that can run it,
     otherwise the reason why it cannot; engines that were not tried are left out. complete: whether no more
-    engines will be tried. physics_steps_per_second: of C MuJoCo on one core, without actions.
+    engines will be tried. trials: how each engine moved the model beside C MuJoCo, or why it was not tried
+    here. code_seconds: how long its code took to make there. auto: the engine that a job with the tuned
+    settings gets, by device. physics_steps_per_second: of C MuJoCo on one core, without actions.
     settled_height: the root's, in metres, after up to 2 s of that. notes: for people.
     """
 
     inventory: Inventory
+    trials: dict[EngineName, str] = {}
+    code_seconds: dict[EngineName, float] = {}
+    auto: dict[Device, EngineName] = {}
     main: str | None = None
     engines: dict[EngineName, str | None] = {}
     complete: bool = False

@@ -99,6 +99,24 @@ def _told(model: ModelView, as_json: bool) -> None:
             print(f"  {line}")
 
 
+def _how(tried: str | None, seconds: float | None) -> str:
+    """How an engine moved it, and how long its code took to make."""
+    made = "" if seconds is None else f" (made and tried in {seconds:g} s)"
+    return f"; {tried}{made}" if tried else made
+
+
+def _actuator(found: dict[str, Any]) -> str:
+    within = found["control_range"]
+    name = found["name"] or "without a name"
+    return f"{name} [{within[0]:g}, {within[1]:g}]" if within else f"{name} (no range)"
+
+
+def _sensor(found: dict[str, Any]) -> str:
+    beyond = ", ".join(found.get("beyond", {}))
+    said = f"{found['name'] or 'without a name'} ({found['type']}"
+    return f"{said}; not on {beyond})" if beyond else f"{said})"
+
+
 def _lines(found: dict[str, Any]) -> list[str]:
     has, sizes = found["inventory"], found["inventory"]["sizes"]
     lines = [
@@ -107,11 +125,22 @@ def _lines(found: dict[str, Any]) -> list[str]:
         f"{has['mass_kg']:.3g} kg, root {has['root']!r}",
         f"bodies: {', '.join(has['bodies'])}",
         f"joints: {', '.join(joint['name'] or 'a ' + joint['type'] for joint in has['joints'])}",
+        f"actuators: {', '.join(map(_actuator, has['actuators']))}",
+        f"sensors: {', '.join(map(_sensor, has['sensors'])) or 'none'}",
         f"cameras: {', '.join(filter(None, has['cameras'])) or 'none'}",
         f"keyframes: {', '.join(filter(None, has['keyframes'])) or 'none'}",
+        f"begins at {has['initial_height']:.3g} m, settles at {found['settled_height']:.3g} m",
         f"{found['physics_steps_per_second']:,.0f} physics steps/s on one core",
     ]
-    lines += [f"{name}: {why or 'runs it'}" for name, why in found["engines"].items()]
+    tried, seconds = found.get("trials", {}), found.get("code_seconds", {})
+    for name, why in found["engines"].items():
+        told = f"does not run it: {why}" if why else f"runs it{_how(tried.get(name), seconds.get(name))}"
+        lines.append(f"{name}: {told}")
+    lines += [f"{name}: {words}" for name, words in tried.items() if name not in found["engines"]]
+    if taken := found.get("auto"):
+        lines.append(
+            f"`auto` takes {', '.join(f'{name} on a {kind.upper()}' for kind, name in taken.items())}"
+        )
     if not found["complete"]:
         lines.append("the other engines are still being tried: run `gaitway models show` in a moment")
     return [*lines, *found["notes"]]

@@ -17,8 +17,8 @@ from core.environments import catalog
 from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.engine import DERIVED_FIELDS, Engine, PhysicsState, SolverSettings
+from core.physics.exact import of_parts
 from core.physics.model import brax_model, initial_qpos
-from core.physics.native import of_parts
 
 NUM_SUBSTEPS = 3
 # A ball with an arm that falls on a floor: contacts, a tendon, sites, sensors, and an actuator with a state.

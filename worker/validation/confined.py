@@ -5,14 +5,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, get_args
 
 import structlog
 
 from core.errors import ObjectNotFound
 from core.jobs.job import utc_now
+from core.physics.availability import EngineName
 from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.user_models import library
@@ -33,13 +34,16 @@ _PASSED_VARIABLES = (
 )
 _PROGRAM = ("-m", "worker.validation")
 _POLL_S = 0.05
+# How long engines may be tried once jobs can use the model, and when that begins to give way to such jobs.
+_TRIALS_S, _GIVES_WAY_AFTER_S, _ASKS_EVERY_S = 60.0, 15.0, 2.0
 log = structlog.get_logger()
 
 _INTERRUPTED = "A worker was stopped while it refused the model; send it again to learn why."
-_UNFINISHED = "Trying the engines took too long; those that are not listed were not tried."
+_OUT_OF_TIME = f"not tried here: the trials took more than {_TRIALS_S:g} s"
+_GAVE_WAY = "not tried here: a job waited for the worker"
 
 
-def validate(  # Which model, and the places that are needed.
+def validate(  # noqa: PLR0913 # Which model, and the places that are needed.
     model_id: str,
     store: ModelStore,
     objects: ObjectStore,
@@ -47,11 +51,13 @@ def validate(  # Which model, and the places that are needed.
     data_dir: Path,
     *,
     strictly: bool = True,
+    is_wanted: Callable[[], bool] = lambda: False,
 ) -> None:
     """Examine a model that awaits validation, and store the findings; of a refused model, only the refusal.
 
     folder: an empty one, for temporary files. strictly: refuse the model if the kernel cannot confine the
-    process. Raises ModelNotFound.
+    process. is_wanted: whether a job waits for this worker; trials of engines then end early. Raises
+    ModelNotFound.
     """
     record = library.find(model_id, store)
     if record.status != "validating":
@@ -61,7 +67,7 @@ def validate(  # Which model, and the places that are needed.
     except ObjectNotFound:  # It was interrupted before its last step, or somebody is deleting the model.
         answers = iter([Answer(refusal=_INTERRUPTED)])
     else:
-        answers = look(body, folder, data_dir, Limits(), strictly=strictly)
+        answers = look(body, folder, data_dir, Limits(), strictly=strictly, is_wanted=is_wanted)
     # Jobs can use it once it is described; loading all the engines takes longer than everything before.
     for answer in answers:
         if answer.description is not None:
@@ -82,7 +88,13 @@ def validate(  # Which model, and the places that are needed.
 
 
 def look(
-    body: bytes, folder: Path, data_dir: Path, limits: Limits, *, strictly: bool = True
+    body: bytes,
+    folder: Path,
+    data_dir: Path,
+    limits: Limits,
+    *,
+    strictly: bool = True,
+    is_wanted: Callable[[], bool] = lambda: False,
 ) -> Iterator[Answer]:
     """The first and the last answer of a confined process about the file; the reason if it gives none."""
     (folder / "model").write_bytes(body)
@@ -96,16 +108,23 @@ def look(
             cwd=folder,
         )
         try:
-            until, heard = time.monotonic() + limits.wall_s, False
-            while (status := _ended(child)) is None and time.monotonic() < until:
+            until, heard, why = time.monotonic() + limits.wall_s, False, _OUT_OF_TIME
+            asks_at = float("inf")
+            while (status := _ended(child)) is None and (now := time.monotonic()) < until:
                 if not heard and said.exists():
                     first = read_answer(said)
                     heard = True
+                    until, asks_at = min(until, now + _TRIALS_S), now + _GIVES_WAY_AFTER_S
                     if first.description is not None:
                         yield first
+                if now > asks_at:
+                    asks_at = now + _ASKS_EVERY_S
+                    if is_wanted():
+                        why = _GAVE_WAY
+                        break
         finally:
             kill(child)
-        yield _answer(folder, status, limits, text)
+        yield _answer(folder, status, limits, text, why)
 
 
 def _environment(folder: Path, data_dir: Path) -> dict[str, str]:
@@ -131,13 +150,15 @@ def _ended(child: "subprocess.Popen[bytes]") -> int | None:
         return None
 
 
-def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes]) -> Answer:
+def _answer(folder: Path, status: int | None, limits: Limits, text: IO[bytes], why: str) -> Answer:
+    """why: engines were not tried, if it had to be stopped."""
     answer = read_answer(folder / ANSWER)
     if answer.refusal is not None or (answer.description is not None and status == 0):
         return answer
-    if answer.description is not None:  # It compiles and moves: only the engines were too much.
-        changes = {"notes": [*answer.description.notes, _UNFINISHED], "complete": True}
-        described = answer.description.model_copy(update=changes)
+    if (said := answer.description) is not None:  # It compiles and moves: only the engines were too much.
+        left = [name for name in get_args(EngineName) if said.engines.get(name) is None]
+        trials = {**dict.fromkeys(left, why), **said.trials}
+        described = said.model_copy(update={"trials": trials, "complete": True})
         return answer.model_copy(update={"description": described})
     log.warning("model_not_understood", status=status, text=tail(text, 1000))
     return Answer(refusal=_why(status, limits))

@@ -1,9 +1,9 @@
 """Examines a model: compiles it, lets it fall, and loads it into each engine."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import mujoco
 import numpy as np
@@ -13,13 +13,13 @@ from core.environments.mjcf.info import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, is_to_sleep, read
 from core.errors import BadModel
-from core.physics.availability import EngineName, is_installed
+from core.physics.availability import EngineName
 from core.physics.compiled.refusal import check_covered
 from core.physics.coverage import check_runs, unread_sensors
 from core.user_models.record import Description
 from worker.validation.letting_go import let_go, notes
+from worker.validation.trials import tried, what_keeps, with_choices
 
-_LONGEST_REASON = 300
 _MUST_BE_FINITE = (
     *("actuator_gainprm", "actuator_gear", "body_inertia", "body_mass", "body_pos", "body_quat"),
     *("dof_armature", "dof_damping", "geom_pos", "geom_size", "jnt_range", "jnt_stiffness", "qpos0"),
@@ -27,16 +27,18 @@ _MUST_BE_FINITE = (
 
 
 def findings(file: Path) -> Iterator[Description]:
-    """The description, and again with the result of each engine.
+    """The description, and again with the result of each engine; the last one is complete.
 
     Raises BadModel or JobFailed if no job could use the model.
     """
     with read(file) as (spec, main):
         sleeps = is_to_sleep(spec)
         model = compiled(spec)
+        found = _with_unread_sensors(inventory(model), model)
+        readable = [sensor.name for sensor in found.sensors if sensor.name and not sensor.beyond]
+        stepped = compiled(spec, sensors=readable)
     _check(model)
     fall = let_go(model)
-    found = _with_unread_sensors(inventory(model), model)
     description = Description(
         inventory=found,
         main=main,
@@ -45,16 +47,9 @@ def findings(file: Path) -> Iterator[Description]:
         settled_height=float(fall.ended[2]),
         notes=[*([SLEEP_IS_OFF] if sleeps else []), *notes(model, found, fall)],
     )
+    description = with_choices(description)
     yield description
-    turns: list[tuple[EngineName, Callable[[mujoco.MjModel], None]]] = [("mjx", _try_mjx)]
-    if is_installed("warp"):
-        turns.append(("warp", _try_warp))
-    turns = [turn for turn in turns if turn[0] not in description.engines]
-    for name, attempt in turns:
-        engines = {**description.engines, name: _what_keeps(attempt, model)}
-        description = description.model_copy(update={"engines": engines})
-        yield description
-    yield description.model_copy(update={"complete": True})
+    yield from map(with_choices, tried(description, stepped, model))
 
 
 def _with_unread_sensors(found: Inventory, model: mujoco.MjModel) -> Inventory:
@@ -70,11 +65,11 @@ def _judged_by_reading(model: mujoco.MjModel) -> dict[EngineName, str | None]:
     """What reading the model shows, without loading an engine: `native` and `compiled` are then known, and
     what the others would leave out in silence."""
     engines: dict[EngineName, str | None] = {
-        "native": _what_keeps(partial(check_runs, "native"), model),
-        "compiled": _what_keeps(check_covered, model),
+        "native": what_keeps(partial(check_runs, "native"), model),
+        "compiled": what_keeps(check_covered, model),
     }
     for name in get_args(EngineName):
-        if name not in engines and (why := _what_keeps(partial(check_runs, name), model)):
+        if name not in engines and (why := what_keeps(partial(check_runs, name), model)):
             engines[name] = why
     return engines
 
@@ -94,31 +89,3 @@ def _check(model: mujoco.MjModel) -> None:
             raise BadModel(f"The model's {name} has a value that is not a finite number.")
     if not model.body_mass.sum() > 0:
         raise BadModel("The model has no mass.")
-
-
-def _what_keeps(attempt: Callable[[mujoco.MjModel], None], model: mujoco.MjModel) -> str | None:
-    try:
-        attempt(model)
-    except Exception as error:  # Whatever it is, it is the answer.
-        words = " ".join(str(error).split()) or type(error).__name__
-        return f"{words[:_LONGEST_REASON].removesuffix('.')}."
-    return None
-
-
-def _try_mjx(model: mujoco.MjModel) -> None:
-    """Load it and trace a step, which alone shows some of what MJX lacks. Nothing is compiled."""
-    import jax
-    from mujoco import mjx
-
-    on_device = mjx.put_model(model)
-    jax.eval_shape(lambda: mjx.step(on_device, mjx.make_data(model)))
-
-
-def _try_warp(model: mujoco.MjModel) -> None:
-    import warp
-    from mujoco.mjx.third_party import mujoco_warp
-
-    warp.config.log_level = warp.LOG_ERROR
-    with warp.ScopedDevice("cpu"):
-        put: Any = mujoco_warp.put_model
-        put(model)

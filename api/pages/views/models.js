@@ -102,7 +102,9 @@ function Contents({ found }) {
   const unable = Object.entries(engines).filter(([, reason]) => reason !== null);
   return html`<dl class="facts-list">
       <dt>Engines</dt><dd>${able.join(", ") || "none yet"}${found.complete ? "" : " (others are still tried)"}</dd>
-      ${unable.map(([name, reason]) => html`<dt>not ${name}</dt><dd><${Prose} text=${reason} /></dd>`)}
+      ${unable.map(([name, reason]) => html`<dt>not ${name}</dt><dd>does not run it: <${Prose} text=${reason} /></dd>`)}
+      ${Object.entries(found.trials ?? {}).map(([name, said]) => html`<dt>${name}, tried</dt><dd>${said}${name in found.code_seconds ? `; made and tried in ${duration(found.code_seconds[name])}` : ""}</dd>`)}
+      ${Object.entries(found.auto ?? {}).map(([device, name]) => html`<dt>auto on a ${device.toUpperCase()}</dt><dd>${name}</dd>`)}
       <dt>Root</dt><dd>${inventory.root}, ${inventory.travels ? "travels" : "stays in its place"}; ${value(inventory.initial_height)} m high, settles at ${value(found.settled_height)} m</dd>
       <dt>Mass</dt><dd>${value(inventory.mass_kg)} kg</dd>
       <dt>Sizes</dt><dd>nq ${nq}, nv ${nv}, nu ${nu}; steps of ${duration(inventory.timestep_s)}</dd>
@@ -112,8 +114,16 @@ function Contents({ found }) {
     ${notes.map((note) => html`<p class="facts"><${Prose} text=${note} /></p>`)}`;
 }
 
+/** A part's name, with an actuator's range, and a sensor's kind with the engines that cannot read it. */
+function nameOfPart(item) {
+  const name = (item.name ?? item) || "(without a name)";
+  if (item.control_range) return `${name} [${item.control_range.map(value).join(", ")}]`;
+  const beyond = Object.keys(item.beyond ?? {}).join(", ");
+  return item.size ? `${name} (${item.type}${beyond ? `, not on ${beyond}` : ""})` : name;
+}
+
 function Names({ items }) {
   if (!items.length) return "none";
-  const names = items.map((item) => item.name ?? item).map((name) => name || "(without a name)").join(", ");
+  const names = items.map(nameOfPart).join(", ");
   return names.length < 60 ? names : html`<details><summary>${items.length}</summary>${names}</details>`;
 }

@@ -20,6 +20,8 @@ from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, read
 from core.errors import BadModel, ModelNotFound
 from core.jobs.job import utc_now
+from core.physics import trial
+from core.physics.trial import Difference
 from core.storage import keys
 from core.user_models import library
 from core.user_models.record import Description
@@ -27,7 +29,7 @@ from tests import models
 from tests.unit.environments.mjcf.probe import XML
 from tests.unit.environments.mjcf.test_archive import zipped
 from worker.confinement.limits import Limits
-from worker.validation import confined
+from worker.validation import confined, trials
 from worker.validation.answer import Answer, read_answer
 from worker.validation.confined import look, validate
 from worker.validation.findings import findings
@@ -67,6 +69,9 @@ def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path:
     found = last.description
     assert found is not None
     assert found.complete
+    assert found.auto == {"cpu": "native", "gpu": "warp"}
+    assert "its qpos is off by" in found.trials["native"]
+    assert found.trials["warp"] == "not tried here: it needs a GPU"
     assert found.inventory.bodies == ["world", "ball", "arm"]
     assert found.physics_steps_per_second > 1000
     assert found.settled_height == pytest.approx(0.5)  # There is no gravity.
@@ -74,6 +79,46 @@ def test_what_is_found_says_what_is_there_and_which_engines_can_run_it(tmp_path:
     assert (found.engines["native"], found.engines["warp"]) == (None, None)
     for engine, why in (("mjx", "not implemented"), ("compiled", "'compiled' cannot run the model: its ")):
         assert why in (found.engines[engine] or "")
+
+
+def test_an_engine_that_moves_a_model_otherwise_than_mujoco_does_not_run_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Issue 41: an engine was believed because it loads a model."""
+    differences = {"native": Difference("qpos", 2e-7, 4e-7, 0), "compiled": Difference("qvel", 0.03, 0.2, 0)}
+    monkeypatch.setattr(
+        trial, "compare", lambda engine, _: differences.get(engine.name, Difference("qvel", 0.0, 0.0, 7))
+    )
+    for load in ("_load_mjx", "_load_warp"):
+        monkeypatch.setattr(trials, load, lambda _: None)
+    (tmp_path / "model").write_bytes(XML)
+    *_, found = findings(tmp_path / "model")
+    assert found.engines["native"] is None
+    assert "its qpos is off by 2e-07 of the motion" in found.trials["native"]
+    assert "its qvel is off by 0.03 of the motion in half of the tries" in (found.engines["compiled"] or "")
+    assert "7 of 50 states are not finite" in (found.engines["mjx"] or "")
+    assert (found.auto, found.complete) == ({"cpu": "native", "gpu": "warp"}, True)
+    assert set(found.code_seconds) == {"native"}
+
+
+@pytest.mark.parametrize(
+    ("limit", "said"),
+    [
+        ("_TRIALS_S", "not tried here: the trials took more than 60 s"),
+        ("_GIVES_WAY_AFTER_S", "not tried here: a job waited for the worker"),
+    ],
+)
+def test_trials_end_in_time_and_give_way_to_jobs(
+    limit: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(confined, limit, 0.0)
+    first, last = look(XML, tmp_path, tmp_path, Limits(), is_wanted=lambda: True)
+    assert first.description is not None
+    assert not first.description.complete
+    found = last.description
+    assert found is not None
+    assert (found.complete, found.trials["mjx"], found.trials["warp"]) == (True, said, said)
+    assert found.engines["native"] is None
 
 
 def test_what_an_engine_can_hold_but_not_step_is_found_too(tmp_path: Path) -> None:
