@@ -67,11 +67,11 @@ function Queue({ queued, workers }) {
     ${jobs.length > 0 && html`<div class="table stacking" tabindex="0" role="region" aria-label="Queue"><table>
       <thead><tr><th>Job</th><th>Priority</th><th>Needs</th><th>Waits since</th><th>Why</th></tr></thead>
       <tbody>${jobs.map((job) => html`<tr key=${job.id}>
-        <td data-label="Job"><a href="#/jobs/${job.id}">${title(job)}</a> <span class="facts">${environmentOf(job.spec)}</span></td>
+        <td data-label="Job"><span><a href="#/jobs/${job.id}">${title(job)}</a> <span class="facts">${environmentOf(job.spec)}</span></span></td>
         <td data-label="Priority">${job.spec.priority || "normal"}</td>
         <td data-label="Needs">${needs(job.spec.resources)}</td>
         <td data-label="Waits since">${ago(job.created_at)}</td>
-        <td data-label="Why"><${Prose} text=${whyQueued(job, workers)} /></td>
+        <td data-label="Why"><span><${Prose} text=${whyQueued(job, workers)} /></span></td>
       </tr>`)}</tbody>
     </table></div>`}
     ${queued.next && html`<p class="facts">The newest 100 are shown. <a href="#/jobs?status=queued">All queued jobs</a></p>`}

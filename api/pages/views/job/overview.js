@@ -105,7 +105,7 @@ function Attempts({ job }) {
           <td data-label="#">${attempt.number}</td><td data-label="Worker">${attempt.worker}</td><td data-label="Device">${attempt.device || "–"}</td>
           <td data-label="Engine">${attempt.engine || "–"}</td><td data-label="Started">${moment(attempt.started_at)}</td>
           <td data-label="Took">${duration(seconds(attempt.started_at, attempt.ended_at || Date.now()))}</td>
-          <td data-label="Ended because">${attempt.reason ? html`${attempt.reason}: <${Prose} text=${attempt.message || ""} />` : "still running"}</td>
+          <td data-label="Ended because">${attempt.reason ? html`<span>${attempt.reason}: <${Prose} text=${attempt.message || ""} /></span>` : "still running"}</td>
         </tr>`,
       )}</tbody>
     </table>
