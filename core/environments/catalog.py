@@ -67,8 +67,8 @@ def find(environment_id: str) -> EnvironmentInfo:
 
 
 def _nearest(environment_id: str) -> str | None:
-    """The most similar id; those of other packages are also found by their bare names."""
-    names = {name.rpartition("/")[2].lower(): name for name in (*CANNOT, *ENVIRONMENTS)}
+    """The most similar id; Playground's are also found by their bare names."""
+    names = {name.removeprefix("playground/").lower(): name for name in (*CANNOT, *ENVIRONMENTS)}
     names |= {name.lower(): name for name in (*CANNOT, *ENVIRONMENTS)}
     near = nearest(environment_id.lower(), names)
     return names[near[0]] if near else None
