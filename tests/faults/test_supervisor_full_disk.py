@@ -176,7 +176,7 @@ def test_what_ends_the_storing_does_not_pass_for_success(
     def broken(*_: Any, **__: Any) -> None:
         raise ValueError("a mistake")
 
-    monkeypatch.setattr(bench.objects, "put_file", broken)
+    monkeypatch.setattr(bench.objects, "put_stream", broken)
     job = bench.submit()
     with pytest.raises(ValueError, match="a mistake"):
         bench.supervisor(job, "succeeds").run()

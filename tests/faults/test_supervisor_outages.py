@@ -72,16 +72,16 @@ class Disturbed(Bench):
     @contextmanager
     def _no_objects(self, how: str) -> Iterator[None]:
         back = threading.Event()
-        put_file = self.objects.put_file
+        put_stream = self.objects.put_stream
 
         def away(*put: Any, **named: Any) -> None:
             if how == "silent objects":
                 back.wait(20)
             if not back.is_set():
                 raise StorageUnavailable("The test switched it off.")
-            put_file(*put, **named)
+            put_stream(*put, **named)
 
-        self._patch.setattr(self.objects, "put_file", away)
+        self._patch.setattr(self.objects, "put_stream", away)
         try:
             yield
         finally:

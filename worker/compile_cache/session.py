@@ -18,7 +18,14 @@ from core.retry import CalledOff
 from core.settings import WorkerSettings
 from core.storage.objects import ObjectStore
 from worker.compile_cache.fingerprint import fingerprint
-from worker.compile_cache.local import CACHE, keep_within, lend, take_over
+from worker.compile_cache.local import (
+    CACHE,
+    keep_within,
+    lend,
+    lend_copies,
+    take_over,
+    take_over_copies,
+)
 from worker.compile_cache.remote import SharedCache
 
 log = structlog.get_logger()
@@ -33,22 +40,37 @@ _POLL_S = 0.05
 class Caches:
     """No failure here fails the job: it compiles, as a first one would, and the worker's log says why."""
 
-    def __init__(self, objects: ObjectStore, settings: WorkerSettings, device: str, spool: Path) -> None:
+    def __init__(
+        self, objects: ObjectStore, settings: WorkerSettings, device: str, spool: Path, room: Path
+    ) -> None:
+        """room: a folder on the same disk that the job cannot reach, for what is not whole yet."""
         self._objects = objects
         self._machine = fingerprint(device)
         self._all = settings.data_dir.absolute() / CACHE
-        self._kept, self._own, self._room = self._all / self._machine, spool / CACHE, spool
+        self._kept, self._own, self._room = self._all / self._machine, spool / CACHE, room
         self._max_bytes, self._shared_max_bytes = settings.cache_max_bytes, settings.shared_cache_max_bytes
         self._shared: SharedCache | None = None
         self._thread: Thread | None = None  # The last that was begun; each waits for the one before.
+        self._lent: set[str] | None = None  # The copies that a job with a user's model got.
 
     def open(self, environment: EnvironmentSpec, called_off: Callable[[], bool]) -> None:
-        """Give the job what was compiled for its environment, here or elsewhere. Raises CalledOff."""
+        """Give the job what was compiled for its environment, here or elsewhere. Raises CalledOff.
+
+        A job with a user's model gets copies, and leaves what it compiles to jobs with that model alone.
+        """
+        machines, model_id = self._kept, model_of(environment)
+        if model_id is not None:
+            self._kept = self._all / f"{self._machine}-{model_id.removeprefix('sha256:')}"
+            self._kept.mkdir(parents=True, exist_ok=True)
         if self._shared_max_bytes:
             self._shared = SharedCache(self._objects, self._machine, cached_as(environment))
             self._begin("caches_not_fetched", partial(self._fetch, self._shared))
             self._wait(_FETCH_TIMEOUT_S, called_off)
-        _attempt("caches_not_lent", partial(lend, self._kept, self._own))
+        if model_id is None:
+            _attempt("caches_not_lent", partial(lend, self._kept, self._own))
+        else:
+            self._lent = set()
+            _attempt("caches_not_lent", partial(self._lend_copies, machines))
 
     def keep(self) -> None:
         """Keep what the job has compiled by now, and begin to upload it."""
@@ -66,8 +88,14 @@ class Caches:
         if fetched := shared.fetch(self._kept, self._room):
             log.info("caches_fetched", num_files=fetched)
 
+    def _lend_copies(self, machines: Path) -> None:
+        self._lent = lend_copies((self._kept, machines), self._own)
+
     def _keep(self) -> None:
-        new = take_over(self._own, self._kept)
+        if self._lent is None:
+            new = take_over(self._own, self._kept)
+        else:
+            new = take_over_copies(self._own, self._kept, self._lent)
         if new and self._shared:
             self._begin("caches_not_shared", partial(self._store, self._shared, new))
 

@@ -28,7 +28,7 @@ _DEVICES = (
     *("null", "zero", "full", "random", "urandom", "tty", "pts", "ptmx", "shm"),
     *("nvidia*", "dri", "kfd", "dxg", "infiniband"),
 )
-# Where libraries keep what they compiled or found, if they have kept any.
+# Where libraries keep what they compiled or found, if they have kept any. What of it is new is lost.
 _CACHES = (
     *(".nv", ".cache/fontconfig", ".cache/matplotlib", ".config/matplotlib"),
     *(".cache/mesa_shader_cache", ".cache/mesa_shader_cache_db", ".cache/nvidia"),
@@ -43,8 +43,8 @@ _NAMED_LIBRARIES = ("LD_LIBRARY_PATH", "CUDA_HOME", "CUDA_PATH")
 def keep_to_own_files(folder: Path) -> bool:
     """Confine this process and all it starts, for good; False if the kernel has no Landlock.
 
-    It reads programs, libraries and what describes the machine, uses devices, and writes to its folder, where
-    its temporary files go from now on, and to libraries' caches. GAITWAY_MODELS=unconfined leaves it free.
+    It reads programs, libraries and their caches, and what describes the machine, and uses devices. It writes
+    to its folder alone, where its temporary files go from now on. GAITWAY_MODELS=unconfined leaves it free.
     """
     if os.environ.get("GAITWAY_MODELS") == "unconfined" or not landlock.version():
         return False
@@ -54,10 +54,11 @@ def keep_to_own_files(folder: Path) -> bool:
     try:
         privileges.give_up(*_CAPABILITIES)
         landlock.restrict(
-            readable=list(_readable(folder)),
+            # Of libraries' caches, others would run what it wrote.
+            readable=[*_readable(folder), *_caches()],
             listable=[Path("/")],
             writable=[],
-            free=[folder, Path("/proc/self"), *_devices(), *_caches()],
+            free=[folder, Path("/proc/self"), *_devices()],
             files_only=True,
         )
     except OSError as error:  # It was validated in full confinement: this is a second line.

@@ -21,7 +21,7 @@ from worker.compile_cache.session import Caches, cached_as
 from worker.host.child import TRAINING, environment, launch, tail
 from worker.host.memory import sacrifice
 from worker.protocol import Task
-from worker.supervision.spool import SPOOLS, spool
+from worker.supervision.spool import SPOOLS, private, spool
 
 log = structlog.get_logger()
 
@@ -51,7 +51,7 @@ def prepare(
     with spool(own), tempfile.TemporaryFile() as said:
         if done.exists():
             return
-        caches = Caches(objects, settings, device, own)
+        caches = Caches(objects, settings, device, own, private(own))
         caches.open(chosen, _never)
         (own / "task.json").write_text(task.model_dump_json())
         variables = {**environment(device, folder, os.environ), variable("models"): settings.models}

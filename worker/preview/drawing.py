@@ -4,11 +4,14 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
 import structlog
+from pydantic import ValidationError
 
 from core.jobs.job import utc_now
 from core.previews import library
@@ -20,9 +23,11 @@ from core.storage import keys
 from core.storage.objects import ObjectStore
 from core.variables import variable
 from worker.host.child import environment, kill, launch, tail
+from worker.host.plain_files import read_plain
 
 # Playground's environments compile a reset on MJX, which takes a busy machine a minute.
 _TIMEOUT_S = 180.0
+_MAX_PICTURE, _MAX_FAILURE = 64 * 2**20, 2**16  # bytes
 log = structlog.get_logger()
 
 
@@ -49,7 +54,14 @@ def draw(
         log.warning("preview_failed", preview=request.id, reason=failure.reason, detail=failure.message)
         library.keep_failure(request, failure, objects, utc_now())
         return
-    pictures = [(folder / f"{number}.png").read_bytes() for number in range(len(request.cameras))]
+    try:
+        # Of a process that may have been taken over: it follows no links that it left.
+        pictures = [read_plain(folder / f"{n}.png", _MAX_PICTURE) for n in range(len(request.cameras))]
+    except OSError as error:
+        log.warning("preview_not_kept", preview=request.id, error=str(error))
+        left = RenderFailure(reason="crashed", message="Drawing left something else than its pictures.")
+        library.keep_failure(request, left, objects, utc_now())
+        return
     library.keep(request, pictures, objects, utc_now())
     log.info("preview_drawn", preview=request.id, environment=request.environment, stills=len(pictures))
 
@@ -69,7 +81,8 @@ def _drawn(folder: Path, data_dir: Path, timeout_s: float, models: Confinement) 
 def _attempt(
     variables: Mapping[str, str], folder: Path, data_dir: Path, timeout_s: float
 ) -> RenderFailure | None:
-    with (folder / "log").open("w+b") as text:
+    # Not in the folder: a back-end before may have left a link there.
+    with tempfile.TemporaryFile() as text:
         child = launch(
             [sys.executable, "-m", "worker.preview", str(folder)],
             {**environment("cpu", data_dir, os.environ), **variables},
@@ -86,9 +99,8 @@ def _attempt(
 
 
 def _why(status: int, folder: Path, text: IO[bytes]) -> RenderFailure:
-    said = folder / "failure.json"
-    if said.exists():
-        return RenderFailure.model_validate_json(said.read_bytes())
+    with suppress(OSError, ValidationError):
+        return RenderFailure.model_validate_json(read_plain(folder / "failure.json", _MAX_FAILURE))
     log.warning("preview_crashed", status=status, text=tail(text, 1000))
     # A broken GL driver crashes its process; another back-end may work.
     if -status in DRIVER_CRASHES:

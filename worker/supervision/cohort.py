@@ -21,7 +21,7 @@ from worker.host.device_lock import slots
 from worker.host.drain_flag import Draining
 from worker.host.memory import sacrifice
 from worker.supervision.seat import Seat
-from worker.supervision.spool import SPOOLS, spool
+from worker.supervision.spool import SPOOLS, private, spool
 from worker.supervision.supervisor import Supervisor
 
 log = structlog.get_logger()
@@ -95,7 +95,7 @@ class Cohort:
         own = held.enter_context(spool(folder / SPOOLS / f"cohort-{first.job_id}.{first.number}"))
         locks = [folder / "locks" / f"{name}.lock" for name in self.slot_names]
         slot_fds = held.enter_context(slots(locks, self.settings.grace.total_seconds(), leaving))
-        caches = Caches(first.objects, self.settings, self.device, own)
+        caches = Caches(first.objects, self.settings, self.device, own, private(own))
         caches.open(self.environment, leaving)
         output = held.enter_context((own / "output").open("w+b"))
         process = launch(

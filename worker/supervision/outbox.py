@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import os
 import queue
 import secrets
 import time
@@ -9,9 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
+from io import BufferedReader
 from itertools import groupby
 from pathlib import Path
 from threading import Thread
+
+import structlog
 
 from core.errors import StorageUnavailable
 from core.jobs.attempts import Claim
@@ -19,6 +23,7 @@ from core.jobs.job import Artifact, Progress, utc_now
 from core.jobs.store import Channel, Entry
 from core.retry import retry_while_unavailable
 from core.storage import keys
+from worker.host.plain_files import NotPlain, open_plain
 from worker.protocol import (
     Advanced,
     Failed,
@@ -34,6 +39,8 @@ from worker.protocol import (
 )
 from worker.supervision.measurements import Measurements
 from worker.supervision.story import Story
+
+log = structlog.get_logger()
 
 # How long an object that the record no longer names is kept for those who are reading it.
 _DELETE_AFTER_S = 60.0
@@ -193,9 +200,15 @@ class Outbox:
         )
 
     def _publish(self, message: FileReady, heard_at: datetime, write_id: str) -> None:
-        path = self._spool / message.path
         began = time.monotonic()
-        published = [self._upload(message, path)]
+        try:
+            with open_plain(self._spool, message.path) as file:
+                published = [self._upload(message, file)]
+        except NotPlain as error:  # Only a process that was taken over names one.
+            log.warning("file_not_kept", job_id=self._claim.job_id, name=message.name, error=str(error))
+            said = {"text": f"The training's file {message.name[:100]} was not kept: it is no plain file."}
+            self._record("events", [Entry(kind="note", time=heard_at, data=said)], write_id)
+            return
         seconds = time.monotonic() - began
         if message.role == "checkpoint":
             published.append(self._upload_metrics())
@@ -207,7 +220,7 @@ class Outbox:
             "upload_s": round(seconds, 4),
         }
         self._record("events", [Entry(kind="artifact", time=heard_at, data=said)], write_id)
-        path.unlink(missing_ok=True)
+        (self._spool / message.path).unlink(missing_ok=True)
         self._remove_later(dropped)
 
     def _remove_later(self, dropped: Sequence[str]) -> None:
@@ -223,15 +236,17 @@ class Outbox:
             for key in due:
                 self._claim.objects.delete_prefix(key)
 
-    def _upload(self, message: FileReady, path: Path) -> Artifact:
-        digest = _sha256(path)
+    def _upload(self, message: FileReady, file: BufferedReader) -> Artifact:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        size = file.seek(0, os.SEEK_END)
         artifact = Artifact(
             **message.model_dump(exclude={"type", "path"}),
-            size=path.stat().st_size,
+            size=size,
             sha256=digest,
             key=self._key(digest, message.name),
         )
-        self._claim.objects.put_file(artifact.key, path, media_type=artifact.media_type)
+        file.seek(0)
+        self._claim.objects.put_stream(artifact.key, file, size, media_type=artifact.media_type)
         return artifact
 
     def _upload_metrics(self) -> Artifact:
@@ -280,8 +295,3 @@ def _entry(item: _Received, progress: Progress) -> Entry:
 def _new_id() -> str:
     """The identity of a write; a retry keeps it."""
     return secrets.token_hex(8)
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -11,7 +11,12 @@ from worker.host import file_lock
 # The folder of all attempts' spools, in GAITWAY_DATA_DIR.
 SPOOLS = "spool"
 _PAUSE_S = 0.01
-_LOCK = ".lock"
+_LOCK, _PRIVATE = ".lock", ".private"
+
+
+def private(path: Path) -> Path:
+    """The folder beside a spool for what its training process, which may be taken over, must not reach."""
+    return path.with_name(path.name + _PRIVATE)
 
 
 @contextmanager
@@ -23,6 +28,7 @@ def spool(path: Path) -> Generator[Path]:
         pause(_PAUSE_S)  # Another worker is checking whether somebody holds it.
     try:
         path.mkdir(exist_ok=True)
+        private(path).mkdir(exist_ok=True)
         yield path
     finally:
         _remove(path, lock, descriptor)
@@ -30,7 +36,7 @@ def spool(path: Path) -> Generator[Path]:
 
 def remove_left_over(folder: Path) -> None:
     """Remove the spools in this folder that no process holds: their containers were killed."""
-    names = {file.name.removesuffix(_LOCK) for file in folder.glob("*")}
+    names = {file.name.removesuffix(_LOCK).removesuffix(_PRIVATE) for file in folder.glob("*")}
     for name in names:
         lock = folder / (name + _LOCK)
         with suppress(OSError):  # The next worker tries again.
@@ -39,5 +45,6 @@ def remove_left_over(folder: Path) -> None:
 
 
 def _remove(path: Path, lock: Path, descriptor: int) -> None:
-    shutil.rmtree(path, ignore_errors=True)
+    for one in (path, private(path)):
+        shutil.rmtree(one, ignore_errors=True)
     file_lock.remove(lock, descriptor)  # Last: until then nobody else touches the folder.

@@ -36,7 +36,7 @@ from worker.supervision.log_limit import LogLimit
 from worker.supervision.outbox import Outbox
 from worker.supervision.outcome import Outcome, judge
 from worker.supervision.seat import Seat
-from worker.supervision.spool import SPOOLS, spool
+from worker.supervision.spool import SPOOLS, private, spool
 from worker.supervision.stall import StallWatch
 from worker.supervision.starting_point import write_task
 from worker.supervision.story import Story, ending, timed
@@ -77,7 +77,7 @@ class Supervisor:
     def run(self) -> None:
         folder = self.settings.data_dir.absolute()  # The training process has another working directory.
         own = folder / SPOOLS / f"{self.claim.job_id}.{self.claim.number}"
-        caches = Caches(self.claim.objects, self.settings, self.device, own)
+        caches = Caches(self.claim.objects, self.settings, self.device, own, private(own))
         try:
             with Heartbeat(self.claim, self.settings) as heartbeat:
                 outcome = self._outcome(heartbeat, caches, folder, own)

@@ -20,6 +20,7 @@ from core.settings import WorkerSettings
 from worker.protocol import FileReady, Message, Noted
 from worker.supervision.measurements import Measurements
 from worker.supervision.outbox import Outbox
+from worker.supervision.spool import private
 from worker.tracking.child import end, start
 from worker.tracking.config import about_run, as_resolved
 from worker.tracking.items import About, PolicyFile, VideoFile, WriteUp
@@ -58,15 +59,14 @@ class Tracking:
         """Call it from a thread that lives as long as the attempt."""
         if not isinstance(self.job.spec, TrainSpec):
             return
-        folder = self.spool / _FOLDER
-        folder.mkdir()
+        self._folder.mkdir()
         wanted = self.job.spec.tracking.wandb
         if wanted is None:
             return
         if find_spec("wandb") is None:
             self._note(_NO_PACKAGE)
             return
-        self._about = about_run(self.job.id, self.job.spec, folder)
+        self._about = about_run(self.job.id, self.job.spec, self._folder)
         if self._about is None or wanted.mode == "offline":
             return
         if self.settings.wandb_api_key is None:
@@ -76,6 +76,11 @@ class Tracking:
             self._live = Live(self._about, self.spool, self.settings, self._note)
         except OSError as error:
             self._note(f"Nothing is sent to Weights & Biases: {error.strerror}")
+
+    @property
+    def _folder(self) -> Path:
+        """Out of the training process's reach: a process that holds an account's key works in it."""
+        return private(self.spool) / _FOLDER
 
     def send(self, message: Message) -> None:
         if self._live is not None:
@@ -103,7 +108,7 @@ class Tracking:
             log.warning("tracking_not_kept", error=str(error))
 
     def _write_up(self, spec: TrainSpec, exit_code: int, called_off: Callable[[], bool]) -> None:
-        folder = self.spool / _FOLDER
+        folder = self._folder
         rows = Measurements(self.job.id, self.claim.store, self.claim.objects).documents()
         if not rows or called_off():
             return
@@ -155,22 +160,20 @@ class Tracking:
 
     def _keep(self, notes: list[str], keep_checkpoints: int, called_off: Callable[[], bool]) -> None:
         """Store what was written, through a short outage if need be."""
-        later = Outbox(self.claim, self.spool, keep_checkpoints)
+        later = Outbox(self.claim, self._folder, keep_checkpoints)
         for note in notes:
             later.put(Noted(text=note))
         for file in (
             FileReady(
                 name=EVENTS,
-                path=f"{_FOLDER}/{EVENTS}",
+                path=EVENTS,
                 role="tensorboard",
                 media_type="application/octet-stream",
             ),
-            FileReady(name=CURVE, path=f"{_FOLDER}/{CURVE}", role="picture", media_type="image/png"),
-            FileReady(
-                name=ARCHIVE, path=f"{_FOLDER}/{ARCHIVE}", role="wandb", media_type="application/x-tar"
-            ),
+            FileReady(name=CURVE, path=CURVE, role="picture", media_type="image/png"),
+            FileReady(name=ARCHIVE, path=ARCHIVE, role="wandb", media_type="application/x-tar"),
         ):
-            if (self.spool / file.path).exists():
+            if (self._folder / file.path).exists():
                 later.put(file)
         if not later.close(_STORE_S, called_off):
             log.warning("tracking_not_kept", error=f"not stored within {_STORE_S:g} s, or before a drain")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from core.settings import WorkerSettings
+from worker.host.plain_files import NotPlain, open_plain
 from worker.protocol import FileReady, Measured, Message, Started
 from worker.tracking.child import end, start
 from worker.tracking.config import as_resolved
@@ -49,13 +50,24 @@ class Live:
             case Measured(step=step, values=values):
                 self._put(Row(step=step, values=values))
             case FileReady(role="video" | "policy" as role, path=path, step=step):
-                # The outbox removes the spool's own as soon as it is stored.
-                with suppress(OSError):
-                    os.link(self._spool / path, self._folder / path)
-                    kept = VideoFile if role == "video" else PolicyFile
-                    self._put(kept(step=step or 0, path=self._folder / path))
+                self._link(path, VideoFile if role == "video" else PolicyFile, step or 0)
             case _:
                 pass
+
+    def _link(self, name: str, kept: type[VideoFile | PolicyFile], step: int) -> None:
+        """Have a file, if it is one: the outbox removes the spool's own as soon as it is stored."""
+        own = self._folder / name
+        with suppress(OSError):
+            if Path(name).name != name:
+                return
+            # The link is checked, and not what it was made of, which the process could still exchange.
+            os.link(self._spool / name, own, follow_symlinks=False)
+            try:
+                open_plain(self._folder, name).close()
+            except NotPlain:
+                own.unlink()
+                return
+            self._put(kept(step=step, path=own))
 
     def finish(self, exit_code: int) -> bool:
         """Send the rest, within a time limit, and end the process; returns whether the server has it all."""

@@ -1,13 +1,12 @@
 """The answer of the confined process."""
 
-import os
-import stat
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from core.documents import Stored
 from core.user_models.record import Description
+from worker.host.plain_files import read_plain
 
 _MAX_BYTES = 16 * 2**20
 
@@ -26,16 +25,3 @@ def read_answer(path: Path) -> Answer:
         return Answer.model_validate_json(read_plain(path, _MAX_BYTES))
     except (OSError, ValidationError):
         return Answer()
-
-
-def read_plain(path: Path, most_bytes: int) -> bytes:
-    """The end of a file whose writer may have been taken over: follows no link and waits for no pipe.
-
-    Raises OSError.
-    """
-    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            raise OSError(f"{path.name} is not a regular file.")
-        file.seek(max(0, found.st_size - most_bytes))
-        return file.read(most_bytes)

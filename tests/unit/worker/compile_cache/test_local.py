@@ -1,5 +1,6 @@
 """A machine's folder of compiled programs: lent by links, filled with whole files, kept within a bound."""
 
+import errno
 import os
 import sys
 import zlib
@@ -7,7 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from worker.compile_cache.local import is_whole, keep_within, lend, names, take_over
+from worker.compile_cache import local
+from worker.compile_cache.local import (
+    is_whole,
+    keep_within,
+    lend,
+    lend_copies,
+    names,
+    take_over,
+    take_over_copies,
+)
 
 
 @pytest.fixture
@@ -106,3 +116,71 @@ def test_a_disk_without_links_gets_copies(kept: Path, own: Path, monkeypatch: py
     write(own / "jax" / "b", b"b")
     assert take_over(own, kept) == ["jax/b"]
     assert names(own) == names(kept) == {"jax/a", "jax/b"}
+
+
+def test_h6b_a_job_with_a_users_model_changes_nothing_that_others_run(kept: Path, own: Path) -> None:
+    """As the audit's cache_poison.py does it; and nothing that it adds reaches others' folder."""
+    write(kept / "compiled" / "ant", b"machine code of the ant")
+    models = kept.parent / "models"
+    lent = lend_copies((models, kept), own)
+    assert lent == {"compiled/ant"}
+    (own / "compiled" / "ant").write_bytes(b"MACHINE CODE OF MALLORY")
+    write(own / "compiled" / "planted", b"more of it")
+    assert take_over_copies(own, models, lent) == ["compiled/planted"]
+    assert (kept / "compiled" / "ant").read_bytes() == b"machine code of the ant"
+    assert names(kept) == {"compiled/ant"}
+    # The next job with this model starts with what this one left, and not through the same file.
+    assert not (models / "compiled" / "planted").samefile(own / "compiled" / "planted")
+    later = kept.parent / "later"
+    assert lend_copies((models, kept), later) == {"compiled/ant", "compiled/planted"}
+
+
+def test_h6b_nothing_is_taken_over_through_a_link(kept: Path, own: Path, tmp_path: Path) -> None:
+    write(tmp_path / "secrets" / "keys.json", b"secret")
+    write(own / "jax" / "plain", b"plain")
+    (own / "jax" / "link").symlink_to(tmp_path / "secrets" / "keys.json")
+    (own / "folder").symlink_to(tmp_path / "secrets")
+    os.mkfifo(own / "pipe")
+    kept.mkdir()
+    assert take_over_copies(own, kept, set()) == ["jax/plain"]
+    assert names(kept) == {"jax/plain"}
+
+
+def test_h6b_copies_are_bounded_and_the_last_used_go_first(
+    kept: Path, own: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "_MOST_COPIED_BYTES", 10)
+    write(kept / "old", b"123456", used_at=1e9)
+    write(kept / "new", b"123456", used_at=2e9)
+    write(kept / "small", b"1234", used_at=1.5e9)
+    assert lend_copies((kept,), own) == {"new", "small"}
+    write(own / "made", b"123")
+    write(own / "made-too", b"12345678")
+    models = kept.parent / "models"
+    models.mkdir()
+    assert take_over_copies(own, models, {"new", "small"}) == ["made"]
+
+
+def test_h6b_a_program_that_unpacks_without_end_is_not_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "_MOST_UNPACKED_BYTES", 1000)
+    write(tmp_path / "bomb-cache", zlib.compress(bytes(10_000)))
+    write(tmp_path / "small-cache", zlib.compress(bytes(900)))
+    assert not is_whole(tmp_path / "bomb-cache")
+    assert is_whole(tmp_path / "small-cache")
+
+
+@pytest.mark.parametrize("can_share", [True, False])
+def test_h6b_a_copy_is_whole_on_every_disk(
+    can_share: bool, kept: Path, own: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.EOPNOTSUPP, "no")
+
+    if not can_share:
+        monkeypatch.setattr(os, "copy_file_range", refuse)
+    body = os.urandom(3 * 2**20 + 17)
+    write(kept / "large", body)
+    lend_copies((kept,), own)
+    assert (own / "large").read_bytes() == body

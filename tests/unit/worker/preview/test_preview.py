@@ -17,6 +17,7 @@ from core.rendering.gl import probe
 from core.storage import keys
 from tests.models import identity
 from tests.unit.environments.mjcf.probe import XML
+from worker.preview import drawing
 from worker.preview.drawing import draw
 
 # Red, so that it can be told from the floor.
@@ -116,3 +117,28 @@ def test_what_takes_too_long_is_ended_and_said(tmp_path: Path, objects: MemoryOb
 def test_a_model_that_was_deleted_meanwhile_is_not_drawn(tmp_path: Path) -> None:
     with pytest.raises(ObjectNotFound):
         draw(request(), MemoryObjectStore(), tmp_path, tmp_path)
+
+
+def test_h6a_a_link_that_drawing_leaves_is_not_followed(
+    tmp_path: Path, objects: MemoryObjectStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    secret, folder = tmp_path / "keys.json", tmp_path / "preview"
+    secret.write_bytes(b"TOP SECRET")
+    folder.mkdir()
+
+    def leave_links(*_: object) -> None:
+        for number in range(2):
+            (folder / f"{number}.png").symlink_to(secret)
+
+    monkeypatch.setattr(drawing, "_attempt", leave_links)
+    found = drawn(folder, objects)
+    assert found.failure is not None
+    assert "something else than its pictures" in found.failure.message
+    assert all(objects.get(info.key) != b"TOP SECRET" for info in objects.list(""))
+
+
+def test_h6a_a_reason_behind_a_link_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "keys.json").write_text('{"reason": "bad_request", "message": "TOP SECRET"}')
+    (tmp_path / "failure.json").symlink_to(tmp_path / "keys.json")
+    with (tmp_path / "log").open("w+b") as text:
+        assert "TOP SECRET" not in drawing._why(1, tmp_path, text).message

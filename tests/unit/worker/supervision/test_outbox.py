@@ -164,3 +164,22 @@ def test_an_abandoned_outbox_waits_no_longer(outbox: Outbox, outage: Outage) -> 
     outbox.abandon()
     wait_until(lambda: "outbox" not in {thread.name for thread in threading.enumerate()})
     assert outage.writes == []
+
+
+def test_h6a_a_training_that_was_taken_over_publishes_and_removes_no_file_but_its_own(
+    outbox: Outbox, claim: Claim, tmp_path: Path
+) -> None:
+    """As the audit's outbox_reads_anything.py does it, with absolute paths and links."""
+    spool, secret = tmp_path, tmp_path.parent / "keys.json"
+    secret.write_text("TOP SECRET")
+    (spool / "link").symlink_to(secret)
+    (spool / "own").write_bytes(b"own")
+    for path in (str(secret), f"../{secret.name}", "link", "own"):
+        outbox.put(FileReady(name=f"named-{path[-3:]}", path=path, role="log", media_type=""))
+    assert outbox.close(30)
+    (kept,) = claim.store.get(claim.job_id).artifacts
+    assert claim.objects.get(kept.key) == b"own"
+    notes = [entry.data["text"] for entry in read(claim, "events") if entry.kind == "note"]
+    assert len(notes) == 3
+    assert all("is no plain file" in note for note in notes)
+    assert secret.exists()

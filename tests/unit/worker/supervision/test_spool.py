@@ -42,7 +42,7 @@ def test_the_spool_of_a_killed_attempt_is_removed_and_that_of_a_living_one_is_no
         killed.wait(10)
         assert (tmp_path / "job.1" / "checkpoint").exists()
         remove_left_over(tmp_path)
-        assert {file.name for file in tmp_path.iterdir()} == {"job.2", "job.2.lock"}
+        assert {file.name for file in tmp_path.iterdir()} == {"job.2", "job.2.lock", "job.2.private"}
         assert (tmp_path / "job.2" / "checkpoint").exists()
         living.communicate(timeout=10)
     assert list(tmp_path.iterdir()) == []
