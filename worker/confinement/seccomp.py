@@ -47,6 +47,9 @@ _REFUSED = {
     "pidfd_send_signal": (424, 424),
     "pidfd_open": (434, 434),
     "pidfd_getfd": (438, 438),
+    # A group of its own, in which the worker would not find it to end it.
+    "setpgid": (109, 154),
+    "setsid": (112, 157),
     # Namespaces and mounts.
     "unshare": (272, 97),
     "setns": (308, 268),

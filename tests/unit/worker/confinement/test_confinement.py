@@ -115,6 +115,28 @@ def test_it_reaches_no_network_and_no_other_process(tmp_path: Path) -> None:
     assert set(found.values()) == {"PermissionError"}, found
 
 
+def test_l7_it_cannot_leave_the_group_in_which_it_is_killed(tmp_path: Path) -> None:
+    found = probe(
+        tmp_path,
+        {
+            "session": "os.setsid()",
+            "group": "os.setpgid(0, 0)",
+            "of_a_child": "os.waitpid(os.fork() or os._exit(tried(os.setsid) != 'PermissionError'), 0)[1]",
+        },
+        strictly=False,
+    )
+    assert "calls" in found.pop("layers")
+    assert found.pop("of_a_child") == 0
+    assert set(found.values()) == {"PermissionError"}, found
+
+
+def test_l7_the_number_of_its_processes_is_bounded(tmp_path: Path) -> None:
+    found = probe(tmp_path, {"most": "resource.getrlimit(resource.RLIMIT_NPROC)"}, strictly=False)
+    soft, hard = found["most"]
+    assert soft == hard
+    assert 512 <= soft < 100_000
+
+
 def test_it_makes_no_namespace_and_no_ring_and_is_nobodys_debugger(tmp_path: Path) -> None:
     newuser, attach, enosys = 0x10000000, 16, 38
     found = probe(
