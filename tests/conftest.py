@@ -79,7 +79,7 @@ class Databases:
         """The address of a new database with empty tables."""
         name = f"test_{secrets.token_hex(6)}"
         self.admin.execute(f"CREATE DATABASE {name} TEMPLATE gaitway")
-        return self.server.url.replace("/gaitway?", f"/{name}?")
+        return self.server.admin_url.replace("/gaitway?", f"/{name}?")
 
     def drop(self, url: str) -> None:
         name = url.partition("?")[0].rpartition("/")[2]
@@ -107,7 +107,7 @@ def databases(servers_folder: Path, postgres_data: Path) -> Iterator[Databases]:
     shutil.copytree(postgres_data, servers_folder / "postgres" / "data")
     with Postgres(servers_folder / "postgres", durable=False) as server:
         schema.upgrade(connect_postgres(server.url, pool_size=0))
-        maintenance = server.url.replace("/gaitway?", "/postgres?")
+        maintenance = server.admin_url.replace("/gaitway?", "/postgres?")
         with psycopg.connect(maintenance, autocommit=True) as admin:
             yield Databases(server, admin)
 

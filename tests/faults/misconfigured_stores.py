@@ -122,7 +122,7 @@ def postgres_with_passwords(folder: Path, port: int) -> Iterator[None]:
         server = Postgres(folder, durable=True).start()
     try:
         schema.upgrade(connect_postgres(server.url, pool_size=0))
-        with psycopg.connect(server.url, autocommit=True) as admin:
+        with psycopg.connect(server.admin_url, autocommit=True) as admin:
             for role in ("ALTER ROLE gaitway", "CREATE ROLE reader LOGIN"):
                 admin.execute(f"{role} PASSWORD '{SECRET}'")  # type: ignore[arg-type]
             access = folder / "data" / "pg_hba.conf"

@@ -44,9 +44,11 @@ class Outages:
         """The address of a new database with empty tables."""
         self._num_made += 1
         name = f"test_{self._num_made}"
-        with psycopg.connect(self._server.url.replace("/gaitway?", "/postgres?"), autocommit=True) as admin:
+        with psycopg.connect(
+            self._server.admin_url.replace("/gaitway?", "/postgres?"), autocommit=True
+        ) as admin:
             admin.execute(f"CREATE DATABASE {name} TEMPLATE gaitway")
-        return self._server.url.replace("/gaitway?", f"/{name}?")
+        return self._server.admin_url.replace("/gaitway?", f"/{name}?")
 
     @contextmanager
     def silence(self) -> Iterator[None]:

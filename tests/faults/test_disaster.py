@@ -84,7 +84,7 @@ class Backups:
         """Without tables."""
         name = f"restored_{secrets.token_hex(6)}"
         self.databases.admin.execute(f"CREATE DATABASE {name}")
-        return self.databases.server.url.replace("/gaitway?", f"/{name}?")
+        return self.databases.server.admin_url.replace("/gaitway?", f"/{name}?")
 
     def save_bucket(self) -> None:
         self.saved = {info.key: self.objects.get(info.key) for info in self.objects.list("")}

@@ -1,8 +1,14 @@
-"""An embedded PostgreSQL: the record."""
+"""An embedded PostgreSQL: the record.
 
+Whoever may open its socket needs a password, too: Landlock keeps a process from files, and not from sockets.
+The service's role owns its database and is no superuser, which could run programs.
+"""
+
+import json
 import os
 import pwd
 import re
+import secrets
 import shutil
 import signal
 import subprocess
@@ -11,18 +17,25 @@ from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import quote
 
 import psutil
 
 from core.errors import Unavailable
-from gaitway.service.embedded.folders import private_folder
+from gaitway.service.embedded.folders import private_folder, write_private
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess
 from gaitway.service.embedded.server import Server
 
+if TYPE_CHECKING:  # It is imported while the servers are already starting.
+    import psycopg
+
 MAJOR_VERSION = "18"
-_USER = "gaitway"
+# The first role, which keeps the right to everything; and the service's.
+_ADMIN, _USER = "gaitway", "gaitway_service"
+# In the data folder, so that they go where it goes. Without it, passwords are set anew at the next start.
+_PASSWORDS = "gaitway_passwords.json"
+_ONLY_WITH_PASSWORD, _WITHOUT = "local all all scram-sha-256\n", "local all all trust\n"
 _PORT = 5432  # it only names the socket
 _SOCKET = f".s.PGSQL.{_PORT}"
 _LONGEST_SOCKET_PATH = 100  # the kernel's limit is 107 bytes, on macOS 103
@@ -41,6 +54,23 @@ _OPTIONS = {
 # synchronous_commit stays on: it costs nothing without fsync, and keeps the commits of a killed server.
 _NOT_DURABLE = {"fsync": "off", "full_page_writes": "off"}
 
+# What the first role made in its database, as the only one there was. A table's own sequences go with it.
+_HAND_OVER_OBJECTS = f"""
+DO $$ DECLARE command text; BEGIN
+  FOR command IN
+    SELECT format('ALTER TABLE %s OWNER TO {_USER}', oid::regclass) FROM pg_class
+      WHERE relnamespace = 'public'::regnamespace AND relkind IN ('r', 'p', 'v', 'm')
+    UNION ALL SELECT format('ALTER TYPE %s OWNER TO {_USER}', oid::regtype) FROM pg_type
+      WHERE typnamespace = 'public'::regnamespace AND typtype IN ('e', 'd')
+    UNION ALL SELECT format('ALTER ROUTINE %s OWNER TO {_USER}', oid::regprocedure) FROM pg_proc
+      WHERE pronamespace = 'public'::regnamespace
+    UNION ALL SELECT format('ALTER SEQUENCE %s OWNER TO {_USER}', c.oid::regclass) FROM pg_class c
+      WHERE relnamespace = 'public'::regnamespace AND relkind = 'S' AND NOT EXISTS
+        (SELECT FROM pg_depend d WHERE d.objid = c.oid AND d.deptype IN ('a', 'i'))
+  LOOP EXECUTE command; END LOOP;
+END $$
+"""  # noqa: S608 # The role is a constant.
+
 
 class Postgres(Server):
     """A private PostgreSQL on a unix socket, its data in one folder.
@@ -57,10 +87,30 @@ class Postgres(Server):
         if not _can_hold_a_socket(self._folder):
             self._borrowed = tempfile.TemporaryDirectory(prefix="gaitway-")
             self._socket_folder = Path(self._borrowed.name)
-        host = quote(str(self._socket_folder), safe="")
-        self.url = f"postgresql://{_USER}@/gaitway?host={host}&port={_PORT}"
+        self._passwords, self._are_set = self._kept_passwords()
         # SIGTERM would wait until every client has disconnected.
         self.process = ServerProcess("postgres", self._folder, stop_signal=signal.SIGINT)
+
+    @property
+    def url(self) -> str:
+        """For the service: its role owns the database, and no more."""
+        return self._address(_USER)
+
+    @property
+    def admin_url(self) -> str:
+        """For whoever may do everything."""
+        return self._address(_ADMIN)
+
+    def _address(self, user: str) -> str:
+        host = quote(str(self._socket_folder), safe="")
+        return f"postgresql://{user}:{self._passwords[user]}@/gaitway?host={host}&port={_PORT}"
+
+    def _kept_passwords(self) -> tuple[dict[str, str], bool]:
+        """By role, and whether the data folder has them; otherwise new ones."""
+        try:
+            return json.loads((self._data / _PASSWORDS).read_text()), True
+        except (FileNotFoundError, NotADirectoryError):
+            return {user: secrets.token_urlsafe(24) for user in (_ADMIN, _USER)}, False
 
     def launch(self) -> Self:
         """Start it without waiting, in a data folder that the first start creates. Raises ServerFailed."""
@@ -98,6 +148,10 @@ class Postgres(Server):
         if not self._data.exists():
             self._make_data(lock)
         self._check_version()
+        if (self._data / _PASSWORDS).exists():  # Another may have set them since this object was made.
+            self._passwords, self._are_set = self._kept_passwords()
+        # Nobody runs yet who should not connect; a folder of before had no passwords at all.
+        self._write("pg_hba.conf", _ONLY_WITH_PASSWORD if self._are_set else _WITHOUT)
         for lock_file in (self._data / "postmaster.pid", self._socket_folder / f"{_SOCKET}.lock"):
             if _is_stale(lock_file, self._data):
                 lock_file.unlink()
@@ -107,7 +161,7 @@ class Postgres(Server):
         partial = self._folder / "data.partial"
         shutil.rmtree(partial, ignore_errors=True)
         options = [
-            *(f"--username={_USER}", "--auth=trust", "--encoding=UTF8", "--no-instructions"),
+            *(f"--username={_ADMIN}", "--auth=trust", "--encoding=UTF8", "--no-instructions"),
             # Its own C.UTF-8: the system's may be missing, or sort differently after an upgrade.
             *("--locale=C", "--locale-provider=builtin", "--builtin-locale=C.UTF-8"),
             *(() if self._durable else ("--no-sync",)),
@@ -138,25 +192,50 @@ class Postgres(Server):
                 "contents with pg_dump and pg_restore, or choose another folder."
             )
 
+    def _write(self, name: str, text: str) -> None:
+        """Replace a file of the data folder, for its owner alone."""
+        write_private(self._data / name, text)
+        if os.geteuid() == 0:
+            owner = self._data.stat()
+            os.chown(self._data / name, owner.st_uid, owner.st_gid)
+
     def _ensure_database(self) -> None:
-        """Make the service's database where it is missing. Raises Unavailable."""
+        """Make the service's database and role where they are missing. Raises Unavailable."""
         # Imported here, while the servers are already starting.
         import psycopg
 
         try:
-            with psycopg.connect(
-                host=str(self._socket_folder),
-                port=_PORT,
-                user=_USER,
-                dbname="postgres",
-                autocommit=True,
-                connect_timeout=2,
-            ) as connection:
+            with psycopg.connect(self._maintenance(), autocommit=True, connect_timeout=2) as connection:
                 query = "SELECT 1 FROM pg_database WHERE datname = 'gaitway'"
-                if connection.execute(query).fetchone() is None:
-                    connection.execute("CREATE DATABASE gaitway")
+                is_there = connection.execute(query).fetchone() is not None
+                if not self._are_set:
+                    self._set_passwords(connection)
+                if not is_there:
+                    connection.execute(f"CREATE DATABASE gaitway OWNER {_USER}")
+                elif not self._are_set:
+                    with psycopg.connect(self.admin_url, autocommit=True) as inside:
+                        inside.execute(_HAND_OVER_OBJECTS)
+                    connection.execute(f"ALTER DATABASE gaitway OWNER TO {_USER}")
+                if not self._are_set:
+                    self._write(_PASSWORDS, json.dumps(self._passwords))
+                    self._write("pg_hba.conf", _ONLY_WITH_PASSWORD)
+                    connection.execute("SELECT pg_reload_conf()")
+                    self._are_set = True
         except psycopg.OperationalError as error:
             raise Unavailable(f"PostgreSQL does not answer: {error}") from error
+
+    def _maintenance(self) -> str:
+        return self.admin_url.replace("/gaitway?", "/postgres?")
+
+    def _set_passwords(self, connection: "psycopg.Connection[Any]") -> None:
+        from psycopg import sql
+
+        query = "SELECT 1 FROM pg_roles WHERE rolname = %s"
+        if connection.execute(query, [_USER]).fetchone() is None:
+            connection.execute(f"CREATE ROLE {_USER} LOGIN")
+        for user, password in self._passwords.items():
+            command = sql.SQL("ALTER ROLE {} PASSWORD {}")
+            connection.execute(command.format(sql.Identifier(user), sql.Literal(password)))
 
 
 def binary(name: str) -> str:

@@ -276,11 +276,12 @@ class World:
         proxy = self.proxies.all
         folder = self.folder / "p" / party
         kept = {name: value for name, value in os.environ.items() if not name.startswith("GAITWAY_")}
+        database = self.postgres.url.partition("?")[0]
         return {
             **kept,
             **self.weed.environment(),
             **self.clocks.environment(party),
-            "GAITWAY_DATABASE_URL": f"postgresql://gaitway@/gaitway?host={quote(str(folder), safe='')}",
+            "GAITWAY_DATABASE_URL": f"{database}?host={quote(str(folder), safe='')}",
             "GAITWAY_REDIS_URL": f"unix://{quote(str(folder / 'kv'))}",
             "GAITWAY_S3_ENDPOINT": f"127.0.0.1:{proxy[f'{party}/weed'].here}",
             "GAITWAY_DATA_DIR": str(self.folder / party),

@@ -120,7 +120,10 @@ def addresses(
             patch.setattr(weed_module, "_OPTIONS", (*weed_module._OPTIONS, *options))
             weed = stack.enter_context(Weed(tmp_path_factory.mktemp("weed")))
         yield {
-            "database_url": f"postgresql://gaitway@127.0.0.1:{postgres.port}/gaitway?sslmode=verify-full",
+            "database_url": databases.server.url.partition("?")[0].replace(
+                "@/", f"@127.0.0.1:{postgres.port}/"
+            )
+            + "?sslmode=verify-full",
             "redis_url": f"rediss://127.0.0.1:{redis.port}",
             "s3_endpoint": f"127.0.0.1:{https_port}",
             "s3_access_key": weed.access_key,

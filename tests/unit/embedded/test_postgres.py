@@ -2,6 +2,7 @@
 
 import os
 import pwd
+import re
 import shutil
 import signal
 import subprocess
@@ -57,7 +58,7 @@ def read(server: Postgres) -> list[int]:
 
 
 def setting(server: Postgres, name: str) -> str:
-    with psycopg.connect(server.url) as connection:
+    with psycopg.connect(server.admin_url) as connection:
         row = connection.execute("SELECT current_setting(%s)", [name]).fetchone()
         assert row is not None
         return row[0]
@@ -75,7 +76,7 @@ class TestRunning:
     def test_its_environment_leads_to_its_database(self, postgres: Postgres) -> None:
         with psycopg.connect(postgres.environment()["GAITWAY_DATABASE_URL"]) as connection:
             row = connection.execute("SELECT current_database(), current_user").fetchone()
-        assert row == ("gaitway", "gaitway")
+        assert row == ("gaitway", "gaitway_service")
 
     def test_it_is_version_18_and_so_are_its_programs(self, postgres: Postgres) -> None:
         assert setting(postgres, "server_version").startswith("18.")
@@ -382,3 +383,83 @@ def running(command: Sequence[str], **options: Any) -> Generator[subprocess.Pope
             yield process
         finally:
             process.send_signal(signal.SIGINT)
+
+
+class Of01(Postgres):
+    """As it was: whoever reached the socket was the superuser, who owned everything."""
+
+    def _ensure_database(self) -> None:
+        try:
+            with psycopg.connect(self._maintenance(), autocommit=True) as admin:
+                admin.execute("CREATE DATABASE gaitway")
+        except psycopg.OperationalError as error:
+            raise Unavailable(str(error)) from error
+        with psycopg.connect(self.admin_url) as connection:
+            connection.execute("CREATE TYPE mood AS ENUM ('good')")
+            connection.execute("CREATE TABLE kept (number int, id bigserial, mood mood)")
+            connection.execute("CREATE SEQUENCE alone")
+            connection.execute("INSERT INTO kept VALUES (7)")
+
+
+def may(url: str, statement: str) -> bool:
+    with psycopg.connect(url, autocommit=True) as connection:
+        try:
+            connection.execute(statement.encode())
+        except psycopg.errors.InsufficientPrivilege:
+            return False
+    return True
+
+
+def without_password(url: str) -> str:
+    return re.sub(":[^/@]*@", "@", url)
+
+
+class TestPasswords:
+    def test_h6c_who_reaches_the_socket_needs_a_password(self, postgres: Postgres) -> None:
+        for url in (postgres.url, postgres.admin_url):
+            with pytest.raises(psycopg.OperationalError, match="no password supplied"):
+                psycopg.connect(without_password(url))
+            with pytest.raises(psycopg.OperationalError, match="password authentication failed"):
+                psycopg.connect(url.replace("@/", "x@/"))
+
+    def test_h6c_the_services_role_owns_its_tables_and_runs_no_programs(self, postgres: Postgres) -> None:
+        assert may(postgres.url, "CREATE TABLE own (number int)")
+        assert may(postgres.url, "DROP TABLE own")
+        for statement in (
+            "COPY (SELECT 1) TO PROGRAM 'true'",
+            "COPY (SELECT 1) TO '/tmp/written'",
+            "SELECT pg_read_file('/etc/hostname')",
+            "CREATE ROLE another SUPERUSER",
+            "ALTER SYSTEM SET archive_command = 'true'",
+            "SELECT rolpassword FROM pg_authid",
+        ):
+            assert not may(postgres.url, statement), statement
+
+    def test_h6c_its_passwords_are_for_one_user(self, postgres: Postgres) -> None:
+        kept = Path(setting(postgres, "data_directory")) / "gaitway_passwords.json"
+        assert kept.stat().st_mode & 0o777 == 0o600
+
+    def test_h6c_a_folder_of_before_gets_passwords_and_keeps_its_rows(self, tmp_path: Path) -> None:
+        with Of01(tmp_path, durable=False) as before:
+            psycopg.connect(without_password(before.admin_url)).close()
+        with Postgres(tmp_path, durable=False) as server:
+            assert read(server) == [7]
+            write(server, 8)
+            assert may(server.url, "ALTER TABLE kept ADD COLUMN later int")
+            assert may(server.url, "ALTER TYPE mood ADD VALUE 'better'")
+            assert may(server.url, "ALTER SEQUENCE alone RESTART 5")
+            with pytest.raises(psycopg.OperationalError, match="no password supplied"):
+                psycopg.connect(without_password(server.admin_url))
+        with Postgres(tmp_path, durable=False) as again:
+            assert again.url == server.url
+            assert read(again) == [7, 8]
+
+    def test_h6c_lost_passwords_are_set_anew(self, begun: Path) -> None:
+        with Postgres(begun, durable=False) as server:
+            write(server, 1)
+        (begun / "data" / "gaitway_passwords.json").unlink()
+        with Postgres(begun, durable=False) as again:
+            assert again.url != server.url
+            assert read(again) == [1]
+            with pytest.raises(psycopg.OperationalError, match="no password supplied"):
+                psycopg.connect(without_password(again.url))
