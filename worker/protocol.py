@@ -4,15 +4,26 @@ The process sends one JSON document per line, over a pipe of their own. The supe
 sends two signals (`worker/stop_signals.py`).
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field, TypeAdapter
+from pydantic import BeforeValidator, Field, TypeAdapter
 
 from core.documents import Stored
 from core.jobs.job import ArtifactRole, JobPhase
 from core.jobs.spec import SentSpec
 from core.physics.availability import BodySize, EngineName
 from core.reasons import Reason
+
+
+def _without_null(values: Any) -> Any:
+    if not isinstance(values, dict):
+        return values
+    said = cast("dict[str, Any]", values)
+    return {name: value for name, value in said.items() if value is not None}
+
+
+# JSON has no number that is not finite, and pydantic writes `null`: that one is left out, the rest is kept.
+Numbers = Annotated[dict[str, float], BeforeValidator(_without_null)]
 
 
 class Hello(Stored):
@@ -54,7 +65,7 @@ class Advanced(Stored):
     total: int
     steps_per_second: float | None = None
     eta_s: float | None = None
-    metrics: dict[str, float] = {}
+    metrics: Numbers = {}
 
 
 class Measured(Stored):
@@ -62,7 +73,7 @@ class Measured(Stored):
 
     type: Literal["metrics"] = "metrics"
     step: int
-    values: dict[str, float]
+    values: Numbers
 
 
 class FileReady(Stored):

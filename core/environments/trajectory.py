@@ -66,6 +66,18 @@ class Episode:
         return float(self.time[-1] - self.time[0])
 
 
+def not_finite(episode: Episode) -> tuple[int, str] | None:
+    """The first step that left a number that is not finite, 0 being the start, and of which quantity."""
+    found: list[tuple[int, str]] = []
+    # In the order in which, within a step, one spoils the next.
+    for name in ("action", "qvel", "qpos", "observation", "reward"):
+        rows: NDArray[np.float32] = getattr(episode, name)
+        bad = np.flatnonzero(~np.isfinite(rows).reshape(len(rows), -1).all(axis=1))
+        if len(bad):
+            found.append((int(bad[0]) + (name in ("action", "reward")), name))
+    return min(found, key=lambda one: one[0], default=None)
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """Episodes, and a description of their numbers; see `describe`."""

@@ -19,7 +19,9 @@ from core.environments.rollout import (
     zero_policy,
 )
 from core.environments.trajectory import Episode
+from core.errors import JobFailed
 from core.jobs.spec import CheckpointPolicy, ConstantPolicy, RandomPolicy, RolloutSpec, ZeroPolicy
+from core.reasons import Reason
 from worker.protocol import Advanced, Measured, PhaseBegan, Task
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
@@ -37,7 +39,7 @@ def roll_out(
 ) -> bool:
     """Act, record and draw; returns whether a stop cut it short. The episodes until then are kept.
 
-    Nothing is kept for an attempt elsewhere, which starts again.
+    Nothing is kept for an attempt elsewhere, which starts again. Raises JobFailed("diverged").
     """
     events.send(built.started(policy=spec.policy.model_dump()))
     policy, env = _policy(task, spec, built, events)
@@ -57,7 +59,12 @@ def roll_out(
     )
     with kept_with_path(events, shown, "", None, f"{spec.environment.id}: path from above"):
         summary = trajectory.summary(shown)
-        events.keep("summary.json", json.dumps(summary, indent=2).encode(), "summary", "application/json")
+        events.keep(
+            "summary.json",
+            json.dumps(summary, indent=2, allow_nan=False).encode(),
+            "summary",
+            "application/json",
+        )
         _report(summary, events)
         replays = ReplayWriter(built, events)
         replays.keep(episodes, "", None)
@@ -81,12 +88,14 @@ def _act(
     events: EventWriter,
     stopping: StopRequest,
 ) -> list[Episode]:
-    """The episodes asked for; after a stop, those that have ended by then."""
+    """The episodes asked for; after a stop, those that have ended by then. Raises JobFailed("diverged")."""
     key = jax.random.PRNGKey(spec.seed)
     num_envs = min(spec.num_episodes, _MAX_ENVS)
     roller = Roller(built.environment, policy, num_envs=num_envs)
     episodes = list[Episode]()
     for episode in roller.episodes(None, key, num_steps=spec.num_steps, num_episodes=spec.num_episodes):
+        if (found := trajectory.not_finite(episode)) is not None:
+            raise _diverged(len(episodes), *found)
         episodes.append(episode)
         if len(episodes) % num_envs == 0:
             steps = sum(episode.num_steps for episode in episodes)
@@ -94,6 +103,15 @@ def _act(
         if stopping.asked:
             break
     return episodes
+
+
+def _diverged(episode: int, step: int, quantity: str) -> JobFailed:
+    return JobFailed(
+        Reason.DIVERGED,
+        f"The {quantity} became non-finite at step {step} of episode {episode}.",
+        step=step,
+        quantity=quantity,
+    )
 
 
 def _policy(

@@ -1,5 +1,6 @@
 """A training job: the events of a run become messages and files."""
 
+import math
 import time
 from collections.abc import Generator, Mapping
 from contextlib import AbstractContextManager, closing, nullcontext
@@ -252,7 +253,12 @@ class Report:
         return is_due
 
     def _warn(self, step: int, metrics: Mapping[str, float]) -> None:
-        """Of each once; how often it happens from then on is a metric."""
+        """Of each once; how often it happens from then on is a metric, but for one that is no number."""
+        for name, value in metrics.items():
+            if not math.isfinite(value) and name not in self._warned_of:
+                self._warned_of.add(name)
+                text = f"By step {step}, the metric {name} was not finite; its curve lacks such values."
+                self.events.send(Noted(text=text))
         for name, what in _WARNINGS.items():
             if metrics.get(name, 0.0) > 0 and name not in self._warned_of:
                 self._warned_of.add(name)

@@ -46,6 +46,8 @@ class VideoRecorder:
         `replay….bin`.
         """
         episodes = self._episodes(parameters)
+        if not episodes:
+            return
         chosen = self.spec.environment
         shown = trajectory_of(
             self.built.environment, episodes, environment=chosen.model_dump(), seed=self.spec.seed
@@ -57,7 +59,8 @@ class VideoRecorder:
 
     def replay(self, suffix: str, parameters: Any, step: int) -> None:
         """Keep what a video of these parameters would show, without drawing it."""
-        self.replays.keep(self._episodes(parameters), suffix, step)
+        if episodes := self._episodes(parameters):
+            self.replays.keep(episodes, suffix, step)
 
     def show(self, name: str, episodes: Sequence[Episode], step: int | None) -> None:
         """Make a video of these episodes. If that fails, the job continues without it; a note says why."""
@@ -98,7 +101,8 @@ class VideoRecorder:
             raise RenderingFailed("disk_full", what_to_do()) from error
 
     def _episodes(self, parameters: Any) -> list[Episode]:
-        return footage(
+        """None, and a note, where the physics did not stay finite: such numbers cannot be drawn."""
+        episodes = footage(
             self._roller,
             parameters,
             jax.random.PRNGKey(self.spec.seed),
@@ -106,6 +110,12 @@ class VideoRecorder:
             seconds=self.video.seconds,
             num_at_once=self.video.episodes,
         )
+        for found in filter(None, map(trajectory.not_finite, episodes)):
+            step, quantity = found
+            text = f"There is no video and no replay: the {quantity} became non-finite at its step {step}."
+            self.events.send(Noted(text=text))
+            return []
+        return episodes
 
     @cached_property
     def _roller(self) -> Roller:
