@@ -23,6 +23,8 @@ ParametricPolicy = Callable[[Any, State, jax.Array], jax.Array]
 # The entry of an environment's `info` with the tracked body's target position: [2 or 3], in metres.
 TARGET = "target_position"
 
+# Larger than any number that a key is split into: a reset draws from the first of these.
+_OF_ACTIONS = 0x616374
 _STEPS_PER_CALL = 200
 _MAX_ENVS = 64
 
@@ -209,8 +211,10 @@ def _advance(
     The key of step t of an episode depends only on the episode's key and on t.
     """
 
+    action_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, _OF_ACTIONS)
+
     def step(state: State, number: jax.Array) -> tuple[State, dict[str, Any]]:
-        step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, number + 1)
+        step_keys = jax.vmap(jax.random.fold_in, (0, None))(action_keys, number)
         action = jax.vmap(policy, (None, 0, 0))(parameters, state, step_keys)
         state = jax.vmap(environment.step)(state, action)
         kept = {"action": action, "reward": state.reward, "done": state.done, "metrics": dict(state.metrics)}

@@ -1,6 +1,7 @@
 """What tables learn, where the right answer is known."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -10,6 +11,7 @@ import pytest
 
 from core.algorithms.events import CheckpointReady, Evaluated, Event, Phase, Progress
 from core.algorithms.policy import policy_from_checkpoint
+from core.algorithms.q_learning.learner import Learner
 from core.algorithms.q_learning.policy import FORMAT, LearntTable, read_policy, table_from_checkpoint
 from core.environments.brittle_star.discretization import towards_target
 from core.environments.discretization import Discretization
@@ -228,3 +230,16 @@ def test_a_checkpoint_of_another_table_is_refused_with_both_shapes() -> None:
     with pytest.raises(JobFailed, match=r"state_discretizer is .*'cells': 2.* and .*'cells': 4") as failure:
         q_run(two_rooms(), q_settings(state_discretizer=finer), resume=run.checkpoint())
     assert failure.value.reason == "bad_checkpoint"
+
+
+def test_l1_evaluations_are_drawn_apart_from_rounds() -> None:
+    """As the audit's keys.py compares them: the evaluations' key was the first round's."""
+    environment: Any = SimpleNamespace(table=SimpleNamespace(shape=(3, 2)))
+    state = Learner(environment, q_settings()).init(KEY[None])
+    rounds, evaluations = state.key[0], state.eval_key
+    for number in range(4):
+        drawn = jax.random.split(rounds, 3)
+        of_evaluation = jax.random.split(jax.random.fold_in(evaluations, number))
+        keys = np.asarray([evaluations, *of_evaluation, rounds, *drawn])
+        assert len(np.unique(keys, axis=0)) == len(keys)
+        rounds = drawn[0]

@@ -22,6 +22,8 @@ from core.physics.engine import OVERFLOW
 
 # What is looked at in each round, in the order in which one spoils the next.
 QUANTITIES = ("observation", "reward", "table")
+# Larger than any number that a key is split into: the first of these are the tables' and the rounds' keys.
+_OF_EVALUATIONS = 0x6576616C
 
 
 @struct.dataclass
@@ -98,7 +100,7 @@ class Learner:
             visits=jnp.zeros(table.shape, jnp.int32),
             replay=jax.tree.map(lambda x: jnp.repeat(x[None], agents, axis=0), one),
             key=round_keys,
-            eval_key=jax.random.fold_in(keys[0], 1),
+            eval_key=jax.random.fold_in(keys[0], _OF_EVALUATIONS),
             eval_return=jnp.zeros(agents),
             num_updates=jnp.int32(0),
         )

@@ -22,6 +22,7 @@ from core.environments.rollout import (
     trajectory_of,
     zero_policy,
 )
+from core.environments.trajectory import Episode, not_finite
 from core.environments.wrappers.base import Wrapped
 from core.physics.choose import engine_builder
 from core.physics.engine import NOMINAL, ModelFields
@@ -93,6 +94,41 @@ def test_random_actions_fill_the_range_and_depend_on_the_key_alone() -> None:
     assert -1.0 <= first.action.min() < -0.9
     assert 0.9 < first.action.max() <= 1.0
     assert abs(first.action.mean()) < 0.15
+
+
+def test_l1_the_first_random_action_is_drawn_apart_from_the_initial_velocities() -> None:
+    """As the audit's rollout_keys.py compares them: they were equal."""
+    info, options = catalog.resolve("hopper", {})
+    hopper = catalog.make(info, options, engine_builder("native"), None)
+    drawn = rollout(hopper, random_policy(3), key=jax.random.PRNGKey(3), num_steps=1, num_episodes=3)
+    for episode in drawn.episodes:
+        noise = episode.qvel[0][:3] / options.reset_noise_scale
+        assert not np.isclose(noise, episode.action[0], atol=1e-3).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "said"),
+    [
+        ("qpos", 2, (2, "qpos")),
+        ("observation", 0, (0, "observation")),
+        ("action", 2, (3, "action")),
+        ("reward", 0, (1, "reward")),
+        ("qvel", 4, (4, "qvel")),
+    ],
+)
+def test_m2_the_first_number_of_an_episode_that_is_not_finite_is_found(
+    name: str, row: int, said: tuple[int, str]
+) -> None:
+    states = {"qpos": (5, 2), "qvel": (5, 2), "observation": (5, 3), "action": (4, 1), "reward": (4,)}
+    arrays = {one: np.zeros(shape, np.float32) for one, shape in states.items()}
+    whole = Episode(time=np.arange(5.0), position=np.zeros((5, 3), np.float32), terminated=False, **arrays)
+    assert not_finite(whole) is None
+    spoilt = np.array(arrays[name])
+    spoilt[row:] = np.nan
+    assert not_finite(replace(whole, **{name: spoilt})) == said
+    # What comes of it later is not what is named.
+    later = np.array([0, 0, 0, -np.inf], np.float32)
+    assert not_finite(replace(whole, **{"reward": later, name: spoilt})) == said
 
 
 def test_episodes_do_not_depend_on_how_many_run_side_by_side() -> None:

@@ -133,7 +133,7 @@ def _advantages(sizes: Sizes, refs: Any) -> None:
     discounting, gae_lambda, scaling = refs.hyper[0], refs.hyper[1], refs.hyper[2]
 
     def back(step: Any, carry: Any) -> Any:
-        weighted, next_return, next_value, total, squares = carry
+        weighted, next_return, next_value, mean, squares = carry
         time = sizes.unroll_length - 1 - step
         at = time * sizes.batch_size + columns
         of_step = (unrolls * sizes.unroll_length + time) * 4
@@ -147,13 +147,18 @@ def _advantages(sizes: Sizes, refs: Any) -> None:
         advantage = (reward * scaling + goes_on * next_return - said) * counts
         refs.returns[at] = wanted
         refs.advantages[at] = advantage
-        return weighted, wanted, said, total + jnp.sum(advantage), squares + jnp.sum(advantage * advantage)
+        # Welford (1962): a mean of squares less a squared mean has no digits left where rewards are large.
+        away = advantage - mean
+        mean += away / (step + 1).astype(jnp.float32)
+        return weighted, wanted, said, mean, squares + away * (advantage - mean)
 
     last = refs.values[sizes.samples + columns]
-    start = (jnp.zeros_like(last), last, last, jnp.float32(0), jnp.float32(0))
-    *_, total, squares = jax.lax.fori_loop(0, sizes.unroll_length, back, start)
-    refs.sums[2 * block] = total
-    refs.sums[2 * block + 1] = squares
+    start = (jnp.zeros_like(last), last, last, jnp.zeros_like(last), jnp.zeros_like(last))
+    *_, mean, squares = jax.lax.fori_loop(0, sizes.unroll_length, back, start)
+    of_block = jnp.sum(mean) / sizes.rows
+    away = mean - of_block
+    refs.sums[2 * block] = of_block
+    refs.sums[2 * block + 1] = jnp.sum(squares + sizes.unroll_length * away * away)
 
 
 def _gradients(sizes: Sizes, refs: Any) -> None:
@@ -244,10 +249,11 @@ def _places(layer: Layer) -> jax.Array:
 
 def _normalised(sizes: Sizes, advantage: jax.Array, sums: Any) -> jax.Array:
     """Mean 0 and deviation 1 over the minibatch."""
-    total, squares = jnp.float32(0), jnp.float32(0)
-    for block in range(sizes.num_blocks):
-        total += sums[2 * block]
-        squares += sums[2 * block + 1]
-    mean = total / sizes.samples
-    variance = jnp.maximum(squares / sizes.samples - mean * mean, 0.0)
+    means = [sums[2 * block] for block in range(sizes.num_blocks)]
+    mean = sum(means, jnp.float32(0)) / sizes.num_blocks
+    of_each = sizes.samples // sizes.num_blocks
+    squares = jnp.float32(0)
+    for block, own in enumerate(means):
+        squares += sums[2 * block + 1] + of_each * (own - mean) * (own - mean)
+    variance = squares / sizes.samples
     return (advantage - mean) / (jnp.sqrt(variance) + 1e-8)
