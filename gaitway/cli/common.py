@@ -9,6 +9,7 @@ import typer
 from pydantic import BaseModel
 
 from gaitway.cli.errors import complain, wrong_usage
+from gaitway.cli.terminal import escaped
 from gaitway.client import Client
 from gaitway.sweep_views import SweepView
 from gaitway.views import JobView
@@ -73,7 +74,7 @@ def full_id(name: str, newest: Callable[[int], Iterable[JobView | SweepView]], w
 
 def print_json(document: Any) -> None:
     """A document on stdout, as plain text."""
-    sys.stdout.write(json.dumps(_plain(document), indent=2, ensure_ascii=False) + "\n")
+    sys.stdout.write(escaped(json.dumps(_plain(document), indent=2, ensure_ascii=False)) + "\n")
 
 
 def end_code(job: JobView) -> int:

@@ -6,10 +6,10 @@
 from typing import Any
 
 import typer
-from rich.console import Console
 from rich.text import Text
 from typer.core import TyperGroup
 
+from gaitway.cli.terminal import Console, plain_output
 from gaitway.errors import GaitwayError, Rejected
 
 
@@ -18,7 +18,8 @@ class Group(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            return super().invoke(ctx)
+            with plain_output():
+                return super().invoke(ctx)
         except GaitwayError as error:
             complain(str(error))
             raise typer.Exit(2 if isinstance(error, Rejected) else 1) from None

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
 
 from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
 from gaitway.cli.jobs import origin
+from gaitway.cli.terminal import Console
 from gaitway.downloading import OnBytes
 
 Output = Annotated[

@@ -4,13 +4,13 @@ from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.progress import duration
+from gaitway.cli.terminal import Console
 from gaitway.cli.watch import ending
 from gaitway.views import JobView
 

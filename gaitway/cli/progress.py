@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from gaitway.cli.sparkline import History, sparkline
+from gaitway.cli.terminal import Console
 from gaitway.views import Event, JobView
 
 _RETURN = ("eval/episode_reward", "training/episode_reward")

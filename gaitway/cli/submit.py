@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
-from rich.console import Console
 
 from gaitway.cli.common import AsJson, client_of, end_code, name_to_model, print_json
 from gaitway.cli.errors import wrong_usage
+from gaitway.cli.terminal import Console
 from gaitway.cli.watch import print_what_it_waits_for, watch_job
 
 # Of the algorithms without `num_timesteps`: what says how long they learn.

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
-from rich.console import Console, RenderableType
 from rich.console import Group as Lines
+from rich.console import RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -16,6 +16,7 @@ from gaitway.cli.common import AsJson, client_of, full_id, print_json
 from gaitway.cli.errors import Group
 from gaitway.cli.progress import duration
 from gaitway.cli.submit import read
+from gaitway.cli.terminal import Console
 from gaitway.client import Client
 from gaitway.sweep_views import SweepView, TrialView
 

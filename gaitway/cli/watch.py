@@ -5,11 +5,11 @@ import webbrowser
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.text import Text
 
 from gaitway.cli.common import AsJson, JobName, client_of, end_code, job_id, print_json
 from gaitway.cli.progress import JobProgress
+from gaitway.cli.terminal import Console, escaped
 from gaitway.client import Client
 from gaitway.views import JobView
 
@@ -68,7 +68,7 @@ def watch(
         open_page(f"{client.base_url}/#/jobs/{found.id}/replay")
     if as_json:
         for event in client.events(found.id):
-            print(event.model_dump_json(), flush=True)
+            print(escaped(event.model_dump_json()), flush=True)
         found = client.get(found.id)
     else:
         found = watch_job(client, found, Console())

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from gaitway.cli.progress import JobProgress
+from gaitway.cli.terminal import Console
 from gaitway.client import Client
 from gaitway.errors import GaitwayError
 from gaitway.plots import learning_curve

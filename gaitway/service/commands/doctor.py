@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.text import Text
 
 from gaitway.cli.common import AsJson, print_json
+from gaitway.cli.terminal import Console
 from gaitway.service.doctor.check import Check
 
 _STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red", "skip": "dim"}
