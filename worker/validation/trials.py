@@ -132,6 +132,8 @@ def _compared(
     except Exception as error:  # This process has less memory and time than a job: it says nothing about one.
         return _with_trial(description, name, f"not tried here: {_sentence(error)}")
     words = difference.words(reference.num_tries)
+    if reference.share < 1.0:
+        words += f", under {reference.share:g} of its actions: under more, C MuJoCo itself becomes unstable"
     if not difference.is_right:
         return _with(description, name, beyond(name, words))
     seconds = {**description.code_seconds, name: round(time.perf_counter() - began, 1)}
