@@ -13,13 +13,23 @@ from starlette.routing import Match
 
 from api.errors import EdgeError, MethodNotAllowed, RouteNotFound
 from api.sentences import parameter_problems
-from core.errors import ArtifactNotReady, Conflict, GaitwayError, JobFailed, NotFound, Rejected, Unavailable
+from core.errors import (
+    ArtifactNotReady,
+    Conflict,
+    GaitwayError,
+    JobFailed,
+    NotFound,
+    Rejected,
+    TooManySweeps,
+    Unavailable,
+)
 
 MEDIA_TYPE = "application/problem+json"
 
 _FAMILIES: dict[type[GaitwayError], int] = {
     NotFound: 404,
     Conflict: 409,
+    TooManySweeps: 429,
     Rejected: 422,
     Unavailable: 503,
     JobFailed: 500,  # Raised inside a training process; it never reaches the edge.

@@ -279,6 +279,17 @@ class NoWorker(Unavailable):
     title = "No worker is available"
 
 
+class TooManySweeps(GaitwayError):
+    code = "too-many-sweeps"
+    title = "Too many sweeps are running"
+
+    def __init__(self, most: int) -> None:
+        super().__init__(
+            f"{most} sweeps, the maximum, are running; cancel one, or send this one when another has ended.",
+            most=most,
+        )
+
+
 class TooManyPreviews(Unavailable):
     code = "too-many-previews"
     title = "Too many previews are waiting"

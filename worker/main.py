@@ -16,7 +16,9 @@ from typing import Any
 
 import rq
 import structlog
-from redis.exceptions import RedisError
+from redis.exceptions import ConnectionError as RedisConnectionError
+from redis.exceptions import OutOfMemoryError, RedisError
+from redis.exceptions import TimeoutError as RedisTimeoutError
 from rq.exceptions import StopRequested
 from rq.serializers import JSONSerializer
 
@@ -28,7 +30,7 @@ from core.environments.catalog import find
 from core.errors import EnvironmentNotFound, Misconfigured, Unavailable
 from core.jobs.job import utc_now
 from core.jobs.needs import packages_here
-from core.jobs.queue import queue_names
+from core.jobs.queue import FIRST, queue_names
 from core.jobs.store import JobStore
 from core.jobs.workers import WorkerInfo
 from core.settings import WorkerSettings
@@ -54,6 +56,8 @@ log = structlog.get_logger()
 _ANNOUNCE_EVERY_S = 10
 # Between two tries to reach a queue that is unavailable.
 _PAUSE_S = 1.0
+# A Redis that is full, away or silent; each of them ends without the worker.
+_OUTAGES = (OutOfMemoryError, RedisConnectionError, RedisTimeoutError)
 # Between two checks of a device that is being tested.
 _POLL_S = 0.1
 # A worker that has waited this long for a job prepares for it.
@@ -101,25 +105,103 @@ class GaitwayWorker(rq.Worker):
             job_monitoring_interval=_ANNOUNCE_EVERY_S,
         )
 
+    def register_birth(self) -> None:
+        """Wait for a Redis that is full or away, as for one that goes away later."""
+        was_tried = False
+        while True:
+            try:
+                super().register_birth()
+            except _OUTAGES as error:
+                was_tried = True
+                self._wait_for_queue(error)
+            except ValueError:  # Its name is taken: by itself, where the answer was lost.
+                if not was_tried:
+                    raise
+                return
+            else:
+                return
+
+    def register_death(self) -> None:
+        """RQ forgets a worker by itself that could not say so."""
+        with contextlib.suppress(RedisError):
+            super().register_death()
+
+    def set_state(self, *args: Any, **kwargs: Any) -> None:
+        """Only for those who look into Redis: its outage must not end the worker."""
+        with contextlib.suppress(*_OUTAGES):
+            super().set_state(*args, **kwargs)
+
+    def set_current_job_working_time(self, *args: Any, **kwargs: Any) -> None:
+        """As the state. RQ does this before it notes that a work-horse has ended."""
+        with contextlib.suppress(*_OUTAGES):
+            super().set_current_job_working_time(*args, **kwargs)
+
+    def check_for_suspension(self, burst: bool) -> None:
+        while True:
+            try:
+                super().check_for_suspension(burst)
+            except _OUTAGES as error:
+                self._wait_for_queue(error)
+            else:
+                return
+
+    def run_maintenance_tasks(self) -> None:
+        """RQ tries again at its next turn."""
+        with contextlib.suppress(*_OUTAGES):
+            super().run_maintenance_tasks()
+
+    def execute_job(self, job: Any, queue: Any) -> None:
+        """The record says how the job ended: RQ's bookkeeping may fail."""
+        try:
+            super().execute_job(job, queue)
+        except _OUTAGES as error:
+            self.set_state(rq.worker.WorkerStatus.IDLE)
+            self._wait_for_queue(error)
+
+    def _wait_for_queue(self, error: RedisError) -> None:
+        """A pause between two tries to reach Redis. Raises StopRequested if the worker must shut down."""
+        log.warning("queue_bookkeeping_waits", error=str(error))
+        self._go_if_told()
+        with contextlib.suppress(RedisError):
+            self.announce()
+        time.sleep(_PAUSE_S)
+
     def heartbeat(self, *args: Any, **kwargs: Any) -> None:
         """Show a sign of life. Raises StopRequested if the worker must shut down."""
         self._go_if_told()
         self._end_stopped_horse()
         self._clear_up()
-        super().heartbeat(*args, **kwargs)
+        try:
+            super().heartbeat(*args, **kwargs)
+        except _OUTAGES as error:
+            if self._idle_since < inf:  # It waits for a message: that needs Redis.
+                raise
+            log.warning("queue_bookkeeping_waits", error=str(error))
         self.announce()
         if time.monotonic() - self._idle_since >= _IDLE_S:
             self._preparation.go_on()
 
     def dequeue_job_and_maintain_ttl(self, *args: Any, **kwargs: Any) -> Any:
         """The next job, once the device works. Raises StopRequested if the worker must shut down."""
-        self._wait_for_device()
-        self._idle_since = time.monotonic()
-        try:
-            return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
-        finally:
-            self._idle_since = inf
-            self._preparation.stop()
+        while True:
+            self._wait_for_device()
+            self._idle_since = time.monotonic()
+            try:
+                return super().dequeue_job_and_maintain_ttl(*args, **kwargs)
+            except _OUTAGES as error:  # RQ itself waits for nothing but a connection.
+                self._wait_for_queue(error)
+            finally:
+                self._idle_since = inf
+                self._preparation.stop()
+
+    def reorder_queues(self, reference_queue: Any) -> None:
+        """RQ calls it with the queue of the message that it has just taken.
+
+        A preview comes before all jobs, but not after another preview: any client can ask for previews.
+        """
+        self._idle_since = inf
+        after_a_preview = reference_queue.name == FIRST
+        self._ordered_queues = sorted(self.queues, key=lambda queue: after_a_preview and queue.name == FIRST)
 
     def _wait_for_device(self) -> None:
         shown, shown_at = "", 0.0
@@ -154,6 +236,8 @@ class GaitwayWorker(rq.Worker):
                 super().monitor_work_horse(job, queue)
             except RedisError as error:
                 log.warning("queue_bookkeeping_waits", error=str(error))
+                if self._stop_requested and not self.horse_pid:
+                    break  # It has left its job to others; nobody needs to hear of it before the worker goes.
                 time.sleep(_PAUSE_S)
             else:
                 break

@@ -22,6 +22,7 @@ from core.errors import (
     SweepFinished,
     SweepNotFinished,
     SweepNotFound,
+    TooManySweeps,
 )
 from core.jobs.job import Job, UnreadableJob, check_job_id
 from core.sweeps.life import cancel_sweep, delete_sweep, resume_sweep
@@ -63,6 +64,7 @@ class Listed(Parameters):
     responses=refusals(
         MalformedBody,
         IdempotencyKeyReused,
+        TooManySweeps,
         BodyTooLarge,
         UnsupportedMediaType,
         Rejected,
@@ -115,6 +117,7 @@ def cancel(sweep_id: SweepId, service: ServiceDep) -> SweepDetails:
         MalformedBody,
         SweepNotFound,
         SweepNotFinished,
+        TooManySweeps,
         BodyTooLarge,
         UnsupportedMediaType,
         Rejected,

@@ -1,16 +1,21 @@
 """The interface of the queue that brings jobs to workers. The truth is in the record, never in the queue."""
 
-from collections.abc import Collection, Set
+from collections.abc import Collection, Mapping, Sequence, Set
 from typing import Protocol
 
 from core.devices import gpu_indices
-from core.jobs.spec import Accelerator, Priority
+from core.jobs.job import Job
+from core.jobs.spec import MOST_GPUS, Accelerator, Priority
 from core.previews.queue import PreviewQueue
 from core.user_models.queue import ModelQueue
 
 # The queue of previews, which come before all jobs, and that of models, which come after them.
-FIRST, LAST = "gaitway-any-high", "gaitway-models"
+FIRST, LAST = "gaitway-previews", "gaitway-models"
 PRIORITIES: tuple[Priority, ...] = ("high", "normal", "low")
+# How many messages wait in one queue at most: more than workers take until the reconciler looks again, and so
+# few that all queues together fit into a small Redis. The record holds the rest. A submission hands itself
+# over only to a queue that is less than half full: what waits in the record longer keeps its turn.
+MOST_WAITING, MOST_SUBMITTED = 200, 100
 
 
 class JobQueue(ModelQueue, PreviewQueue, Protocol):
@@ -25,6 +30,10 @@ class JobQueue(ModelQueue, PreviewQueue, Protocol):
         self, job_id: str, attempt: int, *, accelerator: Accelerator, priority: Priority, gpus: int = 1
     ) -> None:
         """Hand this attempt to a suitable worker. Doing so twice changes nothing."""
+        ...
+
+    def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
+        """How many messages wait in each of these queues, in a single read."""
         ...
 
     def contains(self, job_id: str, attempt: int) -> bool:
@@ -59,9 +68,27 @@ def queue_names(device: str) -> tuple[str, ...]:
     if (gpus := len(gpu_indices(device))) > 1:
         return tuple(queue_name("gpu", priority, gpus) for priority in PRIORITIES)
     kinds: tuple[Accelerator, ...] = ("gpu", "any") if gpus else ("cpu", "any")
-    return (*(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds), LAST)
+    return (FIRST, *(queue_name(kind, priority) for priority in PRIORITIES for kind in kinds), LAST)
 
 
 def queue_name(accelerator: Accelerator, priority: Priority, gpus: int = 1) -> str:
     """The queue of jobs with these needs. Each number of GPUs has its own, so that no worker's GPU idles."""
     return f"gaitway-{accelerator}{gpus if gpus > 1 else ''}-{priority}"
+
+
+def queue_of(job: Job) -> str:
+    """The queue of the job's next attempt."""
+    return queue_name(job.accelerator, job.spec.priority, job.spec.resources.gpus)
+
+
+def all_queues() -> Sequence[str]:
+    """Every queue of jobs, the most urgent first."""
+    one: tuple[Accelerator, ...] = ("gpu", "cpu", "any")
+    return [
+        name
+        for priority in PRIORITIES
+        for name in (
+            *(queue_name(kind, priority) for kind in one),
+            *(queue_name("gpu", priority, gpus) for gpus in range(2, MOST_GPUS + 1)),
+        )
+    ]

@@ -1,21 +1,27 @@
 """Repairs what crashes left behind. Idempotent, and safe to run in many places at once."""
 
-from collections.abc import Collection, Iterable, Sequence, Set
+import time
+from collections.abc import Collection, Sequence, Set
 from contextlib import suppress
 from datetime import timedelta
 
 import structlog
 
-from core.errors import JobNotFound, JobUnreadable, RecordsUnavailable, StaleJob
+from core.errors import JobNotFound, RecordsUnavailable, StaleJob
 from core.jobs.attempts import given_back
 from core.jobs.job import Job
-from core.jobs.queue import JobQueue
-from core.jobs.status import JobStatus
+from core.jobs.queue import MOST_WAITING, JobQueue, all_queues
 from core.jobs.store import Dispatch, JobStore
 from core.jobs.submission import hand_over
 from core.reasons import Reason
 
 log = structlog.get_logger()
+
+# How much one look hands over, and for how long at most: meanwhile no lease is watched. After Redis was
+# emptied, the next looks hand over the rest.
+_AT_ONCE, _FOR_S = 500, 1.0
+# Jobs that this version cannot read are left out of later looks, so that others get their turn.
+_MOST_SET_ASIDE = 10_000
 
 
 class Reconciler:
@@ -29,23 +35,25 @@ class Reconciler:
         self._queue = queue
         self._lease = lease
         self._missing: Set[Dispatch] = frozenset()
+        self._unreadable: set[tuple[str, int]] = set()
 
     def look(self) -> int:
         """Returns the number of repairs. Raises RecordsUnavailable.
 
-        Hands over dispatches that were committed but not handed over. Takes held jobs whose lease has run
-        out back from their workers. Hands over again what waits and the queue has forgotten.
+        Takes held jobs whose lease has run out back from their workers. Hands over what waits and the queue
+        does not have, as far as it has room: a dispatch that was committed and not handed over, and one that
+        the queue has forgotten.
         """
         self._store.beat(self._lease)
         taken = [job for job in self._store.expired() if self._take_back(job)]
         # In this order: the queue already knows a dispatch that another process hands over in between.
-        late = self._store.undispatched()
+        late = frozenset(self._store.undispatched())
         known = self._queue.known()
         heard = {dispatch for dispatch in late if _is_known(dispatch, known, self._queue)}
-        handed = self._hand_over(dispatch for dispatch in late if dispatch not in heard)
-        handed += self._hand_over(self._forgotten({*known, *((one.subject, one.attempt) for one in handed)}))
+        handed = self._hand_over(self._lacking(late, known))
+        self._missing -= frozenset(handed)
         self._store.dispatched([*heard, *handed])
-        return len(taken) + len(handed)
+        return len({*(job.id for job in taken), *(dispatch.subject for dispatch in handed)})
 
     def _take_back(self, job: Job) -> bool:
         worker = job.attempts[-1].worker
@@ -60,32 +68,47 @@ class Reconciler:
         log.warning("job_taken_back", job_id=job.id, worker=worker, status=taken.status)
         with suppress(RecordsUnavailable):  # Nobody else would remove its message.
             self._queue.remove(job.id, len(job.attempts))
-        if taken.status == JobStatus.QUEUED:
-            self._hand_over([Dispatch("attempt", taken.id, taken.next_attempt)])
         return True
 
-    def _forgotten(self, known: Collection[tuple[str, int]]) -> Sequence[Dispatch]:
-        """Dispatches that were missing from the queue at two reads: at one, a worker may be taking it."""
-        waiting = frozenset(
-            dispatch for dispatch in self._store.waiting() if not _is_known(dispatch, known, self._queue)
-        )
-        forgotten = waiting & self._missing
-        self._missing = waiting - forgotten
-        return sorted(forgotten, key=lambda dispatch: dispatch.subject)
+    def _lacking(self, late: Set[Dispatch], known: Collection[tuple[str, int]]) -> Sequence[Dispatch]:
+        """What the queue is to get now, the most urgent first.
 
-    def _hand_over(self, dispatches: Iterable[Dispatch]) -> list[Dispatch]:
+        One that was handed over before must be missing at two looks: at one, a worker may be taking it.
+        """
+        waiting = self._queue.num_waiting(all_queues())
+        room = {name: MOST_WAITING - number for name, number in waiting.items() if number < MOST_WAITING}
+        found = [
+            dispatch
+            for dispatch in self._store.waiting(room, {*known, *self._unreadable})
+            if not _is_known(dispatch, known, self._queue)
+        ]
+        due = [dispatch for dispatch in found if dispatch in late or dispatch in self._missing]
+        self._missing = frozenset(found)
+        return due[:_AT_ONCE]
+
+    def _hand_over(self, dispatches: Sequence[Dispatch]) -> list[Dispatch]:
         """The dispatches that the queue has received; stops at the first failure: others would fail, too."""
+        jobs = self._store.jobs_of([one.subject for one in dispatches if one.task == "attempt"])
         heard: list[Dispatch] = []
+        until = time.monotonic() + _FOR_S
         for dispatch in dispatches:
-            try:
-                if not hand_over(dispatch, store=self._store, queue=self._queue):
-                    break
-            except (JobNotFound, JobUnreadable):  # Deleted meanwhile, or set aside.
-                self._store.dispatched([dispatch])
-            else:
-                log.info("dispatched", task=dispatch.task, subject=dispatch.subject)
-                heard.append(dispatch)
+            job = jobs.get(dispatch.subject)
+            if dispatch.task == "attempt" and not isinstance(job, Job):  # Deleted meanwhile, or set aside.
+                self._set_aside(dispatch)
+                continue
+            if time.monotonic() > until or not hand_over(
+                dispatch, queue=self._queue, job=job if isinstance(job, Job) else None
+            ):
+                break
+            log.info("dispatched", task=dispatch.task, subject=dispatch.subject)
+            heard.append(dispatch)
         return heard
+
+    def _set_aside(self, dispatch: Dispatch) -> None:
+        if len(self._unreadable) >= _MOST_SET_ASIDE:
+            self._unreadable.clear()
+        self._unreadable.add((dispatch.subject, dispatch.attempt))
+        self._store.dispatched([dispatch])
 
 
 def _is_known(dispatch: Dispatch, known: Collection[tuple[str, int]], queue: JobQueue) -> bool:

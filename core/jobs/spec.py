@@ -133,6 +133,10 @@ class VideoSpec(Strict):
         return Layout(self.width, self.height, len(self.shown), self.episodes)
 
 
+# Of one host, for one job.
+MOST_GPUS = 64
+
+
 class ResourcesSpec(Strict):
     """The devices that the job needs from a worker."""
 
@@ -140,7 +144,7 @@ class ResourcesSpec(Strict):
     gpus: int = Field(
         default=1,
         ge=1,
-        le=64,
+        le=MOST_GPUS,
         description="How many GPUs of one host share a training; where it is given, `any` means "
         "`gpu`. num_envs and batch_size must be multiples of this number.",
     )

@@ -214,9 +214,19 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         """
         ...
 
-    def waiting(self) -> Sequence[Dispatch]:
-        """The next attempt of every queued job that may begin, and every model that waits for its
-        validation."""
+    def waiting(
+        self, room: Mapping[str, int] | None = None, but_not: Collection[tuple[str, int]] = ()
+    ) -> Sequence[Dispatch]:
+        """The next attempt of queued jobs that may begin, and every model that waits for its validation.
+
+        room: for each queue how many of its jobs, the oldest first; the queues in their order. None: as many
+        as a queue holds. but_not: attempts to be left out, each
+        by its job and number.
+        """
+        ...
+
+    def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
+        """These jobs, read at once; unknown ones are left out."""
         ...
 
     def undispatched(self) -> Sequence[Dispatch]:

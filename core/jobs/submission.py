@@ -8,7 +8,7 @@ from core.algorithms.catalog import environment_options
 from core.errors import GaitwayError, JobNotFound, JobUnreadable, Problem, RecordsUnavailable, Rejected
 from core.jobs.checks import check
 from core.jobs.job import Job, new_job_id
-from core.jobs.queue import JobQueue
+from core.jobs.queue import MOST_SUBMITTED, JobQueue, queue_of
 from core.jobs.spec import CheckpointPolicy, JobSpec, RolloutSpec, TrainSpec
 from core.jobs.store import Dispatch, Idempotency, JobStore
 
@@ -33,7 +33,7 @@ def submit(
         return known
     job = store.add(new_job(spec, store), idempotency)
     dispatch = Dispatch("attempt", job.id, job.next_attempt)
-    if hand_over(dispatch, store=store, queue=queue, job=job):
+    if hand_over_if_room(dispatch, job, queue):
         acknowledge(dispatch)
     return job
 
@@ -74,16 +74,28 @@ def with_environment(spec: JobSpec, store: JobStore) -> JobSpec:
     return spec.model_copy(update={"environment": source.spec.environment})
 
 
-def hand_over(dispatch: Dispatch, *, store: JobStore, queue: JobQueue, job: Job | None = None) -> bool:
+def hand_over_if_room(dispatch: Dispatch, job: Job, queue: JobQueue) -> bool:
+    """`hand_over` for a new job; where many wait already, the reconciler does it when their turn has come."""
+    name = queue_of(job)
+    try:
+        if queue.num_waiting([name])[name] >= MOST_SUBMITTED:
+            return False
+    except RecordsUnavailable as error:
+        log.warning("dispatch_postponed", subject=dispatch.subject, error=error.detail)
+        return False
+    return hand_over(dispatch, queue=queue, job=job)
+
+
+def hand_over(dispatch: Dispatch, *, queue: JobQueue, job: Job | None = None) -> bool:
     """Put the dispatch into the workers' queue; returns whether that worked. If not, the reconciler retries.
 
-    job: the job of the dispatch, if the caller has it.
+    job: the job of an attempt.
     """
     try:
-        if dispatch.task == "model":
+        if job is None:
             queue.enqueue_model(dispatch.subject)
         else:
-            _enqueue(job or store.get(dispatch.subject), queue)
+            _enqueue(job, queue)
     except RecordsUnavailable as error:
         log.warning("dispatch_postponed", subject=dispatch.subject, error=error.detail)
         return False

@@ -4,8 +4,10 @@ A trial's record, its job and the job's dispatch are one transaction, and a swee
 however often a process dies, or however many look at the same time, a trial starts once.
 """
 
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import structlog
 from pydantic import ValidationError
@@ -34,11 +36,27 @@ from core.sweeps.curves import Curves
 from core.sweeps.fields import job_of
 from core.sweeps.importance import importance
 from core.sweeps.judging import judged
-from core.sweeps.pruning import Curve
-from core.sweeps.store import SweepStore
+from core.sweeps.store import SweepMark, SweepStore
 from core.sweeps.sweep import Sweep, Trial
 
 log = structlog.get_logger()
+
+# A sweep for which nothing changes is looked at again after so long: budgets of GPU hours pass with time.
+_LOOK_ANYWAY_S = 60.0
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """A sweep that needed nothing at a moment, and its mark then. prunes: its trials' events decide, too."""
+
+    mark: SweepMark
+    prunes: bool
+    at_s: float
+
+    def holds(self, mark: SweepMark) -> bool:
+        """Whether it still needs nothing."""
+        is_equal = mark == (self.mark if self.prunes else replace(self.mark, events=mark.events))
+        return is_equal and time.monotonic() - self.at_s < _LOOK_ANYWAY_S
 
 
 class SweepController:
@@ -47,23 +65,40 @@ class SweepController:
     def __init__(self, store: SweepStore, queue: JobQueue, objects: ObjectStore) -> None:
         self._store = store
         self._queue = queue
-        self._curves = Curves(store, objects)
+        self._objects = objects
+        # Both of active sweeps alone.
+        self._curves: dict[str, Curves] = {}
+        self._settled: dict[str, _Settled] = {}
 
     def look(self) -> int:
-        """Returns the number of decisions. Raises RecordsUnavailable, StorageUnavailable."""
-        sweeps = self._store.active_sweeps()
-        trials = self._store.trials([sweep.id for sweep in sweeps])
-        return sum(self._try_to_move_on(sweep, trials.get(sweep.id, ())) for sweep in sweeps)
+        """Returns the number of decisions. Raises RecordsUnavailable, StorageUnavailable.
 
-    def _try_to_move_on(self, sweep: Sweep, trials: Sequence[Trial]) -> int:
+        Reads only the sweeps for which something has changed since they needed nothing.
+        """
+        marks = self._store.active_marks()
+        self._curves = {one: curves for one, curves in self._curves.items() if one in marks}
+        self._settled = {one: settled for one, settled in self._settled.items() if one in marks}
+        changed = [
+            one
+            for one, mark in marks.items()
+            if (settled := self._settled.get(one)) is None or not settled.holds(mark)
+        ]
+        sweeps = self._store.active_sweeps(changed) if changed else ()
+        trials = self._store.trials([sweep.id for sweep in sweeps])
+        return sum(self._try_to_move_on(sweep, trials.get(sweep.id, ()), marks[sweep.id]) for sweep in sweeps)
+
+    def _try_to_move_on(self, sweep: Sweep, trials: Sequence[Trial], mark: SweepMark) -> int:
         """One sweep that meets a bug must not stop the others, nor this process."""
         try:
-            return self._move_on(sweep, trials)
+            decided = self._move_on(sweep, trials)
         except Unavailable:
             raise
         except Exception:
             log.exception("sweep_stuck", sweep=sweep.id)
             return 0
+        if not decided:
+            self._settled[sweep.id] = _Settled(mark, sweep.spec.pruning is not None, time.monotonic())
+        return decided
 
     def _move_on(self, sweep: Sweep, trials: Sequence[Trial]) -> int:
         seen = self._seen(sweep, self._judge(sweep, trials))
@@ -92,10 +127,11 @@ class SweepController:
         if sweep.spec.pruning is None:
             return [Seen(trial) for trial in trials]
         metric = sweep.spec.objectives[0].metric
-        return [Seen(trial, self._curve(trial, metric)) for trial in trials]
-
-    def _curve(self, trial: Trial, metric: str) -> Curve:
-        return self._curves.read(trial.job, metric, has_ended=trial.outcome is not None)
+        curves = self._curves.setdefault(sweep.id, Curves(self._store, self._objects))
+        return [
+            Seen(trial, curves.read(trial.job, metric, has_ended=trial.outcome is not None))
+            for trial in trials
+        ]
 
     def _with_importance(self, sweep: Sweep, seen: Sequence[Seen]) -> Sweep:
         """The sweep with the importance of its axes, computed when another trial has succeeded."""
@@ -152,7 +188,7 @@ class SweepController:
 
     def _hand_over(self, job: Job) -> None:
         dispatch = Dispatch("attempt", job.id, job.next_attempt)
-        if submission.hand_over(dispatch, store=self._store, queue=self._queue, job=job):
+        if submission.hand_over_if_room(dispatch, job, self._queue):
             self._store.dispatched([dispatch])
 
     def _like_its_source(self, spec: JobSpec) -> JobSpec:

@@ -4,6 +4,7 @@ from core.errors import Problem, Rejected, StaleSweep, SweepFinished, SweepNotFi
 from core.sweeps.checks import check_budget
 from core.sweeps.spec import Budget
 from core.sweeps.store import SweepStore
+from core.sweeps.submission import check_room
 from core.sweeps.sweep import Sweep, SweepStatus
 
 
@@ -28,8 +29,8 @@ def cancel_sweep(sweep_id: str, *, store: SweepStore) -> Sweep:
 def resume_sweep(sweep_id: str, budget: Budget, *, store: SweepStore) -> Sweep:
     """Let an ended sweep, or one that runs, continue under another budget, which replaces the one before.
 
-    Its trials stay: the next one has the number after the last. Raises SweepNotFound, Rejected; StaleSweep
-    while it is being cancelled.
+    Its trials stay: the next one has the number after the last. Raises SweepNotFound, Rejected,
+    TooManySweeps; StaleSweep while it is being cancelled.
     """
     while True:
         sweep = store.get_sweep(sweep_id)
@@ -39,6 +40,8 @@ def resume_sweep(sweep_id: str, budget: Budget, *, store: SweepStore) -> Sweep:
         if not spec.has_own_end and not budget.has_limit:
             detail = f"The method `{spec.method}` has no end of its own: give `jobs`, `steps` or `gpu_hours`."
             raise Rejected(detail, [Problem("/budget", detail)])
+        if sweep.status.is_final:
+            check_room(store)
         check_budget(spec, store.trials([sweep_id]).get(sweep_id, ()), store)
         changes = {"spec": spec, "status": SweepStatus.RUNNING, "message": None, "finished_at": None}
         try:

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from core.jobs.job import Job, UnreadableJob
+from core.jobs.job import Job
 from core.jobs.store import Idempotency, JobStore
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 
@@ -17,12 +17,31 @@ class SweepPage:
     next_cursor: str | None
 
 
+@dataclass(frozen=True)
+class SweepMark:
+    """What decides about an active sweep: while this is equal, there is nothing new to do for it.
+
+    going: the jobs of its trials that have not ended, and their versions. events: how many events these have.
+    """
+
+    version: int
+    going: str | None
+    events: str | None
+
+
 class SweepStore(JobStore, Protocol):
     """The record of jobs with that of sweeps. Each write is one transaction."""
 
-    def add_sweep(self, sweep: Sweep, idempotency: Idempotency | None = None) -> Sweep:
+    def add_sweep(
+        self, sweep: Sweep, idempotency: Idempotency | None = None, *, most_active: int | None = None
+    ) -> Sweep:
         """Store a new sweep and return it; or, for a key seen before with the same fingerprint, the sweep
-        stored then. Raises IdempotencyKeyReused. A key is remembered as long as its sweep exists."""
+        stored then. Raises IdempotencyKeyReused; TooManySweeps if `most_active` are active. A key is
+        remembered as long as its sweep exists."""
+        ...
+
+    def num_active_sweeps(self) -> int:
+        """How many have not ended."""
         ...
 
     def get_sweep(self, sweep_id: str) -> Sweep:
@@ -44,16 +63,19 @@ class SweepStore(JobStore, Protocol):
         """Newest first."""
         ...
 
-    def active_sweeps(self) -> Sequence[Sweep]:
-        """Those that have not ended, oldest first; one whose record this version cannot read is left out."""
+    def active_marks(self) -> Mapping[str, SweepMark]:
+        """The marks of those that have not ended, oldest first."""
+        ...
+
+    def active_sweeps(self, among: Collection[str] | None = None) -> Sequence[Sweep]:
+        """Those that have not ended, oldest first; one whose record this version cannot read is left out.
+
+        among: only these; None: all.
+        """
         ...
 
     def trials(self, sweep_ids: Collection[str]) -> Mapping[str, Sequence[Trial]]:
         """The trials of each of these sweeps, by their number; a sweep without trials is left out."""
-        ...
-
-    def jobs_of(self, job_ids: Collection[str]) -> Mapping[str, Job | UnreadableJob]:
-        """These jobs; unknown ones are left out."""
         ...
 
     def add_trial(self, sweep_id: str, trial: Trial, job: Job | None) -> bool:

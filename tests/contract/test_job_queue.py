@@ -64,6 +64,14 @@ class TestEveryQueue:
         queue.remove(JOB, 1)
         assert queue.contains(JOB, 2)
 
+    def test_what_waits_in_each_queue_is_counted(self, queue: JobQueue) -> None:
+        names = ["gaitway-any-normal", "gaitway-gpu2-high"]
+        assert queue.num_waiting(names) == dict.fromkeys(names, 0)
+        enqueue(queue, JOB, 1)
+        enqueue(queue, OTHER, 1)
+        queue.enqueue(JOB, 2, accelerator="gpu", priority="high", gpus=2)
+        assert queue.num_waiting(names) == {names[0]: 2, names[1]: 1}
+
     def test_a_model_that_was_enqueued_is_contained_and_no_job(self, queue: JobQueue) -> None:
         queue.enqueue_model(MODEL)
         queue.enqueue_model(MODEL)
@@ -119,7 +127,7 @@ class TestRQ:
 
     def test_a_worker_finds_the_whole_request_for_a_preview(self, redis_client: redis.Redis) -> None:
         RQQueue(redis_client).enqueue_preview(PREVIEW)
-        (rq_job,) = waiting(redis_client, "gaitway-any-high")
+        (rq_job,) = waiting(redis_client, queue_names("cpu")[0])
         assert rq_job.func_name == PREVIEW_TASK
         assert PreviewRequest.model_validate_json(rq_job.args[0]) == PREVIEW
         assert job_of(rq_job.id) is None

@@ -341,6 +341,20 @@ class TestDispatches:
             jobs.add(job)
         assert [dispatch.subject for dispatch in jobs.undispatched()] == [job.id for job in added]
 
+    def test_of_what_waits_each_queue_gets_its_oldest_as_far_as_it_has_room(self, jobs: JobStore) -> None:
+        """H4: the most urgent queue first, and without those that are left out."""
+        normal = [jobs.add(queued_job(i)) for i in range(4)]
+        urgent = [jobs.add(queued_job(i, priority="high")) for i in (4, 5)]
+        room = {"gaitway-any-high": 1, "gaitway-any-normal": 2, "gaitway-cpu-low": 9}
+        found = jobs.waiting(room, {(normal[0].id, 1), (normal[2].id, 2)})
+        assert [dispatch.subject for dispatch in found] == [urgent[0].id, normal[1].id, normal[2].id]
+
+    def test_a_job_whose_queue_is_not_recorded_is_found(self, jobs: JobStore, database: Database) -> None:
+        """H4: an older version wrote it."""
+        job = jobs.add(queued_job())
+        database.change("UPDATE jobs SET queue = NULL")
+        assert jobs.waiting() == [Dispatch("attempt", job.id, 1)]
+
     def test_what_waits_is_found_whether_it_was_dispatched_or_not(self, jobs: JobStore) -> None:
         told, untold, taken, ended = (queued_job(i) for i in range(4))
         for job in (told, untold, ended):

@@ -54,6 +54,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "expired": lambda jobs: list(jobs.expired()),
         "beat": lambda jobs: jobs.beat(LEASE),
         "waiting": lambda jobs: jobs.waiting(),
+        "jobs_of": lambda jobs: jobs.jobs_of([job.id]),
         "undispatched": lambda jobs: jobs.undispatched(),
         "dispatched": lambda jobs: jobs.dispatched([Dispatch("attempt", job.id, 1)]),
         "renew": lambda jobs: jobs.renew(job.id, job.token, LEASE),

@@ -281,3 +281,47 @@ def test_a_worker_ends_its_job_without_redis_and_takes_the_next_one_afterwards(
     ended, given_back = job_store.get(first.id), job_store.get(second.id)
     assert (ended.status, len(ended.attempts)) == (JobStatus.CANCELLED, 1)
     assert [attempt.reason for attempt in given_back.attempts] == [Reason.WORKER_DRAINED]
+
+
+def test_a_worker_waits_for_a_full_redis_before_after_and_during_a_job(
+    job_store: PostgresJobStore, settings: WorkerSettings, own_valkey: Valkey
+) -> None:
+    """H4: it ended at once, each time, so that the queue never emptied."""
+    settings.data_dir.mkdir()
+    command = [sys.executable, "-m", "tests.faults.probe_worker", "waits"]
+    variables = environment(settings, GAITWAY_REDIS_URL=own_valkey.url, GAITWAY_DEVICE="cpu")
+    with connect_redis(own_valkey.url) as client:
+        service = Service(job_store, client)
+        first = service.submit()
+        make_full(client)
+        second = service.submit()  # Accepted: the record has it.
+        with subprocess.Popen(command, env=variables, stdout=subprocess.DEVNULL) as worker:
+            try:
+                wait_until(lambda: [one.state for one in job_store.workers()] == ["ready"], 30)
+                with pytest.raises(subprocess.TimeoutExpired):
+                    worker.wait(2)
+                with capture_logs() as logs:
+                    assert service.look() == 0
+                assert {line["event"] for line in logs} == {"dispatch_postponed"}
+                client.config_set("maxmemory", 0)
+                wait_until(lambda: job_store.get(first.id).newest("checkpoint") is not None, 30)
+                make_full(client)
+                cancel(first.id, store=job_store, queue=service.queue)
+                wait_until(lambda: job_store.get(first.id).status.is_final, 30)
+                client.config_set("maxmemory", 0)
+                assert service.look() == 1
+                wait_until(lambda: job_store.get(second.id).newest("checkpoint") is not None, 30)
+                make_full(client)
+                worker.send_signal(signal.SIGTERM)
+                assert worker.wait(30) == 0
+            finally:
+                worker.kill()
+    ended, given_back = job_store.get(first.id), job_store.get(second.id)
+    assert (ended.status, len(ended.attempts)) == (JobStatus.CANCELLED, 1)
+    assert [attempt.reason for attempt in given_back.attempts] == [Reason.WORKER_DRAINED]
+
+
+def make_full(client: redis.Redis) -> None:
+    client.config_set("maxmemory", 1)
+    with pytest.raises(redis.exceptions.OutOfMemoryError):
+        client.set("a", "b")

@@ -13,17 +13,17 @@ import pytest
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
-from core.errors import Unavailable
+from core.errors import TooManySweeps, Unavailable
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.job import Artifact, Job, Progress
 from core.jobs.reconciliation import Reconciler
 from core.jobs.status import JobStatus
-from core.jobs.store import Entry, JobQuery
+from core.jobs.store import Entry, Idempotency, JobQuery
 from core.reasons import Reason
 from core.storage import keys
 from core.sweeps.controller import SweepController
-from core.sweeps.life import cancel_sweep
-from core.sweeps.spec import SweepSpec
+from core.sweeps.life import cancel_sweep, resume_sweep
+from core.sweeps.spec import Budget, SweepSpec
 from core.sweeps.submission import submit_sweep
 from core.sweeps.sweep import SweepStatus
 from tests.faults.crashing import Crash, Died, Failure, Process
@@ -284,3 +284,67 @@ def test_a_bug_in_one_sweep_stops_no_other(real: Process, monkeypatch: pytest.Mo
     with suppress(Unavailable):
         SweepController(real.store, real.queue, real.objects).look()
     assert list(real.store.trials([bad.id, good.id])) == [good.id]
+
+
+def test_a_sweep_for_which_nothing_has_changed_is_not_read_again(
+    job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """M11: each look read each active sweep whole."""
+    queue, objects = MemoryJobQueue(), MemoryObjectStore()
+    sweep = submit_sweep(SPEC, store=job_store)
+    controller = SweepController(job_store, queue, objects)
+    read: list[list[str]] = []
+    trials = job_store.trials
+
+    def noted(sweep_ids: Any) -> Any:
+        read.append(list(sweep_ids))
+        return trials(sweep_ids)
+
+    monkeypatch.setattr(job_store, "trials", noted)
+    assert [controller.look() for _ in range(4)] == [2, 0, 0, 0]
+    assert read == [[sweep.id], [sweep.id], [], []]
+    dispatch = queue.take()
+    assert dispatch is not None
+    assert claim_of(Process(job_store, objects, queue), dispatch) is not None
+    controller.look()
+    assert read[4] == [sweep.id]
+    another = SweepController(job_store, queue, objects)
+    read.clear()
+    cancel_sweep(sweep.id, store=job_store)
+    for one in (controller, another):
+        one.look()
+    assert read == [[sweep.id]] * 2
+
+
+def test_the_curves_of_an_ended_sweep_are_forgotten(job_store: PostgresJobStore) -> None:
+    """M11: the reconciler grew by the trials of every pruned sweep."""
+    spec = spec_of(parameters={"seed": [1, 3]}, pruning={"kind": "median", "warmup_steps": 10})
+    controller = SweepController(job_store, MemoryJobQueue(), MemoryObjectStore())
+    sweep = submit_sweep(spec, store=job_store)
+    controller.look()
+    controller.look()
+    assert list(controller._curves) == [sweep.id]
+    cancel_sweep(sweep.id, store=job_store)
+    for _ in range(3):
+        controller.look()
+    assert job_store.get_sweep(sweep.id).status == SweepStatus.CANCELLED
+    assert (controller._curves, controller._settled) == ({}, {})
+
+
+def test_no_more_sweeps_run_than_the_reconciler_looks_at(
+    job_store: PostgresJobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """M11."""
+    monkeypatch.setattr("core.sweeps.submission.MOST_ACTIVE", 2)
+    spec = SPEC
+    first = submit_sweep(spec, store=job_store, idempotency=(key := Idempotency("k", "body")))
+    second = submit_sweep(spec, store=job_store)
+    for refused in (None, Idempotency("other", "body")):
+        with pytest.raises(TooManySweeps, match="2 sweeps, the maximum, are running"):
+            submit_sweep(spec, store=job_store, idempotency=refused)
+    assert submit_sweep(spec, store=job_store, idempotency=key) == first
+    job_store.save_sweep(second.next(status=SweepStatus.CANCELLED))
+    third = submit_sweep(spec, store=job_store, idempotency=Idempotency("other", "body"))
+    with pytest.raises(TooManySweeps):
+        resume_sweep(second.id, Budget(jobs=5), store=job_store)
+    assert resume_sweep(third.id, Budget(jobs=5), store=job_store).id == third.id  # It runs already.

@@ -1,6 +1,7 @@
 """A job queue in this process' memory."""
 
-from collections.abc import Collection, Sequence, Set
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass
 from threading import Lock
 
@@ -34,6 +35,11 @@ class MemoryJobQueue:
         with self._lock:
             if dispatch not in self._taken:
                 self._waiting.setdefault(dispatch, queue_name(accelerator, priority, gpus))
+
+    def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
+        with self._lock:
+            waiting = Counter(self._waiting.values())
+            return {name: waiting[name] for name in names}
 
     def contains(self, job_id: str, attempt: int) -> bool:
         dispatch = Dispatch(job_id, attempt)

@@ -1,10 +1,24 @@
 """The dispatches of attempts: a job that waits for a worker has one until RQ knows of it."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sqlalchemy import Connection, and_, bindparam, delete, not_, or_, select
+from sqlalchemy import (
+    ARRAY,
+    Connection,
+    Integer,
+    Text,
+    all_,
+    and_,
+    bindparam,
+    delete,
+    func,
+    not_,
+    or_,
+    select,
+    true,
+)
 from sqlalchemy.dialects.postgresql import insert
 
 from core.adapters.postgres.tables import NOW, dispatches, jobs
@@ -21,10 +35,29 @@ _REMOVE = delete(dispatches).where(
 )
 
 
-def waiting(connection: Connection) -> Sequence[Dispatch]:
-    """The next attempt of every queued job that may begin."""
-    queued = select(jobs.c.id, jobs.c.num_attempts + 1).where(jobs.c.status == "queued", _is_due())
-    return [Dispatch("attempt", *row) for row in connection.execute(queued.order_by(jobs.c.id))]
+def waiting(
+    connection: Connection, room: Mapping[str, int], but_not: Collection[tuple[str, int]]
+) -> Sequence[Dispatch]:
+    """For each queue the oldest jobs that may begin, as many as it has room for, in the order of `room`.
+
+    Its rows are found by the index `jobs_queued`: however many wait, only these are read.
+    """
+    wanted = func.unnest(bindparam("names", type_=ARRAY(Text)), bindparam("rooms", type_=ARRAY(Integer)))
+    wanted = wanted.table_valued("name", "room", with_ordinality="place").render_derived("wanted")
+    attempt, no = jobs.c.num_attempts + 1, bindparam("but_not", type_=ARRAY(Text))
+    is_wanted = func.concat(jobs.c.id, " ", attempt) != all_(no)
+    due = select(jobs.c.id, attempt.label("attempt")).where(jobs.c.status == "queued", _is_due(), is_wanted)
+    of_queue = due.where(jobs.c.queue == wanted.c.name).order_by(jobs.c.queue, jobs.c.id).limit(wanted.c.room)
+    found = of_queue.lateral("found")
+    ordered = select(found).select_from(wanted.join(found, true())).order_by(wanted.c.place, found.c.id)
+    without = due.where(jobs.c.queue.is_(None)).order_by(jobs.c.id).limit(max(room.values(), default=0))
+    said = {
+        "names": list(room),
+        "rooms": list(room.values()),
+        "but_not": [f"{job_id} {attempt}" for job_id, attempt in but_not],
+    }
+    rows = [*connection.execute(ordered, said), *connection.execute(without, said)]
+    return [Dispatch("attempt", *row) for row in rows]
 
 
 def undispatched(connection: Connection) -> Sequence[Dispatch]:

@@ -248,7 +248,7 @@ def _entry_of(number: int, kind: str, time: Any, data: str) -> Entry:
 def due(connection: Connection, max_bytes: int, max_age: timedelta) -> Sequence[tuple[str, Channel]]:
     """Feeds with entries that should lie in a chunk by now."""
     size = func.sum(func.octet_length(entries.c.data))
-    is_old = func.min(entries.c.time) < NOW - max_age
+    is_old = func.min(entries.c.stored_at) < NOW - max_age
     has_ended = func.bool_and(jobs.c.status.notin_(UNFINISHED))
     found = connection.execute(
         select(entries.c.job_id, entries.c.channel)

@@ -28,6 +28,7 @@ from core.adapters.postgres.tables import NOW, pulse
 from core.adapters.postgres.worker_part import PostgresWorkers
 from core.errors import JobExists, JobNotFound, JobUnreadable, LeaseLost
 from core.jobs.job import Job, Progress, UnreadableJob, check_job_id
+from core.jobs.queue import MOST_WAITING, all_queues
 from core.jobs.status import JobStatus
 from core.jobs.store import (
     Channel,
@@ -188,9 +189,12 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
 
     # ---- dispatches ------------------------------------------------------------------------------
 
-    def waiting(self) -> Sequence[Dispatch]:
+    def waiting(
+        self, room: Mapping[str, int] | None = None, but_not: Collection[tuple[str, int]] = ()
+    ) -> Sequence[Dispatch]:
+        room = dict.fromkeys(all_queues(), MOST_WAITING) if room is None else room
         with self._statements() as connection:
-            return [*dispatch.waiting(connection), *models.waiting(connection)]
+            return [*dispatch.waiting(connection, room, but_not), *models.waiting(connection)]
 
     def undispatched(self) -> Sequence[Dispatch]:
         with self._statements() as connection:

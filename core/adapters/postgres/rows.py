@@ -11,6 +11,7 @@ from sqlalchemy import Row
 
 from core.bounds import LONGEST_MESSAGE
 from core.jobs.job import Artifact, Attempt, Job, Progress, UnreadableJob
+from core.jobs.queue import queue_of
 from core.jobs.status import JobStatus
 from core.jobs.stored_spec import read_spec
 
@@ -29,6 +30,7 @@ def job_values(job: Job) -> Values:
         "not_before": job.not_before,
         "token": job.token,
         "num_attempts": len(job.attempts),
+        "queue": queue_of(job),
     }
 
 

@@ -7,16 +7,22 @@ from core.adapters.postgres import sweeps
 from core.adapters.postgres.connected import Connected
 from core.jobs.job import Job, UnreadableJob
 from core.jobs.store import Idempotency
-from core.sweeps.store import SweepPage
+from core.sweeps.store import SweepMark, SweepPage
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 
 
 class PostgresSweeps(Connected):
     """What a SweepStore has besides a JobStore."""
 
-    def add_sweep(self, sweep: Sweep, idempotency: Idempotency | None = None) -> Sweep:
+    def add_sweep(
+        self, sweep: Sweep, idempotency: Idempotency | None = None, *, most_active: int | None = None
+    ) -> Sweep:
         with self._transaction() as connection:
-            return sweeps.add(connection, sweep, idempotency)
+            return sweeps.add(connection, sweep, idempotency, most_active)
+
+    def num_active_sweeps(self) -> int:
+        with self._statements() as connection:
+            return sweeps.num_active(connection)
 
     def get_sweep(self, sweep_id: str) -> Sweep:
         with self._statements() as connection:
@@ -38,9 +44,13 @@ class PostgresSweeps(Connected):
             found = sweeps.newest(connection, status, before, limit + 1)
         return SweepPage(found[:limit], found[limit - 1].id if len(found) > limit else None)
 
-    def active_sweeps(self) -> Sequence[Sweep]:
+    def active_marks(self) -> Mapping[str, SweepMark]:
         with self._statements() as connection:
-            return sweeps.active(connection)
+            return sweeps.active_marks(connection)
+
+    def active_sweeps(self, among: Collection[str] | None = None) -> Sequence[Sweep]:
+        with self._statements() as connection:
+            return sweeps.active(connection, among)
 
     def trials(self, sweep_ids: Collection[str]) -> Mapping[str, Sequence[Trial]]:
         if not sweep_ids:

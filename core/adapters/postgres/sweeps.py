@@ -7,15 +7,16 @@ from typing import Any
 
 import structlog
 from pydantic_core import from_json
-from sqlalchemy import Connection, Row, delete, select, update
-from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, literal, select, update
+from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
 from core.adapters.postgres import loading, rows, submissions
 from core.adapters.postgres.tables import jobs, sweeps, trials
-from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound
+from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooManySweeps
 from core.jobs.job import Job, UnreadableJob
 from core.jobs.store import Idempotency
 from core.sweeps.spec import SWEEP_SPEC
+from core.sweeps.store import SweepMark
 from core.sweeps.sweep import Sweep, SweepStatus, Trial
 
 log = structlog.get_logger()
@@ -24,21 +25,31 @@ _FOUND = {"importance", "importance_note", "num_judged"}
 _ACTIVE = ("running", "cancelling")
 
 
-def add(connection: Connection, sweep: Sweep, idempotency: Idempotency | None) -> Sweep:
-    """Add the sweep; or return the one that has the key. Raises IdempotencyKeyReused."""
+def add(
+    connection: Connection, sweep: Sweep, idempotency: Idempotency | None, most_active: int | None = None
+) -> Sweep:
+    """Add the sweep; or return the one that has the key. Raises IdempotencyKeyReused, TooManySweeps."""
+    has_room = most_active is None or num_active(connection) < most_active
     values = {**_values(sweep), "id": sweep.id, "created_at": sweep.created_at}
     if idempotency is None:
+        _check_room(most_active, has_room=has_room)
         connection.execute(insert(sweeps).values(values))
         return sweep
     key_hash = submissions.hashed(idempotency.key)
     values |= {"key_hash": key_hash, "fingerprint": idempotency.fingerprint}
     new = insert(sweeps).values(values).on_conflict_do_nothing(index_elements=["key_hash"])
     if connection.execute(new.returning(sweeps.c.id)).first() is not None:
+        _check_room(most_active, has_room=has_room)  # What was inserted is rolled back.
         return sweep
     row = connection.execute(select(sweeps).where(sweeps.c.key_hash == key_hash)).one()
     if row.fingerprint != idempotency.fingerprint:
         raise IdempotencyKeyReused(idempotency.key)
     return _sweep(row)
+
+
+def _check_room(most_active: int | None, *, has_room: bool) -> None:
+    if most_active is not None and not has_room:
+        raise TooManySweeps(most_active)
 
 
 def get(connection: Connection, sweep_id: str) -> Sweep:
@@ -74,10 +85,42 @@ def newest(connection: Connection, status: SweepStatus | None, before: str | Non
     return [_sweep(row) for row in connection.execute(wanted)]
 
 
-def active(connection: Connection) -> Sequence[Sweep]:
+def num_active(connection: Connection) -> int:
+    wanted = select(func.count()).select_from(sweeps).where(sweeps.c.status.in_(_ACTIVE))
+    return connection.execute(wanted).scalar_one()
+
+
+def active_marks(connection: Connection) -> Mapping[str, SweepMark]:
+    """Oldest first. Of the trials only those are read that have not ended, by the index `trials_going`."""
+    going = and_(trials.c.sweep_id == sweeps.c.id, trials.c.outcome.is_(None))
+    of_trials = sweeps.outerjoin(trials, going).outerjoin(jobs, jobs.c.id == trials.c.job_id)
+    wanted = (
+        select(
+            sweeps.c.id,
+            sweeps.c.version,
+            _digest(trials.c.number, jobs.c.id, jobs.c.version).label("going"),
+            _digest(trials.c.number, jobs.c.num_events).label("events"),
+        )
+        .select_from(of_trials)
+        .where(sweeps.c.status.in_(_ACTIVE))
+        .group_by(sweeps.c.id)
+        .order_by(sweeps.c.id)
+    )
+    return {row.id: SweepMark(row.version, row.going, row.events) for row in connection.execute(wanted)}
+
+
+def _digest(*said: ColumnElement[Any]) -> ColumnElement[Any]:
+    """Of all rows of a group; null for one without trials."""
+    row = func.concat_ws(" ", *said)
+    return func.md5(func.string_agg(row, aggregate_order_by(literal(","), trials.c.number)))
+
+
+def active(connection: Connection, among: Collection[str] | None) -> Sequence[Sweep]:
     """Oldest first. One that cannot be read is left out: a newer version may have written it."""
     found: list[Sweep] = []
     wanted = select(sweeps).where(sweeps.c.status.in_(_ACTIVE)).order_by(sweeps.c.id)
+    if among is not None:
+        wanted = wanted.where(sweeps.c.id.in_(among))
     for row in connection.execute(wanted):
         try:
             found.append(_sweep(row))

@@ -74,6 +74,8 @@ jobs = Table(
     Column("last_write", Text),
     # The version that was last copied into the object store.
     Column("copied_version", Integer, nullable=False, server_default="0"),
+    # The name of RQ's queue for its next attempt; null where an older version wrote the row.
+    Column("queue", Text),
     # Free space in each page: a renewed lease then touches no index.
     postgresql_with={"fillfactor": "80"},
 )
@@ -86,6 +88,7 @@ Index("jobs_by_name", jobs.c.name, jobs.c.id, postgresql_where=jobs.c.name.isnot
 Index("jobs_by_label", jobs.c.labels, postgresql_using="gin", postgresql_ops={"labels": "jsonb_path_ops"})
 UNFINISHED = ("queued", "starting", "running", "cancelling")
 _IS_UNFINISHED = text("status IN ('queued', 'starting', 'running', 'cancelling')")
+Index("jobs_queued", jobs.c.queue, jobs.c.id, postgresql_where=text("status = 'queued'"))
 Index("jobs_unfinished", jobs.c.id, postgresql_where=_IS_UNFINISHED)
 _IS_TO_COPY = text("copied_version <> version AND num_attempts > 0")
 Index("jobs_to_copy", jobs.c.id, postgresql_where=_IS_TO_COPY)
@@ -146,8 +149,10 @@ entries = Table(
     Column("channel", Text, primary_key=True),
     Column("number", BigInteger, primary_key=True),
     Column("kind", Text, nullable=False),
+    # `time` is by the clock of who reported it, `stored_at` by the database's.
     _moment("time", nullable=False),
     Column("data", Text, nullable=False),
+    Column("stored_at", TIMESTAMP(timezone=True), nullable=False, server_default=NOW),
 )
 
 dispatches = Table(
@@ -225,6 +230,7 @@ trials = Table(
     Column("said", Text, nullable=False),
 )
 Index("trials_by_job", trials.c.job_id)
+Index("trials_going", trials.c.sweep_id, postgresql_where=text("outcome IS NULL"))
 
 pulse = Table(
     "pulse",

@@ -1,7 +1,7 @@
 """The job queue on RQ."""
 
 import time
-from collections.abc import Collection, Set
+from collections.abc import Collection, Mapping, Set
 from contextlib import suppress
 from datetime import timedelta
 from typing import Any
@@ -45,6 +45,13 @@ class RQQueue:
     ) -> None:
         name = queue_name(accelerator, priority, gpus)
         self._enqueue(name, _rq_id(job_id, attempt), TASK, (job_id, attempt))
+
+    @reaching_redis()
+    def num_waiting(self, names: Collection[str]) -> Mapping[str, int]:
+        with self._redis.pipeline(transaction=False) as pipeline:
+            for name in names:
+                pipeline.llen(Queue.redis_queue_namespace_prefix + name)
+            return dict(zip(names, pipeline.execute(), strict=True))
 
     @reaching_redis()
     def contains(self, job_id: str, attempt: int) -> bool:

@@ -48,7 +48,7 @@ class Valkey(Server):
             "appendonly": "yes" if self._append_only else "no",
             "appenddirname": "appendonlydir" if self._append_only else "unused",
             "save": "",
-            # Room for 50,000 waiting jobs; more wait in the record until there is room.
+            # Room for 50,000 messages, more than all queues get together; the record holds the rest.
             "maxmemory": "0" if self._append_only else "128mb",
             "maxmemory-policy": "noeviction",
         }

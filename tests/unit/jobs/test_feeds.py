@@ -4,9 +4,10 @@ import json
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
+import psycopg
 import pytest
 from sqlalchemy import event
 
@@ -266,13 +267,18 @@ class TestCompacting:
         assert len(feed.chunks()) > 1
 
 
-def test_a_feed_waits_for_its_size_its_age_or_its_jobs_end(job_store: PostgresJobStore) -> None:
+def test_a_feed_waits_for_its_size_its_age_or_its_jobs_end(
+    job_store: PostgresJobStore, database_url: str
+) -> None:
     objects = MemoryObjectStore()
     short, long, old, ended = (Feed(job_store, objects) for _ in range(4))
     for feed in (short, ended):
         feed.say("a")
     long.say("x" * feeds.MAX_BYTES)
-    old.append(Entry(kind="note", time=datetime.now(UTC) - feeds.MAX_AGE))
+    old.append(Entry(kind="note", time=datetime.now(UTC)))
+    with psycopg.connect(database_url, autocommit=True) as database:
+        earlier = "UPDATE entries SET stored_at = stored_at - %s WHERE job_id = %s"
+        database.execute(earlier, (feeds.MAX_AGE, old.id))
     ended.claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
     feeds.compact(store=job_store, objects=objects)
     made = [
@@ -280,6 +286,18 @@ def test_a_feed_waits_for_its_size_its_age_or_its_jobs_end(job_store: PostgresJo
         for each in (short, long, old, ended)
     ]
     assert made == [[], ["logs"], ["events"], ["events", "logs"]]
+
+
+@pytest.mark.parametrize("behind", [timedelta(minutes=11), timedelta(minutes=-11)])
+def test_the_clock_of_a_worker_does_not_decide_about_chunks(
+    job_store: PostgresJobStore, behind: timedelta
+) -> None:
+    """M9: eleven minutes behind, each look made a chunk of what had come since."""
+    feed = Feed(job_store, MemoryObjectStore())
+    for number in range(3):
+        feed.append(Entry(kind="note", time=datetime.now(UTC) - behind), write_id=str(number))
+        assert feed.compact() == 0
+    assert feed.chunks("events") == []
 
 
 def interrupt(feed: Feed, meanwhile: Any) -> None:

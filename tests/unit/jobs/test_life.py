@@ -7,7 +7,7 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from sqlalchemy import text
+from sqlalchemy import event, text
 
 from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.memory.queue import MemoryJobQueue
@@ -663,3 +663,61 @@ def test_a_job_that_is_deleted_while_it_is_copied_leaves_no_copy(service: Servic
     objects = Slow()
     assert copy_records(store=service.store, objects=objects) == 1
     assert list(objects.list("")) == []
+
+
+def test_the_queue_gets_only_as_many_jobs_as_workers_take_soon_and_each_has_its_turn(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """H4: the record holds the rest, so that no number of submissions fills Redis."""
+    monkeypatch.setattr("core.jobs.submission.MOST_SUBMITTED", 2)
+    monkeypatch.setattr("core.jobs.reconciliation.MOST_WAITING", 4)
+    normal = [service.submit() for _ in range(7)]
+    urgent = service.submit(priority="high")
+
+    def waiting() -> list[str]:
+        return [dispatch.job_id for dispatch in service.queue.waiting()]
+
+    assert waiting() == [normal[0].id, normal[1].id, urgent.id]
+    assert service.reconcile() == 2
+    assert sorted(waiting()) == sorted(job.id for job in (*normal[:4], urgent))
+    assert service.reconcile() == 0
+    for expected in (urgent, normal[0]):
+        taken = service.queue.take()
+        assert taken is not None
+        assert taken.job_id == expected.id
+        assert service.try_to_claim(expected, 1) is not None
+    late = service.submit()
+    assert service.reconcile() == 1
+    assert waiting() == [job.id for job in normal[1:5]]
+    left = [dispatch.subject for dispatch in service.store.undispatched()]
+    assert left == [normal[5].id, normal[6].id, late.id]
+
+
+def test_after_redis_was_emptied_each_look_hands_over_a_part_and_beats(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """M6: in one look of all, no lease was watched for minutes."""
+    monkeypatch.setattr("core.jobs.reconciliation._AT_ONCE", 3)
+    jobs = [service.submit() for _ in range(7)]
+    for job in jobs:
+        service.queue.remove(job.id, 1)
+    beats: list[timedelta] = []
+    monkeypatch.setattr(service.store, "beat", beats.append)
+    assert [service.reconcile() for _ in range(5)] == [0, 3, 3, 1, 0]
+    assert len(beats) == 5
+    assert [dispatch.job_id for dispatch in service.queue.waiting()] == [job.id for job in jobs]
+
+
+def test_a_look_reads_what_it_hands_over_at_once(service: Service) -> None:
+    """M6: however many jobs there are, it asks the record as often."""
+    asked: list[str] = []
+    event.listen(service.engine, "before_cursor_execute", lambda *said: asked.append(said[2]))
+    counts: list[int] = []
+    for number in (2, 20):
+        for _ in range(number):
+            service.queue.remove(service.submit().id, 1)
+        service.reconcile()
+        asked.clear()
+        assert service.reconcile() == number
+        counts.append(len(asked))
+    assert counts[0] == counts[1]

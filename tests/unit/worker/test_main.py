@@ -16,6 +16,7 @@ from core.adapters.memory.objects import MemoryObjectStore
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.errors import RecordsUnavailable
 from core.jobs.attempts import Claim
+from core.jobs.queue import FIRST, queue_names
 from core.jobs.status import JobStatus
 from core.jobs.workers import WorkerInfo
 from core.reasons import Reason
@@ -118,3 +119,21 @@ def test_a_worker_tells_how_an_attempt_ended_that_was_left_on_its_disk(
     told = job_store.get(job.id)
     assert (told.status, told.attempts[-1].reason) == (JobStatus.QUEUED, Reason.WORKER_DRAINED)
     assert list((settings.data_dir / "left").iterdir()) == []
+
+
+def test_after_a_preview_a_worker_takes_a_job_first_and_otherwise_the_preview(
+    settings: WorkerSettings,
+) -> None:
+    """L10: previews alone kept all workers from jobs."""
+    store: Any = InterruptedStore()
+    worker = GaitwayWorker(settings, "cpu", store)
+    previews, *jobs = worker.queues
+
+    def next_queues() -> list[str]:
+        return [queue.name for queue in worker._ordered_queues]
+
+    assert (previews.name, next_queues()) == (FIRST, list(queue_names("cpu")))
+    worker.reorder_queues(previews)
+    assert next_queues() == [*(queue.name for queue in jobs), FIRST]
+    worker.reorder_queues(jobs[0])
+    assert next_queues() == list(queue_names("cpu"))
