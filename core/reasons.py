@@ -21,6 +21,7 @@ class Reason(StrEnum):
     BAD_CHECKPOINT = "bad_checkpoint"
     NO_DEVICE = "no_device"
     DEVICE_FAILED = "device_failed"
+    DEVICE_HELD = "device_held"
     STORAGE_UNAVAILABLE = "storage_unavailable"
     COHORT_ENDED = "cohort_ended"
     EXPORTED_UNFINISHED = "exported_unfinished"

@@ -3,8 +3,8 @@
 import os
 import signal
 import socket
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from functools import partial
 
 import structlog
@@ -31,6 +31,7 @@ from worker.host.memory import allowed_bytes
 from worker.host.parent_death import die_with_parent
 from worker.preview.drawing import draw
 from worker.supervision.cohort import Cohort
+from worker.supervision.heartbeat import Heartbeat
 from worker.supervision.spool import SPOOLS, remove_left_over, spool
 from worker.supervision.supervisor import Supervisor
 from worker.validation.confined import validate
@@ -87,7 +88,12 @@ def run_attempt(job_id: str, attempt: int) -> None:
         return
     test = device_health.command_for(device)
     most = min(settings.cohort_on(device), allowed_bytes(settings.memory_limit) // _MEMBER_BYTES)
-    claims = [claim, *_companions(job, device, worker, store, claim_one, most - 1)]
+    claims = [claim]
+    with ExitStack() as beating:  # Sixteen claims over a slow network take longer than a lease.
+        beating.enter_context(Heartbeat(claim, settings))
+        for found in _companions(job, device, worker, store, claim_one, most - 1, draining.is_set):
+            claims.append(found)
+            beating.enter_context(Heartbeat(found, settings))
     if len(claims) == 1:
         Supervisor(claim, settings, device, places, draining=draining, device_test=test).run()
         return
@@ -129,21 +135,37 @@ def draw_preview(document: str) -> None:
         draw(request, object_store(settings), folder, data, models=settings.models)
 
 
-def _companions(
-    job: Job, device: str, worker: str, store: JobStore, claim: Callable[..., Claim | None], at_most: int
-) -> Sequence[Claim]:
-    """The jobs that train together with this one, claimed; none where the record is unavailable just now."""
-    claims = list[Claim]()
+def _companions(  # noqa: PLR0913 # Whose, where, and how they are claimed.
+    job: Job,
+    device: str,
+    worker: str,
+    store: JobStore,
+    claim: Callable[..., Claim | None],
+    at_most: int,
+    called_off: Callable[[], bool],
+) -> Iterator[Claim]:
+    """The jobs that train together with this one, claimed; none where the record is unavailable just now.
+
+    A claim whose answer was lost is repeated, however long that takes: it may hold its job already.
+    """
     if at_most < 1:
-        return claims
-    with suppress(Unavailable):
+        return
+    try:
         workers = store.workers()
         here = next((one for one in workers if one.name == worker), None)
-        for other in companions(job, store, kind_of(device), here, workers, at_most):
-            with suppress(NotFound, JobUnreadable):
-                if (found := claim(other.id, other.next_attempt, secret=new_secret())) is not None:
-                    claims.append(found)
-    return claims
+        others = companions(job, store, kind_of(device), here, workers, at_most)
+    except Unavailable:
+        return
+    for other in others:
+        take = partial(claim, other.id, other.next_attempt, secret=new_secret())
+        try:
+            found = retry_while_unavailable(take, called_off=called_off)
+        except (NotFound, JobUnreadable):
+            continue
+        except CalledOff:
+            return
+        if found is not None:
+            yield found
 
 
 def _why_left_to_others(job: Job, store: JobStore) -> str | None:

@@ -1,6 +1,7 @@
 """Tests whether a worker's device works: before the first job, and after a failure that it may have caused.
 
-A device that fails is set aside: its worker takes no job until the device passes a later test.
+A device that fails is set aside: its worker takes no job until the device passes a later test. So is one that
+another process still holds, until that has ended.
 """
 
 import os
@@ -105,7 +106,7 @@ def set_aside(mark: Path, problem: str) -> None:
 
 
 class DeviceHealth:
-    """A worker's knowledge of its device. command: the test; None if the device needs none.
+    """A worker's knowledge of its device. command: the test; None if the device works once nobody holds it.
 
     slot_names: the device's locks, which are held during a test.
     """
@@ -131,15 +132,13 @@ class DeviceHealth:
 
     def is_fit(self) -> bool:
         """Whether the worker may take a job. Call it repeatedly: each call does a little and none waits."""
-        if self._command is None:
-            return True
         if self.state == "ready":
             with suppress(FileNotFoundError):
                 self._fail(self._mark.read_text())
         if self._test is not None:
             self._look(self._test)
         elif self.state != "ready" and time.monotonic() >= self._test_at:
-            self._begin(self._command)
+            self._begin()
         return self.state == "ready"
 
     def close(self) -> None:
@@ -149,12 +148,15 @@ class DeviceHealth:
             self._test = None
         self._held.close()
 
-    def _begin(self, command: Sequence[str]) -> None:
+    def _begin(self) -> None:
         try:
             fds = self._held.enter_context(slots(self._locks, 0.0))
         except SlotTaken:  # The training of a worker that was killed is still ending.
             return
-        self._test = DeviceTest(command, self._device, self._data_dir, fds)
+        if self._command is None:
+            self._works()
+            return
+        self._test = DeviceTest(self._command, self._device, self._data_dir, fds)
 
     def _look(self, test: DeviceTest) -> None:
         if not test.is_over():
@@ -164,6 +166,10 @@ class DeviceHealth:
         if problem is not None:
             self._fail(problem)
             return
+        self._works()
+
+    def _works(self) -> None:
+        self._held.close()
         self._mark.unlink(missing_ok=True)
         self.state, self.problem, self._num_failures = "ready", None, 0
         log.info("device_works", device=self._device)

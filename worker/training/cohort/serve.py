@@ -1,6 +1,6 @@
 """Trains a cohort, and gives each member its events, checkpoints and policy when it asks."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from multiprocessing.connection import Connection, wait
 from typing import Any, cast
 
@@ -66,23 +66,29 @@ class _Members:
             self._send(member, begun.model_dump_json().encode())
         for moment in self._run.moments():
             self._answer_until_all_wait()
-            if not self._here:
-                return
             for member, seen in moment:
                 self._tell(Moment(self._run.step(member), seen), member)
+            if not self._at_work():
+                break
         self._answer_until_all_wait()
-        for member in list(self._here):
+        for member in self._at_work():
             self._tell(Moment(self._run.step(member), None), member)
         while self._here:
-            self._answer_one()
+            self._answer()
+
+    def _at_work(self) -> Set[int]:
+        """Those that are here and have not failed; without any, there is nothing left to train."""
+        return self._here.keys() - self._run.failed
 
     def _answer_until_all_wait(self) -> None:
-        """Until each member that is here, and has not failed, asks for what comes next."""
-        while self._here.keys() - self._waiting - self._run.failed:
-            self._answer_one()
+        """Until each member at work asks for what comes next; one that has failed is answered meanwhile."""
+        self._answer(0.0)
+        while self._at_work() - self._waiting:
+            self._answer()
 
-    def _answer_one(self) -> None:
-        ready = wait(self._here.values())
+    def _answer(self, timeout_s: float | None = None) -> None:
+        """What is asked by now; without a time, wait until somebody asks."""
+        ready = wait(self._here.values(), timeout_s)
         for member in [member for member, connection in self._here.items() if connection in ready]:
             try:
                 request = Request(self._here[member].recv_bytes())

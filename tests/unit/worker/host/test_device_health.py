@@ -131,3 +131,22 @@ def test_nobody_else_uses_the_device_meanwhile(tmp_path: Path) -> None:
     until(health.is_fit)
     with slot(lock, 0):
         pass
+
+
+@pytest.mark.parametrize("device", ["cpu", "gpu:0"])
+def test_a_device_that_another_process_holds_is_set_aside_until_that_has_ended(
+    device: str, tmp_path: Path
+) -> None:
+    """M7: a CPU, which is not tested, too."""
+    command = None if device == "cpu" else ("/bin/sh", "-c", "true")
+    health = DeviceHealth(device, tmp_path, ("held",), command, pauses_s=(0.05,))
+    until(health.is_fit)
+    with slot(tmp_path / "locks" / "held.lock", 0.0):
+        set_aside(mark_of(tmp_path, "held"), "Another process still uses the device.")
+        assert not health.is_fit()
+        assert (health.state, health.problem) == ("device_failed", "Another process still uses the device.")
+        time.sleep(0.1)
+        assert not health.is_fit()
+    until(health.is_fit)
+    assert (health.state, health.problem) == ("ready", None)
+    assert health.is_fit()
