@@ -52,7 +52,7 @@ KEPT = {
 }
 
 # The roles that are there already while it trains.
-DURING = {"checkpoint", "export", "metrics", "replay", "scene", "simulation"}
+DURING = {"checkpoint", "export", "replay", "scene", "simulation"}
 
 
 @pytest.fixture(scope="module")

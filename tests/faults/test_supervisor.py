@@ -16,6 +16,7 @@ from core.jobs.job import utc_now
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from tests.faults.bench import Bench
+from worker.host.device_health import mark_of
 from worker.host.device_lock import slot
 
 
@@ -41,13 +42,14 @@ def test_what_the_process_says_becomes_facts(bench: Bench) -> None:
     assert bench.printed(job) == ["a line of the log"]
 
 
-def test_metrics_up_to_the_last_checkpoint_are_a_file(bench: Bench) -> None:
+def test_the_metrics_are_a_file_when_the_attempt_ends(bench: Bench) -> None:
+    """M3: no checkpoint stores them again."""
     job = bench.run("succeeds")
     metrics = job.newest("metrics")
     assert metrics is not None
-    lines = bench.objects.get(metrics.key).splitlines()
-    assert len(lines) == 2
-    assert b'"step": 20' in lines[1]
+    lines = [json.loads(line) for line in bench.objects.get(metrics.key).splitlines()]
+    assert [line["step"] for line in lines] == [10, 20]
+    assert sum(one.key.endswith("metrics.jsonl") for one in bench.objects.list("")) == 1
 
 
 @pytest.mark.parametrize("models", ["confined", "unconfined"])
@@ -250,3 +252,17 @@ def test_an_outage_of_the_records_pauses_bookkeeping_and_not_the_job(
     job = bench.run("succeeds")
     assert job.status == JobStatus.SUCCEEDED
     assert job.progress.step == 20
+
+
+def test_a_held_device_costs_no_attempt_and_its_worker_is_set_aside(bench: Bench) -> None:
+    """M7: it was counted as a lost worker, and each job of the queue failed after three."""
+    job = bench.submit(max_attempts=1)
+    supervisor = bench.supervisor(job, "succeeds")
+    supervisor.settings = bench.settings.model_copy(update={"grace": timedelta(seconds=0.1)})
+    with slot(bench.settings.data_dir / "locks" / "slot.lock", 0.0):
+        supervisor.run()
+    given_back = bench.store.get(job.id)
+    assert (given_back.status, given_back.lost_attempts) == (JobStatus.QUEUED, 0)
+    assert given_back.attempts[0].reason == Reason.DEVICE_HELD
+    assert given_back.not_before is not None
+    assert "still uses the device" in mark_of(bench.settings.data_dir, "slot").read_text()

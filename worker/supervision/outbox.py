@@ -37,7 +37,6 @@ from worker.protocol import (
     PhaseEnded,
     Started,
 )
-from worker.supervision.measurements import Measurements
 from worker.supervision.story import Story
 
 log = structlog.get_logger()
@@ -80,7 +79,6 @@ class Outbox:
         self._keep_checkpoints = keep_checkpoints
         self._progress = progress
         self._story = story
-        self._measurements = Measurements(claim.job_id, claim.store, claim.objects)
         self._dropped: list[tuple[float, str]] = []
         self._waiting: queue.SimpleQueue[_Received | None] = queue.SimpleQueue()
         self._thread = Thread(target=self._work, name="outbox", daemon=True)
@@ -176,9 +174,6 @@ class Outbox:
             entries.append(_entry(item, progress))
         self._record("events", entries, write_id, None if progress is self._progress else progress)
         self._progress = progress
-        for entry in entries:
-            if entry.kind == "metrics":
-                self._measurements.add(entry)
 
     def _store_one(self, heard: Sequence[_Received], write_id: str) -> None:
         (item,) = heard
@@ -203,16 +198,14 @@ class Outbox:
         began = time.monotonic()
         try:
             with open_plain(self._spool, message.path) as file:
-                published = [self._upload(message, file)]
+                artifact = self._upload(message, file)
         except NotPlain as error:  # Only a process that was taken over names one.
             log.warning("file_not_kept", job_id=self._claim.job_id, name=message.name, error=str(error))
             said = {"text": f"The training's file {message.name[:100]} was not kept: it is no plain file."}
             self._record("events", [Entry(kind="note", time=heard_at, data=said)], write_id)
             return
         seconds = time.monotonic() - began
-        if message.role == "checkpoint":
-            published.append(self._upload_metrics())
-        _, dropped = self._claim.publish(tuple(published), self._keep_checkpoints)
+        _, dropped = self._claim.publish((artifact,), self._keep_checkpoints)
         said = {
             "name": message.name,
             "role": message.role,
@@ -247,20 +240,6 @@ class Outbox:
         )
         file.seek(0)
         self._claim.objects.put_stream(artifact.key, file, size, media_type=artifact.media_type)
-        return artifact
-
-    def _upload_metrics(self) -> Artifact:
-        body = "".join(f"{row}\n" for row in self._measurements.documents()).encode()
-        digest = hashlib.sha256(body).hexdigest()
-        artifact = Artifact(
-            name="metrics.jsonl",
-            role="metrics",
-            media_type="application/jsonl",
-            size=len(body),
-            sha256=digest,
-            key=self._key(digest, "metrics.jsonl"),
-        )
-        self._claim.objects.put(artifact.key, body, media_type=artifact.media_type)
         return artifact
 
     def _key(self, sha256: str, name: str) -> str:

@@ -8,10 +8,19 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import IO
 
 import structlog
 
-from core.errors import JobFailed, LeaseLost, NotFound, RecordsUnavailable, Rejected, Unavailable
+from core.errors import (
+    JobFailed,
+    LeaseLost,
+    NotFound,
+    ObjectNotFound,
+    RecordsUnavailable,
+    Rejected,
+    Unavailable,
+)
 from core.jobs.attempts import Claim
 from core.jobs.job import Job, utc_now
 from core.jobs.spec import TrainSpec
@@ -33,6 +42,7 @@ from worker.stop_signals import Stop
 from worker.supervision.heartbeat import Heartbeat
 from worker.supervision.left_attempts import end, leave
 from worker.supervision.log_limit import LogLimit
+from worker.supervision.measurements import store_metrics
 from worker.supervision.outbox import Outbox
 from worker.supervision.outcome import Outcome, judge
 from worker.supervision.seat import Seat
@@ -95,7 +105,10 @@ class Supervisor:
             message = "The worker was shut down before it had started the job."
             return Outcome(None, Reason.WORKER_DRAINED, message)
         except SlotTaken as error:
-            return Outcome(None, Reason.WORKER_LOST, str(error))
+            # The worker takes no further job before the device is free.
+            with suppress(OSError):  # No room for it: the next job waits for the device, too.
+                set_aside(mark_of(folder, self.slot_names[0]), str(error))
+            return Outcome(None, Reason.DEVICE_HELD, str(error))
         except JobFailed as error:
             return Outcome(JobStatus.FAILED, error.reason, error.detail)
         except (NotFound, Rejected) as error:
@@ -154,7 +167,14 @@ class Supervisor:
         if not outbox.close(_STORAGE_TIMEOUT_S, self._must_leave(_LAST_S)):
             outbox.abandon()
             return _not_stored(leaving())
-        tracking.write_up(outcome.status, leaving)
+        # A new one, of a name that no training can have foreseen; it goes with the spool.
+        path = spool / f".metrics-{secrets.token_hex(8)}"
+        try:
+            with path.open("xb") as file:
+                if self._stores_metrics(job, file, path):
+                    tracking.write_up(path, outcome.status, leaving)
+        except OSError as error:  # A finished job does not fail for it.
+            log.warning("metrics_not_kept", job_id=self.claim.job_id, error=str(error))
         return outcome
 
     @contextmanager
@@ -217,6 +237,21 @@ class Supervisor:
             return outcome
         set_aside(mark_of(folder, self.slot_names[0]), problem)
         return Outcome(None, Reason.DEVICE_FAILED, f"{outcome.message} {problem}")
+
+    def _stores_metrics(self, job: Job, file: IO[bytes], path: Path) -> bool:
+        """Whether there is a file of all metrics now. Not where the worker shuts down: the next attempt, or
+        the feed, has them."""
+        if not isinstance(job.spec, TrainSpec):
+            return False
+        leaving = self.draining.is_set
+        step = partial(store_metrics, self.claim, file, path, _checkpoints_kept(job), leaving)
+        try:
+            return retry_while_unavailable(step, _STORAGE_TIMEOUT_S, called_off=leaving)
+        except CalledOff:
+            return False
+        except ObjectNotFound as error:  # The feed has lost a part.
+            log.warning("metrics_not_kept", job_id=self.claim.job_id, error=str(error))
+            return False
 
     def _timeout_s(self, job: Job) -> float:
         """The members of a cohort share its device, so each may take as much longer."""

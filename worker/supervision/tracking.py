@@ -18,7 +18,6 @@ from core.jobs.spec import TrainSpec
 from core.jobs.status import JobStatus
 from core.settings import WorkerSettings
 from worker.protocol import FileReady, Message, Noted
-from worker.supervision.measurements import Measurements
 from worker.supervision.outbox import Outbox
 from worker.supervision.spool import private
 from worker.tracking.child import end, start
@@ -96,26 +95,27 @@ class Tracking:
         if self._live is not None:
             self._live.kill()
 
-    def write_up(self, status: JobStatus | None, called_off: Callable[[], bool]) -> None:
-        """Store the whole job, over all of its attempts, as files for TensorBoard and for `wandb sync`."""
+    def write_up(self, rows: Path, status: JobStatus | None, called_off: Callable[[], bool]) -> None:
+        """Store the whole job, over all of its attempts, as files for TensorBoard and for `wandb sync`.
+
+        rows: the file of its metrics, as `store_metrics` writes it.
+        """
         if not isinstance(self.job.spec, TrainSpec):
             return
         try:
-            self._write_up(self.job.spec, _exit_code(status), called_off)
+            self._write_up(self.job.spec, rows, _exit_code(status), called_off)
         except LeaseLost:
             raise
         except (GaitwayError, OSError) as error:
             log.warning("tracking_not_kept", error=str(error))
 
-    def _write_up(self, spec: TrainSpec, exit_code: int, called_off: Callable[[], bool]) -> None:
+    def _write_up(self, spec: TrainSpec, rows: Path, exit_code: int, called_off: Callable[[], bool]) -> None:
         folder = self._folder
-        rows = Measurements(self.job.id, self.claim.store, self.claim.objects).documents()
-        if not rows or called_off():
+        if called_off():
             return
-        (folder / "measurements.jsonl").write_text("".join(f"{row}\n" for row in rows))
         task = WriteUp(
             job_id=self.job.id,
-            measurements=folder / "measurements.jsonl",
+            measurements=rows,
             events=folder / EVENTS,
             curve=folder / CURVE,
         )

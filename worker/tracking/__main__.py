@@ -14,6 +14,7 @@ from typing import IO, Any
 
 from worker.host.parent_death import die_with_parent
 from worker.tracking.items import ITEM, About, End, Row, WriteUp
+from worker.tracking.lines import lines_by_step
 
 
 def main(arguments: list[str]) -> int:
@@ -76,12 +77,14 @@ def write_scalars(measurements: Path, path: Path) -> None:
 
 def write_curve(measurements: Path, path: Path) -> None:
     """Return and epsilon by episode, for a run that has them."""
-    rows = [json.loads(line) for line in measurements.read_text().splitlines()]
-    if any("training/epsilon" in row["values"] for row in rows):
+    with measurements.open() as lines:
+        has_one = any("training/epsilon" in json.loads(line)["values"] for line in lines)
+    if has_one:
         from core.rendering.plots.episodes import from_metrics  # Loads NumPy, and then matplotlib.
         from core.rendering.plots.style import save
 
-        figure = from_metrics(rows)
+        with measurements.open() as lines:
+            figure = from_metrics([json.loads(line) for line in lines])
         if figure is not None:
             save(figure, path)
 
@@ -91,12 +94,8 @@ def write_archive(task: WriteUp, about: About, path: Path) -> None:
     from worker.tracking.run import archive, log_archived_policy, log_item, open_run
 
     run = open_run(about, "offline")
-    rows = sorted(
-        (Row.model_validate_json(line) for line in task.measurements.read_text().splitlines()),
-        key=lambda row: row.step,
-    )
-    for row in rows:
-        log_item(run, row)
+    for line in lines_by_step(task.measurements):
+        log_item(run, Row.model_validate_json(line))
     for film in task.films:
         log_item(run, film)
     if task.policy is not None:

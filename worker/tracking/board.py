@@ -9,16 +9,17 @@ from pathlib import Path
 
 from tensorboardX import SummaryWriter
 
+from worker.tracking.lines import lines_by_step
+
 
 def write_events(measurements: Path, path: Path) -> None:
     """Every finite value of the JSON lines as a scalar of its step and time, in the order of the steps.
 
     In that order, because TensorBoard takes a lower step for a restart and drops what came before.
     """
-    rows = sorted(map(json.loads, measurements.read_text().splitlines()), key=lambda row: row["step"])
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         with SummaryWriter(folder) as writer:
-            for row in rows:
+            for row in map(json.loads, lines_by_step(measurements)):
                 time = datetime.fromisoformat(row["time"]).timestamp()
                 for name, value in row["values"].items():
                     if value is not None and math.isfinite(value):

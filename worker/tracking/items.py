@@ -66,7 +66,8 @@ ITEM: TypeAdapter[Item] = TypeAdapter(Annotated[Item, Field(discriminator="kind"
 
 
 class WriteUp(Stored):
-    """The files to write about the whole job; all paths are in the folder of the document.
+    """The files to write about the whole job; all paths but that of the measurements are in the folder of the
+    document.
 
     measurements: JSON lines, each with step, time and values. events: the file for TensorBoard.
     curve: a picture, of runs that have one. archive: the offline run; None if none is wanted. films, policy:
