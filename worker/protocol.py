@@ -14,6 +14,9 @@ from core.jobs.spec import SentSpec
 from core.physics.availability import BodySize, EngineName
 from core.reasons import Reason
 
+# Bytes of a line; the supervisor does not read a longer one.
+LONGEST_MESSAGE = 2**20
+
 
 def _without_null(values: Any) -> Any:
     if not isinstance(values, dict):

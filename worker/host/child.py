@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from core.variables import variable
 from worker.host.memory import sacrifice
 from worker.host.parent_death import PARENT
-from worker.protocol import MESSAGE, Message
+from worker.protocol import LONGEST_MESSAGE, MESSAGE, Message
 from worker.stop_signals import DRAIN_SIGNAL, STOP_SIGNAL, Stop
 
 if TYPE_CHECKING:  # The training process, which starts children too, would load all settings.
@@ -30,7 +30,6 @@ log = structlog.get_logger()
 TRAINING = (sys.executable, "-m", "worker.training")
 _CODE = Path(__file__).resolve().parents[2]
 _LONGEST_LINE = 4000
-_LONGEST_MESSAGE = 2**20  # bytes
 _LONGEST_OUTPUT = 2**20  # bytes
 # By this the embedded stack finds its left-over processes.
 _PASSED_ON = ("GAITWAY_STACK_ID",)
@@ -157,7 +156,7 @@ class TrainingProcess:
     def messages(self) -> Iterator[Message]:
         """Its messages, in order. A line that is none, such as one that its death cut short, is logged."""
         with self._messages as pipe:
-            for line in _lines(pipe, _LONGEST_MESSAGE):
+            for line in _lines(pipe, LONGEST_MESSAGE):
                 try:
                     yield MESSAGE.validate_json(line)
                 except ValidationError:

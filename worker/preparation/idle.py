@@ -3,9 +3,11 @@
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-from worker.host.child import kill, launch
+from core.variables import PREFIX, variable
+from worker.host.child import environment, kill, launch
 from worker.host.device_lock import slot_names
 
 PREPARATION = (sys.executable, "-m", "worker.preparation")
@@ -27,7 +29,8 @@ class IdlePreparation:
             self._has_ended = self._child.poll() is not None
         elif not self._has_ended:
             names = slot_names(self._device, os.getpid())
-            self._child = launch([*self._command, self._device, *names], os.environ, stdout=None, stderr=None)
+            command = [*self._command, self._device, *names]
+            self._child = launch(command, _variables(self._device, os.environ), stdout=None, stderr=None)
 
     def stop(self) -> None:
         """End it with all its processes; the next `go_on` starts it again, unless it had come to its end."""
@@ -35,3 +38,12 @@ class IdlePreparation:
             self._has_ended = self._child.poll() is not None
             kill(self._child)
             self._child = None
+
+
+def _variables(device: str, base: Mapping[str, str]) -> dict[str, str]:
+    """Those of a training, and the service's own settings: it shares what it compiles by the object store."""
+    scrubbed = environment(device, Path(base.get(variable("data_dir"), "")), base)
+    del scrubbed[variable("data_dir")]
+    own = {name: value for name, value in base.items() if name.startswith(PREFIX)}
+    own.pop(variable("wandb_api_key"), None)
+    return {**scrubbed, **own}

@@ -2,11 +2,15 @@
 
 import os
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from core.jobs.job import ArtifactRole
-from worker.protocol import FileReady, Message
+from worker.protocol import LONGEST_MESSAGE, Advanced, Failed, FileReady, Measured, Message, Noted
+
+# Of a text that is too long: enough to see what it is about.
+_KEPT = 4000
 
 
 class EventWriter:
@@ -18,8 +22,19 @@ class EventWriter:
         self._times_kept = Counter[str]()
 
     def send(self, message: Message) -> None:
-        """One line, in one write."""
-        self._pipe.write(message.model_dump_json().encode() + b"\n")
+        """Send it as one line; one that the supervisor would not read in parts, or what stands for it."""
+        line = message.model_dump_json().encode() + b"\n"
+        if len(line) <= LONGEST_MESSAGE:
+            self._write(line)
+            return
+        for part in _instead_of(message, len(line)):
+            self.send(part)
+
+    def _write(self, line: bytes) -> None:
+        """All of it: a signal may end a write of more than the pipe has room for before its end."""
+        left = memoryview(line)
+        while left:
+            left = left[self._pipe.write(left) or 0 :]
 
     def keep(
         self,
@@ -64,3 +79,25 @@ class EventWriter:
                 metadata=metadata or {},
             )
         )
+
+
+def _instead_of(message: Message, num_bytes: int) -> Sequence[Message]:
+    """Shorter messages for one of so many bytes. What ends a training, or says how far it is, must arrive."""
+    match message:
+        case Measured(values=values) if len(values) > 1:
+            names, half = list(values), len(values) // 2
+            parts = ({name: values[name] for name in some} for some in (names[:half], names[half:]))
+            return [message.model_copy(update={"values": part}) for part in parts]
+        case Advanced(metrics=metrics) if metrics:
+            return [message.model_copy(update={"metrics": {}})]
+        case Failed(message=text):
+            return [message.model_copy(update={"message": text[:_KEPT]})]
+        case Noted(text=text):
+            return [message.model_copy(update={"text": text[:_KEPT]})]
+        case _:
+            return [
+                Noted(
+                    text=f"A message ({message.type}) is left out: it has {num_bytes} bytes, and may have "
+                    f"{LONGEST_MESSAGE}."
+                )
+            ]

@@ -75,3 +75,26 @@ def test_without_environments_nothing_is_started(file: Path) -> None:
 def test_an_environment_that_there_is_not_is_a_wrong_setting() -> None:
     with pytest.raises(Misconfigured, match=r"^GAITWAY_PREPARE: .*Did you mean 'ant'\?"):
         check_prepared(["humanoid", "antt"])
+
+
+def test_it_gets_no_secret_but_those_of_the_object_store(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """L9: it had the worker's whole environment."""
+    secrets = (
+        "GITHUB_TOKEN",
+        "AWS_SECRET_ACCESS_KEY",
+        "WANDB_API_KEY",
+        "GAITWAY_WANDB_API_KEY",
+        "MY_PASSWORD",
+    )
+    for name in secrets:
+        monkeypatch.setenv(name, "secret")
+    monkeypatch.setenv("GAITWAY_S3_SECRET_KEY", "the store's")
+    program = "import os, sys; open(sys.argv[1] + '.part', 'w').write(str(dict(os.environ)));"
+    program += "os.rename(sys.argv[1] + '.part', sys.argv[1])"
+    one = IdlePreparation("cpu", ("ant",), (sys.executable, "-c", program, str(file)))
+    one.go_on()
+    lines(file, 1)
+    said = file.read_text()
+    one.stop()
+    assert "GAITWAY_S3_SECRET_KEY" in said
+    assert not [name for name in secrets if f"'{name}'" in said]
