@@ -10,11 +10,13 @@ import psutil
 import pytest
 
 from tests.faults.bench import wait_until
-from tests.faults.campaign.faults import draw
+from tests.faults.campaign.faults import CAMPAIGN
+from tests.faults.campaign.outages import CAMPAIGN as OUTAGES
 from tests.faults.campaign.proxy import Mode
 from tests.faults.campaign.runner import Runner
 
 SEEDS = (904, 5594, 6202)
+SEED_OF_OUTAGES = 252
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +26,8 @@ def runner() -> Iterator[Runner]:
 
 
 def test_the_seeds_draw_every_kind_of_fault() -> None:
-    names = {fault.name.split()[0] for seed in SEEDS for fault in draw(random.Random(seed), 3.5)}
-    modes = {mode.value for mode in Mode if mode is not Mode.OPEN}
+    names = {fault.name.split()[0] for seed in SEEDS for fault in CAMPAIGN.draw(random.Random(seed), 3.5)}
+    modes = {mode.value for mode in Mode if mode not in (Mode.OPEN, Mode.LOSE_CLAIMS)}
     assert names == {*modes, "SIGKILL", "SIGSTOP", "SIGTERM", "FLUSHALL", "disk", "clock"}
 
 
@@ -33,6 +35,24 @@ def test_the_seeds_draw_every_kind_of_fault() -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_promise_is_broken(runner: Runner, seed: int) -> None:
     outcome = runner.run(seed)
+    assert not outcome.broken, (outcome.faults, outcome.broken)
+
+
+def test_the_seed_of_outages_draws_what_must_cost_no_attempt() -> None:
+    names = [fault.name for fault in OUTAGES.draw(random.Random(SEED_OF_OUTAGES), 3.5)]
+    assert [name.split(" for ")[0] for name in names] == [
+        "clock of worker-1 and worker-2 is off by -3 min",
+        *["lose_claims between * and postgres"] * 2,
+        "disk of postgres full",
+        "Redis full",
+    ]
+
+
+@pytest.mark.timeout(180)
+def test_an_outage_costs_no_attempt_of_jobs_that_train_together() -> None:
+    """H4, M1, M9: each job has one attempt, and the answers to all claims are lost at first."""
+    with Runner("outages") as runner:
+        outcome = runner.run(SEED_OF_OUTAGES)
     assert not outcome.broken, (outcome.faults, outcome.broken)
 
 

@@ -6,6 +6,7 @@ training   a training process without physics, whose every byte can be foretold
 worker     the real worker, which starts that one
 clients    users: they submit, cancel, follow, and write down what they were told
 faults     what goes wrong, drawn from a seed
+outages    other faults, none of which may cost an attempt
 checker    what must hold of what the users wrote down
 episode    all of it together, once
 """

@@ -5,6 +5,7 @@ import random
 import secrets
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -28,10 +29,15 @@ class Told:
 
 
 class Users:
-    """Each job has a thread that submits it and perhaps cancels it, and two that follow its events."""
+    """Each job has a thread that submits it and perhaps cancels it, and two that follow its events.
 
-    def __init__(self, url: str, num_jobs: int, rng: random.Random) -> None:
-        self._url = url
+    spec: what each job says besides its seed.
+    """
+
+    def __init__(
+        self, url: str, num_jobs: int, rng: random.Random, spec: Mapping[str, Any] | None = None
+    ) -> None:
+        self._url, self._spec = url, spec or {}
         self._over = threading.Event()
         self.told = [Told(seed=rng.randrange(1000)) for _ in range(num_jobs)]
         self._threads: list[threading.Thread] = []
@@ -69,6 +75,7 @@ class Users:
                 "seed": told.seed,
                 "max_attempts": 100,
                 "checkpoints": {"keep": 2},
+                **self._spec,
             },
         )
         answer = self._insist("POST", "/jobs", json=spec, headers={"Idempotency-Key": key})

@@ -1,7 +1,7 @@
 """One episode: users at work, faults at their times, everything healed, and what the checker finds.
 
 `python -m tests.faults.campaign.episode --seeds 100 [--first 0]` runs many in one world, and prints a line of
-JSON for each. `--serve FOLDER` takes the seeds from its standard input.
+JSON for each. `--kinds outages` draws other faults. `--serve FOLDER` takes the seeds from its standard input.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from pathlib import Path
 from tests.faults.campaign.checker import check
 from tests.faults.campaign.clients import Users
 from tests.faults.campaign.disks import take_own_mounts
-from tests.faults.campaign.faults import Fault, draw
+from tests.faults.campaign.faults import Campaign, Fault, campaign_of
 from tests.faults.campaign.runner import READY, Outcome
 from tests.faults.campaign.world import PARTIES, SERVERS, World
 from worker.host.parent_death import PARENT, die_with_parent
@@ -26,12 +26,13 @@ _FAULTS_WITHIN_S = 3.5
 _END_WITHIN_S = 60.0
 
 
-def run(world: World, seed: int) -> Outcome:
+def run(world: World, seed: int, campaign: Campaign) -> Outcome:
     """What became of the episode that this seed draws."""
     rng = random.Random(seed)
-    faults = draw(rng, _FAULTS_WITHIN_S)
+    faults = campaign.draw(rng, _FAULTS_WITHIN_S)
     started = time.monotonic()
-    users = Users(world.url, NUM_JOBS, rng)
+    # The label of a sweep makes jobs that can train together, where workers do so.
+    users = Users(world.url, NUM_JOBS, rng, {"labels": {"sweep": str(seed)}, **campaign.spec})
     _happen(world, faults, started)
     world.heal()
     late = users.wait(_END_WITHIN_S + max(fault.aftermath_s for fault in faults))
@@ -58,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--kinds", default="faults", help="the module of this folder that draws the faults")
     parser.add_argument("--serve", type=Path, metavar="FOLDER", help="a world there, for seeds that are sent")
     parser.add_argument("--keep", action="store_true", help="stop at the first broken promise")
     given = parser.parse_args(arguments)
@@ -69,14 +71,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     places = {}
     if given.serve is not None:
         seeds, places = map(int, sys.stdin), {"folder": given.serve}
-    is_broken = False
-    with World(**places, has_own_mounts=has_own_mounts) as world:
+    is_broken, campaign = False, campaign_of(given.kinds)
+    with World(**places, has_own_mounts=has_own_mounts, settings=campaign.settings) as world:
         if not world.clocks:
             print("No C compiler: instead of clocks, the times that are stored move.", file=sys.stderr)
         if given.serve is not None:
             print(READY, end="", flush=True)
         for seed in seeds:
-            outcome = run(world, seed)
+            outcome = run(world, seed, campaign)
             is_broken |= bool(outcome.broken)
             print(outcome.line(), flush=True)
             if outcome.broken:

@@ -2,9 +2,10 @@
 
 import random
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any
 
 from tests.faults.campaign.proxy import Mode
@@ -23,13 +24,32 @@ class Fault:
     aftermath_s: float = 0.0
 
 
-def draw(rng: random.Random, within_s: float) -> list[Fault]:
-    """One to five faults, by the time at which they begin."""
-    kinds = rng.choices(list(_KINDS), weights=[weight for _, weight in _KINDS.values()], k=rng.randint(1, 5))
-    faults = [
-        _KINDS[kind][0](rng, rng.uniform(0.2, within_s), rng.choice((0.2, 1.0, 2.5, 5.0))) for kind in kinds
-    ]
-    return sorted(faults, key=lambda fault: fault.at_s)
+# By name: what draws a fault from its time and duration, and how often it is drawn.
+Kinds = Mapping[str, tuple[Callable[[random.Random, float, float], Fault], int]]
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The faults of an episode. spec: what each job says besides its seed; settings: of every process."""
+
+    kinds: Kinds
+    spec: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    settings: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def draw(self, rng: random.Random, within_s: float) -> list[Fault]:
+        """One to five faults, by the time at which they begin."""
+        weights = [weight for _, weight in self.kinds.values()]
+        names = rng.choices(list(self.kinds), weights=weights, k=rng.randint(1, 5))
+        faults = [
+            self.kinds[name][0](rng, rng.uniform(0.2, within_s), rng.choice((0.2, 1.0, 2.5, 5.0)))
+            for name in names
+        ]
+        return sorted(faults, key=lambda fault: fault.at_s)
+
+
+def campaign_of(name: str) -> Campaign:
+    """The `CAMPAIGN` of a module of this folder."""
+    return import_module(f"{__package__}.{name}").CAMPAIGN
 
 
 def _killed(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
@@ -76,16 +96,16 @@ def _flushed(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
 def _cut_off(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
     """One party from one store, all from one store, or one party from all."""
     party, store = rng.choice((*PARTIES, "*")), rng.choice((*STORES, "*"))
-    modes = [mode for mode in Mode if mode not in (Mode.OPEN, Mode.FLIP)]
-    return _misbehaving(party, store, rng.choice(modes), at_s, lasts_s)
+    modes = [mode for mode in Mode if mode not in (Mode.OPEN, Mode.FLIP, Mode.LOSE_CLAIMS)]
+    return misbehaving(party, store, rng.choice(modes), at_s, lasts_s)
 
 
 def _flipped(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
     """Of the object store alone: what it keeps has a hash. To the other two only TLS would show it."""
-    return _misbehaving(rng.choice((*PARTIES, "*")), "weed", Mode.FLIP, at_s, lasts_s)
+    return misbehaving(rng.choice((*PARTIES, "*")), "weed", Mode.FLIP, at_s, lasts_s)
 
 
-def _misbehaving(party: str, store: str, mode: Mode, at_s: float, lasts_s: float) -> Fault:
+def misbehaving(party: str, store: str, mode: Mode, at_s: float, lasts_s: float) -> Fault:
     def set_mode(world: World, wanted: Mode) -> None:
         for name, proxy in world.proxies.all.items():
             its_party, _, its_store = name.partition("/")
@@ -102,7 +122,10 @@ def _misbehaving(party: str, store: str, mode: Mode, at_s: float, lasts_s: float
 
 
 def _disk_full(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
-    name = rng.choice(list(DISKS))
+    return full_disk(rng.choice(list(DISKS)), at_s, lasts_s)
+
+
+def full_disk(name: str, at_s: float, lasts_s: float) -> Fault:
 
     def fill(world: World) -> None:
         if name in world.disks:
@@ -149,7 +172,7 @@ def _move_stored_times(world: World, by_s: float) -> None:
         )
 
 
-_KINDS: dict[str, tuple[Callable[[random.Random, float, float], Fault], int]] = {
+_KINDS: Kinds = {
     "killed": (_killed, 4),
     "drained": (_drained, 1),
     "stopped": (_stopped, 3),
@@ -160,3 +183,5 @@ _KINDS: dict[str, tuple[Callable[[random.Random, float, float], Fault], int]] = 
     "disk_full": (_disk_full, 2),
     "clock_step": (_clock_step, 2),
 }
+
+CAMPAIGN = Campaign(_KINDS)

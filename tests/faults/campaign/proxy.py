@@ -15,7 +15,7 @@ class Mode(StrEnum):
     open: nothing. refuse: connections are reset. silent: nothing comes through, and nothing ends. slow: each
     piece takes a while. lose_answers: what is asked arrives, and the connection is reset before the answer.
     truncate: half of an answer arrives, and the connection is reset. flip: one bit of each piece is flipped,
-    on its way there and on its way back.
+    on its way there and on its way back. lose_claims: as lose_answers, of the commits of claims alone.
     """
 
     OPEN = "open"
@@ -25,12 +25,27 @@ class Mode(StrEnum):
     LOSE_ANSWERS = "lose_answers"
     TRUNCATE = "truncate"
     FLIP = "flip"
+    LOSE_CLAIMS = "lose_claims"
 
 
+# Of the statement by which an attempt is claimed: no other one starts a lease with a new version of a job.
+_CLAIM, _COMMIT = (b"UPDATE jobs SET version", b"lease_until=(clock_timestamp()"), b"COMMIT"
 Place = Path | int  # A unix socket, or a port of the loopback interface.
 _PIECE = 65_536
 _POLL_S = 0.02
 _DAWDLE_S = 0.15
+
+
+@dataclass
+class _Said:
+    """What was last asked on a connection to PostgreSQL."""
+
+    claims: bool = False
+    commits_a_claim: bool = False
+
+    def hear(self, piece: bytes) -> None:
+        self.commits_a_claim = self.claims and _COMMIT in piece
+        self.claims = all(words in piece for words in _CLAIM) or (self.claims and _COMMIT not in piece)
 
 
 @dataclass
@@ -40,6 +55,7 @@ class Proxy:
     here: Place
     there: Place
     mode: Mode = Mode.OPEN
+    num_lost_claims: int = 0
     _rng: random.Random = field(default_factory=lambda: random.Random(0))
     _server: asyncio.Server | None = None
     _open: set[asyncio.Task[None]] = field(default_factory=set[asyncio.Task[None]])
@@ -74,9 +90,10 @@ class Proxy:
         except OSError:
             _reset(writer)
             return
+        said = _Said()
         ways = [
-            asyncio.create_task(self._pass_on(reader, to_writer, is_answer=False)),
-            asyncio.create_task(self._pass_on(to_reader, writer, is_answer=True)),
+            asyncio.create_task(self._pass_on(reader, to_writer, said, is_answer=False)),
+            asyncio.create_task(self._pass_on(to_reader, writer, said, is_answer=True)),
         ]
         try:
             await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
@@ -87,11 +104,16 @@ class Proxy:
                 _reset(end)
 
     async def _pass_on(
-        self, source: asyncio.StreamReader, sink: asyncio.StreamWriter, *, is_answer: bool
+        self, source: asyncio.StreamReader, sink: asyncio.StreamWriter, said: "_Said", *, is_answer: bool
     ) -> None:
         with suppress(OSError):
             while piece := await self._next(source):
                 if is_answer and self.mode is Mode.LOSE_ANSWERS:
+                    return
+                if not is_answer:
+                    said.hear(piece)
+                elif said.commits_a_claim and self.mode is Mode.LOSE_CLAIMS:
+                    self.num_lost_claims += 1
                     return
                 if is_answer and self.mode is Mode.TRUNCATE:
                     sink.write(piece[: len(piece) // 2])

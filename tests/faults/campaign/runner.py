@@ -16,6 +16,7 @@ _ROOT = __file__.rpartition("/tests/")[0]
 # No world runs on what hundreds of episodes have left.
 _EPISODES_OF_A_WORLD = 50
 _TRIES = 3
+_EPISODES = (sys.executable, "-m", "tests.faults.campaign.episode")
 # What a process says once its world is there.
 READY = "ready\n"
 
@@ -38,8 +39,14 @@ class Outcome:
         return cls(said["seed"], tuple(said["faults"]), tuple(said["broken"]), said["seconds"])
 
 
+@dataclass
 class Runner:
-    """A world in a process that ends with the thread that entered this, and all in it with that process."""
+    """A world in a process that ends with the thread that entered this, and all in it with that process.
+
+    kinds: the module that draws the faults.
+    """
+
+    kinds: str = "faults"
 
     def __enter__(self) -> Self:
         for _ in range(_TRIES):
@@ -53,7 +60,7 @@ class Runner:
     def _start(self) -> None:
         self._folder = tempfile.mkdtemp(prefix="gw-")
         self._child = subprocess.Popen(
-            [sys.executable, "-m", "tests.faults.campaign.episode", "--serve", self._folder],
+            [*_EPISODES, "--kinds", self.kinds, "--serve", self._folder],
             cwd=_ROOT,
             env={**os.environ, "GAITWAY_PARENT": str(os.getpid())},
             stdin=subprocess.PIPE,
