@@ -53,6 +53,7 @@ def calls(job: Job) -> Mapping[str, Call]:
         "list": lambda jobs: jobs.list(JobQuery()),
         "expired": lambda jobs: list(jobs.expired()),
         "beat": lambda jobs: jobs.beat(LEASE),
+        "name_model": lambda jobs: jobs.name_model(MODEL, "a dog"),
         "waiting": lambda jobs: jobs.waiting(),
         "jobs_of": lambda jobs: jobs.jobs_of([job.id]),
         "undispatched": lambda jobs: jobs.undispatched(),
