@@ -69,7 +69,9 @@ def check_budget(spec: SweepSpec, trials: Sequence[Trial], store: JobStore) -> N
     """Raises Rejected where the budget allows no further trial."""
     budget = spec.budget
     if (why := why_no_more(spec, trials)) is not None:
-        detail = f"{why}, so no further trial would start; raise the budget."
+        of_the_budget = why.startswith("Its budget")
+        remedy = "raise the budget" if of_the_budget else "no budget changes that: start another sweep"
+        detail = f"{why}, so no further trial would start; {remedy}."
         raise Rejected(detail, [Problem("/budget", detail)])
     if budget.steps is None:
         return

@@ -1,21 +1,31 @@
 """How a call asks the service, and what several calls share."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
 from urllib.parse import quote
 
 import httpx
 from pydantic import BaseModel
 
+from gaitway.errors import NotFound
 from gaitway.retry import Retry, request
-from gaitway.steps import Call, Feed, Found, Request
+from gaitway.steps import Call, Feed, Found, Request, Step
 from gaitway.views import JobView, Page
 
 AnyView = TypeVar("AnyView", bound=BaseModel)
 
 POLL_S = 0.5
 _PAGE = 100
+_ID_LENGTH = 23
+# Of these, an abbreviated id is looked for.
+_SEARCHED = 1000
+
+P = ParamSpec("P")
+Result = TypeVar("Result")
+Told = TypeVar("Told")
+Asked = TypeVar("Asked", bound="Asking")
 
 
 @dataclass(frozen=True)
@@ -26,7 +36,26 @@ class Asking:
     retry: Retry
 
     def get(self, job_id: str) -> Call[JobView]:
-        return self._job(Request("GET", job_path(job_id)))
+        full_id = yield from self._full_id(job_id)
+        return (yield from self._job(Request("GET", job_path(full_id))))
+
+    def _full_id(self, name: str) -> Call[str]:
+        """The id of the job that this names: an id, a beginning or an end of one, or `last`."""
+        if len(name) == _ID_LENGTH or not name.replace("-", "").isalnum():
+            return name
+        ids, cursor = list[str](), None
+        while len(ids) < _SEARCHED:
+            limit = 1 if name == "last" else _PAGE
+            asked: dict[str, Any] = {"limit": limit} | ({"cursor": cursor} if cursor else {})
+            page = (yield from self._ask("GET", "/jobs", params=asked)).json()
+            ids += [item["id"] for item in page["items"]]
+            cursor = page.get("next")
+            if cursor is None or name == "last":
+                break
+        fitting = [one for one in ids if name == "last" or one.startswith(name) or one.endswith(name)]
+        if len(fitting) == 1:
+            return fitting[0]
+        raise NotFound(404, {"detail": _which(name, fitting)})
 
     def _ask(self, method: str, path: str, **more: Any) -> Call[httpx.Response]:
         return request(self.retry, Request(method, path, **more))
@@ -54,6 +83,29 @@ class Asking:
 
     def _has_ended(self, job_id: str) -> Call[bool]:
         return (yield from self.get(job_id)).is_final
+
+
+def of_a_job(
+    call: Callable[Concatenate[Asked, str, P], Generator[Told, Any, Result]],
+) -> Callable[Concatenate[Asked, str, P], Generator[Told | Step, Any, Result]]:
+    """The call; it also takes `last`, and a beginning or an end of an id that fits one job."""
+
+    @wraps(call)
+    def named(
+        self: Asked, job_id: str, /, *more: P.args, **also: P.kwargs
+    ) -> Generator[Told | Step, Any, Result]:
+        full_id = yield from self._full_id(job_id)  # pyright: ignore[reportPrivateUsage]
+        return (yield from call(self, full_id, *more, **also))
+
+    return named
+
+
+def _which(name: str, fitting: Sequence[str]) -> str:
+    if name == "last":
+        return "There is no job yet."
+    if not fitting:
+        return f"None of the newest {_SEARCHED:,} jobs has an id that begins or ends with {name!r}."
+    return f"{name!r} fits {len(fitting)} jobs: {', '.join(fitting[:5])}. Give more of the id."
 
 
 def paged(limit: int | None, page: Callable[[str | None, int], Call[Page[Any]]]) -> Feed:

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import quote
 
 from gaitway import policy
-from gaitway.calls.asking import Asking, job_path
+from gaitway.calls.asking import Asking, job_path, of_a_job
 from gaitway.downloading import OnBytes, download, save
 from gaitway.errors import NotFound
 from gaitway.steps import Call, Run
@@ -19,14 +19,17 @@ _POLICY_FILES = {"numpy": "policy.npz", "onnx": "policy.onnx"}
 class FileCalls(Asking):
     """Calls that fetch files."""
 
+    @of_a_job
     def artifacts(self, job_id: str) -> Call[Sequence[ArtifactView]]:
         return self._items(job_path(job_id, "artifacts"), ArtifactView)
 
+    @of_a_job
     def checkpoints(self, job_id: str) -> Call[Sequence[ArtifactView]]:
         artifacts = yield from self.artifacts(job_id)
         found = [artifact for artifact in artifacts if artifact.role == "checkpoint"]
         return sorted(found, key=lambda artifact: artifact.step or 0)
 
+    @of_a_job
     def download(
         self, job_id: str, name: str, path: str | Path | None, on_bytes: OnBytes | None
     ) -> Call[Path]:
@@ -34,6 +37,7 @@ class FileCalls(Asking):
         artifact = yield from self._announced(job_id, lambda job: job.artifact(name), href)
         return (yield from download(self.retry, artifact, _target(artifact.name, path), on_bytes))
 
+    @of_a_job
     def newest(
         self, job_id: str, role: str, path: str | Path | None, step: int | None, on_bytes: OnBytes | None
     ) -> Call[Path]:
@@ -42,6 +46,7 @@ class FileCalls(Asking):
         artifact = yield from self._announced(job_id, lambda job: job.newest(role, step), href)
         return (yield from download(self.retry, artifact, _target(artifact.name, path), on_bytes))
 
+    @of_a_job
     def load_policy(self, job_id: str, step: int | None, deterministic: bool) -> Call[policy.Policy]:
         job = yield from self.get(job_id)
         final = job.newest("policy") if step is None else None
@@ -59,6 +64,7 @@ class FileCalls(Asking):
             )
             return (yield Run(load))
 
+    @of_a_job
     def export_policy(
         self, job_id: str, format: str, path: str | Path | None, on_bytes: OnBytes | None
     ) -> Call[Path]:
@@ -67,10 +73,12 @@ class FileCalls(Asking):
         artifact = yield from self._announced(job_id, lambda job: job.artifact(name), href)
         return (yield from download(self.retry, artifact, _target(artifact.name, path), on_bytes))
 
+    @of_a_job
     def export(self, job_id: str, path: str | Path | None) -> Call[Path]:
         target = _target(f"{job_id}.zip", path)
         return (yield from save(self.retry, job_path(job_id, "export"), target))
 
+    @of_a_job
     def share(self, job_id: str, path: str | Path | None) -> Call[Path]:
         target = _target(f"{job_id}.html", path)
         return (yield from save(self.retry, job_path(job_id, "report.html"), target))

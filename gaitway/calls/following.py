@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from gaitway import frames, notebook
-from gaitway.calls.asking import Asking, job_path
+from gaitway.calls.asking import Asking, job_path, of_a_job
 from gaitway.errors import WaitTimeout
 from gaitway.following import follow_feed, follow_log
 from gaitway.steps import Call, Feed, Found, read_through
@@ -16,6 +16,7 @@ from gaitway.views import Event, JobView, MetricsRow
 class FollowingCalls(Asking):
     """Calls that follow a job."""
 
+    @of_a_job
     def wait(self, job_id: str, timeout: float | None) -> Call[JobView]:
         deadline = None if timeout is None else time.monotonic() + timeout
         job = yield from self.get(job_id)
@@ -26,10 +27,12 @@ class FollowingCalls(Asking):
             raise WaitTimeout(f"Job {job_id} is still {job.status} after {timeout:g} s; it continues.")
         return job
 
+    @of_a_job
     def events(self, job_id: str, after: str | None, deadline: float | None = None) -> Feed:
         has_ended = partial(self._has_ended, job_id)
         return follow_feed(self.retry, job_path(job_id, "events"), has_ended, after, deadline)
 
+    @of_a_job
     def metrics(self, job_id: str, names: Sequence[str], points: int | None, as_: str) -> Call[Any]:
         frame = frames.maker(as_)  # What is missing is said before anything is fetched.
         if points is None:
@@ -49,6 +52,7 @@ class FollowingCalls(Asking):
                 return rows
             after = page["next"]
 
+    @of_a_job
     def logs(self, job_id: str, follow: bool) -> Feed:
         path = job_path(job_id, "logs")
         if follow:
@@ -58,10 +62,12 @@ class FollowingCalls(Asking):
         for line in answer.text.splitlines():
             yield Found(line)
 
+    @of_a_job
     def curve(self, job_id: str, names: Sequence[str]) -> Call[str]:
         answer = yield from self._ask("GET", job_path(job_id, "curve"), params={"metric": list(names)})
         return answer.text
 
+    @of_a_job
     def show(self, job_id: str, every_s: float) -> Call[None]:
         """Shows it under a cell, and replaces what it shows as the job goes on."""
         display = notebook.Display()  # Raises MissingExtra.

@@ -4,7 +4,7 @@ import uuid
 from collections.abc import Mapping
 from typing import Any
 
-from gaitway.calls.asking import Asking, job_path, paged
+from gaitway.calls.asking import Asking, job_path, of_a_job, paged
 from gaitway.steps import Call, Feed, Request
 from gaitway.views import JobView, Page
 
@@ -32,12 +32,15 @@ class JobCalls(Asking):
         page = Page[JobView].model_validate_json(response.content)
         return page.model_copy(update={"items": [job.of(self.base_url) for job in page.items]})
 
+    @of_a_job
     def cancel(self, job_id: str) -> Call[JobView]:
         return self._job(Request("POST", job_path(job_id, "cancel")))
 
+    @of_a_job
     def delete(self, job_id: str) -> Call[None]:
         yield from self._ask("DELETE", job_path(job_id))
 
+    @of_a_job
     def specification(self, job_id: str) -> Call[dict[str, Any]]:
         response = yield from self._ask("GET", job_path(job_id, "specification"))
         return response.json()

@@ -24,6 +24,19 @@ JobName = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
 
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+
+
+def confirm(question: str, *, yes: bool) -> None:
+    """Ask on a terminal. Raises typer.Exit where the answer is no, and where nobody is there to ask."""
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise wrong_usage(f"{question} Nobody is here to ask: say so by --yes.")
+    if not typer.confirm(question):
+        raise typer.Exit(1)
+
+
 def client_of(context: typer.Context) -> Client:
     """The client for the service that `--url` or GAITWAY_URL names."""
     client = Client(context.find_object(str))

@@ -7,7 +7,7 @@ import typer
 
 from gaitway.cli.common import AsJson, client_of, name_to_model, print_json
 from gaitway.cli.errors import wrong_usage
-from gaitway.cli.submit import assigned
+from gaitway.cli.submit import assigned, option
 from gaitway.client import Client
 from gaitway.views import EnvironmentView, SliceView
 
@@ -38,7 +38,7 @@ def environments(
         return
     given: dict[str, Any] = {}
     for text in options or ():
-        assigned(given, text)
+        assigned(given, option(text))
     name_to_model(client, given)
     found = client.environment(environment, given)
     if as_json:

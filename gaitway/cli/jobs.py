@@ -1,19 +1,34 @@
 """`gaitway jobs`, `show`, `cancel`, `delete`: jobs as they stand."""
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
+from gaitway.cli.common import AsJson, JobName, Yes, client_of, confirm, job_id, print_json
+from gaitway.cli.compare import flat
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.progress import duration
 from gaitway.cli.terminal import Console
 from gaitway.cli.watch import ending
 from gaitway.views import JobView
 
+# The metrics that one looks at first.
+_MAIN = (
+    "eval/episode_reward",
+    "eval/forward_speed",
+    "eval/avg_episode_length",
+    "training/episode_reward",
+    "training/forward_speed",
+    "training/episode_length",
+    "training/fall_rate",
+    "training/sps",
+)
+# Of what was filled in; `gaitway compare` and the specification have all of it.
+_FILLED_IN = ("algorithm.", "physics", "seed")
 _STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan"}
 
 
@@ -41,15 +56,26 @@ def jobs(  # noqa: PLR0913 # A command line's options.
         Console().print(_table(found))
 
 
-def show(context: typer.Context, job: JobName, as_json: AsJson = False) -> None:
+def show(
+    context: typer.Context,
+    job: JobName,
+    metrics: Annotated[bool, typer.Option("--metrics", help="All metrics, not only the main ones.")] = False,
+    as_json: AsJson = False,
+) -> None:
     """Show one job: its settings, progress, attempts and files."""
     client = client_of(context)
     found = client.get(job_id(client, job))
     if as_json:
         print_json(found)
         return
+    settings = dict(flat(found.spec)), dict(flat(client.specification(found.id)))
     console = Console()
-    for line in _lines(found):
+    for line in [
+        *_lines(found),
+        *_settings(*settings),
+        *_metrics(found, all_of_them=metrics),
+        *_parts(found),
+    ]:
         console.print(Text(line), soft_wrap=True)
 
 
@@ -71,10 +97,13 @@ def cancel(context: typer.Context, job: JobName, as_json: AsJson = False) -> Non
         print(ending(found) if found.is_final else f"Job {found.id} is {found.status}.")
 
 
-def delete(context: typer.Context, job: JobName) -> None:
+def delete(context: typer.Context, job: JobName, yes: Yes = False) -> None:
     """Delete an ended job and its files permanently."""
     client = client_of(context)
     full_id = job_id(client, job)
+    found = client.get(full_id)
+    about = " ".join(part for part in (found.kind, found.environment, found.name, found.status) if part)
+    confirm(f"Delete job {full_id} ({about}) and its {len(found.artifacts)} files?", yes=yes)
     client.delete(full_id)
     print(f"Job {full_id} is deleted.")
 
@@ -110,16 +139,50 @@ def _lines(job: JobView) -> list[str]:
         "name": job.name,
         "labels": ", ".join(f"{name}={value}" for name, value in job.labels.items()),
         "message": job.message,
-        "created": job.created_at,
-        "started": job.started_at,
-        "finished": job.finished_at,
-        "again at": job.not_before,
+        "created": _local(job.created_at),
+        "started": _local(job.started_at),
+        "finished": _local(job.finished_at),
+        "again at": _local(job.not_before),
         "waiting": job.waiting_for,
         "imported": origin(job),
         "progress": f"{job.progress.step:,} of {job.progress.total:,} steps" if job.progress.total else "",
+        "phase": job.progress.phase,
     }
-    lines += [f"  {name + ':':<10}{value}" for name, value in facts.items() if value]
-    lines += [f"  {name} = {value:g}" for name, value in job.progress.metrics.items() if value is not None]
+    return lines + [f"  {name + ':':<11}{value}" for name, value in facts.items() if value]
+
+
+def _local(moment: datetime | None) -> str:
+    """In this machine's time zone, to the second."""
+    return "" if moment is None else f"{moment.astimezone():%Y-%m-%d %H:%M:%S %Z}"
+
+
+def _settings(sent: Mapping[str, Any], whole: Mapping[str, Any]) -> list[str]:
+    """The settings that were sent, and those that were filled in."""
+    left_out = ("kind", "name", "labels", "environment.id")
+    shown = {path: value for path, value in sent.items() if not path.startswith(left_out)}
+    rest = {path: value for path, value in whole.items() if path not in sent and path.startswith(_FILLED_IN)}
+    told = {"settings": shown, "filled in": rest}
+    return [f"  {title + ':':<11}{_joined(found)}" for title, found in told.items() if found]
+
+
+def _joined(settings: Mapping[str, Any]) -> str:
+    return ", ".join(f"{path}={value}" for path, value in settings.items())
+
+
+def _metrics(job: JobView, *, all_of_them: bool) -> list[str]:
+    """The main ones first, or alone."""
+    found = {name: value for name, value in job.progress.metrics.items() if value is not None}
+    main = {name: found.pop(name) for name in _MAIN if name in found}
+    if all_of_them:
+        main |= dict(sorted(found.items()))
+        found = {}
+    lines = [f"  {name} = {value:g}" for name, value in main.items()]
+    return [*lines, f"  and {len(found)} more metrics: --metrics"] if found else lines
+
+
+def _parts(job: JobView) -> list[str]:
+    """Its attempts and files."""
+    lines = list[str]()
     for attempt in job.attempts:
         end = f"{attempt.reason}: {attempt.message}" if attempt.reason else "still running"
         where = ", ".join(part for part in (attempt.worker, attempt.device, attempt.engine) if part)

@@ -1,10 +1,24 @@
 """The terminal program `gaitway`."""
 
+from importlib.metadata import version
 from typing import Annotated
 
 import typer
 
-from gaitway.cli import compare, environments, files, jobs, models, preview, service, submit, sweeps, watch
+from gaitway.cli import (
+    compare,
+    environments,
+    files,
+    jobs,
+    models,
+    preview,
+    rollout,
+    service,
+    submit,
+    sweeps,
+    watch,
+    workers,
+)
 from gaitway.cli.errors import Group
 
 app = typer.Typer(
@@ -17,6 +31,12 @@ app = typer.Typer(
 )
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"gaitway {version('gaitway')}")
+        raise typer.Exit
+
+
 @app.callback()
 def main(
     context: typer.Context,
@@ -24,6 +44,10 @@ def main(
         str | None,
         typer.Option(envvar="GAITWAY_URL", help="Address of the service; by default http://127.0.0.1:8000."),
     ] = None,
+    _shown: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version of this client."),
+    ] = False,
 ) -> None:
     """Send training jobs to a Gaitway service, watch them, and fetch what they made."""
     context.obj = url
@@ -32,6 +56,7 @@ def main(
 for command in (
     environments.environments,
     submit.submit,
+    rollout.rollout,
     jobs.jobs,
     jobs.show,
     watch.watch,
@@ -45,8 +70,10 @@ for command in (
     files.download,
     preview.preview,
     sweeps.sweep,
+    workers.workers,
 ):
     app.command()(command)
+app.command("open")(watch.open_job)
 app.command("import")(files.import_job)
 app.add_typer(models.models, name="models")
 app.add_typer(sweeps.sweeps, name="sweeps")

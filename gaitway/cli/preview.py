@@ -8,7 +8,7 @@ import typer
 
 from gaitway.cli.common import AsJson, client_of, name_to_model, print_json
 from gaitway.cli.errors import wrong_usage
-from gaitway.cli.submit import Show, assigned
+from gaitway.cli.submit import Show, assigned, option
 
 
 def preview(  # noqa: PLR0913 # A command line's options.
@@ -34,7 +34,7 @@ def preview(  # noqa: PLR0913 # A command line's options.
         raise wrong_usage(f"--size {size}: write it as 640x480.")
     given: dict[str, Any] = {}
     for text in options or ():
-        assigned(given, text)
+        assigned(given, option(text))
     client = client_of(context)
     name_to_model(client, given)
     pictures = client.preview(

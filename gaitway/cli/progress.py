@@ -1,10 +1,11 @@
 """A job's progress on a terminal: a live bar, or plain lines where there is no terminal."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import TracebackType
 from typing import Any, Self
 
+from rich.console import RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
@@ -14,6 +15,10 @@ from gaitway.views import Event, JobView
 
 _RETURN = ("eval/episode_reward", "training/episode_reward")
 _SPEED = ("eval/forward_speed", "training/forward_speed")
+_WORDS = {"drawing": "drawing the video"}
+# These follow one another with each evaluation: no news where every piece of it is a line.
+_ROUTINE = {"training", "evaluating"}
+_HELD = {"starting", "running", "cancelling"}
 
 
 class JobProgress:
@@ -30,20 +35,22 @@ class JobProgress:
         self.steps_per_second: float | None = None
         self.eta_s: float | None = None
         self.metrics: dict[str, float] = {}
+        self.phase: str | None = None
         self._returns = {name: History() for name in _RETURN}
         self._console = console or Console()
         self._every_s = every_s
         self._told_at = float("-inf")
         self._told = ""
-        self._bar = Progress(
-            TextColumn("{task.description}"),
+        self._bar = _TwoLines(
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=None),
             TaskProgressColumn(),
-            TextColumn("{task.fields[facts]}"),
+            TextColumn("{task.fields[left]}", markup=False),
             TimeElapsedColumn(),
             console=self._console,
+            expand=True,
         )
-        self._task = self._bar.add_task(self.status, total=None, facts="")
+        self._task = self._bar.add_task(self.status, total=None, left="")
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -63,8 +70,22 @@ class JobProgress:
         self._show(is_news=is_news)
 
     @property
+    def doing(self) -> str:
+        """The status, and the phase where there is one."""
+        return f"{self.status} · {_WORDS.get(self.phase, self.phase)}" if self.phase else self.status
+
+    @property
+    def left(self) -> str:
+        """The time that is left; empty where it is not known."""
+        return f"ETA {duration(self.eta_s)}" if self.eta_s is not None and self.step < self.total else ""
+
+    @property
     def facts(self) -> str:
         """The numbers as one line; unknown ones are left out."""
+        return " · ".join([*self._numbers(self._curve), *([self.left] if self.left else [])])
+
+    def _numbers(self, curve: str) -> list[str]:
+        """curve: stands behind the return."""
         parts = [f"{self.step:,}/{self.total:,} steps"] if self.total else []
         if (episodes := self.metrics.get("training/num_episodes")) is not None:
             done = self.metrics.get("training/episodes", 0.0)
@@ -72,12 +93,10 @@ class JobProgress:
         if self.steps_per_second:
             parts.append(f"{self.steps_per_second:,.0f} steps/s")
         if (reward := self._first(_RETURN)) is not None:
-            parts.append(f"return {reward:,.1f} {self._curve}".rstrip())
+            parts.append(f"return {reward:,.1f} {curve}".rstrip())
         if (speed := self._first(_SPEED)) is not None:
             parts.append(f"{speed:.2f} m/s")
-        if self.eta_s is not None and self.step < self.total:
-            parts.append(f"ETA {duration(self.eta_s)}")
-        return " · ".join(parts)
+        return parts
 
     @property
     def _curve(self) -> str:
@@ -95,14 +114,15 @@ class JobProgress:
     def _take_job(self, job: JobView) -> bool:
         is_news = job.status != self.status
         self.status = job.status
-        self._take_progress(job.progress.model_dump())
-        return is_news
+        return self._take_progress(job.progress.model_dump()) or is_news
 
     def _take_event(self, event: Event) -> bool:
         if event.kind == "status":
             self.status = str(event.data.get("status", self.status))
+            if self.status not in _HELD:
+                self.phase = None
         elif event.kind == "progress":
-            self._take_progress(event.data)
+            return self._take_progress(event.data)
         elif event.kind == "metrics":
             self._take_metrics(event.data.get("values") or {})
             self._take_returns(event.data)
@@ -110,12 +130,15 @@ class JobProgress:
             self._console.print(Text(str(event.data.get("text", "")), style="yellow"))
         return event.kind == "status"
 
-    def _take_progress(self, data: Mapping[str, Any]) -> None:
+    def _take_progress(self, data: Mapping[str, Any]) -> bool:
+        """Whether another phase began that is no routine."""
+        before, self.phase = self.phase, data.get("phase")
         self.step = int(data.get("step") or 0)
         self.total = int(data.get("total") or 0)
         self.steps_per_second = data.get("steps_per_second")
         self.eta_s = data.get("eta_s")
         self._take_metrics(data.get("metrics") or {})
+        return self.phase != before and not {before, self.phase} <= _ROUTINE
 
     def _take_metrics(self, values: Mapping[str, float | None]) -> None:
         self.metrics.update({name: value for name, value in values.items() if value is not None})
@@ -129,17 +152,29 @@ class JobProgress:
         if self._console.is_terminal:
             self._bar.update(
                 self._task,
-                description=self.status,
+                description=self.doing,
                 total=self.total or None,
                 completed=self.step,
-                facts=self.facts,
+                left=self.left,
             )
+            # What does not fit is cut at the end, and that is the curve.
+            self._bar.second = " · ".join(part for part in (*self._numbers(""), self._curve) if part)
             return
-        line = " · ".join(part for part in (self.status, self.facts) if part)
+        line = " · ".join(part for part in (self.doing, self.facts) if part)
         now = time.monotonic()
         if line != self._told and (is_news or now - self._told_at >= self._every_s):
             self._told, self._told_at = line, now
             self._console.print(Text(line), soft_wrap=True)
+
+
+class _TwoLines(Progress):
+    """A bar, and numbers below it: side by side they leave a terminal of 80 columns no bar."""
+
+    second = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        yield Text(self.second, no_wrap=True, overflow="ellipsis")
 
 
 def duration(seconds: float) -> str:

@@ -4,15 +4,25 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, NoReturn, cast
 
 import typer
 
 from gaitway.cli.common import AsJson, client_of, end_code, name_to_model, print_json
 from gaitway.cli.errors import wrong_usage
 from gaitway.cli.terminal import Console
-from gaitway.cli.watch import print_what_it_waits_for, watch_job
+from gaitway.cli.watch import page_of, print_what_it_waits_for, watch_job
+from gaitway.client import Client
+from gaitway.views import JobView
 
+# What a job may say; everything else in `--set` is an option of its environment.
+JOB_FIELDS = frozenset(
+    {
+        *("kind", "name", "labels", "environment", "physics", "randomization", "seed", "video", "resources"),
+        *("priority", "timeout_s", "max_attempts", "algorithm", "checkpoints", "resume_from", "tracking"),
+        *("policy", "num_steps", "num_episodes", "deterministic"),
+    }
+)
 # Of the algorithms without `num_timesteps`: what says how long they learn.
 _LENGTHS = {"q_learning": "algorithm.num_episodes=2000"}
 
@@ -21,7 +31,7 @@ Assignments = Annotated[
     typer.Option(
         "--set",
         metavar="PATH=VALUE",
-        help="Any field, several times, e.g. algorithm.learning_rate=3e-4.",
+        help="Any field, several times, e.g. algorithm.learning_rate=3e-4; or an option of the environment.",
     ),
 ]
 
@@ -56,9 +66,13 @@ def submit(  # noqa: PLR0913 # A command line's options.
 ) -> None:
     """Queue a training (or, from a file, a rollout)."""
     spec = read(file) if file else {}
+    if environment is not None and (environment.endswith(".json") or Path(environment).is_file()):
+        raise wrong_usage(
+            f"{environment} is a file: send the job in it by `gaitway submit -f {environment}`."
+        )
     if environment is not None:
         spec["environment"] = environment
-    if "environment" not in spec:
+    if "environment" not in spec and spec.get("kind") != "rollout":
         raise wrong_usage(
             "Name an environment (`gaitway submit ant`), or a file with a job (`--file job.json`)."
         )
@@ -70,19 +84,24 @@ def submit(  # noqa: PLR0913 # A command line's options.
     if label:
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
     for text in assignments or ():
-        assigned(spec, text)
+        assigned(spec, whole_path(text))
     _name_the_algorithm(spec, num_timesteps)
     client = client_of(context)
-    if isinstance(spec["environment"], dict):
+    if isinstance(spec.get("environment"), dict):
         chosen = cast("dict[str, Any]", spec["environment"])
         name_to_model(client, chosen.get("options"))
-    job = client.submit(spec)
+    follow(client, client.submit(spec), watch=watch, as_json=as_json)
+
+
+def follow(client: Client, job: JobView, *, watch: bool, as_json: bool) -> NoReturn:
+    """Tell of a job that was just sent, or stay and show it. Raises typer.Exit with the command's code."""
     if watch:
         job = watch_job(client, job, Console(stderr=as_json))
     if as_json:
         print_json(job)
     elif not watch:
         print(job.id)
+        print(f"Its page: {page_of(client, job.id)}", file=sys.stderr)
         print_what_it_waits_for(client, job, Console(stderr=True))
     raise typer.Exit(end_code(job) if watch and job.is_final else 0)
 
@@ -91,6 +110,17 @@ def assigned(spec: dict[str, Any], text: str) -> None:
     """Set a field from `a.b.c=VALUE`; a VALUE that is JSON is read as JSON."""
     path, value = _assignment(text)
     put(spec, path, _value(value))
+
+
+def option(text: str) -> str:
+    """An option of an environment as `preview` takes it: the path that `submit` has for it will do, too."""
+    return text.removeprefix("environment.options.")
+
+
+def whole_path(text: str) -> str:
+    """What is no field of a job is an option of its environment, as `preview` has it."""
+    first = text.partition("=")[0].partition(".")[0]
+    return text if first in JOB_FIELDS else f"environment.options.{text}"
 
 
 def _name_the_algorithm(spec: dict[str, Any], num_timesteps: int | None) -> None:

@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from gaitway.cli.common import AsJson, client_of, full_id, print_json
+from gaitway.cli.common import AsJson, Yes, client_of, confirm, full_id, print_json
 from gaitway.cli.errors import Group
 from gaitway.cli.progress import duration
 from gaitway.cli.submit import read
@@ -107,10 +107,11 @@ def resume(  # noqa: PLR0913 # A command line's options.
 
 
 @sweeps.command()
-def delete(context: typer.Context, sweep: SweepName) -> None:
+def delete(context: typer.Context, sweep: SweepName, yes: Yes = False) -> None:
     """Delete the record of an ended sweep; its jobs stay."""
     client = client_of(context)
     full_id = _id(client, sweep)
+    confirm(f"Delete the record of sweep {full_id}?", yes=yes)
     client.delete_sweep(full_id)
     print(f"Sweep {full_id} is deleted; its jobs stay.")
 
@@ -128,6 +129,8 @@ def _told(sweep: SweepView, as_json: bool) -> None:
 
 def _watched(client: Client, sweep: SweepView, console: Console) -> SweepView:
     """Show the sweep until it ends, and return it as it then is; Ctrl-C ends only the display."""
+    if not console.is_terminal:
+        return _told_of_changes(client, sweep, console)
     try:
         with Live(_state(sweep), console=console, auto_refresh=False) as live:
             while not sweep.is_final:
@@ -138,6 +141,33 @@ def _watched(client: Client, sweep: SweepView, console: Console) -> SweepView:
         console.print(f"The sweep continues; `gaitway sweeps show {sweep.id} --watch` shows it again.")
         raise typer.Exit(130) from None
     return sweep
+
+
+def _told_of_changes(client: Client, sweep: SweepView, console: Console) -> SweepView:
+    """A line for each change, and all trials at the end."""
+    told = set[str]()
+    while True:
+        for line in _news(sweep):
+            if line not in told:
+                told.add(line)
+                console.print(Text(line), soft_wrap=True)
+        if sweep.is_final:
+            console.print(_state(sweep))
+            return sweep
+        time.sleep(_EVERY_S)
+        sweep = client.get_sweep(sweep.id)
+
+
+def _news(sweep: SweepView) -> Iterable[str]:
+    """A line for its status, and one for each trial's."""
+    yield f"Sweep {sweep.id} {sweep.status}"
+    for trial in sweep.trials:
+        axes = ", ".join(
+            f"{name.rpartition('.')[2]}={_number(one)}" for name, one in trial.parameters.items()
+        )
+        ended = trial.status not in ("queued", "starting", "running")
+        values = f": {_values(trial)}" if ended and trial.values else ""
+        yield f"trial {trial.number} {trial.status} ({axes}){values}"
 
 
 def _list(found: Iterable[SweepView]) -> Table:

@@ -17,6 +17,7 @@ from gaitway.views import JobView
 def watch_job(client: Client, job: JobView, console: Console) -> JobView:
     """Show the job until it ends, and return it as it then is; Ctrl-C ends only the display."""
     console.print(Text(f"Job {job.id}: {job.kind} {job.environment}"), soft_wrap=True)
+    console.print(Text(f"Its page: {page_of(client, job.id)}"), soft_wrap=True)
     try:
         with JobProgress(console) as progress:
             progress.update(job)
@@ -39,6 +40,11 @@ def print_what_it_waits_for(client: Client, job: JobView, console: Console) -> N
     """Print one line if no present worker could run the job."""
     if job.status == "queued" and (lacks := client.get(job.id).waiting_for):
         console.print(Text(lacks, style="yellow"), soft_wrap=True)
+
+
+def page_of(client: Client, job_id: str) -> str:
+    """The address of a job's page."""
+    return f"{client.base_url}/#/jobs/{job_id}"
 
 
 def open_page(address: str) -> None:
@@ -65,7 +71,7 @@ def watch(
     client = client_of(context)
     found = client.get(job_id(client, job))
     if in_browser:
-        open_page(f"{client.base_url}/#/jobs/{found.id}/replay")
+        open_page(f"{page_of(client, found.id)}/replay")
     if as_json:
         for event in client.events(found.id):
             print(escaped(event.model_dump_json()), flush=True)
@@ -73,6 +79,17 @@ def watch(
     else:
         found = watch_job(client, found, Console())
     raise typer.Exit(end_code(found))
+
+
+def open_job(
+    context: typer.Context,
+    job: Annotated[
+        str | None, typer.Argument(metavar="JOB", help="As elsewhere; without it, the page of all jobs.")
+    ] = None,
+) -> None:
+    """Open the page of a job, or of the service, in a browser."""
+    client = client_of(context)
+    open_page(f"{client.base_url}/" if job is None else page_of(client, job_id(client, job)))
 
 
 def logs(

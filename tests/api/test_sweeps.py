@@ -158,8 +158,9 @@ def test_a_cancel_takes_all_trials_with_it_and_a_resumed_sweep_goes_on(
     ended = stack.http.post(f"{here}/cancel")
     problem(ended, 409, "sweep-finished")
     refused = problem(stack.http.post(f"{here}/resume", json={"budget": {"jobs": 9}}), 422, "invalid-request")
-    assert (
-        refused["detail"] == "Every combination was tried, so no further trial would start; raise the budget."
+    assert refused["detail"] == (
+        "Every combination was tried, so no further trial would start; no budget changes that: start another "
+        "sweep."
     )
 
 

@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 
 from core.environments.mjcf.archive import examine
 from core.jobs.job import Progress
+from core.jobs.spec import RolloutSpec, TrainSpec
 from core.jobs.status import JobStatus
 from core.reasons import Reason
 from core.storage import keys
@@ -18,6 +19,7 @@ from core.sweeps.controller import SweepController
 from gaitway import Client, Conflict, NotFound, NotReady, Rejected, WaitTimeout
 from gaitway.cli.main import app
 from gaitway.cli.models import what_a_model_waits_for
+from gaitway.cli.submit import JOB_FIELDS
 from gaitway.views import WorkerView
 from tests.api.conftest import ARTIFACT, Attempt, Stack, job, quiet, server, stack
 from tests.api.test_models import DESCRIPTION
@@ -53,6 +55,49 @@ def test_a_job_is_submitted_read_listed_cancelled_and_deleted(client: Client) ->
         client.get(first.id)
     with pytest.raises(Conflict):
         client.delete(second.id)
+
+
+def test_the_client_takes_last_and_parts_of_ids(client: Client) -> None:
+    with pytest.raises(NotFound, match="There is no job yet"):
+        client.get("last")
+    first, second = client.submit(environment="ant"), client.submit(environment="ant")
+    assert client.get("last").id == second.id
+    assert client.get(first.id[-6:]).id == first.id
+    assert client.specification("last")["environment"]["id"] == "ant"
+    with pytest.raises(NotFound, match="fits 2 jobs"):
+        client.cancel(first.id[:4])
+    assert client.cancel("last").id == second.id
+    client.delete(second.id[-8:])
+    assert client.get("last").id == first.id
+
+
+def test_a_rollout_of_a_job_takes_its_environment_and_the_first_hour_has_its_commands(stack: Stack) -> None:
+    trained = Attempt(stack, job(environment={"id": "ant", "options": {"healthy_reward": 0.5}}))
+    trained.keep("checkpoint-10", role="checkpoint", step=10)
+    told = gaitway(stack, "rollout", "last", "--episodes", "3", "--no-video")
+    rollout = told.stdout.strip()
+    assert f"/#/jobs/{rollout}" in told.stderr
+    spec = stack.http.get(f"/jobs/{rollout}").json()["spec"]
+    assert spec["environment"] == {"id": "ant", "options": {"healthy_reward": 0.5}}
+    assert (spec["policy"]["job"], spec["num_episodes"], spec["video"]) == (trained.id, 3, None)
+    shown = gaitway(stack, "show", trained.id).output
+    assert "settings:  environment.options.healthy_reward=0.5" in shown
+    assert "algorithm.learning_rate=" in shown
+    assert gaitway(stack, "workers").output == "No worker is running.\n"
+    assert gaitway(stack, "--version").output.startswith("gaitway ")
+    asked = gaitway(stack, "delete", rollout)
+    assert (asked.exit_code, "--yes" in asked.output) == (2, True)
+    gaitway(stack, "cancel", rollout)
+    assert gaitway(stack, "delete", rollout, "--yes").exit_code == 0
+
+
+def test_a_file_is_sent_by_f_and_an_option_has_the_same_name_for_submit_and_preview(stack: Stack) -> None:
+    assert "gaitway submit -f x.json" in gaitway(stack, "submit", "x.json").output
+    sent = gaitway(stack, "submit", "ant", "--set", "healthy_reward=0.5", "--set", "seed=3")
+    spec = stack.http.get(f"/jobs/{sent.stdout.strip()}").json()["spec"]
+    assert (spec["environment"]["options"], spec["seed"]) == ({"healthy_reward": 0.5}, 3)
+    fields = {name for one in (TrainSpec, RolloutSpec) for name in one.model_fields}
+    assert fields == JOB_FIELDS
 
 
 def test_the_same_key_with_another_specification_is_a_conflict(client: Client) -> None:
@@ -469,5 +514,5 @@ def test_sweeps_by_the_cli(stack: Stack, tmp_path: Path) -> None:
     assert row.endswith("[red]seeds[/]")  # Text, and no markup.
     assert gaitway(stack, "sweeps", "resume", sweep_id, "--jobs", "9").exit_code != 0
     assert gaitway(stack, "sweeps", "cancel", sweep_id[-6:]).exit_code != 0
-    assert "its jobs stay" in gaitway(stack, "sweeps", "delete", sweep_id).output
+    assert "its jobs stay" in gaitway(stack, "sweeps", "delete", sweep_id, "--yes").output
     assert gaitway(stack, "sweeps", "show", "nonsense").exit_code == 2

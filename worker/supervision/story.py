@@ -128,10 +128,9 @@ def _asked(job: Job) -> str:
             return f"{about}, {spec.num_episodes} episodes of the policy in the {which} of job {of}"
         case RolloutSpec():
             return f"{about}, {spec.num_episodes} episodes of the {spec.policy.kind} policy"
-        case TrainSpec(resume_from=None):
-            return f"{about}, {spec.algorithm.algorithm()}"
         case TrainSpec(resume_from=point):
-            return f"{about}, {spec.algorithm.algorithm()}, resumed from job {point.job}"
+            resumed = "" if point is None else f", resumed from job {point.job}"
+            return f"{about}, {spec.algorithm.algorithm()}{resumed}"
 
 
 def _settings(values: Mapping[str, Any]) -> str:

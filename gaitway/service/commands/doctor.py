@@ -1,5 +1,6 @@
 """`gaitway doctor`: whether this machine can do what the service needs."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -35,4 +36,12 @@ def doctor(
     failed = [check for check in checks if check.state == "fail"]
     if as_json:
         print_json({"ok": not failed, "checks": [check.document() for check in checks]})
+    else:
+        console.print(Text(_closing(failed), "bold red" if failed else "green"), soft_wrap=True)
     raise typer.Exit(1 if failed else 0)
+
+
+def _closing(failed: Sequence[Check]) -> str:
+    if not failed:
+        return "Nothing that the service needs is missing."
+    return f"{len(failed)} of the checks failed: {', '.join(check.name for check in failed)}."

@@ -44,7 +44,18 @@ def test_what_is_not_configured_is_skipped_and_not_passed(nothing_set: pytest.Mo
     assert doctor_settings.of_a_worker() is None
     looked = (services.postgresql, services.redis, services.object_store, services.clock, machine.device)
     found = [check(None) for check in looked]
-    assert {check.state for check in (*found, doctor_settings.settings(), services.api())} == {"skip"}
+    assert {check.state for check in (*found, doctor_settings.settings())} == {"skip"}
+
+
+def test_without_a_service_the_doctor_fails_and_its_last_line_says_so(
+    nothing_set: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    nothing_set.setattr(services, "DEFAULT_URL", "http://127.0.0.1:9")
+    nothing_set.setattr(run, "examine", lambda *_, **__: iter([services.api()]))
+    result = CliRunner().invoke(app, ["doctor", "--data", str(tmp_path)])
+    assert result.exit_code == 1
+    assert "./run up" in result.output
+    assert result.output.splitlines()[-1] == "1 of the checks failed: api."
 
 
 def test_half_a_configuration_fails_and_names_the_rest(nothing_set: pytest.MonkeyPatch) -> None:
@@ -239,6 +250,7 @@ def test_a_check_that_breaks_is_a_finding_and_the_others_go_on(
 
     for name in ("jax_devices", "renderer", "encoder"):
         nothing_set.setattr(machine, name, broken)
+    nothing_set.setattr(services, "api", lambda: Check("api", "skip", "not asked"))
     states = {check.name: check.state for check in run.examine(tmp_path)}
     assert [name for name, state in states.items() if state == "fail"] == ["jax", "renderer", "encoder"]
     assert states["clock"] == "skip"

@@ -45,5 +45,38 @@ def test_plain_lines_keep_their_distance_except_for_a_change_of_status_and_the_e
     assert [line.partition(" steps")[0] for line in lines] == ["queued · 1/1,000", "succeeded · 3/1,000"]
 
 
+def test_a_phase_is_told_at_once_but_not_each_evaluation() -> None:
+    def during(phase: str) -> Event:
+        event = progress(500)
+        return Event(kind="progress", data={**event.data, "phase": phase})
+
+    running = Event(kind="status", data={"status": "running"})
+    ended = Event(kind="status", data={"status": "succeeded"})
+    phases = ("compiling", "training", "evaluating", "training", "drawing")
+    lines = shown(running, *map(during, phases), ended, every_s=1e6)
+    assert [line.partition(" · 500")[0] for line in lines] == [
+        "running",
+        "running · compiling",
+        "running · training",
+        "running · drawing the video",
+        "succeeded",
+    ]
+
+
+def test_80_columns_have_room_for_the_bar_the_status_and_the_time_left() -> None:
+    text = io.StringIO()
+    numbers = {"eval/episode_reward": 1234.5, "eval/forward_speed": 1.0}
+    big = {"step": 1_500_000_000, "total": 3_000_000_000, "steps_per_second": 123456.0, "eta_s": 9000.0}
+    news = Event(kind="progress", data={**big, "metrics": numbers, "phase": "evaluating"})
+    with JobProgress(Console(file=text, width=80, force_terminal=True, color_system=None)) as shows:
+        shows.update(Event(kind="status", data={"status": "running"}))
+        shows.update(news)
+    lines = text.getvalue().splitlines()
+    bars = [line for line in lines if "running · evaluating" in line]
+    assert bars
+    assert all(part in bars[-1] for part in ("50%", "ETA 2:30:00", "━" * 10))
+    assert any("1,500,000,000/3,000,000,000 steps" in line and "return 1,234.5" in line for line in lines)
+
+
 def test_durations_are_written_as_people_say_them() -> None:
     assert [duration(s) for s in (0.4, 59, 60, 125, 3609)] == ["0 s", "59 s", "1:00", "2:05", "1:00:09"]

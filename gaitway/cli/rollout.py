@@ -1,0 +1,40 @@
+"""`gaitway rollout`: what a trained policy does, in episodes of its own."""
+
+from typing import Annotated, Any
+
+import typer
+
+from gaitway.cli.common import AsJson, JobName, client_of, job_id
+from gaitway.cli.submit import Assignments, assigned, follow, whole_path
+
+
+def rollout(  # noqa: PLR0913 # A command line's options.
+    context: typer.Context,
+    job: JobName,
+    step: Annotated[
+        int | None, typer.Option(help="The checkpoint of this step; by default the newest.")
+    ] = None,
+    episodes: Annotated[int | None, typer.Option(min=1, help="How many; by default one.")] = None,
+    num_steps: Annotated[int | None, typer.Option(min=1, help="The most steps of an episode.")] = None,
+    seed: Annotated[int | None, typer.Option()] = None,
+    name: Annotated[str | None, typer.Option()] = None,
+    no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
+    assignments: Assignments = None,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Stay and show the progress.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run the policy of a training in the training's environment: trajectory, summary, video."""
+    client = client_of(context)
+    full_id = job_id(client, job)
+    policy = {"kind": "checkpoint", "job": full_id} | ({} if step is None else {"step": step})
+    said = {"num_episodes": episodes, "num_steps": num_steps, "seed": seed, "name": name}
+    spec: dict[str, Any] = {"kind": "rollout", "policy": policy}
+    spec |= {field: value for field, value in said.items() if value is not None}
+    if no_video:
+        spec["video"] = None
+    for text in assignments or ():
+        path = whole_path(text)
+        if path.startswith("environment.options.") and "environment" not in spec:
+            spec["environment"] = client.get(full_id).spec["environment"]
+        assigned(spec, path)
+    follow(client, client.submit(spec), watch=watch, as_json=as_json)
