@@ -32,9 +32,9 @@ class FollowingCalls(Asking):
         has_ended = partial(self._has_ended, job_id)
         return follow_feed(self.retry, job_path(job_id, "events"), has_ended, after, deadline)
 
-    @of_a_job
     def metrics(self, job_id: str, names: Sequence[str], points: int | None, as_: str) -> Call[Any]:
         frame = frames.maker(as_)  # What is missing is said before anything is fetched.
+        job_id = yield from self._full_id(job_id)
         if points is None:
             rows = yield from self._metrics_pages(job_id)
             return frame([row.only(names) for row in rows if not names or row.only(names).values])

@@ -129,9 +129,9 @@ def _told(sweep: SweepView, as_json: bool) -> None:
 
 def _watched(client: Client, sweep: SweepView, console: Console) -> SweepView:
     """Show the sweep until it ends, and return it as it then is; Ctrl-C ends only the display."""
-    if not console.is_terminal:
-        return _told_of_changes(client, sweep, console)
     try:
+        if not console.is_terminal:
+            return _told_of_changes(client, sweep, console)
         with Live(_state(sweep), console=console, auto_refresh=False) as live:
             while not sweep.is_final:
                 time.sleep(_EVERY_S)
