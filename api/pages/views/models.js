@@ -105,12 +105,14 @@ function Contents({ found }) {
       ${unable.map(([name, reason]) => html`<dt>not ${name}</dt><dd>does not run it: <${Prose} text=${reason} /></dd>`)}
       ${Object.entries(found.trials ?? {}).map(([name, said]) => html`<dt>${name}, tried</dt><dd>${said}${name in found.code_seconds ? `; made and tried in ${duration(found.code_seconds[name])}` : ""}</dd>`)}
       ${Object.entries(found.auto ?? {}).map(([device, name]) => html`<dt>auto on a ${device.toUpperCase()}</dt><dd>${name}</dd>`)}
+      ${Object.keys(found.auto || {}).length > 0 && html`<dt>Chosen</dt><dd>${Object.entries(found.auto).map(([device, name]) => `${name} on a ${device.toUpperCase()}`).join(", ")}</dd>`}
       <dt>Root</dt><dd>${inventory.root}, ${inventory.travels ? "travels" : "stays in its place"}; ${value(inventory.initial_height)} m high, settles at ${value(found.settled_height)} m</dd>
       <dt>Mass</dt><dd>${value(inventory.mass_kg)} kg</dd>
       <dt>Sizes</dt><dd>nq ${nq}, nv ${nv}, nu ${nu}; steps of ${duration(inventory.timestep_s)}</dd>
       <dt>Speed</dt><dd>${compact(found.physics_steps_per_second)} physics steps/s on one core</dd>
       ${LISTS.map((kind) => html`<dt>${kind}</dt><dd><${Names} items=${inventory[kind]} /></dd>`)}
     </dl>
+    <${Trials} found=${found} />
     ${notes.map((note) => html`<p class="facts"><${Prose} text=${note} /></p>`)}`;
 }
 
@@ -126,4 +128,13 @@ function Names({ items }) {
   if (!items.length) return "none";
   const names = items.map(nameOfPart).join(", ");
   return names.length < 60 ? names : html`<details><summary>${items.length}</summary>${names}</details>`;
+}
+
+/** How each engine moved the model beside C MuJoCo, and how long its code took to make. */
+function Trials({ found: { trials = {}, code_seconds: made = {} } }) {
+  const tried = Object.entries(trials);
+  if (!tried.length) return null;
+  return html`<details><summary>Trials beside C MuJoCo</summary><dl class="facts-list">
+    ${tried.map(([name, said]) => html`<dt>${name}</dt><dd><${Prose} text=${said} />${made[name] === undefined ? "" : ` (its code took ${duration(made[name])} to make)`}</dd>`)}
+  </dl></details>`;
 }

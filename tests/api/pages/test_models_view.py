@@ -32,9 +32,14 @@ def expect_the_ball(page: Page) -> None:
     facts = page.locator(".facts-list")
     expect(facts.locator("dt:text-is('Mass') + dd")).to_have_text("1.1 kg")
     expect(facts.locator("dt:text-is('Sizes') + dd")).to_contain_text("nq 8, nv 7, nu 1")
-    expect(facts.locator("dt:text-is('actuators') + dd")).to_have_text("elbow")
+    expect(facts.locator("dt:text-is('actuators') + dd")).to_have_text("elbow [-0.5, 1.5]")
     expect(facts.locator("dt:text-is('not mjx') + dd")).to_have_text(
-        "Ellipsoids and boxes are not implemented."
+        "does not run it: Ellipsoids and boxes are not implemented."
+    )
+    expect(facts.locator("dt:text-is('Chosen') + dd")).to_have_text("native on a CPU, warp on a GPU")
+    page.get_by_text("Trials beside C MuJoCo").click()
+    expect(facts.locator("dt:text-is('native') + dd")).to_have_text(
+        "the same to 1e-7 after 1 s (its code took 2 s to make)"
     )
     expect(page.get_by_role("link", name="Train it")).to_be_visible()
 

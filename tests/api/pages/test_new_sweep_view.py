@@ -106,15 +106,15 @@ def test_refusals_stand_beside_the_fields_that_they_name(tab: Tab) -> None:
     rate = page.get_by_role("group", name=RATE, exact=True)
     start(page)
     expect(rate.get_by_label("low")).to_have_attribute("aria-invalid", "true")
-    expect(rate).to_contain_text("`high` is missing.")
+    expect(rate).to_contain_text("high is missing.")
     rate.get_by_label("low").fill("2")
     rate.get_by_label("high").fill("1")
     start(page)
-    expect(rate).to_contain_text("`low` must be below `high`")
+    expect(rate).to_contain_text("low must be below high")
     rate.get_by_label("low").fill("0.1")
     start(page)
     expect(page.get_by_role("group", name="Budget")).to_contain_text(
-        "The method `random` has no end of its own"
+        "The method random has no end of its own"
     )
     page.get_by_label("jobs", exact=True).fill("7")
     page.get_by_label("metric").fill("eval/reward")

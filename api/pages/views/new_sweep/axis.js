@@ -35,7 +35,7 @@ export function Axis({ path, axis, method, field, isKnown, errors, isNew, set, r
     ${isRange && html`<${Range} path=${path} axis=${axis} method=${method} errors=${errors} pointer=${pointer} set=${set} isWrong=${wrong.length > 0} />`}
     ${!isRange && choices && html`<${Choices} choices=${choices} axis=${axis} set=${set} />`}
     ${!isRange && !choices && html`<${Values} path=${path} axis=${axis} field=${field} set=${set} described=${said} />`}
-    ${wrong.length > 0 && html`<p class="error" id=${said}>${wrong.map(({ detail }) => detail).join(" ")}</p>`}
+    ${wrong.length > 0 && html`<p class="error" id=${said}><${Prose} text=${wrong.map(({ detail }) => detail).join(" ")} /></p>`}
   </fieldset>`;
 }
 
