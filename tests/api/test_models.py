@@ -139,7 +139,7 @@ def test_the_main_document_of_a_zip_is_part_of_the_model(
     ("body", "main", "code", "sentence"),
     [
         (XML, "a.xml", "invalid-request", "names a document of a zip"),
-        (zipped({"a.xml": XML}), "x" * 1001, "invalid-request", "1000 characters"),
+        (zipped({"a.xml": XML}), "x" * 1001, "invalid-request", "at most 1,000 are allowed"),
         (b"PK\x03\x04 and no zip", "a.xml", "bad-model", "no directory at its end"),
     ],
 )
