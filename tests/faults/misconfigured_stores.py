@@ -120,9 +120,10 @@ def postgres_with_passwords(folder: Path, port: int) -> Iterator[None]:
         patch.setitem(postgres_module._OPTIONS, "port", str(port))
         patch.setitem(postgres_module._OPTIONS, "listen_addresses", "127.0.0.1")
         server = Postgres(folder, durable=True).start()
+        url, admin_url = server.url, server.admin_url  # They name the port.
     try:
-        schema.upgrade(connect_postgres(server.url, pool_size=0))
-        with psycopg.connect(server.admin_url, autocommit=True) as admin:
+        schema.upgrade(connect_postgres(url, pool_size=0))
+        with psycopg.connect(admin_url, autocommit=True) as admin:
             for role in ("ALTER ROLE gaitway", "CREATE ROLE reader LOGIN"):
                 admin.execute(f"{role} PASSWORD '{SECRET}'")  # type: ignore[arg-type]
             access = folder / "data" / "pg_hba.conf"
