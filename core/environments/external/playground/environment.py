@@ -119,7 +119,10 @@ class Playground:
 
             derived[OVERFLOW] = as_float((data._impl.overflow & LOST) != 0)
         physics = PhysicsState(
-            **{name: as_float(getattr(data, name)) for name in _CARRIED}, derived=derived, model=model
+            **{name: as_float(getattr(data, name)) for name in _CARRIED},
+            derived=derived,
+            model=model,
+            exact={},
         )
         return State(
             physics,
