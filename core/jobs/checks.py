@@ -43,7 +43,8 @@ _MAX_ROLLOUT_STEPS = 1_000_000
 def check(spec: JobSpec, store: JobStore) -> None:
     """Raises Rejected with all problems of the first check that finds any."""
     info, _ = chosen(spec.environment, store)
-    check_physics(spec.physics, info.cannot_run)
+    if spec.physics != "auto" or not info.own_physics:
+        check_physics(spec.physics, info.cannot_run)
     _check_num_envs(spec, info)
     _check_video(spec, info)
     _check_gpus(spec)
