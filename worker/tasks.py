@@ -17,6 +17,7 @@ from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cohort import companions
 from core.jobs.job import Job
 from core.jobs.needs import kind_of, packages_here
+from core.jobs.status import JobStatus
 from core.jobs.store import JobQuery, JobStore
 from core.jobs.waiting import why_left_to_others
 from core.previews.record import PreviewRequest
@@ -121,7 +122,7 @@ def validate_model(model_id: str) -> None:
 
 def _a_job_waits(store: JobStore) -> bool:
     with suppress(Unavailable):
-        return bool(store.list(JobQuery(status="queued"), limit=1).jobs)
+        return bool(store.list(JobQuery(status=JobStatus.QUEUED), limit=1).jobs)
     return False
 
 

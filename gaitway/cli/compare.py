@@ -115,7 +115,7 @@ def _by_row(columns: Sequence[Mapping[str, Cell]]) -> Rows:
 
 
 def _print_csv(ids: Sequence[str], facts: Rows, settings: Rows) -> None:
-    writer = csv.writer(sys.stdout)
+    writer = csv.writer(sys.stdout, lineterminator="\n")  # a carriage return would be replaced
     writer.writerow(["", *ids])
     for rows in (facts, settings):
         writer.writerows([name, *map(_field, cells)] for name, cells in rows.items())

@@ -294,7 +294,8 @@ class TestLongFeeds:
     def test_a_feed_with_an_old_entry_is_due(self, jobs: JobStore, job: Job, database: Database) -> None:
         recent(jobs, job, "a")
         recent(jobs, job, "b")
-        database.change("UPDATE entries SET time = time - %s WHERE channel = 'logs' AND number = 1", AN_HOUR)
+        older = "UPDATE entries SET stored_at = stored_at - %s WHERE channel = 'logs' AND number = 1"
+        database.change(older, AN_HOUR)
         assert due(jobs, job, max_bytes=10**6) == ["logs"]
         compact(jobs, job, 1)
         assert due(jobs, job, max_bytes=10**6) == []
