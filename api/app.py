@@ -7,7 +7,7 @@ from fastapi import FastAPI
 from api import problems
 from api.correlation import Correlation
 from api.dependencies import Service
-from api.openapi import describe
+from api.openapi import describe, serve
 from api.origins import OriginCheck
 from api.routes import ROUTERS
 from core.configuration import read
@@ -45,8 +45,10 @@ def interface() -> FastAPI:
         redirect_slashes=False,
         docs_url=None,  # `api.routes.page` serves it, without any network but this service.
         redoc_url=None,
+        openapi_url=None,  # `serve` answers it
     )
     app.openapi = lambda: describe(app)
+    serve(app)
     problems.install(app)
     for router in ROUTERS:
         app.include_router(router)

@@ -1,10 +1,12 @@
 """The OpenAPI document: FastAPI's own, with the schema of a job and of problem details added."""
 
 import ctypes
+import json
 from contextlib import suppress
+from functools import cache
 from typing import Any, cast
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 from fastapi.openapi.utils import get_openapi
 
 from api.problems import MEDIA_TYPE, ProblemView
@@ -17,32 +19,38 @@ _PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Probl
 
 
 def describe(app: FastAPI) -> dict[str, Any]:
-    """The document; built at the first call."""
-    if app.openapi_schema is None:
-        document = get_openapi(
-            title=app.title, version=app.version, description=app.description, routes=app.routes
-        )
-        schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for name in ("HTTPValidationError", "ValidationError"):
-            schemas.pop(name, None)
-        for name, kind in (("JobSpec", JOB_SPEC), ("SweepSpec", SWEEP_SPEC), ("Resumption", RESUMPTION)):
-            schema = kind.json_schema(ref_template=_REF)
-            schemas.update({**schema.pop("$defs"), name: schema})
-        schemas["Problem"] = ProblemView.model_json_schema(ref_template=_REF)
-        schemas.update(schemas["Problem"].pop("$defs", {}))
-        _require_tags(schemas)
-        for path in document["paths"].values():
-            for operation in path.values():
-                _answer_with_problems(operation["responses"])
-        app.openapi_schema = document
-        _return_free_memory()
-    return app.openapi_schema
+    """The document, built at each call."""
+    document = get_openapi(
+        title=app.title, version=app.version, description=app.description, routes=app.routes
+    )
+    schemas = document.setdefault("components", {}).setdefault("schemas", {})
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    for name, kind in (("JobSpec", JOB_SPEC), ("SweepSpec", SWEEP_SPEC), ("Resumption", RESUMPTION)):
+        schema = kind.json_schema(ref_template=_REF)
+        schemas.update({**schema.pop("$defs"), name: schema})
+    schemas["Problem"] = ProblemView.model_json_schema(ref_template=_REF)
+    schemas.update(schemas["Problem"].pop("$defs", {}))
+    _require_tags(schemas)
+    for path in document["paths"].values():
+        for operation in path.values():
+            _answer_with_problems(operation["responses"])
+    return document
 
 
-def _return_free_memory() -> None:
-    """Give the system what building the document left free in the heap: 5 of 116 MiB, measured."""
-    with suppress(OSError, AttributeError):  # only glibc has it
-        ctypes.CDLL(None).malloc_trim(0)
+def serve(app: FastAPI) -> None:
+    """Answer `/openapi.json`: built in a thread, since it takes most of a second, and kept as bytes alone."""
+
+    @cache
+    def document() -> bytes:
+        text = json.dumps(app.openapi(), ensure_ascii=False, separators=(",", ":")).encode()
+        with suppress(OSError, AttributeError):  # glibc alone has it; the document's parts took 6 MiB
+            ctypes.CDLL(None).malloc_trim(0)
+        return text
+
+    @app.get("/openapi.json", include_in_schema=False)
+    def openapi() -> Response:
+        return Response(document(), media_type="application/json")
 
 
 def _answer_with_problems(responses: dict[str, Any]) -> None:
