@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, JsonValue
 
 from core.errors import Problem, Rejected
 
-# Of any object and any list, whatever it is for. The most members that any has are 64 labels or 64 axes.
+# These hold for every object and list. No field needs more members than 64 labels or 64 axes.
 MOST_MEMBERS = 64
 MOST_ITEMS = 10_000
 DEEPEST = 32

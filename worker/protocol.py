@@ -46,7 +46,7 @@ class Started(Stored):
 
 
 class PhaseBegan(Stored):
-    """What the process does from now on, for the job's progress."""
+    """The phase that the process is in from now on, for the job's progress."""
 
     type: Literal["phase_began"] = "phase_began"
     phase: JobPhase

@@ -22,7 +22,7 @@ from core.jobs.store import Entry, entry_number
 router = APIRouter(tags=["jobs"])
 
 _MAX_ROWS_AS_JSON = 10_000
-# Of one answer; 10,000 rows of twenty metrics.
+# The most values in one answer: 10,000 rows of twenty metrics.
 _MAX_VALUES = 200_000
 _EXAMPLE = "step,time,eval/episode_reward\r\n0,2026-11-20T09:00:00+00:00,1.0\r\n"
 _CSV: dict[str, Any] = {

@@ -56,12 +56,12 @@ ModelId = Annotated[
 ]
 
 
-# What people call a model; without line breaks and other characters that a terminal would act on.
+# A model's name for people. It has no line breaks or other characters that a terminal would act on.
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f-\x9f]+$")]
 
 
 class Sent(Parameters):
-    """What is said about the file."""
+    """The parameters that come with the file."""
 
     name: Name | None = Field(None, description="What people call it; several models may have the same name.")
     main: str | None = Field(

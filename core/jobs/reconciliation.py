@@ -71,7 +71,7 @@ class Reconciler:
         return True
 
     def _lacking(self, late: Set[Dispatch], known: Collection[tuple[str, int]]) -> Sequence[Dispatch]:
-        """What the queue is to get now, the most urgent first.
+        """The dispatches that the queue gets now, the most urgent first.
 
         One that was handed over before must be missing at two looks: at one, a worker may be taking it.
         """

@@ -133,7 +133,7 @@ class VideoSpec(Strict):
         return Layout(self.width, self.height, len(self.shown), self.episodes)
 
 
-# Of one host, for one job.
+# The most GPUs of one host that one job may share.
 MOST_GPUS = 64
 
 

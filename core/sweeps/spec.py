@@ -11,7 +11,7 @@ from core.jobs.spec import LabelName, Seed, SentSpec, Text
 MAX_TRIALS = 1000
 # Values of a grid along a range that gives neither `points` nor `step`.
 DEFAULT_POINTS = 5
-# Of a range. Beyond some 10¹⁵, doubles cannot tell the values apart.
+# The most steps of a range. Beyond some 10¹⁵, doubles cannot tell the values apart.
 _MOST_STEPS = 10**12
 Method = Literal["grid", "random", "qmc", "tpe", "cma_es", "nsga2", "pbt"]
 Number = int | float

@@ -19,7 +19,7 @@ AnyView = TypeVar("AnyView", bound=BaseModel)
 POLL_S = 0.5
 _PAGE = 100
 _ID_LENGTH = 23
-# Of these, an abbreviated id is looked for.
+# An abbreviated id is looked for among this many jobs.
 _SEARCHED = 1000
 
 P = ParamSpec("P")

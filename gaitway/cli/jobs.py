@@ -27,7 +27,7 @@ _MAIN = (
     "training/fall_rate",
     "training/sps",
 )
-# Of what was filled in; `gaitway compare` and the specification have all of it.
+# The filled-in settings that are shown; `gaitway compare` and the specification have all of them.
 _FILLED_IN = ("algorithm.", "physics", "seed")
 _STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan"}
 

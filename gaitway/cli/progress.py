@@ -157,7 +157,7 @@ class JobProgress:
                 completed=self.step,
                 left=self.left,
             )
-            # What does not fit is cut at the end, and that is the curve.
+            # Text that does not fit is cut at the end, where the curve stands.
             self._bar.second = " · ".join(part for part in (*self._numbers(""), self._curve) if part)
             return
         line = " · ".join(part for part in (self.doing, self.facts) if part)

@@ -15,7 +15,7 @@ from gaitway.cli.watch import page_of, print_what_it_waits_for, watch_job
 from gaitway.client import Client
 from gaitway.views import JobView
 
-# What a job may say; everything else in `--set` is an option of its environment.
+# The fields of a job; every other name in `--set` is an option of its environment.
 JOB_FIELDS = frozenset(
     {
         *("kind", "name", "labels", "environment", "physics", "randomization", "seed", "video", "resources"),
@@ -118,7 +118,7 @@ def option(text: str) -> str:
 
 
 def whole_path(text: str) -> str:
-    """What is no field of a job is an option of its environment, as `preview` has it."""
+    """A name that is no field of a job is an option of its environment, as in `preview`."""
     first = text.partition("=")[0].partition(".")[0]
     return text if first in JOB_FIELDS else f"environment.options.{text}"
 

@@ -1,4 +1,4 @@
-"""What others wrote reaches the terminal as text: names, messages and log lines may hold anything.
+"""Text that others wrote cannot control the terminal: names, messages and log lines may hold anything.
 
 A control character could clear the screen, set its title or write the clipboard, and a change of direction
 shows one text as another. In all that is printed, the sign for what cannot be shown replaces each of them.

@@ -24,7 +24,8 @@ CACHE = "cache"
 # Warp's folders while it builds (they end in process and thread), its sources, which it never reads, and
 # files that the engine `compiled` is still writing.
 _NOT_KEPT = re.compile(r"_p\d+_t\d+/|\.(cu|cpp)$|^compiled/tmp")
-# What a job with a user's model gets as copies, the last used first; what it may leave; one program unpacked.
+# Bytes: the copies that a job with a user's model gets, the last used first; the programs that it may leave;
+# one program unpacked.
 _MOST_COPIED_BYTES = 2**28
 _MOST_UNPACKED_BYTES = 2**29
 _ZSTANDARD = b"\x28\xb5\x2f\xfd"

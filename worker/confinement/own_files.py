@@ -54,7 +54,7 @@ def keep_to_own_files(folder: Path) -> bool:
     try:
         privileges.give_up(*_CAPABILITIES)
         landlock.restrict(
-            # Of libraries' caches, others would run what it wrote.
+            # Others would run what it wrote into libraries' caches.
             readable=[*_readable(folder), *_caches()],
             listable=[Path("/")],
             writable=[],

@@ -55,7 +55,7 @@ def draw(
         library.keep_failure(request, failure, objects, utc_now())
         return
     try:
-        # Of a process that may have been taken over: it follows no links that it left.
+        # The process may have been taken over: no link that it left is followed.
         pictures = [read_plain(folder / f"{n}.png", _MAX_PICTURE) for n in range(len(request.cameras))]
     except OSError as error:
         log.warning("preview_not_kept", preview=request.id, error=str(error))

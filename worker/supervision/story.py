@@ -17,7 +17,7 @@ from worker.supervision.outcome import Outcome
 _WIDTH = 110
 _LONGEST_VALUE = 120
 _PARTS = {"import": "Imported", "trace": "Traced", "compile": "Compiled", "first_update": "First update"}
-# Of an evaluation: the metric, and how it reads.
+# An evaluation's line: each metric, and how it reads.
 _EVALUATED = {
     "eval/episode_reward": "return {:.4g}",
     "eval/episode_reward_std": "± {:.3g}",

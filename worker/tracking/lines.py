@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def lines_by_step(path: Path) -> Iterator[bytes]:
-    """Of equal steps, the earlier line comes first."""
+    """Among equal steps, the earlier line comes first."""
     steps, places = array("q"), array("q")
     with path.open("rb") as file:
         place = 0

@@ -9,7 +9,7 @@ from typing import Any
 from core.jobs.job import ArtifactRole
 from worker.protocol import LONGEST_MESSAGE, Advanced, Failed, FileReady, Measured, Message, Noted
 
-# Of a text that is too long: enough to see what it is about.
+# A text that is too long is cut to this length, which shows what it is about.
 _KEPT = 4000
 
 

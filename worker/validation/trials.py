@@ -18,7 +18,7 @@ _LONGEST_REFERENCE_S, _REFERENCE_S = 15.0, 3.0
 # As many environments as the tuned settings take, or more.
 _MANY = 1024
 _QUICK: tuple[EngineName, ...] = ("native", "compiled")
-# What `auto` takes where no rule fits.
+# `auto` takes these engines where no rule fits.
 _BY_DEFAULT: Mapping[Device, tuple[EngineName, EngineName]] = {
     "cpu": ("native", "mjx"),
     "gpu": ("mjx", "native"),

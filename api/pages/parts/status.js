@@ -6,7 +6,7 @@ import { isOver } from "../lib/job.js";
 
 export const Status = ({ job }) => html`<span class="status ${job.status}">${job.status}</span>`;
 
-// What a job does besides the steps that its progress counts.
+// A job's phases besides the steps that its progress counts.
 const PHASES = { preparing: "prepares", compiling: "compiles", evaluating: "evaluates", drawing: "draws the video" };
 
 /** What the job does now, unless the steps say it. */

@@ -110,7 +110,7 @@ def active_marks(connection: Connection) -> Mapping[str, SweepMark]:
 
 
 def _digest(*said: ColumnElement[Any]) -> ColumnElement[Any]:
-    """Of all rows of a group; null for one without trials."""
+    """A digest over all rows of a group; null for a group without trials."""
     row = func.concat_ws(" ", *said)
     return func.md5(func.string_agg(row, aggregate_order_by(literal(","), trials.c.number)))
 

@@ -89,7 +89,7 @@ def examine(body: bytes) -> Archive:
     documents = {name: _read(name, body) for name in sizes}
     main = main_of(documents, sizes, named_main(comment))
     surely, possibly = read_from(main, documents)
-    # What the main document does not reach is neither read nor checked.
+    # Files that the main document does not reach are neither read nor checked.
     reached = {name: _sound(documents[name]) for name in documents if name in possibly}
     _check_root(main, reached[main])
     _check_references(main, reached, surely, names)

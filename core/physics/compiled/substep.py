@@ -184,7 +184,7 @@ def _problem(model: Model, state: State, ctrl: Vector) -> tuple[Problem, Instant
 
 
 def _readings(model: Model, problem: Problem, now: Instant, found: Vector) -> Vector:
-    """Of the touch and force sensors, under the acceleration [nv] that was found."""
+    """The readings of the touch and force sensors, under the solved acceleration [nv]."""
     felt = list[Vector]()
     if model.touch_sensors:
         felt.append(normal_forces(model.touch_sensors, model.constraints.contacts, problem.rows, found))

@@ -12,7 +12,7 @@ from tests.faults.campaign.proxy import Mode
 from tests.faults.campaign.world import STORES, World
 
 _WORKERS = ("worker-1", "worker-2")
-# Of no disk of a worker: a job that it has no room for is another's, and counts.
+# Not a worker's disk: a job for which that has no room goes to another worker, and counts.
 _DISKS = ("postgres", "weed")
 _MINUTES = (3, 7, 11, 20)
 # A clock is off for longer than a job takes.
@@ -39,7 +39,7 @@ def _disk_full(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
 
 
 def _clock_off(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
-    """Of one worker or of both, from the beginning."""
+    """The clocks of one worker or of both, from the beginning."""
     whose = rng.choice((*((one,) for one in _WORKERS), _WORKERS))
     minutes = rng.choice((1, -1)) * rng.choice(_MINUTES)
 

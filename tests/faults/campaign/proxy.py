@@ -28,7 +28,7 @@ class Mode(StrEnum):
     LOSE_CLAIMS = "lose_claims"
 
 
-# Of the statement by which an attempt is claimed: no other one starts a lease with a new version of a job.
+# This marks the statement that claims an attempt: no other one starts a lease with a new version of a job.
 _CLAIM, _COMMIT = (b"UPDATE jobs SET version", b"lease_until=(clock_timestamp()"), b"COMMIT"
 Place = Path | int  # A unix socket, or a port of the loopback interface.
 _PIECE = 65_536
@@ -38,7 +38,7 @@ _DAWDLE_S = 0.15
 
 @dataclass
 class _Said:
-    """What was last asked on a connection to PostgreSQL."""
+    """The last statement on a connection to PostgreSQL."""
 
     claims: bool = False
     commits_a_claim: bool = False

@@ -85,7 +85,7 @@ def test_l2_the_gradient_is_braxs_where_rewards_are_large(offset: float) -> None
     zero = jnp.zeros_like(batch.discount)
     batch = batch._replace(reward=batch.reward + offset, discount=zero + 1)
     batch.extras["state_extras"]["truncation"] = zero
-    # Of numbers of this size, float32 keeps so much of what is around their mean.
+    # float32 keeps this much of the differences from the mean for numbers of this size.
     compare_with_brax(spec, networks, params, batch, of_policy=2e-7 * offset)
 
 
