@@ -122,9 +122,20 @@ def choose(
     check_physics(choice, cannot_run)
     if choice != "auto":
         return EngineChoice(choice, f"The job asks for {choice}.")
+    here = [rule for rule in rules if is_installed(rule.engine)]
+    return choose_by_rules(device, num_envs, here, cannot_run, body)
+
+
+def choose_by_rules(
+    device: Literal["cpu", "gpu"],
+    num_envs: int,
+    rules: Sequence[Rule],
+    cannot_run: Mapping[EngineName, str],
+    body: BodySize | None,
+) -> EngineChoice:
+    """The engine that `auto` takes where the engines of all these rules are installed; as `choose`."""
     for rule in rules:
-        can_run = rule.engine not in cannot_run and is_installed(rule.engine)
-        if can_run and rule.fits(num_envs, body):
+        if rule.engine not in cannot_run and rule.fits(num_envs, body):
             return EngineChoice(rule.engine, rule.reason)
     if device == "cpu" and "native" in cannot_run and "mjx" not in cannot_run:
         return EngineChoice("mjx", f"Native physics cannot run it: {cannot_run['native']}")

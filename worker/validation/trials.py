@@ -9,7 +9,7 @@ import mujoco
 from core.environments.info import Device
 from core.environments.mjcf.info import INFO, MjcfOptions
 from core.errors import JobFailed
-from core.physics.availability import EngineName, beyond, is_installed
+from core.physics.availability import EngineName, beyond, choose_by_rules, is_installed
 from core.user_models.record import Description
 
 _LONGEST_REASON = 300
@@ -18,11 +18,6 @@ _LONGEST_REFERENCE_S, _REFERENCE_S = 15.0, 3.0
 # As many environments as the tuned settings take, or more.
 _MANY = 1024
 _QUICK: tuple[EngineName, ...] = ("native", "compiled")
-# `auto` takes these engines where no rule fits.
-_BY_DEFAULT: Mapping[Device, tuple[EngineName, EngineName]] = {
-    "cpu": ("native", "mjx"),
-    "gpu": ("mjx", "native"),
-}
 _NOT_HERE = "not tried here: it needs a GPU"
 
 
@@ -48,16 +43,15 @@ def tried(description: Description, model: mujoco.MjModel, whole: mujoco.MjModel
 
 def with_choices(description: Description) -> Description:
     """With the engine that `auto` takes on each device for many environments."""
-    cannot = {name for name, why in description.engines.items() if why is not None}
-
-    def taken(device: Device) -> EngineName:
-        for rule in INFO.rules_on(device):
-            if rule.engine not in cannot and rule.fits(_MANY, description.inventory.body_size):
-                return rule.engine
-        first, second = _BY_DEFAULT[device]
-        return second if first in cannot and second not in cannot else first
-
-    return description.model_copy(update={"auto": {device: taken(device) for device in get_args(Device)}})
+    cannot: dict[EngineName, str] = {
+        name: why for name, why in description.engines.items() if why is not None
+    }
+    body = description.inventory.body_size
+    taken = {
+        device: choose_by_rules(device, _MANY, INFO.rules_on(device), cannot, body).name
+        for device in get_args(Device)
+    }
+    return description.model_copy(update={"auto": taken})
 
 
 def what_keeps(attempt: Callable[[mujoco.MjModel], None], model: mujoco.MjModel) -> str | None:
