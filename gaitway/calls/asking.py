@@ -18,9 +18,9 @@ AnyView = TypeVar("AnyView", bound=BaseModel)
 
 POLL_S = 0.5
 _PAGE = 100
-_ID_LENGTH = 23
+ID_LENGTH = 23
 # An abbreviated id is looked for among this many jobs.
-_SEARCHED = 1000
+SEARCHED = 1000
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
@@ -41,10 +41,10 @@ class Asking:
 
     def _full_id(self, name: str) -> Call[str]:
         """The id of the job that this names: an id, a beginning or an end of one, or `last`."""
-        if len(name) == _ID_LENGTH or not name.replace("-", "").isalnum():
+        if len(name) == ID_LENGTH or not name.replace("-", "").isalnum():
             return name
         ids, cursor = list[str](), None
-        while len(ids) < _SEARCHED:
+        while len(ids) < SEARCHED:
             limit = 1 if name == "last" else _PAGE
             asked: dict[str, Any] = {"limit": limit} | ({"cursor": cursor} if cursor else {})
             page = (yield from self._ask("GET", "/jobs", params=asked)).json()
@@ -52,10 +52,10 @@ class Asking:
             cursor = page.get("next")
             if cursor is None or name == "last":
                 break
-        fitting = [one for one in ids if name == "last" or one.startswith(name) or one.endswith(name)]
-        if len(fitting) == 1:
-            return fitting[0]
-        raise NotFound(404, {"detail": _which(name, fitting)})
+        try:
+            return the_one(name, ids, "job")
+        except LookupError as error:
+            raise NotFound(404, {"detail": str(error)}) from None
 
     def _ask(self, method: str, path: str, **more: Any) -> Call[httpx.Response]:
         return request(self.retry, Request(method, path, **more))
@@ -100,12 +100,23 @@ def of_a_job(
     return named
 
 
-def _which(name: str, fitting: Sequence[str]) -> str:
+def the_one(name: str, ids: Sequence[str], what: str) -> str:
+    """The id, of these newest first, that `last`, a beginning or an end means.
+
+    what: of which kind they are, for the sentence. Raises LookupError, where none or several fit.
+    """
     if name == "last":
-        return "There is no job yet."
+        if ids:
+            return ids[0]
+        raise LookupError(f"There is no {what} yet.")
+    fitting = [one for one in ids if one.startswith(name) or one.endswith(name)]
+    if len(fitting) == 1:
+        return fitting[0]
     if not fitting:
-        return f"None of the newest {_SEARCHED:,} jobs has an id that begins or ends with {name!r}."
-    return f"{name!r} fits {len(fitting)} jobs: {', '.join(fitting[:5])}. Give more of the id."
+        raise LookupError(
+            f"None of the newest {SEARCHED:,} {what}s has an id that begins or ends with {name!r}."
+        )
+    raise LookupError(f"{name!r} fits {len(fitting)} {what}s: {', '.join(fitting[:5])}. Give more of the id.")
 
 
 def paged(limit: int | None, page: Callable[[str | None, int], Call[Page[Any]]]) -> Feed:

@@ -8,13 +8,13 @@ from typing import Annotated, Any, cast
 import typer
 from pydantic import BaseModel
 
+from gaitway.calls.asking import ID_LENGTH, SEARCHED, the_one
 from gaitway.cli.errors import complain, wrong_usage
 from gaitway.cli.terminal import escaped
 from gaitway.client import Client
 from gaitway.sweep_views import SweepView
 from gaitway.views import JobView
 
-_SEARCHED = 1000
 # For commands whose arguments are for the programs that they start.
 PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": list[str]()}
 
@@ -69,20 +69,13 @@ def name_to_model(client: Client, options: Any) -> None:
 
 def full_id(name: str, newest: Callable[[int], Iterable[JobView | SweepView]], what: str) -> str:
     """As `job_id`, of a job or a sweep. newest: so many of them, the newest first."""
-    if len(name) == 23:
+    if len(name) == ID_LENGTH:
         return name
-    if name == "last":
-        for one in newest(1):
-            return one.id
-        raise wrong_usage(f"There is no {what} yet.")
-    fitting = [one.id for one in newest(_SEARCHED) if one.id.startswith(name) or one.id.endswith(name)]
-    if len(fitting) == 1:
-        return fitting[0]
-    if not fitting:
-        raise wrong_usage(
-            f"None of the newest {_SEARCHED:,} {what}s has an id that begins or ends with {name!r}."
-        )
-    raise wrong_usage(f"{name!r} fits {len(fitting)} {what}s: {', '.join(fitting[:5])}. Give more of the id.")
+    ids = [one.id for one in newest(1 if name == "last" else SEARCHED)]
+    try:
+        return the_one(name, ids, what)
+    except LookupError as error:
+        raise wrong_usage(str(error)) from None
 
 
 def print_json(document: Any) -> None:
