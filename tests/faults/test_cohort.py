@@ -129,11 +129,12 @@ def test_members_have_time_in_proportion_to_their_number(bench: Bench) -> None:
         assert job.message == "It took longer than timeout_s allows: 1.5 s. The work up to then is kept."
 
 
-def test_a_device_that_another_process_holds_costs_every_job_one_attempt(bench: Bench) -> None:
+def test_a_device_that_another_process_holds_costs_no_job_an_attempt(bench: Bench) -> None:
     jobs = jobs_of(bench, 2)
     bench.settings = bench.settings.model_copy(update={"grace": bench.settings.heartbeat})
     with slot(bench.settings.data_dir.absolute() / "locks" / "slot.lock", 0.0):
         claims = [bench.claim(job) for job in jobs]
         Cohort(claims, jobs[0].spec.environment, bench.settings, "cpu", ("slot",)).run()
     for job in (bench.store.get(job.id) for job in jobs):
-        assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.WORKER_LOST)
+        assert (job.status, job.attempts[0].reason) == (JobStatus.QUEUED, Reason.DEVICE_HELD)
+        assert job.lost_attempts == 0
