@@ -139,6 +139,25 @@ def test_a_drain_gives_the_job_back_with_its_checkpoint_and_no_video(bench: Benc
     assert ended.newest("video") is None
 
 
+def test_a_drain_after_the_end_of_the_work_keeps_the_metrics_of_a_job_that_nobody_takes_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = bench.submit()
+    supervisor = bench.supervisor(job, "succeeds")
+    record = bench.store.record
+
+    def and_drain(*args: Any, **kwargs: Any) -> Any:
+        if any("The job has succeeded" in entry.data.get("text", "") for entry in args[3]):
+            supervisor.draining.set()
+        return record(*args, **kwargs)
+
+    monkeypatch.setattr(bench.store, "record", and_drain)
+    supervisor.run()
+    ended = bench.store.get(job.id)
+    assert ended.status == JobStatus.SUCCEEDED
+    assert ended.newest("metrics") is not None
+
+
 def test_a_drain_that_finds_nothing_new_to_keep_kills_nobody(bench: Bench) -> None:
     job = bench.submit()
     with bench.running(job, "has_nothing_new_to_keep") as supervisor:

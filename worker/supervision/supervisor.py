@@ -171,7 +171,7 @@ class Supervisor:
         path = spool / f".metrics-{secrets.token_hex(8)}"
         try:
             with path.open("xb") as file:
-                if self._stores_metrics(job, file, path):
+                if self._stores_metrics(job, outcome, file, path):
                     tracking.write_up(path, outcome.status, leaving)
         except OSError as error:  # A finished job does not fail for it.
             log.warning("metrics_not_kept", job_id=self.claim.job_id, error=str(error))
@@ -238,12 +238,12 @@ class Supervisor:
         set_aside(mark_of(folder, self.slot_names[0]), problem)
         return Outcome(None, Reason.DEVICE_FAILED, f"{outcome.message} {problem}")
 
-    def _stores_metrics(self, job: Job, file: IO[bytes], path: Path) -> bool:
-        """Whether there is a file of all metrics now. Not where the worker shuts down: the next attempt, or
-        the feed, has them."""
+    def _stores_metrics(self, job: Job, outcome: Outcome, file: IO[bytes], path: Path) -> bool:
+        """Whether there is a file of all metrics now. A worker that shuts down leaves it to the next attempt;
+        where there is none, it has the grace time for it."""
         if not isinstance(job.spec, TrainSpec):
             return False
-        leaving = self.draining.is_set
+        leaving = self.draining.is_set if outcome.status is None else self._must_leave(_LAST_S)
         step = partial(store_metrics, self.claim, file, path, _checkpoints_kept(job), leaving)
         try:
             return retry_while_unavailable(step, _STORAGE_TIMEOUT_S, called_off=leaving)
