@@ -46,6 +46,9 @@ class MujocoEnv(ABC):
         self.action_size: int = model.nu
         self.tracked_body: int = model.body(tracked_body).id
         self.initial_qpos = jnp.asarray(initial_qpos(model), jnp.float32)
+        # Where an episode does not begin at rest: velocities [nv], and states of actuators [na].
+        self.initial_qvel: jax.Array | None = None
+        self.initial_act: jax.Array | None = None
 
     @abstractmethod
     def reset(self, key: jax.Array, model: ModelFields = NOMINAL) -> State: ...
@@ -75,6 +78,8 @@ class MujocoEnv(ABC):
             control_gain=((high - low) / 2).tolist(),
             observation=observation,
             qpos=np.asarray(self.initial_qpos, float).tolist(),
+            qvel=[] if self.initial_qvel is None else np.asarray(self.initial_qvel, float).tolist(),
+            act=[] if self.initial_act is None else np.asarray(self.initial_act, float).tolist(),
             noise=noise,
             ends=ends,
         )
@@ -130,7 +135,11 @@ def noisy_start(
         qvel = jax.random.uniform(
             key_velocity, (environment.model.nv,), minval=-speed_scale, maxval=speed_scale
         )
-    return environment.engine.reset(qpos, qvel, model)
+    if environment.initial_qvel is not None:
+        qvel += environment.initial_qvel
+    if environment.initial_act is None:
+        return environment.engine.reset(qpos, qvel, model)
+    return environment.engine.reset(qpos, qvel, model, environment.initial_act)
 
 
 def travel(position: jax.Array, velocity: jax.Array) -> dict[str, jax.Array]:

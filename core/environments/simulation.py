@@ -83,7 +83,8 @@ class Simulation:
     """A body, ready to be stepped.
 
     model: XML, with the solver settings of the engine that trained. control_offset, control_gain [nu]: a
-    control is offset + gain · action, for num_substeps of the time step. qpos [nq]: where episodes begin.
+    control is offset + gain · action, for num_substeps of the time step. qpos [nq]: where episodes begin;
+    qvel [nv], act [na]: how, where they do not begin at rest.
     obstacles: where each begins and ends in x and the y of the way past it, by their ends. sight: what is
     farther ahead is said to be that far, and straight on. Both in m.
     """
@@ -97,6 +98,8 @@ class Simulation:
     qpos: Sequence[float]
     noise: Noise
     ends: Sequence[Ends] = field(default_factory=tuple)
+    qvel: Sequence[float] = field(default_factory=tuple)
+    act: Sequence[float] = field(default_factory=tuple)
     obstacles: Sequence[Sequence[float]] = field(default_factory=tuple)
     sight: float | None = None
 

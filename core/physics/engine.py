@@ -133,10 +133,17 @@ class Engine(Protocol):
         """The model that is stepped, with this engine's solver settings."""
         ...
 
-    def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
+    def reset(
+        self,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        model: ModelFields = NOMINAL,
+        act: jax.Array | None = None,
+    ) -> PhysicsState:
         """The state at time 0 with these positions [nq] and velocities [nv], derived fields computed.
 
         model: the fields in which this environment differs from the engine's model; see PhysicsState.
+        act: of the actuators [na]; zeros if None.
         """
         ...
 

@@ -36,15 +36,22 @@ class MjxEngine:
         blank = mujoco.MjData(model)
         self._shapes = {name: np.shape(getattr(blank, name)) for name in derived}
 
-    def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
+    def reset(
+        self,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        model: ModelFields = NOMINAL,
+        act: jax.Array | None = None,
+    ) -> PhysicsState:
         check_model_fields(model)
-        data = self._blank.replace(qpos=qpos, qvel=qvel)
+        act = self._blank.act if act is None else act
+        data = self._blank.replace(qpos=qpos, qvel=qvel, act=act)
         if self._derived:
             data = mjx.forward(self._with(model), data)
         return PhysicsState(
             qpos=qpos,
             qvel=qvel,
-            act=self._blank.act,
+            act=act,
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived=self._read(data, self._derived),

@@ -9,6 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from core.errors import JobFailed
+from core.reasons import Reason
+
 if TYPE_CHECKING:  # Code that only reads a model must not load JAX.
     from core.physics.engine import SolverSettings
 
@@ -47,10 +50,19 @@ def _brax_assets() -> Path:
 
 
 def initial_qpos(model: mujoco.MjModel) -> NDArray[np.float64]:
-    """Where an episode begins, [nq]: the model's custom numeric `init_qpos`, or `qpos0` if it has none."""
+    """Where an episode begins, [nq]: the model's custom numeric `init_qpos`, or `qpos0` if it has none.
+
+    Raises JobFailed("bad_model") for one of another length.
+    """
     for index in range(model.nnumeric):
         numeric = model.numeric(index)
         if numeric.name == "init_qpos":
+            if numeric.data.size != model.nq:
+                raise JobFailed(
+                    Reason.BAD_MODEL,
+                    f"The model's custom numeric init_qpos has length {numeric.data.size}, but the model has "
+                    f"{model.nq} positions (nq).",
+                )
             return np.array(numeric.data)
     return model.qpos0.copy()
 

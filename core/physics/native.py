@@ -53,12 +53,18 @@ class NativeEngine:
         self._shapes = {name: np.shape(getattr(blank, name)) for name in (*carried, *derived)}
         self._shapes.update({name: parts.shape for name, parts in self._at_time_0.items()})
 
-    def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
+    def reset(
+        self,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        model: ModelFields = NOMINAL,
+        act: jax.Array | None = None,
+    ) -> PhysicsState:
         check_model_fields(model)
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,
-            act=jnp.zeros(self._num_act, jnp.float32),
+            act=jnp.zeros(self._num_act, jnp.float32) if act is None else act,
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived={},

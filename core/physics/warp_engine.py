@@ -52,7 +52,13 @@ class WarpEngine:
         self._derived = derived
         self._programs: dict[tuple[Move, tuple[str, ...]], Callable[..., Any]] = {}
 
-    def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
+    def reset(
+        self,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        model: ModelFields = NOMINAL,
+        act: jax.Array | None = None,
+    ) -> PhysicsState:
         check_model_fields(model)
         if "dof_damping" in model and self.model.actuator_damping.any():
             raise JobFailed(
@@ -63,7 +69,7 @@ class WarpEngine:
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,
-            act=jnp.zeros(self._num_act, jnp.float32),
+            act=jnp.zeros(self._num_act, jnp.float32) if act is None else act,
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived={OVERFLOW: jnp.zeros((), jnp.float32)},

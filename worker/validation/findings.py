@@ -8,7 +8,7 @@ from typing import get_args
 import mujoco
 import numpy as np
 
-from core.environments.mjcf.describe import inventory
+from core.environments.mjcf.describe import can_go_forward, inventory, root_of
 from core.environments.mjcf.info import LONGEST_STEP_S, SHORTEST_STEP_S
 from core.environments.mjcf.inventory import Inventory
 from core.environments.mjcf.model import SLEEP_IS_OFF, compiled, is_to_sleep, read
@@ -45,7 +45,11 @@ def findings(file: Path) -> Iterator[Description]:
         engines=_judged_by_reading(model),
         physics_steps_per_second=fall.steps_per_second,
         settled_height=float(fall.ended[2]),
-        notes=[*([SLEEP_IS_OFF] if sleeps else []), *notes(model, found, fall)],
+        notes=[
+            *([SLEEP_IS_OFF] if sleeps else []),
+            *notes(model, found, fall),
+            *_of_the_default_reward(model),
+        ],
     )
     description = with_choices(description)
     yield description
@@ -59,6 +63,15 @@ def _with_unread_sensors(found: Inventory, model: mujoco.MjModel) -> Inventory:
         for number, sensor in enumerate(found.sensors)
     ]
     return found.model_copy(update={"sensors": sensors})
+
+
+def _of_the_default_reward(model: mujoco.MjModel) -> Iterator[str]:
+    root = root_of(model)
+    if not can_go_forward(model, root):
+        yield (
+            f"The root, {model.body(root).name!r}, cannot move along x, so the default reward changes with "
+            "the size of the actions alone: give `reward` terms, or name another body as `root`."
+        )
 
 
 def _judged_by_reading(model: mujoco.MjModel) -> dict[EngineName, str | None]:

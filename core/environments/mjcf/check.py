@@ -165,7 +165,8 @@ def _of_reset(reset: Reset, model: Inventory) -> Iterator[Problem]:
         for joint in model.joints:
             start = {"free": joint.qpos_start + 3, "ball": joint.qpos_start}.get(joint.type)
             if start is not None and not any(reset.qpos[start : start + 4]):
-                detail = f"The orientation of the joint {joint.name!r} is not a quaternion: [0, 0, 0, 0]."
+                name = joint.name or f"{joint.body} {joint.type}"
+                detail = f"The orientation of the joint {name!r} is not a quaternion: [0, 0, 0, 0]."
                 yield Problem(f"{_OPTIONS}/reset/qpos/{start}", detail)
     known = model.keyframes
     there = reset.keyframe in known if isinstance(reset.keyframe, str) else (reset.keyframe or 0) < len(known)

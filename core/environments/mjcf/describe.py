@@ -1,6 +1,6 @@
 """The contents of a compiled model."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import chain, islice
 from typing import Any, Literal
 
@@ -19,6 +19,9 @@ _TYPES: dict[Any, Literal["free", "ball", "slide", "hinge"]] = {
 }
 
 _MOST_PAIRS = 10_000
+_TRIED_POSES = 5
+# m of the body per rad or m of a joint: less is rounding.
+_NO_MOTION = 1e-9
 
 
 def inventory(model: mujoco.MjModel) -> Inventory:
@@ -50,15 +53,68 @@ def _num_pairs(model: mujoco.MjModel) -> int:
 
 
 def root_of(model: mujoco.MjModel) -> int:
-    """The first body with a free joint, else the first with a slide, else the first below the world.
+    """Of the trees that have actuators: the first body with a free joint; else the first that slides and
+    hangs on nothing that moves; else the first body of the first such tree.
 
-    A scene may begin with fixed objects.
+    A scene may have a ball, a mocap body or fixed objects before the robot. Without actuators on any tree,
+    all of them count.
     """
+    driven = _driven_trees(model)
+    bodies = [body for body in range(1, model.nbody) if not driven or int(model.body_rootid[body]) in driven]
     for wanted in ("free", "slide"):
-        for body in range(1, model.nbody):
-            if wanted in _joint_types(model, body):
+        for body in bodies:
+            if wanted in _joint_types(model, body) and not model.body_weldid[model.body_parentid[body]]:
                 return body
-    return min(1, model.nbody - 1)
+    return bodies[0] if bodies else 0
+
+
+def _driven_trees(model: mujoco.MjModel) -> set[int]:
+    """The first bodies of the trees that actuators act on."""
+    moved: list[int] = []
+    for kind, target in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True):
+        match mujoco.mjtTrn(kind):
+            case mujoco.mjtTrn.mjTRN_JOINT | mujoco.mjtTrn.mjTRN_JOINTINPARENT:
+                moved.append(model.jnt_bodyid[target])
+            case mujoco.mjtTrn.mjTRN_TENDON:
+                moved += _bodies_of(model, target)
+            case mujoco.mjtTrn.mjTRN_SITE | mujoco.mjtTrn.mjTRN_SLIDERCRANK:
+                moved.append(model.site_bodyid[target])
+            case mujoco.mjtTrn.mjTRN_BODY:
+                moved.append(target)
+            case _:
+                pass
+    return {int(model.body_rootid[body]) for body in moved} - {0}
+
+
+def _bodies_of(model: mujoco.MjModel, tendon: int) -> Iterator[int]:
+    """The bodies along a tendon."""
+    first = model.tendon_adr[tendon]
+    for wrap in range(first, first + model.tendon_num[tendon]):
+        target = model.wrap_objid[wrap]
+        match mujoco.mjtWrap(model.wrap_type[wrap]):
+            case mujoco.mjtWrap.mjWRAP_JOINT:
+                yield model.jnt_bodyid[target]
+            case mujoco.mjtWrap.mjWRAP_SITE:
+                yield model.site_bodyid[target]
+            case mujoco.mjtWrap.mjWRAP_SPHERE | mujoco.mjtWrap.mjWRAP_CYLINDER:
+                yield model.geom_bodyid[target]
+            case _:
+                pass
+
+
+def can_go_forward(model: mujoco.MjModel, body: int) -> bool:
+    """Whether the body can move along the world's x at all: otherwise `forward_velocity` is always 0."""
+    data, jacobian = mujoco.MjData(model), np.zeros((3, model.nv))
+    random = np.random.default_rng(0)
+    for _ in range(_TRIED_POSES):
+        data.qpos[:] = initial_qpos(model)
+        mujoco.mj_integratePos(model, data.qpos, random.normal(size=model.nv), 1.0)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacBody(model, data, jacobian, None, body)
+        if np.abs(jacobian[0]).max(initial=0.0) > _NO_MOTION:
+            return True
+    return False
 
 
 def height_of(model: mujoco.MjModel, qpos: np.ndarray, body: int) -> float:

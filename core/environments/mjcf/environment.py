@@ -83,6 +83,7 @@ class Mjcf(MujocoEnv):
         )
         super().__init__(model, engine, num_substeps=num_substeps, observation_size=0, tracked_body=root)
         self.initial_qpos = jnp.asarray(start, jnp.float32)
+        self.initial_qvel, self.initial_act = _motion(model, options)
         self._spec, self._parts = spec, named
         self._observation, self._termination = seen, ends
         self._reset = options.reset
@@ -170,3 +171,14 @@ def _start(model: mujoco.MjModel, options: MjcfOptions) -> np.ndarray:
     if reset.qpos is not None:
         return np.array(reset.qpos)
     return initial_qpos(model) if reset.keyframe is None else np.array(model.key(reset.keyframe).qpos)
+
+
+def _motion(model: mujoco.MjModel, options: MjcfOptions) -> tuple[jax.Array | None, jax.Array | None]:
+    """The velocities [nv] and the states of actuators [na] of the keyframe; None for those that are 0."""
+    if options.reset.keyframe is None:
+        return None, None
+    key = model.key(options.reset.keyframe)
+    qvel, act = (
+        jnp.asarray(values, jnp.float32) if np.any(values) else None for values in (key.qvel, key.act)
+    )
+    return qvel, act

@@ -27,7 +27,8 @@ class MjcfOptions(Strict):
     model: ModelId
     root: Name | None = Field(
         default=None,
-        description="Body of the terms that name no body; null: the first body that can travel.",
+        description="Body of the terms that name no body; null: the first body that can travel, of those "
+        "with actuators.",
     )
     reward: Annotated[list[RewardTerm], Field(min_length=1, max_length=64)] | None = Field(
         default=None,

@@ -47,9 +47,10 @@ class Sizes(Stored):
 
 
 class Inventory(Stored):
-    """A compiled model's parts. Bodies and geoms without a name are left out; other parts have empty names.
+    """A compiled model's parts. What has no name is left out of bodies and geoms, and has an empty one
+    elsewhere; most unnamed bodies, joints and geoms got one when the model was read.
 
-    root: the first body that can travel, else the first. has_free_joint: whether the root has one.
+    root: the body that terms mean if they name none (`describe.root_of`). has_free_joint: whether it has one.
     travels: whether it can leave its place. initial_height: the root's in metres, in the initial state.
     num_pairs: pairs of geoms that may touch, up to 10,000; None for models described before it was counted.
     """

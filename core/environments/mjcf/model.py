@@ -1,9 +1,12 @@
 """From a model's file to a compiled model."""
 
 import tempfile
-from collections.abc import Generator
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
@@ -16,6 +19,14 @@ SLEEP_IS_OFF = (
     "It lets what rests sleep (`<flag sleep>`). Jobs switch that off: who sleeps is not part of an "
     "environment's state."
 )
+# A scene of more unnamed parts of a kind leaves the others without names.
+_MOST_NAMED = 1000
+_KINDS = {
+    mujoco.mjtJoint.mjJNT_FREE: "free",
+    mujoco.mjtJoint.mjJNT_BALL: "ball",
+    mujoco.mjtJoint.mjJNT_SLIDE: "slide",
+    mujoco.mjtJoint.mjJNT_HINGE: "hinge",
+}
 
 
 @contextmanager
@@ -39,6 +50,7 @@ def read(file: Path) -> Generator[tuple[mujoco.MjSpec, str]]:
         spec.nconmax = spec.njmax = -1
         if archive.is_urdf:
             _add_motors(spec)
+        _name_parts(spec)
         yield spec, archive.main
 
 
@@ -69,6 +81,27 @@ def compiled(
 def is_to_sleep(spec: mujoco.MjSpec) -> bool:
     """Whether the model, before it is compiled, lets what rests sleep."""
     return bool(spec.option.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+
+def _name_parts(spec: mujoco.MjSpec) -> None:
+    """Name bodies, joints and geoms that have no name, so that terms and randomization can name them.
+
+    Joints and geoms are called by their body: `trunk free`, `trunk geom`, `trunk geom 2`.
+    """
+    parts: list[tuple[Sequence[Any], Callable[[Any], str]]] = [
+        (spec.bodies, lambda _: "body"),
+        (spec.joints, lambda joint: f"{joint.parent.name} {_KINDS[joint.type]}"),
+        (spec.geoms, lambda geom: f"{geom.parent.name} geom"),
+    ]
+    for found, called in parts:
+        known, num_known = {part.name for part in found}, Counter[str]()
+        for part in islice((part for part in found if not part.name), _MOST_NAMED):
+            wanted = name = called(part)
+            while name in known:
+                num_known[wanted] += 1
+                name = f"{wanted} {num_known[wanted] + 1}"
+            part.name = name
+            known.add(name)
 
 
 def _add_motors(spec: mujoco.MjSpec) -> None:

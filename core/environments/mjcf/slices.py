@@ -108,7 +108,7 @@ def _term(term: ObservationTerm, options: MjcfOptions, model: Inventory) -> Iter
 
 def _body(model: Inventory) -> Body:
     joints: dict[str, JointType] = {
-        joint.name or f"joint {number}": joint.type for number, joint in enumerate(model.joints)
+        joint.name or f"{joint.body} joint {number}": joint.type for number, joint in enumerate(model.joints)
     }
     return Body(joints, {})
 

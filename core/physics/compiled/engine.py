@@ -42,13 +42,19 @@ class CompiledEngine:
         # Its code is made while JAX traces and compiles.
         self._call("step", ())
 
-    def reset(self, qpos: jax.Array, qvel: jax.Array, model: ModelFields = NOMINAL) -> PhysicsState:
+    def reset(
+        self,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        model: ModelFields = NOMINAL,
+        act: jax.Array | None = None,
+    ) -> PhysicsState:
         check_model_fields(model)
         check_own(self.model, tuple(model), self._derived)
         at_rest = PhysicsState(
             qpos=qpos,
             qvel=qvel,
-            act=jnp.zeros(self.model.na, jnp.float32),
+            act=jnp.zeros(self.model.na, jnp.float32) if act is None else act,
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived={},

@@ -34,12 +34,14 @@ export class Simulation {
   /** Begin an episode. random: numbers in [0, 1); () => 0.5 begins without noise. */
   reset(random = Math.random) {
     const { mujoco, model, data } = this;
-    const { qpos, noise } = this.recipe;
+    const { qpos, qvel = [], act = [], noise } = this.recipe;
     const even = (scale) => scale * (2 * random() - 1);
     const normal = (scale) => scale * Math.sqrt(-2 * Math.log(1 - random())) * Math.cos(2 * Math.PI * random());
     mujoco.mj_resetData(model, data);
     data.qpos.set(qpos.map((value) => value + even(noise.position)));
-    data.qvel.set(Array.from(data.qvel, () => (noise.is_normal ? normal(noise.velocity) : even(noise.velocity))));
+    const jolt = () => (noise.is_normal ? normal(noise.velocity) : even(noise.velocity));
+    data.qvel.set(Array.from(data.qvel, (_, place) => (qvel[place] ?? 0) + jolt()));
+    if (act.length) data.act.set(act);
     this.begin();
   }
 

@@ -14,7 +14,8 @@ class Reset(Strict):
 
     keyframe: Name | Annotated[int, Field(ge=0)] | None = Field(
         default=None,
-        description="By name or number; null: the model's custom numeric `init_qpos`, or else `qpos0`.",
+        description="By name or number: its positions, velocities and states of actuators. null: the "
+        "model's custom numeric `init_qpos`, or else `qpos0`.",
     )
     qpos: Annotated[list[float], Field(min_length=1, max_length=10_000)] | None = Field(
         default=None, description="Initial positions, in MuJoCo's order."

@@ -7,6 +7,7 @@ import jax
 
 from core.environments import catalog
 from core.environments.environment import Environment
+from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 
 MODEL = "sha256:" + "0" * 64
@@ -39,12 +40,12 @@ def options(**given: Any) -> dict[str, Any]:
     return {"model": MODEL, "n_frames": 1, "reset": {"position_noise": 0.0, "velocity_noise": 0.0}, **given}
 
 
-def build(folder: Path, xml: bytes = XML, **given: Any) -> Environment:
+def build(folder: Path, xml: bytes = XML, engine: EngineName = "native", **given: Any) -> Environment:
     """The probe under these options."""
     file = folder / "model"
     file.write_bytes(xml)
     info = catalog.find("mjcf")
-    return catalog.make(info, catalog.parse_options(info, options(**given)), engine_builder("native"), file)
+    return catalog.make(info, catalog.parse_options(info, options(**given)), engine_builder(engine), file)
 
 
 KEY = jax.random.key(0)

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from core.environments.mjcf.describe import inventory
 from core.environments.mjcf.environment import Mjcf
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import JobFailed
+from core.physics.availability import EngineName
 from core.physics.choose import engine_builder
 from core.physics.model import brax_spec
 from tests.unit.environments.mjcf.probe import KEY, MODEL, build, options
@@ -37,6 +39,13 @@ def moving(state: State, *, qpos: list[float] | None = None, qvel: list[float] |
     return replace(state, physics=changed)
 
 
+STILL = {"position_noise": 0.0, "velocity_noise": 0.0}
+# A hinge that a filtered motor drives, with a keyframe in motion.
+FILTERED = b"""<mujoco><option timestep="0.004"/><worldbody><body name="u" pos="0 0 1">
+  <joint name="j" axis="0 1 0" damping=".1"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".03"/>
+  </body></worldbody>
+  <actuator><general joint="j" dyntype="filter" dynprm=".5" gainprm="4" ctrlrange="-1 1"/></actuator>
+  <keyframe><key name="moving" qpos=".4" qvel="3" act=".7"/></keyframe></mujoco>"""
 NO_TORQUE = jnp.array([-0.5])  # The middle of the control's range is not zero.
 Earning = tuple[State, Callable[[State, jax.Array], State]]
 FAST = [0.3, 0.4, 0, 0, 0, 0, 0]  # m/s of the ball
@@ -199,6 +208,32 @@ ANT = {
     "termination": [{"kind": "height_range", "body": "torso", "range": [0.2, 1.0]}],
     "n_frames": 5,
 }
+
+
+@pytest.mark.parametrize("engine", ["native", "compiled"])
+def test_an_episode_begins_in_the_motion_of_its_keyframe(engine: EngineName, tmp_path: Path) -> None:
+    begins = {**STILL, "keyframe": "moving"}
+    seen = [{"kind": "qpos"}, {"kind": "qvel"}, {"kind": "act"}]
+    given = {"reset": begins, "observation": seen, "reward": [{"kind": "alive"}]}
+    environment = build(tmp_path, FILTERED, engine=engine, **given)
+    start = environment.reset(KEY)
+    np.testing.assert_allclose(start.obs, [0.4, 3.0, 0.7], rtol=1e-6)
+    # One step of C MuJoCo from the keyframe, under the same control.
+    model = mujoco.MjModel.from_xml_string(FILTERED.decode())
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = 0.5
+    mujoco.mj_step(model, data)
+    after = jax.jit(environment.step)(start, jnp.array([0.5]))
+    np.testing.assert_allclose(after.obs, [*data.qpos, *data.qvel, *data.act], rtol=1e-5)
+    assert isinstance(environment, Mjcf)
+    recipe = environment.simulation()
+    np.testing.assert_allclose([*recipe.qpos, *recipe.qvel, *recipe.act], [0.4, 3.0, 0.7], rtol=1e-6)
+    # Noise comes on top.
+    noisy = build(tmp_path, FILTERED, engine=engine, **{**given, "reset": {**begins, "velocity_noise": 0.5}})
+    velocities = [float(noisy.reset(jax.random.key(seed)).physics.qvel[0]) for seed in range(3)]
+    assert len(set(velocities)) == 3
+    assert all(2.5 < velocity < 3.5 for velocity in velocities)
 
 
 def test_the_ant_made_of_terms_is_the_ant() -> None:

@@ -220,6 +220,28 @@ def test_a_model_that_no_job_could_use_is_refused(body: bytes, sentence: str, tm
     assert str(tmp_path) not in answer.refusal
 
 
+@pytest.mark.parametrize("data", ["1", "0 0 0 0 0 0 0 0 0"])
+def test_an_init_qpos_of_another_length_is_refused_with_both(data: str, tmp_path: Path) -> None:
+    custom = f'<custom><numeric name="init_qpos" data="{data}"/></custom></mujoco>'.encode()
+    answer = looked(XML.replace(b"</mujoco>", custom), tmp_path)
+    length = len(data.split())
+    assert answer.refusal == (
+        f"The model's custom numeric init_qpos has length {length}, but the model has 8 positions (nq)."
+    )
+
+
+def test_a_model_whose_root_cannot_go_forward_is_described_with_a_word_about_that(tmp_path: Path) -> None:
+    body = XML.replace(b'<freejoint name="root"/>', b'<joint name="root" type="slide" axis="0 0 1"/>')
+    body = body.replace(b'<key name="raised" qpos="0 0 0.8 1 0 0 0 0.5"/>', b"")
+    answer = looked(body, tmp_path)
+    assert answer.description is not None
+    (note,) = answer.description.notes
+    assert "The root, 'ball', cannot move along x" in note
+    # Along x it can.
+    (free,) = (look for look in [looked(XML, tmp_path).description] if look is not None)
+    assert free.notes == []
+
+
 @pytest.mark.parametrize("timestep", [b"0", b"-0.002", b"1e-9", b"10"])
 def test_a_time_step_that_no_job_could_take_is_refused(timestep: bytes, tmp_path: Path) -> None:
     (tmp_path / "model").write_bytes(XML.replace(b'"0.01"', b'"%s"' % timestep, 1))
