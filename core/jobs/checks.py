@@ -1,10 +1,8 @@
 """Checks before a job is stored: each refusal names the place and the remedy."""
 
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from core.algorithms.catalog import reported, resolve
 from core.algorithms.spec import BaseSpec, check_resumption
@@ -14,6 +12,7 @@ from core.environments.info import Device, EnvironmentInfo
 from core.environments.mjcf.info import MjcfOptions
 from core.environments.mjcf.slices import mjcf_slices
 from core.errors import EnvironmentNotFound, JobNotFound, JobUnreadable, Problem, Rejected
+from core.jobs.environment_difference import difference
 from core.jobs.job import Artifact, Job
 from core.jobs.needs import DEVICES, kind_of, least_memory
 from core.jobs.own_model import engines_that_cannot, own_model
@@ -232,16 +231,16 @@ def source_checkpoint(
     except (JobNotFound, JobUnreadable) as error:
         raise Rejected(error.detail, [Problem(f"{pointer}/job", error.detail)]) from None
     free = _free_options(spec)
-    if _without(source.spec.environment, free) != _without(spec.environment, free):
+    if found := difference(source.spec.environment, spec.environment, free):
+        place, values = found
         excepted = f" except in {', '.join(free)}" if free else ""
         detail = (
-            f"Job {job_id} has the environment {source.spec.environment.id!r} with options "
-            f"{source.spec.environment.options}, this one {spec.environment.id!r} with "
-            f"{spec.environment.options}; they must be the same{excepted}."
+            f"The environments of job {job_id} and of this one differ at {place}: {values}. They must be the "
+            f"same{excepted}. Numbers of the reward, the reset and the termination may differ."
         )
         if isinstance(spec, RolloutSpec):
             detail += " Leave `environment` out to take that of the job."
-        raise Rejected(detail, [Problem(f"{pointer}/job", detail), Problem("/environment", detail)])
+        raise Rejected(detail, [Problem(place, detail), Problem(f"{pointer}/job", detail)])
     checkpoint = source.newest("checkpoint", step)
     if checkpoint is None:
         steps = [str(a.step) for a in source.artifacts if a.role == "checkpoint"]
@@ -256,12 +255,3 @@ def _free_options(spec: JobSpec) -> tuple[str, ...]:
     """The environment's options that need not be those of the job whose checkpoint it takes."""
     info = catalog.ENVIRONMENTS.get(spec.environment.id) if isinstance(spec, RolloutSpec) else None
     return info.free_in_rollouts if info else ()
-
-
-def _without(environment: EnvironmentSpec, free: Sequence[str]) -> tuple[str, dict[str, Any]]:
-    """The environment's id, and its options with their defaults, without these."""
-    options = environment.options
-    # An option that this version refuses may be of a job of another version.
-    with suppress(EnvironmentNotFound, Rejected):
-        options = catalog.resolve(environment.id, options)[1].model_dump(mode="json")
-    return environment.id, {name: value for name, value in options.items() if name not in free}

@@ -44,14 +44,14 @@ class MjxEngine:
         act: jax.Array | None = None,
     ) -> PhysicsState:
         check_model_fields(model)
-        act = self._blank.act if act is None else act
-        data = self._blank.replace(qpos=qpos, qvel=qvel, act=act)
+        held: jax.Array = self._blank.act if act is None else act
+        data = self._blank.replace(qpos=qpos, qvel=qvel, act=held)
         if self._derived:
             data = mjx.forward(self._with(model), data)
         return PhysicsState(
             qpos=qpos,
             qvel=qvel,
-            act=act,
+            act=held,
             qacc_warmstart=jnp.zeros_like(qvel),
             time=jnp.zeros((), jnp.float32),
             derived=self._read(data, self._derived),

@@ -92,10 +92,16 @@ def test_the_specification_with_its_defaults_resumes_from_it(stack: Stack, expor
     assert spec["environment"]["options"] != {}
     answer = stack.http.post("/jobs", json={**spec, "resume_from": {"job": found}})
     assert answer.status_code == 202, answer.text
-    other = {**spec["environment"]["options"], "healthy_reward": 17.0}
-    spec["environment"]["options"] = other
-    refused = stack.http.post("/jobs", json={**spec, "resume_from": {"job": found}})
-    assert "they must be the same" in problem(refused, 422, "invalid-request")["detail"]
+    had = spec["environment"]["options"]
+    paid = {**spec, "environment": {"id": "ant", "options": {**had, "healthy_reward": 17.0}}}
+    # What a step is worth has no shape.
+    assert stack.http.post("/jobs", json={**paid, "resume_from": {"job": found}}).status_code == 202
+    changed = {**had, "healthy_reward": 17.0, "terminate_when_unhealthy": False}
+    other = {**spec, "environment": {"id": "ant", "options": changed}, "resume_from": {"job": found}}
+    refused = problem(stack.http.post("/jobs", json=other), 422, "invalid-request")
+    place = "/environment/options/terminate_when_unhealthy"
+    assert [error["pointer"] for error in refused["errors"]] == [place, "/resume_from/job"]
+    assert f"differ at {place}: True there and False here" in refused["detail"]
 
 
 @pytest.mark.parametrize("status", ["queued", "running", "failed"])
