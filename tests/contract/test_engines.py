@@ -167,6 +167,17 @@ def test_the_actuators_force_is_the_last_substeps(bench: JittedEngine) -> None:
     np.testing.assert_allclose(state.derived["qfrc_actuator"], data.qfrc_actuator, atol=1e-5)
 
 
+def test_the_actuators_force_at_the_beginning_follows_from_their_states(bench: JittedEngine) -> None:
+    qpos, qvel, _ = start(bench.model, 3)
+    act = np.full(bench.model.na, 0.4, np.float32)
+    data = mujoco.MjData(bench.model)
+    data.qpos[:], data.qvel[:], data.act[:] = qpos[2], qvel[2], act
+    mujoco.mj_forward(bench.model, data)
+    assert np.abs(data.qfrc_actuator).max() > 0.1
+    derived = bench.reset(qpos[2], qvel[2], act=jnp.asarray(act)).derived
+    np.testing.assert_allclose(derived["qfrc_actuator"], data.qfrc_actuator, atol=1e-5)
+
+
 def test_many_environments_move_as_each_would_alone(bench: JittedEngine) -> None:
     qpos, qvel, ctrl = start(bench.model, 3)
     together = bench.step_many(bench.reset_many(qpos, qvel), ctrl)

@@ -20,6 +20,8 @@ from core.physics.model import model_field
 _Move = Literal["reset", "step"]
 _Call = Callable[..., tuple[jax.Array, ...]]
 _CARRIED = ("qpos", "qvel", "act", "qacc_warmstart")
+# Derived fields that may depend on activations.
+_OF_FORCES = {"qfrc_actuator", "sensordata"}
 
 
 class CompiledEngine:
@@ -91,6 +93,8 @@ class CompiledEngine:
 
     def _piece(self, move: _Move, own: tuple[str, ...]) -> Piece:
         read = {"step": (*_CARRIED, "ctrl"), "reset": ("qpos", "qvel")}[move]
+        if move == "reset" and not _OF_FORCES.isdisjoint(self._derived):
+            read = (*read, "act")
         reads_time = move == "step" and "sensordata" in self._derived
         own_sizes = {name: np.size(model_field(self.model, name)) for name in own}
         inputs = self._sizes((*read, "time") if reads_time else read) | own_sizes

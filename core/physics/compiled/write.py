@@ -76,10 +76,10 @@ def control_step_program(plan: Plan, num_substeps: int, limbs: Limbs | None = No
 
 
 def derived_program(plan: Plan) -> Program:
-    """From qpos and qvel, without activations and controls, to the derived fields."""
+    """From qpos, qvel and, if it is among the inputs, act, under controls of 0, to the derived fields."""
     program, given, model = _begun(plan)
-    blank: Vector = [0.0] * plan.model.na
-    state = State(given["qpos"], given["qvel"], blank, [0.0] * plan.model.nv)
+    act: Vector = [*given["act"]] or [0.0] * plan.model.na
+    state = State(given["qpos"], given["qvel"], act, [0.0] * plan.model.nv)
     standing = Moved(state.qpos, state.qvel, state.act, state.qacc, [], [])
     if _OF_FORCES in plan.derived or model.num_readings:
         standing = unmoved(model, state, [0.0] * plan.model.nu)

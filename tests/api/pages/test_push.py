@@ -116,6 +116,34 @@ def test_the_browser_observes_and_acts_as_the_environment_does(
         np.testing.assert_allclose(observation, state.obs, rtol=1e-2, atol=1e-2)
 
 
+# The page's own module begins an episode, without noise.
+BEGUN = """async (recipe) => {
+  const pages = document.querySelector("script[src]").src.replace("app.js", "");
+  const [{default: load}, {Simulation}] = await Promise.all(
+    ["vendor/mujoco.js", "lib/push/simulation.js"].map((one) => import(pages + one)));
+  const {data} = new Simulation(await load(), recipe, {about: {action: {held_steps: 1}}});
+  return [data.qpos, data.qvel, data.act].map((values) => [...values]);
+}"""
+# A hinge that a filtered motor drives, with a keyframe in motion.
+MOVING = """<mujoco><worldbody><body name="arm" pos="0 0 1">
+  <joint name="j" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".03"/></body></worldbody>
+  <actuator><general joint="j" dyntype="filter" dynprm=".5" gainprm="4" ctrlrange="-1 1"/></actuator>
+  <keyframe><key name="moving" qpos=".4" qvel="3" act=".7"/></keyframe></mujoco>"""
+
+
+def test_the_browser_begins_in_the_motion_of_a_keyframe(
+    browser: Browser, stack: Stack, tmp_path: Path
+) -> None:
+    begins = {"keyframe": "moving", "position_noise": 0.0, "velocity_noise": 0.0}
+    environment = of_a_user(tmp_path, MOVING, reset=begins, reward=[{"kind": "alive"}])
+    # The page's own policy forbids WebAssembly outside the worker.
+    page = browser.new_page(bypass_csp=True)
+    page.goto(f"http://127.0.0.1:{stack.port}/#/workers")
+    qpos, qvel, act = page.evaluate(BEGUN, environment.simulation().document())
+    page.context.close()
+    np.testing.assert_allclose([*qpos, *qvel, *act], [0.4, 3.0, 0.7], rtol=1e-6)
+
+
 @pytest.fixture
 def attempt(stack: Stack) -> Attempt:
     return Attempt(stack, job(name="push", algorithm={"kind": "ppo", "num_timesteps": 1000}))
