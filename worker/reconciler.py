@@ -19,6 +19,7 @@ from core.adapters.startup import check_stores, prepare_database
 from core.configuration import read, stopping_if_misconfigured
 from core.errors import Unavailable
 from core.jobs import feeds, orphans
+from core.jobs.deletion import end_deletions
 from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_records
 from core.jobs.strays import StrayMessages
@@ -33,6 +34,7 @@ log = structlog.get_logger()
 
 # It reads the record of every model, and nobody waits for it.
 _TIDY_EVERY_S = 3600.0
+_DELETIONS_EVERY_S = 60.0
 # How long a pass may spend on a chore that takes minutes.
 _AT_ONCE_S = 0.2
 
@@ -97,6 +99,7 @@ def chores(settings: ReconcilerSettings) -> Sequence[Chore | LongChore]:
         Chore("messages", 10 * every_s, StrayMessages(queue).look),
         Chore("record", _TIDY_EVERY_S, store.tidy),
         Chore("models", _TIDY_EVERY_S, lambda: library.tidy(store=store, objects=objects, now=store.now())),
+        Chore("deletions", _DELETIONS_EVERY_S, partial(end_deletions, store=store, objects=objects)),
         Chore("uploads", _TIDY_EVERY_S, partial(end_unfinished, store=store, objects=objects)),
         LongChore("orphans", _TIDY_EVERY_S, partial(orphans.sweep, store=store, objects=objects)),
     ]

@@ -1,25 +1,39 @@
 """Deletes a job permanently."""
 
 from contextlib import suppress
+from datetime import timedelta
 
-from core.errors import JobInUse, JobNotFinished, StorageUnavailable
+from core.errors import JobNotFinished, StorageUnavailable
 from core.jobs.store import JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
 
+# What another process is writing at the deletion, a part of a feed or a copy of the record, is there by then.
+_OBJECTS_AGAIN_AFTER = timedelta(minutes=2)
+
 
 def delete(job_id: str, *, store: JobStore, objects: ObjectStore) -> None:
-    """Remove the files first and the record last, so that an interrupted deletion can be repeated.
+    """Remove the record first, so that nobody is shown a job whose files are gone, and then the files.
 
-    A record that cannot be read can be deleted. Raises JobNotFound; JobNotFinished unless the job has ended;
-    JobInUse while another one needs a checkpoint of it.
+    What an outage of the object store leaves of them, `end_deletions` removes. A record that cannot be read
+    can be deleted. Raises JobNotFound; JobNotFinished unless the job has ended; JobInUse while another one
+    needs a checkpoint of it.
     """
     job = store.find(job_id)
     if not job.status.is_final:
         raise JobNotFinished(f"Job {job_id} is {job.status}; cancel it first.", job=job_id, status=job.status)
-    if borrowers := [borrower for borrower, _ in store.borrowers_of(job_id)]:
-        raise JobInUse(job_id, borrowers)
-    objects.delete_prefix(keys.job(job_id))
     store.delete(job_id, job.version)
-    with suppress(StorageUnavailable):  # It may have been copied again in between.
-        objects.delete_prefix(keys.record(job_id))
+    with suppress(StorageUnavailable):
+        objects.delete_prefix(keys.job(job_id))
+
+
+def end_deletions(*, store: JobStore, objects: ObjectStore, after: timedelta = _OBJECTS_AGAIN_AFTER) -> int:
+    """Remove what is left of jobs that were deleted so long ago; returns how many.
+
+    Raises RecordsUnavailable, StorageUnavailable.
+    """
+    deleted = store.deletions(before=after)
+    for job_id in deleted:
+        objects.delete_prefix(keys.job(job_id))
+        store.deletion_ended(job_id)
+    return len(deleted)

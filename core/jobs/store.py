@@ -145,7 +145,8 @@ class JobStore(ModelStore, WorkerStore, Protocol):
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
         """Store a new job and its dispatch, and return it; or, for a key seen before with the same
         fingerprint, the job stored then. Raises IdempotencyKeyReused for another fingerprint, JobExists for
-        an id that exists. Keys are remembered for 24 hours."""
+        an id that exists, and JobNotFound if the job whose checkpoint it needs was deleted. Keys are
+        remembered for 24 hours."""
         ...
 
     def import_job(
@@ -193,8 +194,19 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         ...
 
     def delete(self, job_id: str, version: int) -> None:
-        """Delete the job, its feeds and its lease. Raises JobNotFound, and StaleJob where its version has
-        changed."""
+        """Delete the job, its feeds and its lease, and remember that its objects are to be removed.
+
+        Raises JobNotFound, StaleJob where its version has changed, and JobInUse while an unfinished job needs
+        a checkpoint of it: one transaction checks that and deletes.
+        """
+        ...
+
+    def deletions(self, *, before: timedelta = timedelta(0)) -> Sequence[str]:
+        """The ids of jobs that were deleted at least so long ago, and whose objects may be there still."""
+        ...
+
+    def deletion_ended(self, job_id: str) -> None:
+        """Forget a deleted job, whose objects are gone."""
         ...
 
     def list(self, query: JobQuery, *, cursor: str | None = None, limit: int = 50) -> Page:

@@ -31,7 +31,10 @@ def submit(
     """
     if idempotency is not None and (known := store.remembered(idempotency)) is not None:
         return known
-    job = store.add(new_job(spec, store), idempotency)
+    try:
+        job = store.add(new_job(spec, store), idempotency)
+    except JobNotFound:  # The job whose checkpoint it needs was deleted between the check and this.
+        job = store.add(new_job(spec, store), idempotency)
     dispatch = Dispatch("attempt", job.id, job.next_attempt)
     if hand_over_if_room(dispatch, job, queue):
         acknowledge(dispatch)

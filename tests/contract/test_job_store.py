@@ -170,6 +170,11 @@ class TestJobs:
         assert (list(jobs.list(ANY).jobs), list(jobs.expired()), jobs.undispatched()) == ([], [], [])
         for table in ("jobs", "attempts", "artifacts", "chunks", "entries", "dispatches"):
             assert database.count(table) == 0
+        # But that its objects are to be removed.
+        assert jobs.deletions() == [claimed.id]
+        assert jobs.deletions(before=timedelta(minutes=1)) == []
+        jobs.deletion_ended(claimed.id)
+        assert jobs.deletions() == []
 
     def test_deleting_an_older_version_is_refused(self, jobs: JobStore) -> None:
         job = queued_job()
@@ -350,7 +355,7 @@ class TestNames:
         assert jobs.users_of(MODEL.replace("0", "1")) == []
 
     def test_unfinished_jobs_borrow_a_checkpoint(self, jobs: JobStore) -> None:
-        source = queued_job().id
+        source = jobs.add(queued_job()).id
         resumed = queued_job(1, resume_from={"job": source, "step": 10})
         policy = {"kind": "checkpoint", "job": source}
         rollout, ended = (queued_job(i, kind="rollout", policy=policy) for i in (2, 3))

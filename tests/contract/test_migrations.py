@@ -101,6 +101,8 @@ def fill(engine: Engine) -> Job:
     jobs.replace_by_chunk(claimed.id, chunk_of(jobs.oldest_entries(claimed.id, "logs", limit=1)))
     jobs.add_model(model(status="validating"))
     jobs.announce(worker("w"), LEASE)
+    gone = jobs.add(queued_job(2))
+    jobs.delete(gone.id, gone.version)
     sweep = jobs.add_sweep(sweep_of(), Idempotency("k", "body"))
     jobs.add_trial(sweep.id, trial_of(0, job=None), None)
     return published

@@ -10,6 +10,7 @@ from sqlalchemy.exc import DataError, IntegrityError
 from core.adapters.cursors import check_cursor
 from core.adapters.postgres import (
     copies,
+    deletions,
     dispatch,
     feeds,
     leases,
@@ -70,8 +71,11 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
     def add(self, job: Job, idempotency: Idempotency | None = None) -> Job:
         try:
             # A job that was never tried is one statement.
-            has_past = bool(job.attempts or job.artifacts)
-            with self._transaction() if has_past else self._statements() as connection:
+            source = job.spec.source if job.status == JobStatus.QUEUED else None
+            is_more = bool(job.attempts or job.artifacts or source)
+            with self._transaction() if is_more else self._statements() as connection:
+                if source is not None:
+                    deletions.hold_source(connection, source.job)
                 if submissions.add(connection, job, idempotency):
                     return job
         except IntegrityError:
@@ -132,7 +136,15 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
 
     def delete(self, job_id: str, version: int) -> None:
         with self._transaction() as connection:
-            saving.remove(connection, job_id, version)
+            deletions.begin(connection, job_id, version)
+
+    def deletions(self, *, before: timedelta = timedelta(0)) -> Sequence[str]:
+        with self._statements() as connection:
+            return deletions.begun(connection, before)
+
+    def deletion_ended(self, job_id: str) -> None:
+        with self._statements() as connection:
+            deletions.ended(connection, job_id)
 
     def list(self, query: JobQuery, *, cursor: str | None = None, limit: int = 50) -> Page:
         before = None if cursor is None else check_cursor(cursor)

@@ -3,6 +3,7 @@
 import json
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import structlog
@@ -10,9 +11,9 @@ from pydantic_core import from_json
 from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
-from core.adapters.postgres import loading, rows, submissions
+from core.adapters.postgres import deletions, loading, rows, submissions
 from core.adapters.postgres.tables import jobs, sweeps, trials
-from core.errors import IdempotencyKeyReused, StaleSweep, SweepNotFound, TooManySweeps
+from core.errors import IdempotencyKeyReused, JobNotFound, StaleSweep, SweepNotFound, TooManySweeps
 from core.jobs.job import Job, UnreadableJob
 from core.jobs.store import Idempotency
 from core.sweeps.spec import SWEEP_SPEC
@@ -152,6 +153,9 @@ def add_trial(connection: Connection, sweep_id: str, trial: Trial, job: Job | No
     if connection.execute(there).first() is not None:
         return False
     if job is not None:
+        if job.spec.source is not None:
+            with suppress(JobNotFound):  # Then the trial's attempt says so.
+                deletions.hold_source(connection, job.spec.source.job)
         submissions.add(connection, job)
     connection.execute(insert(trials).values(sweep_id=sweep_id, **_trial_values(trial)))
     return True

@@ -6,6 +6,7 @@ artifacts   the files of a job that readers may fetch, each with its key and has
 chunks      finished parts of a job's feeds, which lie in the object store
 entries     the newest part of each feed, until it is moved into a chunk
 dispatches  messages for RQ that are not sent yet; written in the transaction that makes them necessary
+deletions   jobs that were deleted, until the objects of each are gone
 models      users' own models, by the hash of their bytes
 workers     the last announcement of each worker
 idempotency_keys   the submissions of the last day that came with a key
@@ -162,6 +163,13 @@ dispatches = Table(
     Column("subject", Text, primary_key=True),
     Column("attempt", Integer, primary_key=True),
     _moment("created_at", nullable=False),
+)
+
+deletions = Table(
+    "deletions",
+    metadata,
+    Column("job_id", String(collation="C"), primary_key=True),
+    _moment("begun_at", nullable=False),
 )
 
 models = Table(

@@ -25,10 +25,11 @@ from core.errors import (
     Rejected,
     StorageUnavailable,
 )
+from core.jobs import feeds
 from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
-from core.jobs.deletion import delete
+from core.jobs.deletion import delete, end_deletions
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_record, copy_records, read_copy
@@ -605,20 +606,53 @@ def test_an_unreadable_job_is_not_cancelled_and_deleted_once_it_has_ended(servic
     assert service.jobs() == [waiting.id]
 
 
-def test_a_deletion_that_was_cut_short_can_be_asked_for_again(service: Service) -> None:
+def test_what_a_deletion_leaves_in_an_outage_is_shown_to_nobody_and_removed_later(service: Service) -> None:
+    """M12: the record goes first; the reconciler removes the objects when the store is back."""
+
     class Frail(MemoryObjectStore):
         def delete_prefix(self, prefix: str) -> None:
             raise StorageUnavailable("away")
 
     job = service.submit()
-    service.claim(job).end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    claim = service.claim(job)
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
+    service.objects.put(f"{keys.job(job.id)}a-file", b"x")
+    claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
     whole, service.objects = service.objects, Frail()
-    with pytest.raises(StorageUnavailable):
-        service.delete(job)
-    assert service.status(job) == JobStatus.SUCCEEDED
-    service.objects = whole
     service.delete(job)
-    assert (service.jobs(), list(whole.list(""))) == ([], [])
+    with pytest.raises(JobNotFound):
+        service.status(job)
+    with pytest.raises(JobNotFound):
+        feeds.read(job.id, "events", store=service.store, objects=whole)
+    with pytest.raises(Rejected, match="no job"):
+        service.submit(resume_from={"job": job.id})
+    with pytest.raises(StorageUnavailable):
+        end_deletions(store=service.store, objects=service.objects, after=timedelta(0))
+    assert list(whole.list("")) != []
+    assert end_deletions(store=service.store, objects=whole) == 0
+    assert end_deletions(store=service.store, objects=whole, after=timedelta(0)) == 1
+    assert (service.jobs(), list(whole.list("")), service.store.deletions()) == ([], [], [])
+
+
+def test_a_job_is_not_deleted_between_the_check_and_the_end_of_a_submission_that_needs_it(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """M12: either the resumption is refused, or the deletion."""
+    source = service.submit()
+    claim = service.claim(source)
+    claim.publish((service.checkpoint(claim, 10),), keep_checkpoints=2)
+    claim.end(JobStatus.SUCCEEDED, Reason.COMPLETED, "")
+    add = service.store.add
+
+    def delete_first(*arguments: Any) -> Job:
+        monkeypatch.undo()
+        service.delete(source)
+        return add(*arguments)
+
+    monkeypatch.setattr(service.store, "add", delete_first)
+    with pytest.raises(Rejected) as refused:
+        service.submit(resume_from={"job": source.id})
+    assert [problem.pointer for problem in refused.value.problems] == ["/resume_from/job"]
 
 
 def test_a_copy_of_a_begun_job_follows_its_record_through_an_outage_of_the_object_store(
