@@ -35,6 +35,7 @@ class Service:
     curves: metrics for pictures.
     lists: of jobs, as they were sent in the last moments.
     acknowledgements: of dispatches that the queue has received.
+    broken_files: keys of files that broke off as they were sent; they are read whole before the next answer.
     patient: the object store again, for a request that may take minutes; by default `objects`.
     num_uploads: models that are being received now.
     num_imports: exports that are being received or stored now.
@@ -46,6 +47,7 @@ class Service:
     objects: ObjectStore
     patient: ObjectStore | None = None
     stopping: bool = False
+    broken_files: set[str] = field(default_factory=set[str])
     num_uploads: int = 0
     num_imports: int = 0
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_WATCHING_THREADS))

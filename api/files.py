@@ -1,16 +1,19 @@
 """The response for an artifact: streamed in pieces, with ETag, byte ranges and a safe media type."""
 
+import hashlib
 from collections.abc import AsyncIterator, Iterator
 from contextlib import ExitStack
 from typing import Any
 from urllib.parse import quote
 
 import anyio
+import structlog
 from anyio import to_thread
 from fastapi import Request, Response
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from api.dependencies import Service
 from api.errors import RangeNotSatisfiable
 from api.problems import refusals
 from api.ranges import ByteRange, is_known, requested_range
@@ -19,11 +22,19 @@ from core.errors import (
     ArtifactNotReady,
     JobNotFound,
     JobUnreadable,
+    ObjectDamaged,
+    ObjectNotFound,
     RecordsUnavailable,
     StorageUnavailable,
 )
 from core.jobs.job import Artifact
-from core.storage.objects import ObjectStore
+from core.storage.whole import OTHER_BYTES, check_whole, read_whole
+
+log = structlog.get_logger()
+
+# A file up to this size is read before its answer begins.
+_READ_FIRST_BYTES = 2 * 2**20
+_MOST_BROKEN_KEPT = 1000
 
 
 def responses(media_type: str) -> dict[int | str, dict[str, Any]]:
@@ -38,6 +49,8 @@ def responses(media_type: str) -> dict[int | str, dict[str, Any]]:
             ArtifactNotFound,
             ArtifactNotReady,
             JobUnreadable,
+            ObjectNotFound,
+            ObjectDamaged,
             RangeNotSatisfiable,
             RecordsUnavailable,
             StorageUnavailable,
@@ -57,15 +70,19 @@ class PiecesResponse(StreamingResponse):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
             await super().__call__(scope, receive, send)
+        except (ObjectNotFound, StorageUnavailable) as error:
+            # The server then closes the connection, so that nobody takes what was sent for the whole.
+            log.error("answer_broken_off", path=scope["path"], error=error.detail)
         finally:
             with anyio.CancelScope(shield=True):
                 await to_thread.run_sync(self._opened.close)
 
 
-def file_response(request: Request, artifact: Artifact, objects: ObjectStore) -> Response:
+def file_response(request: Request, artifact: Artifact, service: Service) -> Response:
     """The file, the range that was asked for, or 304 if the client has this version.
 
-    Raises RangeNotSatisfiable, ObjectNotFound, StorageUnavailable.
+    A whole file has the recorded hash: the answer breaks off before the end of one that turns out not to, and
+    later requests are told so. Raises RangeNotSatisfiable, ObjectNotFound, ObjectDamaged, StorageUnavailable.
     """
     etag = f'"{artifact.sha256}"'
     headers = _headers(artifact, etag)
@@ -79,9 +96,37 @@ def file_response(request: Request, artifact: Artifact, objects: ObjectStore) ->
         headers["Content-Range"] = wanted.content_range
     if request.method == "HEAD" or not part.length:
         return Response(status_code=200, headers=headers)
+    status = 206 if wanted else 200
+    if part.length == artifact.size <= _READ_FIRST_BYTES:
+        return Response(read_whole(artifact.key, artifact.sha256, service.objects), status, headers)
+    if artifact.key in service.broken_files:
+        check_whole(artifact.key, artifact.sha256, service.objects)
+        service.broken_files.discard(artifact.key)
     opened = ExitStack()
-    pieces = opened.enter_context(objects.open(artifact.key, part.start, part.length))
-    return PiecesResponse(pieces, opened, 206 if wanted else 200, headers)
+    pieces = opened.enter_context(
+        service.objects.open(artifact.key, part.start, part.length, size=artifact.size)
+    )
+    checked = _checked(pieces, artifact, part.length == artifact.size, service)
+    return PiecesResponse(checked, opened, status, headers)
+
+
+def _checked(pieces: Iterator[bytes], artifact: Artifact, is_all: bool, service: Service) -> Iterator[bytes]:
+    """The pieces; of a whole file the last one only if all have the recorded hash."""
+    held, digest = b"", hashlib.sha256()
+    try:
+        for piece in pieces:
+            if held:
+                yield held
+            held = piece
+            digest.update(piece)
+        if is_all and digest.hexdigest() != artifact.sha256:
+            raise ObjectDamaged(artifact.key, OTHER_BYTES)
+    except (ObjectDamaged, StorageUnavailable):
+        if len(service.broken_files) >= _MOST_BROKEN_KEPT:
+            service.broken_files.clear()
+        service.broken_files.add(artifact.key)
+        raise
+    yield held
 
 
 def _headers(artifact: Artifact, etag: str) -> dict[str, str]:

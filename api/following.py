@@ -12,7 +12,7 @@ import structlog
 from anyio import to_thread
 
 from api.dependencies import Service
-from core.errors import JobNotFound, ObjectNotFound, Unavailable
+from core.errors import JobNotFound, Unavailable
 from core.jobs import feeds
 from core.jobs.job import Job, UnreadableJob
 from core.jobs.status import JobStatus
@@ -94,7 +94,7 @@ class Follower:
         store, objects = self._service.store, self._service.objects
         try:
             return feeds.read_page(self._id, self._channel, self._after, _PAGE, store=store, objects=objects)
-        except (JobNotFound, ObjectNotFound):  # A deletion removes the objects first.
+        except JobNotFound:
             return None
 
 

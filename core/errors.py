@@ -250,6 +250,22 @@ class ObjectNotFound(NotFound):
         super().__init__(f"The object store has no {key!r}.", key=key)
 
 
+class ObjectDamaged(ObjectNotFound):
+    """The object store cannot give the object whole, while it gives others."""
+
+    code = "object-damaged"
+    title = "The stored object is damaged"
+
+    def __init__(self, key: str, why: str) -> None:
+        GaitwayError.__init__(
+            self,
+            f"{key!r} is damaged in the object store: {why}. If there is a back-up of the bucket, restore "
+            "this object from it.",
+            key=key,
+        )
+        self.why = why
+
+
 class StorageUnavailable(Unavailable):
     code = "storage-unavailable"
     title = "The object store cannot be reached"

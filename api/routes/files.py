@@ -84,7 +84,7 @@ def read_video(
     job_id: JobId, asked: Annotated[Picture, Query()], service: ServiceDep, request: Request
 ) -> Response:
     """The newest video as MP4, or the one of a given step or camera."""
-    return file_response(request, _picture(service.store.get(job_id), "video", asked), service.objects)
+    return file_response(request, _picture(service.store.get(job_id), "video", asked), service)
 
 
 @_file_route("/jobs/{job_id}/poster", "image/png")
@@ -92,7 +92,7 @@ def read_poster(
     job_id: JobId, asked: Annotated[Picture, Query()], service: ServiceDep, request: Request
 ) -> Response:
     """A still of the video as PNG."""
-    return file_response(request, _picture(service.store.get(job_id), "poster", asked), service.objects)
+    return file_response(request, _picture(service.store.get(job_id), "poster", asked), service)
 
 
 @_file_route("/jobs/{job_id}/policy", "application/octet-stream")
@@ -100,7 +100,7 @@ def read_policy(
     job_id: JobId, asked: Annotated[PolicyFile, Query()], service: ServiceDep, request: Request
 ) -> Response:
     """The trained policy: in its algorithm's own file, or for programs without this project."""
-    return file_response(request, _policy(service.store.get(job_id), asked.format), service.objects)
+    return file_response(request, _policy(service.store.get(job_id), asked.format), service)
 
 
 @_file_route("/jobs/{job_id}/checkpoints/{step}", "application/octet-stream")
@@ -115,7 +115,7 @@ def read_checkpoint(
     found = job.newest("checkpoint", step)
     if found is None:
         raise absence(job, f"checkpoint of step {step}", "checkpoint")
-    return file_response(request, found, service.objects)
+    return file_response(request, found, service)
 
 
 @_file_route("/jobs/{job_id}/artifacts/{name}", "*/*")
@@ -127,7 +127,7 @@ def read_artifact(
     found = next((artifact for artifact in job.artifacts if artifact.name == name), None)
     if found is None:
         raise absence(job, f"file {name[:100]!r}")
-    return file_response(request, found, service.objects)
+    return file_response(request, found, service)
 
 
 def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:

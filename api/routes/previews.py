@@ -147,7 +147,7 @@ async def preview_environment(
     if camera is None:
         return PreviewView.of(wanted, drawn.stills, here, asked)
     still = next(still for still in drawn.stills if still.camera == camera)
-    return await run_sync(file_response, request, _file(wanted, still), service.objects)
+    return await run_sync(file_response, request, _file(wanted, still), service)
 
 
 def _wanted(

@@ -32,7 +32,7 @@ def read_replay(
     job_id: JobId, asked: Annotated[ReplayQuery, Query()], service: ServiceDep, request: Request
 ) -> Response:
     """The poses of bodies in episodes: a header in JSON, then numbers, which `Range` reaches."""
-    return file_response(request, _replay(service.store.get(job_id), asked.step), service.objects)
+    return file_response(request, _replay(service.store.get(job_id), asked.step), service)
 
 
 @router.head("/jobs/{job_id}/replay/scene", include_in_schema=False, response_class=Response)
@@ -47,7 +47,7 @@ def read_scene(job_id: JobId, service: ServiceDep, request: Request) -> Response
     found = job.newest("scene")
     if found is None:
         raise _none(job, "scene")
-    return file_response(request, found, service.objects)
+    return file_response(request, found, service)
 
 
 @router.head("/jobs/{job_id}/simulation", include_in_schema=False, response_class=Response)
@@ -62,7 +62,7 @@ def read_simulation(job_id: JobId, service: ServiceDep, request: Request) -> Res
     found = job.newest("simulation")
     if found is None:
         raise _no_simulation(job)
-    return file_response(request, found, service.objects)
+    return file_response(request, found, service)
 
 
 def _no_simulation(job: Job) -> Exception:

@@ -12,13 +12,14 @@ from api.dependencies import Service
 from api.metrics_table import Overview, csv_lines
 from api.sharing.zip_stream import Member
 from api.views import JobView
-from core.errors import ModelNotFound, ObjectNotFound
+from core.errors import ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import feeds
 from core.jobs.filled_in import filled_in
 from core.jobs.job import Artifact, Job
 from core.jobs.own_model import model_of
 from core.jobs.store import Channel, Entry
 from core.storage import keys
+from core.storage.whole import check_whole
 
 # Raised when a reader of before could misunderstand it.
 FORMAT = 1
@@ -120,7 +121,10 @@ def _model(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
         record = service.store.find_model(model_id)
         suffix = "zip" if record.media_type == "application/zip" else "xml"
         name = f"model/{model_id.removeprefix('sha256:')[:12]}.{suffix}"
-        yield from _stored(name, keys.model_source(model_id), service, compress=suffix != "zip")
+        sha256 = model_id.removeprefix("sha256:")
+        yield from _stored(name, keys.model_source(model_id), sha256, service, compress=suffix != "zip")
+    except ObjectDamaged as error:
+        contents.lacks(f"the model {model_id}", f"it is damaged: {error.why}")
     except (ModelNotFound, ObjectNotFound):
         contents.lacks(f"the model {model_id}", "it was deleted")
     else:
@@ -134,7 +138,9 @@ def _files(job: Job, service: Service, contents: _Contents) -> Iterator[Member]:
     for file in chosen:
         path = f"files/{file.name}"
         try:
-            yield from _stored(path, file.key, service, compress=_shrinks(file))
+            yield from _stored(path, file.key, file.sha256, service, compress=_shrinks(file))
+        except ObjectDamaged as error:
+            contents.lacks(file.name, f"it is damaged: {error.why}")
         except ObjectNotFound:
             contents.lacks(file.name, "the object store no longer has it")
         else:
@@ -156,8 +162,9 @@ def _shrinks(file: Artifact) -> bool:
     return file.media_type.startswith("text/") or file.media_type == "application/json"
 
 
-def _stored(path: str, key: str, service: Service, *, compress: bool) -> Iterator[Member]:
-    """One object. Raises ObjectNotFound before the member begins."""
+def _stored(path: str, key: str, sha256: str, service: Service, *, compress: bool) -> Iterator[Member]:
+    """One object, read twice. Raises ObjectNotFound or ObjectDamaged before the member begins."""
+    check_whole(key, sha256, service.objects)
     with service.objects.open(key) as pieces:
         yield Member(path, pieces, compress)
 

@@ -13,6 +13,7 @@ from api.sharing.modules import embedded_modules
 from api.sharing.report_sections import facts, section, sections, size_in_words
 from core.errors import ObjectNotFound
 from core.jobs.job import Artifact, Job
+from core.storage.whole import check_whole
 
 # The file needs no other file and no network, and no script in it runs: a replay's own excepted.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; media-src data:"
@@ -84,7 +85,8 @@ def open_report(job: Job, service: Service) -> Generator[Report]:
 
         def hold(file: Artifact | None) -> _Held | None:
             if file is not None:
-                with suppress(ObjectNotFound):  # The report then says so.
+                with suppress(ObjectNotFound):  # Or damaged: the report then says so.
+                    check_whole(file.key, file.sha256, service.objects)
                     return _Held(file.size, opened.enter_context(service.objects.open(file.key)))
             return None
 
@@ -128,7 +130,7 @@ def _video(job: Job, film: Artifact | None, held: _Held | None) -> Iterator[byte
 
 def _why_no_video(job: Job, film: Artifact | None) -> str:
     if film is not None:
-        return f"The object store no longer has {film.name}."
+        return f"The object store does not give {film.name} whole any more."
     if job.spec.video is None:
         return "The job asks for none."
     return "There is none yet." if not job.status.is_final else f"The job ended as {job.status} without one."
@@ -157,7 +159,7 @@ def _replay_section(replay: _Replay | _NoReplay | None) -> Iterator[bytes | _Hel
             why = f"It is larger than {most}, so that only the job's page shows it."
             yield section("Replay", f"<p>{why}</p>").encode()
         case _NoReplay.GONE:
-            yield section("Replay", "<p>The object store no longer has it.</p>").encode()
+            yield section("Replay", "<p>The object store does not give it whole any more.</p>").encode()
         case _Replay():
             waiting = "<noscript>It needs scripts, which run here without a network.</noscript>"
             yield section("Replay", f'<div id="replay">{waiting}</div>').encode()

@@ -66,7 +66,7 @@ def read(
     for group in groups(store.chunks([job_id]).get(job_id, ())):
         try:
             curves = decode(objects.get(key(job_id, group)), names)
-        except ObjectNotFound:  # The chunks are older than columns are, or the bucket has lost these.
+        except ObjectNotFound:  # The chunks are older than columns are, or the bucket cannot give these.
             log.info("columns_missing", job=job_id, first=group[0].first)
             return
         if curves is None:

@@ -12,7 +12,7 @@ from itertools import accumulate, takewhile
 import msgspec
 import structlog
 
-from core.errors import ObjectNotFound, StorageUnavailable
+from core.errors import JobNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs import columns
 from core.jobs.lost_feeds import gap
 from core.jobs.measured import Measured, in_chunk
@@ -20,6 +20,7 @@ from core.jobs.status import JobStatus
 from core.jobs.store import Channel, Chunk, Entry, JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.storage.whole import read_whole
 
 log = structlog.get_logger()
 
@@ -31,8 +32,6 @@ _MAX_CHUNK_BYTES = 2**20
 PAGE = 1000
 # Reading these takes as long as reading a page of entries.
 METRICS_PAGE = 8000
-# If this many reads give the same wrong bytes, the object itself is damaged.
-_READINGS = 3
 
 
 @dataclass(frozen=True)
@@ -112,13 +111,13 @@ def read_page(
 ) -> FeedPage:
     """At least `limit` entries after number `after`, if there are that many.
 
-    A `note` replaces a part that is damaged in the object store, and says so.
+    A `note` replaces a part that the object store has lost or cannot give whole, and says so.
     Raises JobNotFound, RecordsUnavailable, StorageUnavailable.
     """
     part = store.feed(job_id, channel, after=after, limit=limit)
     found: list[Entry] = []
     for chunk in part.chunks:
-        found += [entry for entry in _entries_of(chunk, store, objects) if int(entry.id) > after]
+        found += [entry for entry in _entries_of(chunk, job_id, store, objects) if int(entry.id) > after]
         if len(found) >= limit:
             return FeedPage(found, part.status, is_end=False)
     return FeedPage([*found, *part.entries], part.status, part.is_end)
@@ -129,40 +128,40 @@ def read_metrics(
 ) -> MetricsPage:
     """At least `limit` metrics of the feed `events` after entry number `after`, if there are that many.
 
-    Several times as fast as `read_page`. A part that is damaged in the object store has none.
+    Several times as fast as `read_page`. A part that is lost or damaged in the object store has none.
     Raises the errors of `read_page`.
     """
     part = store.feed_metrics(job_id, after=after, limit=limit)
     found, last = list[Measured](), after
     for chunk in part.chunks:
-        body = _body_of(chunk, objects)
-        found += [] if body is None else in_chunk(body, after)
+        body = _body_of(chunk, job_id, store, objects)
+        found += [] if isinstance(body, str) else in_chunk(body, after)
         last = chunk.last
         if len(found) >= limit:
             return MetricsPage(found, last, is_end=False)
     return MetricsPage([*found, *part.behind], max(last, part.last), part.is_end)
 
 
-def _entries_of(chunk: Chunk, store: JobStore, objects: ObjectStore) -> Iterable[Entry]:
-    body = _body_of(chunk, objects)
-    if body is None:
-        return [gap(chunk, "damaged in the object store", store.now())]
+def _entries_of(chunk: Chunk, job_id: str, store: JobStore, objects: ObjectStore) -> Iterable[Entry]:
+    body = _body_of(chunk, job_id, store, objects)
+    if isinstance(body, str):
+        return [gap(chunk, body, store.now())]
     return map(Entry.model_validate_json, body.splitlines())
 
 
-def _body_of(chunk: Chunk, objects: ObjectStore) -> bytes | None:
-    """None if the object is damaged. Raises StorageUnavailable."""
-    digests = set[str]()
-    for _ in range(_READINGS):
-        body = objects.get(chunk.key)
-        digests.add(digest := hashlib.sha256(body).hexdigest())
-        if digest == chunk.sha256:
-            return body
-    if len(digests) > 1:  # Different bytes each time: they are damaged in transit.
-        raise StorageUnavailable(f"The bytes of {chunk.key} do not have the SHA-256 that the record names.")
-    # The record stays as it is: a bucket restored from a backup has the part again.
-    log.error("feed_damaged", key=chunk.key)
-    return None
+def _body_of(chunk: Chunk, job_id: str, store: JobStore, objects: ObjectStore) -> bytes | str:
+    """The chunk's bytes, or what has become of them.
+
+    Raises StorageUnavailable; JobNotFound if the job was deleted meanwhile, and its chunks with it.
+    """
+    try:
+        return read_whole(chunk.key, chunk.sha256, objects)
+    except ObjectNotFound as error:
+        store.find(job_id)
+        # The record stays as it is: a bucket restored from a backup has the part again.
+        is_damaged = isinstance(error, ObjectDamaged)
+        log.error("feed_damaged" if is_damaged else "feed_lost", key=chunk.key, error=error.detail)
+        return "damaged in the object store" if is_damaged else "lost from the object store"
 
 
 def compact(*, store: JobStore, objects: ObjectStore) -> int:
@@ -200,10 +199,11 @@ def _store_columns(job_id: str, newest: Chunk, store: JobStore, objects: ObjectS
     """
     group = columns.completed(newest, store.chunks([job_id]).get(job_id, ()))
     try:
-        bodies = [body for chunk in group if (body := _body_of(chunk, objects)) is not None]
-        if group and len(bodies) == len(group):
-            columns.write(job_id, group, bodies, objects)
-    except ObjectNotFound as error:
-        log.error("feed_lost", **error.facts)
+        bodies = [_body_of(chunk, job_id, store, objects) for chunk in group]
+        whole = [body for body in bodies if isinstance(body, bytes)]
+        if group and len(whole) == len(group):
+            columns.write(job_id, group, whole, objects)
+    except JobNotFound:  # It was deleted meanwhile.
+        return
     except (msgspec.MsgspecError, OverflowError) as error:
         log.error("metrics_unreadable", job=job_id, error=str(error))

@@ -25,7 +25,9 @@ class ObjectInfo:
 class ObjectStore(Protocol):
     """Named byte strings; a put replaces the whole object or nothing.
 
-    Every method raises StorageUnavailable when the store cannot be reached or refuses its key.
+    Every method raises StorageUnavailable when the store cannot be reached or refuses its key. An object that
+    cannot be read while others can is no outage: `get` and `open` raise ObjectDamaged, an ObjectNotFound,
+    within about ten seconds; `open` also while its pieces are read.
     """
 
     def put(self, key: str, body: bytes, *, media_type: str = "application/octet-stream") -> None: ...
@@ -48,9 +50,10 @@ class ObjectStore(Protocol):
         ...
 
     def open(
-        self, key: str, start: int = 0, length: int | None = None
+        self, key: str, start: int = 0, length: int | None = None, *, size: int | None = None
     ) -> AbstractContextManager[Iterator[bytes]]:
-        """Bytes [start, start + length) in pieces of at most 1 MiB. Raises ObjectNotFound at once."""
+        """Bytes [start, start + length) in pieces of at most 1 MiB. size: that the whole object must have,
+        else it is damaged. Raises ObjectNotFound at once."""
         ...
 
     def info(self, key: str) -> ObjectInfo:

@@ -117,7 +117,7 @@ class FlipsOnce(MemoryObjectStore):
         return body[:-1] + bytes([body[-1] ^ 1])
 
     def open(
-        self, key: str, start: int = 0, length: int | None = None
+        self, key: str, start: int = 0, length: int | None = None, *, size: int | None = None
     ) -> AbstractContextManager[Iterator[bytes]]:
         return nullcontext(iter([self.get(key)]))
 

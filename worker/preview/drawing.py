@@ -13,6 +13,7 @@ from typing import IO
 import structlog
 from pydantic import ValidationError
 
+from core.errors import ObjectDamaged
 from core.jobs.job import utc_now
 from core.previews import library
 from core.previews.record import PreviewRequest
@@ -47,7 +48,13 @@ def draw(
     if library.find(request, objects) is not None:
         return
     if request.model:
-        (folder / "model").write_bytes(objects.get(keys.model_source(request.model)))
+        try:
+            (folder / "model").write_bytes(objects.get(keys.model_source(request.model)))
+        except ObjectDamaged as error:
+            message = f"The stored model is damaged: {error.why}."
+            failure = RenderFailure(reason="bad_request", message=message)
+            library.keep_failure(request, failure, objects, utc_now())
+            return
     (folder / "request.json").write_text(request.model_dump_json())
     failure = _drawn(folder, data_dir, timeout_s, models)
     if failure is not None:

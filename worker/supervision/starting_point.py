@@ -6,7 +6,7 @@ from typing import get_args
 
 from core.algorithms.catalog import reported
 from core.environments.mjcf.info import MjcfOptions
-from core.errors import JobFailed, NotFound, ObjectNotFound
+from core.errors import JobFailed, NotFound, ObjectDamaged, ObjectNotFound
 from core.jobs.attempts import Claim
 from core.jobs.checks import source_checkpoint
 from core.jobs.job import Artifact, Attempt, Job
@@ -16,13 +16,12 @@ from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.storage.whole import OTHER_BYTES, READINGS
 from core.user_models import library
 from worker.host.commit import commit_here
 from worker.protocol import Task
 
 _FILE = "start.msgpack"
-# A byte may be flipped on the way, too: only what is damaged at each reading is damaged in the store.
-_READINGS = 3
 
 
 def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
@@ -82,18 +81,22 @@ def _lent_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> A
 
 def _fetch(checkpoint: Artifact, objects: ObjectStore, path: Path) -> str | None:
     """Load the file; returns what is wrong with it, or None. Raises StorageUnavailable."""
+    name, sha256 = checkpoint.name, checkpoint.sha256
     try:
-        if any(_load(checkpoint.key, objects, path) == checkpoint.sha256 for _ in range(_READINGS)):
-            return None
+        for _ in range(READINGS):
+            if _load(checkpoint.key, objects, path, checkpoint.size) == sha256:
+                return None
+    except ObjectDamaged as error:
+        return f"{name} is damaged: {error.why}."
     except ObjectNotFound:
-        return f"{checkpoint.name} has gone from the object store."
-    return f"{checkpoint.name} is damaged: its bytes do not have the SHA-256 that the record names."
+        return f"{name} has gone from the object store."
+    return f"{name} is damaged: {OTHER_BYTES}."
 
 
-def _load(key: str, objects: ObjectStore, path: Path) -> str:
+def _load(key: str, objects: ObjectStore, path: Path, size: int | None = None) -> str:
     """Write the object to the file; returns the SHA-256 of what came."""
     digest = hashlib.sha256()
-    with objects.open(key) as pieces, path.open("wb") as file:
+    with objects.open(key, size=size) as pieces, path.open("wb") as file:
         for piece in pieces:
             digest.update(piece)
             file.write(piece)
@@ -130,9 +133,12 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
     try:
         record = library.find(model_id, claim.store)
         model = (keys.model_source(model_id), claim.objects, spool / "model")
-        if all(f"sha256:{_load(*model)}" != model_id for _ in range(_READINGS)):
+        if all(f"sha256:{_load(*model)}" != model_id for _ in range(READINGS)):
             detail = f"The model {model_id} is damaged: its bytes are not those sent."
             raise JobFailed(Reason.BAD_MODEL, detail)
+    except ObjectDamaged as error:
+        detail = f"The model {model_id} is damaged: {error.why}. Delete it, and send it again."
+        raise JobFailed(Reason.BAD_MODEL, detail) from None
     except NotFound:
         raise JobFailed(Reason.BAD_MODEL, f"The model {model_id} was deleted before the job began.") from None
     described = record.description

@@ -11,7 +11,7 @@ from typing import IO, get_args
 
 import structlog
 
-from core.errors import ObjectNotFound
+from core.errors import ObjectDamaged, ObjectNotFound
 from core.jobs.job import utc_now
 from core.physics.availability import EngineName
 from core.storage import keys
@@ -64,6 +64,8 @@ def validate(  # noqa: PLR0913 # Which model, and the places that are needed.
         return
     try:
         body = objects.get(keys.model_source(model_id))
+    except ObjectDamaged as error:
+        answers = iter([Answer(refusal=f"The stored model is damaged: {error.why}. Send it again.")])
     except ObjectNotFound:  # It was interrupted before its last step, or somebody is deleting the model.
         answers = iter([Answer(refusal=_INTERRUPTED)])
     else:

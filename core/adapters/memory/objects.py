@@ -8,7 +8,7 @@ from threading import Lock
 from typing import IO
 
 from core.adapters.s3.keys import PIECE_BYTES, check_readable, check_writable
-from core.errors import ObjectNotFound
+from core.errors import ObjectDamaged, ObjectNotFound
 from core.storage.objects import ObjectInfo
 
 
@@ -40,9 +40,11 @@ class MemoryObjectStore:
         return self._found(key)[0]
 
     def open(
-        self, key: str, start: int = 0, length: int | None = None
+        self, key: str, start: int = 0, length: int | None = None, *, size: int | None = None
     ) -> AbstractContextManager[Iterator[bytes]]:
         body = self._found(key)[0]
+        if size not in (None, len(body)):
+            raise ObjectDamaged(key, f"it has {len(body):,} bytes instead of {size:,}")
         end = len(body) if length is None else min(len(body), start + length)
         return nullcontext(body[i : min(end, i + PIECE_BYTES)] for i in range(start, end, PIECE_BYTES))
 

@@ -3,16 +3,44 @@
 import base64
 import hashlib
 import ssl
+from collections.abc import Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 from minio import Minio
 from minio.helpers import ObjectWriteResult
-from urllib3 import PoolManager
+from urllib3 import BaseHTTPResponse, PoolManager
 from urllib3 import Retry as HTTPRetry
 from urllib3 import Timeout as HTTPTimeout
 
 from core.errors import Misconfigured
+
+# Who reads an object asks again itself (core/adapters/s3/reading.py).
+_ONE_TRY = HTTPRetry(total=1, connect=1, read=0, status=0, other=0, backoff_factor=0.1, raise_on_status=False)
+_patience_s = ContextVar[float | None]("patience_s", default=None)
+
+
+@contextmanager
+def waiting(patience_s: float) -> Generator[None]:
+    """Objects that are asked for within this are given up after so many seconds without a byte."""
+    before = _patience_s.set(patience_s)
+    try:
+        yield
+    finally:
+        _patience_s.reset(before)
+
+
+class _Pool(PoolManager):
+    """Asks for an object, whose body alone is streamed, once and with the patience of its reader."""
+
+    def urlopen(self, method: str, url: str, redirect: bool = True, **kw: Any) -> BaseHTTPResponse:  # type: ignore[override]
+        if kw.get("preload_content") is False:
+            kw["retries"] = _ONE_TRY
+            if (patience_s := _patience_s.get()) is not None:
+                kw["timeout"] = HTTPTimeout(connect=2, read=patience_s)
+        return super().urlopen(method, url, redirect, **kw)
 
 
 def connect_s3(  # noqa: PLR0913 # As the SDK's own.
@@ -29,9 +57,9 @@ def connect_s3(  # noqa: PLR0913 # As the SDK's own.
     """A client for the object store at host:port; it connects at its first request.
 
     authorities: a PEM file of authorities to trust besides the system's. timeout_s: how long to wait for a
-    silent store. Raises Misconfigured for an address that cannot be read.
+    silent store, but for an object's bytes. Raises Misconfigured for an address that cannot be read.
     """
-    pool = PoolManager(
+    pool = _Pool(
         maxsize=32,
         ssl_context=None if authorities is None else trusting(authorities),
         timeout=HTTPTimeout(connect=2, read=timeout_s),

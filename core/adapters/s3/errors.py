@@ -6,9 +6,9 @@ from contextlib import contextmanager
 from xml.etree.ElementTree import ParseError
 
 from minio.error import InvalidResponseError, MinioException, S3Error
-from urllib3.exceptions import HTTPError, MaxRetryError
+from urllib3.exceptions import ConnectTimeoutError, HTTPError, MaxRetryError, NewConnectionError
 
-from core.adapters.causes import reason, tls_refusal
+from core.adapters.causes import causes, reason, tls_refusal
 from core.errors import ObjectNotFound, StorageRefuses, StorageUnavailable
 
 _NOT_THERE = {"NoSuchKey", "NoSuchObject"}
@@ -33,6 +33,8 @@ _REFUSALS = {
     "RequestTimeTooSkewed": "this machine's clock and the store's are more than 15 minutes apart: "
     "synchronise both with NTP (here: `timedatectl set-ntp true`).",
 }
+# These are about the store as a whole, whichever object was asked for.
+_OF_THE_STORE = {"SlowDown", "ServiceUnavailable", "RequestLimitExceeded", "InsufficientStorage"}
 # These pass when somebody frees space. SeaweedFS says InternalError for a full disk, MinIO XMinioStorageFull.
 _NO_ROOM = {"InternalError", "XMinioStorageFull", "InsufficientStorage"}
 
@@ -53,6 +55,15 @@ def reaching_s3(bucket: str, key: str = "") -> Generator[None]:
         raise no_s3("its answer cannot be read") from error
     except (MinioException, HTTPError) as error:
         raise _meaning_of_no_answer(error) from error
+
+
+def is_of_one_object(error: StorageUnavailable) -> bool:
+    """Whether this is how a store may answer, or not answer, for an object that it cannot read."""
+    found = error.__cause__
+    if isinstance(found, S3Error):
+        return found.code not in _OF_THE_STORE
+    never_there = (ConnectTimeoutError, NewConnectionError)
+    return isinstance(found, HTTPError) and not any(isinstance(one, never_there) for one in causes(found))
 
 
 def meaning(code: str | None, message: str | None, bucket: str) -> StorageUnavailable:

@@ -1,5 +1,6 @@
 """Objects on an S3 server, through the minio SDK."""
 
+import time
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import datetime
@@ -12,15 +13,16 @@ from minio import Minio
 from minio.datatypes import ListMultipartUploadsResult
 from minio.deleteobjects import DeleteObject
 from minio.error import S3Error
-from urllib3.response import BaseHTTPResponse
 
 from core.adapters.s3.errors import meaning, reaching_s3
-from core.adapters.s3.keys import PIECE_BYTES, check_readable, check_writable
-from core.errors import ObjectNotFound, StorageRefuses
+from core.adapters.s3.keys import check_readable, check_writable
+from core.adapters.s3.reading import Reading
+from core.errors import ObjectDamaged, ObjectNotFound, StorageRefuses
 from core.storage.objects import ObjectInfo
 
 _ANY = "application/octet-stream"
 _PART_BYTES = 8 * 2**20
+_KEPT_IN_MIND_S, _MOST_KEPT_IN_MIND = 60.0, 1000
 
 
 class S3ObjectStore:
@@ -29,6 +31,7 @@ class S3ObjectStore:
     def __init__(self, client: Minio, bucket: str) -> None:
         self._client = client
         self._bucket = bucket
+        self._damaged: dict[str, float] = {}  # Until when that is believed.
 
     def ensure_bucket(self) -> None:
         """Create the bucket unless it exists. Raises StorageUnavailable."""
@@ -38,6 +41,7 @@ class S3ObjectStore:
 
     def put(self, key: str, body: bytes, *, media_type: str = _ANY) -> None:
         check_writable(key)
+        self._damaged.pop(key, None)
         with self._reaching(key):
             self._client.put_object(self._bucket, key, BytesIO(body), len(body), content_type=media_type)
 
@@ -48,6 +52,7 @@ class S3ObjectStore:
 
     def put_stream(self, key: str, stream: IO[bytes], size: int, *, media_type: str = _ANY) -> None:
         check_writable(key)
+        self._damaged.pop(key, None)
         with self._reaching(key):
             self._client.put_object(
                 self._bucket,
@@ -63,20 +68,19 @@ class S3ObjectStore:
             return b"".join(pieces)
 
     def open(
-        self, key: str, start: int = 0, length: int | None = None
+        self, key: str, start: int = 0, length: int | None = None, *, size: int | None = None
     ) -> AbstractContextManager[Iterator[bytes]]:
         check_readable(key)
         if length == 0:
             self.info(key)
             return nullcontext(iter(()))
-        with self._reaching(key):
-            try:
-                response = self._client.get_object(self._bucket, key, offset=start, length=length or 0)
-            except S3Error as error:
-                if error.code == "InvalidRange":  # It starts at or after the end of the object.
-                    return nullcontext(iter(()))
-                raise
-        return _streaming(self._bucket, key, response)
+        if self._damaged.get(key, 0.0) > time.monotonic():
+            raise ObjectDamaged(key, "the object store did not give its bytes in the last minute")
+        end = None if length is None else start + length
+        reading = Reading(self._client, self._bucket, key, start, end, size)
+        with self._noting(key):
+            reading.begin()
+        return self._streaming(key, reading)
 
     def info(self, key: str) -> ObjectInfo:
         check_readable(key)
@@ -127,6 +131,28 @@ class S3ObjectStore:
                 if item.object_name:
                     yield ObjectInfo(item.object_name, item.size or 0, modified_at=item.last_modified)
 
+    @contextmanager
+    def _streaming(self, key: str, reading: Reading) -> Generator[Iterator[bytes]]:
+        def pieces() -> Iterator[bytes]:
+            with self._noting(key):
+                yield from reading.pieces()
+
+        try:
+            yield pieces()
+        finally:
+            reading.close()
+
+    @contextmanager
+    def _noting(self, key: str) -> Generator[None]:
+        """Keep in mind for a while that it is damaged: finding that out takes seconds."""
+        try:
+            yield
+        except ObjectDamaged:
+            if len(self._damaged) >= _MOST_KEPT_IN_MIND:
+                self._damaged.clear()
+            self._damaged[key] = time.monotonic() + _KEPT_IN_MIND_S
+            raise
+
     def _reaching(self, key: str = "") -> AbstractContextManager[None]:
         return reaching_s3(self._bucket, key)
 
@@ -156,17 +182,3 @@ def _in_key_order(listed: Iterable[ObjectInfo], prefix: str) -> Generator[Object
             begins = child
         held.append(info)
     yield from sorted(held, key=lambda info: info.key)
-
-
-@contextmanager
-def _streaming(bucket: str, key: str, response: BaseHTTPResponse) -> Generator[Iterator[bytes]]:
-    try:
-        yield _pieces(bucket, key, response)
-    finally:
-        response.close()
-        response.release_conn()
-
-
-def _pieces(bucket: str, key: str, response: BaseHTTPResponse) -> Iterator[bytes]:
-    with reaching_s3(bucket, key):
-        yield from response.stream(PIECE_BYTES)

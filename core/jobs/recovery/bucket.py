@@ -1,11 +1,10 @@
 """Jobs and feeds that the bucket has and the record does not."""
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from functools import partial
 
-from core.errors import JobNotFound, JobUnreadable
+from core.errors import JobNotFound, JobUnreadable, ObjectNotFound
 from core.jobs.job import Artifact, Job
 from core.jobs.lost_feeds import chunks_beyond
 from core.jobs.orphans import batches, folders
@@ -16,15 +15,18 @@ from core.jobs.store import JobStore
 from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.storage.whole import check_whole
 
 _OLDER = "The database was restored to an older moment: `gaitway recover`"
 
 
 def jobs_of_the_bucket(store: JobStore, objects: ObjectStore) -> Iterator[Finding]:
-    num_nameless = 0
+    num_nameless, deleted = 0, set(store.deletions())
     for batch in batches(folders(objects.list(keys.jobs()))):
         known = store.marks(batch)
         for job_id, infos in batch.items():
+            if job_id in deleted:  # The reconciler removes the rest of it.
+                continue
             sizes = sizes_of(infos)
             if job_id not in known and keys.version_01_spec(job_id) in sizes:
                 yield Finding(
@@ -168,8 +170,8 @@ def _tokens(job: Job) -> Sequence[str]:
 
 def _is_whole(artifact: Artifact, objects: ObjectStore) -> bool:
     """Whether its bytes have the recorded hash; those of a file that was removed for damage do not."""
-    digest = hashlib.sha256()
-    with objects.open(artifact.key) as pieces:
-        for piece in pieces:
-            digest.update(piece)
-    return digest.hexdigest() == artifact.sha256
+    try:
+        check_whole(artifact.key, artifact.sha256, objects)
+    except ObjectNotFound:
+        return False
+    return True

@@ -143,7 +143,7 @@ def test_a_report_says_why_it_has_no_replay(
     [poses] = [file for file in stack.store.get(attempt.id).artifacts if file.role == "replay"]
     stack.objects.delete_prefix(poses.key)
     page = reader.open(stack, attempt.id)
-    expect(page.get_by_text("The object store no longer has it.")).to_be_visible()
+    expect(page.get_by_text("The object store does not give it whole any more.")).to_be_visible()
     monkeypatch.setattr("api.sharing.report._MOST_REPLAY_BYTES", 1000)
     page = reader.open(stack, attempt.id)
     expect(page.get_by_text("It is larger than 1.0 kB")).to_be_visible()

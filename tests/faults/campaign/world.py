@@ -94,6 +94,8 @@ class World:
         self.weed = Weed(self.folder / "s3")
         self.port, self.url = 0, ""
         self.members: dict[str, Member] = {}
+        # Keys of objects that were lost or damaged on purpose: no reader need get their bytes.
+        self.hurt = set[str]()
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._over = threading.Event()
         self._ready = threading.Event()
@@ -129,6 +131,11 @@ class World:
         weed = self.weed
         client = connect_s3(weed.endpoint, weed.access_key, weed.secret_key, secure=False, region=REGION)
         return S3ObjectStore(client, weed.bucket)
+
+    @property
+    def weed_data(self) -> Path:
+        """Where the object store keeps its volumes."""
+        return self.folder / "s3" / "data"
 
     def processes(self, name: str) -> Iterator[psutil.Process]:
         """A member and all below it."""
