@@ -200,7 +200,7 @@ def test_a_file_is_closed_when_the_client_leaves_half_way(
     closed, sent = threading.Event(), list[int]()
 
     @contextmanager
-    def endless(*_: object) -> Iterator[Iterator[bytes]]:
+    def endless(*_: object, **__: object) -> Iterator[Iterator[bytes]]:
         try:
             yield (sent.append(1) or bytes(2**20) for _ in range(10**6))
         finally:

@@ -50,6 +50,8 @@ def calls(job: Job) -> Mapping[str, Call]:
         "save": lambda jobs: jobs.save(job.running()),
         "take_back": lambda jobs: jobs.take_back(taken_back(job)),
         "delete": lambda jobs: jobs.delete(job.id, job.version),
+        "deletions": lambda jobs: jobs.deletions(),
+        "deletion_ended": lambda jobs: jobs.deletion_ended(job.id),
         "list": lambda jobs: jobs.list(JobQuery()),
         "expired": lambda jobs: list(jobs.expired()),
         "beat": lambda jobs: jobs.beat(LEASE),

@@ -100,7 +100,7 @@ def test_a_store_that_says_nothing_at_all_is_an_outage(weed: Weed, object_store:
 class Drips(Proxy):
     """Answers with large bodies come a few bytes at a time, for ever; others as they are."""
 
-    async def _pass_on(self, source, sink, *, is_answer):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202
+    async def _pass_on(self, source, sink, said, *, is_answer):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202
         import asyncio
 
         while piece := await self._next(source):

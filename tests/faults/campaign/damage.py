@@ -4,17 +4,15 @@ Such an object is of a running or an ended job: its newest checkpoint, which the
 with, any other file, or a part of a feed. The worker that has the job may be killed right after, so that the
 job has to be resumed. Parts of feeds are objects from a job's end on.
 
-`python -m tests.faults.campaign.damage --seeds 100 [--first 0]`
+`python -m tests.faults.campaign.episode --kinds damage --seeds 100 [--first 0]`
 """
 
 import random
 import signal
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from tests.faults.campaign import episode
-from tests.faults.campaign.faults import Fault
+from tests.faults.campaign.faults import Campaign, Fault
 from tests.faults.campaign.volumes import flip_byte
 from tests.faults.campaign.world import World
 
@@ -84,17 +82,6 @@ def _killed(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
     return Fault(f"SIGKILL {party}", at_s, 0.0, lambda world: world.signal(party, signal.SIGKILL, which=0))
 
 
-_KINDS = {_one_object: 6, _newest_checkpoints: 4, _killed: 2}
-
-
-def draw(rng: random.Random, within_s: float) -> list[Fault]:
-    """One to five faults, by the time at which they begin."""
-    kinds = rng.choices(list(_KINDS), weights=list(_KINDS.values()), k=rng.randint(1, 5))
-    faults = [kind(rng, rng.uniform(0.2, within_s), rng.choice((0.0, 1.0, 3.0))) for kind in kinds]
-    return sorted(faults, key=lambda fault: fault.at_s)
-
-
-if __name__ == "__main__":
-    assert hasattr(episode, "draw")
-    episode.draw = draw
-    sys.exit(episode.main())
+CAMPAIGN = Campaign(
+    {"one_object": (_one_object, 6), "newest_checkpoints": (_newest_checkpoints, 4), "killed": (_killed, 2)}
+)
