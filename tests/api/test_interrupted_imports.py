@@ -120,7 +120,8 @@ def test_the_sweep_leaves_a_young_import_and_one_that_was_recorded(
         pass
     assert copy_records(store=stack.store, objects=objects) == 1
     recorded = stack.store.get(found)
-    stack.store.delete(found, recorded.version)  # As a database that was restored to an older moment.
+    stack.store.delete(found, recorded.version)  # As a database that was restored to an older moment,
+    stack.store.deletion_ended(found)  # which knows of no deletion.
     ages.append(timedelta(hours=23))
     young = keys.imported("019aa3c2f0b9-0000000000", "0" * 64, "checkpoint")
     objects.put(young, b"its import is still running")

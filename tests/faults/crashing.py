@@ -19,6 +19,7 @@ _WRITES = frozenset(
             "renew",
             "record",
             "replace_by_chunk",
+            "deletion_ended",
         ),
         *("copied", "restore", "replace_chunk", "announce", "withdraw", "tidy"),
         *("add_sweep", "save_sweep", "delete_sweep", "add_trial", "save_trial"),

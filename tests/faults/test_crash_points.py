@@ -25,7 +25,7 @@ from core.jobs import feeds, orphans
 from core.jobs.acknowledgements import Acknowledgements
 from core.jobs.attempts import Claim, claim_attempt, new_secret
 from core.jobs.cancellation import cancel
-from core.jobs.deletion import delete
+from core.jobs.deletion import delete, end_deletions
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_records, read_copy
@@ -111,6 +111,8 @@ class Service:
         self.insist("reconciler", lambda it: feeds.compact(store=it.store, objects=it.objects))
         self.insist("reconciler", lambda it: copy_records(store=it.store, objects=it.objects))
         self.insist("reconciler", lambda it: it.store.tidy())
+        at_once = timedelta(0)
+        self.insist("reconciler", lambda it: end_deletions(store=it.store, objects=it.objects, after=at_once))
 
     def _new_reconciler(self) -> Reconciler:
         it = self.processes["reconciler"]
@@ -291,6 +293,7 @@ LIVES: dict[str, tuple[Live, JobStatus | None, Role, Literal["", "begins", "ends
         "ends",
     ),
     "is deleted, by the API": (is_deleted, None, "api", "begins"),
+    "is deleted, by the reconciler": (is_deleted, None, "reconciler", "begins"),
 }
 
 

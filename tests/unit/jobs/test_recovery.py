@@ -73,6 +73,12 @@ def recover(store: JobStore, objects: MemoryObjectStore) -> Sequence[str]:
     return said
 
 
+def forget(store: JobStore, job_id: str, version: int) -> None:
+    """Leave no trace of the job in the record, as a database restored to a moment before it."""
+    store.delete(job_id, version)
+    store.deletion_ended(job_id)
+
+
 def steps(job: Job) -> list[int | None]:
     return [artifact.step for artifact in job.artifacts]
 
@@ -85,7 +91,7 @@ def holding_at(claim: Claim, store: JobStore) -> Claim:
 class TestForgottenJobs:
     def test_files_that_are_lost_are_left_out(self, jobs: JobStore, worker: PlayedWorker) -> None:
         job = worker.run(steps=2)
-        jobs.delete(job.id, job.version)
+        forget(jobs, job.id, job.version)
         worker.objects.delete_prefix(job.artifacts[1].key)
         [said] = recover(jobs, worker.objects)
         assert said.endswith("The bucket has it as succeeded, with 1 of its 2 files.")
@@ -95,7 +101,7 @@ class TestForgottenJobs:
         claim = worker.begin(worker.submit())
         cancelling = cancel(claim.job_id, store=jobs, queue=MemoryJobQueue())
         worker.checkpoint(claim, 1)
-        jobs.delete(claim.job_id, cancelling.version + 1)
+        forget(jobs, claim.job_id, cancelling.version + 1)
         recover(jobs, worker.objects)
         job = jobs.get(claim.job_id)
         assert (job.status, job.reason) == (JobStatus.CANCELLED, Reason.USER_CANCELLED)
@@ -106,7 +112,7 @@ class TestForgottenJobs:
     ) -> None:
         claim = worker.begin(worker.submit(max_attempts=1))
         worker.checkpoint(claim, 1)
-        jobs.delete(claim.job_id, jobs.get(claim.job_id).version)
+        forget(jobs, claim.job_id, jobs.get(claim.job_id).version)
         recover(jobs, worker.objects)
         assert jobs.get(claim.job_id).status == JobStatus.QUEUED
 
@@ -115,6 +121,10 @@ class TestForgottenJobs:
         worker.objects.delete_prefix(keys.job(job.id))
         jobs.delete(job.id, job.version)
         copy_record(job, worker.objects)  # The reconciler's copy comes last.
+        assert (
+            found(jobs, worker.objects) == []
+        )  # The reconciler removes it, unless it comes later than that.
+        jobs.deletion_ended(job.id)
         [finding] = found(jobs, worker.objects)
         assert finding.remedy is None
         assert "none of its files" in finding.sentence
