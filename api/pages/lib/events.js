@@ -15,7 +15,7 @@ export const isFinal = (status) => FINAL.has(status);
  * front of which a proxy answers 502) it does not, so then a new stream begins after the last event seen.
  * @param {string} path Of the events.
  * @param {string} after The id of the last event that is known already.
- * @param {(kind: string, data: object, time: string) => void} onEvent
+ * @param {(kind: string, data: object, time: string, number: string) => void} onEvent number: its id.
  * @param {() => void} onEnd Called once: the job has ended, or is no longer there.
  * @returns {() => void} Stops it.
  */
@@ -52,7 +52,7 @@ export function follow(path, after, onEvent, onEnd) {
       source.addEventListener(kind, (event) => {
         last = event.lastEventId || last;
         const { time, data } = JSON.parse(event.data);
-        onEvent(kind, data, time);
+        onEvent(kind, data, time, event.lastEventId);
         if (kind === "status" && isFinal(data.status)) end();
       });
     }

@@ -16,6 +16,7 @@ const RELOAD_MS = 300; // Several files of one moment cost one request.
 export function useJob(id) {
   const [job, setJob] = useState(null);
   const [isGone, setGone] = useState(false);
+  const [isHeard, setHeard] = useState(false);
   const metrics = useRef(new Set());
   const phases = useRef(new Set());
   const timer = useRef();
@@ -37,19 +38,20 @@ export function useJob(id) {
       clearTimeout(timer.current);
       timer.current = setTimeout(again, RELOAD_MS);
     };
-    const hear = (kind, event, time) => {
+    const hear = (kind, event, time, number) => {
       if (kind === "progress") setJob((known) => known && { ...known, progress: event });
       else if (kind === "metrics") metrics.current.forEach((listener) => listener({ ...event, time }));
-      else if (kind === "phase" || kind === "note") phases.current.forEach((listener) => listener({ kind, ...event, time }));
       else {
-        if (kind === "artifact") phases.current.forEach((listener) => listener({ kind, ...event, time }));
-        soon();
+        phases.current.forEach((listener) => listener({ kind, ...event, time, number }));
+        if (kind === "status" || kind === "artifact") soon();
       }
     };
-    // The end of the feed as it is now; the curves of the views are loaded after this.
+    // The end of the feed as it is now. What the views load, they load after this: so they miss nothing.
     const start = async () => {
       const { next } = await get(`/jobs/${id}/metrics`, { points: 4, metric: RETURNS }).catch(() => ({ next: "" }));
-      if (isWanted) stop = follow(`/jobs/${id}/events`, next || "", hear, again);
+      if (!isWanted) return;
+      stop = follow(`/jobs/${id}/events`, next || "", hear, again);
+      setHeard(true);
     };
     start();
     return () => {
@@ -63,5 +65,5 @@ export function useJob(id) {
     listeners.current.add(listener);
     return () => listeners.current.delete(listener);
   };
-  return { job, error, isGone, again, onMetrics: useCallback(register(metrics), []), onPhase: useCallback(register(phases), []) };
+  return { job: isGoing && !isHeard ? null : job, error, isGone, again, onMetrics: useCallback(register(metrics), []), onPhase: useCallback(register(phases), []) };
 }

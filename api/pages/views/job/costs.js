@@ -7,23 +7,26 @@ import { Prose } from "../../parts/prose.js";
 
 const NAMES = { import: "import", trace: "trace", compile: "compile", first_update: "first update" };
 
-/** The events {kind, time, …} of an answer of server-sent events. */
+/** The events {kind, time, number, …} of an answer of server-sent events. */
 export function parseEvents(text) {
   return text.split("\n\n").flatMap((block) => {
     const kind = /^event: (.*)$/m.exec(block)?.[1];
     if (!kind) return [];
     const { time, data } = JSON.parse(/^data: (.*)$/m.exec(block)[1]);
-    return [{ kind, time, ...data }];
+    return [{ kind, time, number: /^id: (.*)$/m.exec(block)?.[1], ...data }];
   });
 }
 
 export function Costs({ job, onPhase }) {
   const [events, setEvents] = useState([]);
   useEffect(() => {
-    const stop = onPhase((event) => setEvents((known) => [...known, event]));
+    // One that comes while the others are loaded may be among those.
+    const add = (more) =>
+      setEvents((known) => [...new Map([...known, ...more].map((event) => [event.number, event])).values()]);
+    const stop = onPhase((event) => add([event]));
     send(`${job.links.events}?kind=phase&kind=note&kind=artifact&follow=false`)
       .then((answer) => answer.text())
-      .then((text) => setEvents(parseEvents(text)), () => {});
+      .then((text) => add(parseEvents(text)), () => {});
     return stop;
   }, [job.id]);
   const costs = costsOf(job, events);
