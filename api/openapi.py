@@ -3,6 +3,7 @@
 import ctypes
 import json
 from contextlib import suppress
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, cast
 
@@ -11,7 +12,9 @@ from fastapi.openapi.utils import get_openapi
 
 from api.problems import MEDIA_TYPE, ProblemView
 from api.submissions import RESUMPTION
+from core.bounds import LARGEST_JOB_BYTES
 from core.jobs.spec import JOB_SPEC
+from core.settings import ApiSettings
 from core.sweeps.spec import SWEEP_SPEC
 
 _REF = "#/components/schemas/{model}"
@@ -20,6 +23,7 @@ _PROBLEM = {"content": {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Probl
 
 def describe(app: FastAPI) -> dict[str, Any]:
     """The document, built at each call."""
+    limits = _limits(app)
     document = get_openapi(
         title=app.title, version=app.version, description=app.description, routes=app.routes
     )
@@ -29,11 +33,14 @@ def describe(app: FastAPI) -> dict[str, Any]:
     for name, kind in (("JobSpec", JOB_SPEC), ("SweepSpec", SWEEP_SPEC), ("Resumption", RESUMPTION)):
         schema = kind.json_schema(ref_template=_REF)
         schemas.update({**schema.pop("$defs"), name: schema})
+    for name, most in (("JobSpec", LARGEST_JOB_BYTES), ("SweepSpec", limits.max_body_bytes)):
+        schemas[name]["x-maxBytes"] = most
     schemas["Problem"] = ProblemView.model_json_schema(ref_template=_REF)
     schemas.update(schemas["Problem"].pop("$defs", {}))
     _require_tags(schemas)
     for path in document["paths"].values():
         for operation in path.values():
+            _bound_body(operation, limits)
             _answer_with_problems(operation["responses"])
     return document
 
@@ -51,6 +58,33 @@ def serve(app: FastAPI) -> None:
     @app.get("/openapi.json", include_in_schema=False)
     def openapi() -> Response:
         return Response(document(), media_type="application/json")
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Bytes of a body. The operator may have set others than the defaults."""
+
+    max_body_bytes: int
+    max_model_bytes: int
+    max_import_bytes: int
+
+
+def _limits(app: FastAPI) -> _Limits:
+    service = getattr(app.state, "service", None)
+    if service is not None:
+        return _Limits(*(getattr(service.settings, one.name) for one in fields(_Limits)))
+    return _Limits(*(ApiSettings.model_fields[one.name].default for one in fields(_Limits)))
+
+
+def _bound_body(operation: dict[str, Any], limits: _Limits) -> None:
+    """Say how long the body may be: `maxLength` of bytes that are sent as they are, else `x-maxBytes`."""
+    content: dict[str, Any] = operation.get("requestBody", {}).get("content", {})
+    is_import = "sharing" in operation.get("tags", ())
+    for media_type, said in content.items():
+        if media_type == "application/json":
+            operation["requestBody"]["x-maxBytes"] = limits.max_body_bytes
+        else:
+            said["schema"]["maxLength"] = limits.max_import_bytes if is_import else limits.max_model_bytes
 
 
 def _answer_with_problems(responses: dict[str, Any]) -> None:

@@ -5,7 +5,7 @@ field that they are for.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, Field, JsonValue
@@ -25,6 +25,8 @@ LONGEST_MESSAGE = 4_000
 LARGEST_JOB_BYTES = 2**17
 # JSON of what an attempt or a file says about itself.
 LARGEST_FACTS_BYTES = 2**16
+# The values of an axis of a sweep.
+LARGEST_AXIS_BYTES = 2**18
 # Beyond all lengths, angles and weights, and within float32.
 LARGEST_NUMBER = 1e30
 LARGEST_STEP = 10**18
@@ -40,32 +42,25 @@ Real = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 PastStep = Annotated[int, Field(ge=0, le=LARGEST_STEP)]
 
 
-def _within(number: int) -> Callable[[Any], Any]:
+def within(most: int) -> tuple[Any, ...]:
+    """For a type whose form is another's to check: at most so many bytes as JSON, which its schema says."""
+
     def check(value: Any) -> Any:
-        if (size := json_bytes(value)) > number:
-            raise ValueError(f"has {size:,} bytes as JSON; at most {number:,} are allowed")
+        if (size := json_bytes(value)) > most:
+            raise ValueError(f"has {size:,} bytes as JSON; at most {most:,} are allowed")
         return value
 
-    return check
+    return AfterValidator(check), Field(json_schema_extra={"x-maxBytes": most})
 
 
-# Documents whose form is their writer's own.
 _Free = Annotated[dict[str, Any], Field(max_length=MOST_ITEMS)]
-Facts = Annotated[
-    _Free,
-    AfterValidator(_within(LARGEST_FACTS_BYTES)),
-    Field(json_schema_extra={"x-maxBytes": LARGEST_FACTS_BYTES}),
-]
-JobDocument = Annotated[
-    _Free,
-    AfterValidator(_within(LARGEST_JOB_BYTES)),
-    Field(json_schema_extra={"x-maxBytes": LARGEST_JOB_BYTES}),
-]
-# A value whose form another check knows.
-FreeValue = Annotated[
-    JsonValue,
-    AfterValidator(_within(LARGEST_FACTS_BYTES)),
-    Field(json_schema_extra={"x-maxBytes": LARGEST_FACTS_BYTES}),
+Facts = Annotated[_Free, *within(LARGEST_FACTS_BYTES)]
+JobDocument = Annotated[_Free, *within(LARGEST_JOB_BYTES)]
+# An environment's own model checks them.
+FreeOptions = Annotated[
+    dict[Annotated[str, Field(max_length=LONGEST_NAME)], JsonValue],
+    Field(max_length=MOST_MEMBERS),
+    *within(LARGEST_JOB_BYTES),
 ]
 
 

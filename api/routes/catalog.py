@@ -12,6 +12,7 @@ from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, info_under
 from api.problems import refusals
 from api.views import Listing
 from core.algorithms.catalog import ALGORITHMS
+from core.bounds import LONGEST_NAME
 from core.environments.catalog import ENVIRONMENTS
 from core.errors import EnvironmentNotFound, RecordsUnavailable, Rejected
 from core.jobs.workers import WORKER_NAME, WorkerInfo
@@ -23,7 +24,10 @@ router = APIRouter(tags=["catalog"])
 def list_environments(
     family: Annotated[
         str | None,
-        Query(description="`gaitway` for our own; `playground` or `brax` for those of that package."),
+        Query(
+            max_length=LONGEST_NAME,
+            description="`gaitway` for our own; `playground` or `brax` for those of that package.",
+        ),
     ] = None,
 ) -> Listing[EnvironmentView]:
     """Environments with their options, cameras and tuned hyperparameters; our own come first."""
@@ -44,7 +48,7 @@ _REFUSALS = refusals(EnvironmentNotFound, Rejected, RecordsUnavailable)
 
 @router.get("/environments/{environment_id}", responses=_REFUSALS)
 def read_environment(
-    environment_id: Annotated[str, Path(examples=["brittle_star"])],
+    environment_id: Annotated[str, Path(max_length=LONGEST_NAME, examples=["brittle_star"])],
     service: ServiceDep,
     options: Options = None,
 ) -> EnvironmentDetails:
@@ -54,7 +58,9 @@ def read_environment(
 
 @router.get("/environments/playground/{name}", responses=_REFUSALS)
 def read_playground_environment(
-    name: Annotated[str, Path(examples=["CheetahRun"])], service: ServiceDep, options: Options = None
+    name: Annotated[str, Path(max_length=LONGEST_NAME, examples=["CheetahRun"])],
+    service: ServiceDep,
+    options: Options = None,
 ) -> EnvironmentDetails:
     """One of MuJoCo Playground's environments."""
     return EnvironmentDetails.of(info_under(f"playground/{name}", options, service.store))
@@ -62,7 +68,9 @@ def read_playground_environment(
 
 @router.get("/environments/brax/{name}", responses=_REFUSALS)
 def read_brax_environment(
-    name: Annotated[str, Path(examples=["ant"])], service: ServiceDep, options: Options = None
+    name: Annotated[str, Path(max_length=LONGEST_NAME, examples=["ant"])],
+    service: ServiceDep,
+    options: Options = None,
 ) -> EnvironmentDetails:
     """One of Brax's environments."""
     return EnvironmentDetails.of(info_under(f"brax/{name}", options, service.store))

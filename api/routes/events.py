@@ -25,7 +25,9 @@ class After(Parameters):
     """after: the id of the last event seen; the header Last-Event-ID means the same and takes precedence."""
 
     after: EntryId = ""
-    kind: list[EventKind] = Field([], description="Only events of these kinds, and the end; repeatable.")
+    kind: list[EventKind] = Field(
+        [], max_length=6, description="Only events of these kinds, and the end; repeatable."
+    )
     follow: bool = Field(True, description="false: only the events so far.")
 
 

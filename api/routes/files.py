@@ -11,6 +11,7 @@ from api.files import file_response, responses
 from api.problems import refusals
 from api.views import ArtifactView, Listing
 from core.algorithms.catalog import ALGORITHMS
+from core.bounds import LONGEST_NAME
 from core.errors import (
     ArtifactNotFound,
     ArtifactNotReady,
@@ -120,7 +121,10 @@ def read_checkpoint(
 
 @_file_route("/jobs/{job_id}/artifacts/{name}", "*/*")
 def read_artifact(
-    job_id: JobId, name: Annotated[str, Path(examples=["video.mp4"])], service: ServiceDep, request: Request
+    job_id: JobId,
+    name: Annotated[str, Path(max_length=LONGEST_NAME, examples=["video.mp4"])],
+    service: ServiceDep,
+    request: Request,
 ) -> Response:
     """A file by its name."""
     job = service.store.get(job_id)

@@ -51,8 +51,14 @@ _BODY: dict[str, Any] = {
         },
     }
 }
+# The pattern documents; another id is one that nobody has.
 ModelId = Annotated[
-    str, Path(description="The id that `POST /models` returned.", examples=["sha256:9f86d08188…"])
+    str,
+    Path(
+        description="The id that `POST /models` returned.",
+        examples=[f"sha256:{'0' * 64}"],
+        json_schema_extra={"pattern": "^sha256:[0-9a-f]{64}$"},
+    ),
 ]
 
 

@@ -16,6 +16,7 @@ from api.files import file_response
 from api.options import MAX_OPTIONS_LENGTH, OPTIONS_DESCRIPTION, in_the_query, parse_options
 from api.problems import refusals
 from api.views import View
+from core.bounds import LONGEST_NAME
 from core.environments import catalog
 from core.errors import (
     EnvironmentNotFound,
@@ -131,7 +132,7 @@ class PreviewView(View):
     },
 )
 async def preview_environment(
-    environment_id: Annotated[str, Path(examples=["ant"])],
+    environment_id: Annotated[str, Path(max_length=LONGEST_NAME, examples=["ant"])],
     asked: Annotated[PreviewParameters, Query()],
     service: ServiceDep,
     request: Request,

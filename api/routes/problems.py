@@ -9,6 +9,7 @@ from fastapi.responses import HTMLResponse
 
 from api.errors import RouteNotFound
 from api.problems import classes_of_errors, refusals, status_of
+from core.bounds import LONGEST_NAME
 from core.errors import GaitwayError
 
 router = APIRouter(tags=["problems"])
@@ -20,7 +21,9 @@ _PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</
 
 
 @router.get("/problems/{code}", response_class=HTMLResponse, responses=refusals(RouteNotFound))
-async def explain(code: Annotated[str, Path(examples=["job-not-found"])]) -> HTMLResponse:
+async def explain(
+    code: Annotated[str, Path(max_length=LONGEST_NAME, examples=["job-not-found"])],
+) -> HTMLResponse:
     """A page that explains a type of problem."""
     for error in classes_of_errors():
         if error.code == code:

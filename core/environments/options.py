@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from core.bounds import Real
 from core.documents import Strict
 from core.physics.availability import NEWTON_ALONE, EngineName, beyond_compiled
 
@@ -18,10 +19,10 @@ def _ascending(bounds: tuple[float, float | None]) -> tuple[float, float | None]
 
 _FROM_A_LIST = Field(strict=False)  # JSON has no tuples
 
-Range = Annotated[tuple[float, float], _FROM_A_LIST, AfterValidator(_ascending)]
+Range = Annotated[tuple[Real, Real], _FROM_A_LIST, AfterValidator(_ascending)]
 """[low, high], low < high."""
 
-OpenRange = Annotated[tuple[float, float | None], _FROM_A_LIST, AfterValidator(_ascending)]
+OpenRange = Annotated[tuple[Real, Real | None], _FROM_A_LIST, AfterValidator(_ascending)]
 """[low, high], low < high; `null` above means no bound."""
 
 Weight = Annotated[float, Field(ge=-1e6, le=1e6)]

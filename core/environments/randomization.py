@@ -5,6 +5,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
 
 FieldName = Literal[
@@ -23,7 +24,7 @@ FieldName = Literal[
     "jnt_stiffness",
     "opt.gravity",
 ]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
+Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
 Kind = Literal["actuator", "body", "geom", "joint"]
 
 
@@ -86,7 +87,7 @@ class Randomization(Strict):
     operation: Literal["scale", "add", "set"] = Field(
         default="scale", description="How the drawn number changes the model's own value."
     )
-    range: Annotated[tuple[float, float], Field(strict=False)] = Field(
+    range: Annotated[tuple[Real, Real], Field(strict=False)] = Field(
         description="[lowest, highest], in MuJoCo's units.", examples=[[0.6, 1.4]]
     )
     distribution: Literal["uniform", "log_uniform"] = "uniform"

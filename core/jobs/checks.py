@@ -6,6 +6,7 @@ from functools import partial
 
 from core.algorithms.catalog import reported, resolve
 from core.algorithms.spec import BaseSpec, check_resumption
+from core.bounds import LARGEST_JOB_BYTES, json_bytes
 from core.documents import Strict
 from core.environments import catalog
 from core.environments.info import Device, EnvironmentInfo
@@ -41,6 +42,7 @@ _MAX_ROLLOUT_STEPS = 1_000_000
 
 def check(spec: JobSpec, store: JobStore) -> None:
     """Raises Rejected with all problems of the first check that finds any."""
+    _check_size(spec)
     info, _ = chosen(spec.environment, store)
     if spec.physics != "auto" or not info.own_physics:
         check_physics(spec.physics, info.cannot_run)
@@ -52,6 +54,13 @@ def check(spec: JobSpec, store: JobStore) -> None:
             _check_training(spec, info, store)
         case RolloutSpec():
             _check_rollout(spec, info, store)
+
+
+def _check_size(spec: JobSpec) -> None:
+    """Refuse a job whose names and numbers would make every listing long."""
+    if (size := json_bytes(spec.model_dump(mode="json", exclude_unset=True))) > LARGEST_JOB_BYTES:
+        detail = f"The job has {size:,} bytes as JSON; at most {LARGEST_JOB_BYTES:,} are allowed."
+        raise Rejected(detail, [Problem("", detail)])
 
 
 def chosen(environment: EnvironmentSpec, store: ModelStore) -> tuple[EnvironmentInfo, Strict]:

@@ -8,13 +8,13 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    JsonValue,
     PlainSerializer,
     TypeAdapter,
     model_validator,
 )
 
 from core.algorithms.catalog import ALGORITHMS, DEFAULT_ALGORITHM, AlgorithmSpec
+from core.bounds import LONGEST_NAME, MOST_ITEMS, FreeOptions, PastStep
 from core.documents import Strict
 from core.environments.randomization import Randomizations
 from core.physics.availability import PhysicsChoice
@@ -32,7 +32,7 @@ def _without_null(value: str) -> str:
 
 
 # Text by which jobs can be found.
-Text = Annotated[str, Field(max_length=200), AfterValidator(_without_null)]
+Text = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_without_null)]
 LabelName = Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[A-Za-z0-9_.-]+$")]
 Priority = Literal["high", "normal", "low"]
 Accelerator = Literal["any", "cpu", "gpu"]
@@ -48,11 +48,14 @@ def _even(value: int) -> int:
 PixelCount = Annotated[int, Field(ge=16, le=3840), AfterValidator(_even)]
 
 
+EnvironmentId = Annotated[str, Field(min_length=1, max_length=100)]
+
+
 class EnvironmentSpec(Strict):
     """An environment by its id, with the environment's own options."""
 
-    id: str = Field(min_length=1, max_length=100, examples=["ant"])
-    options: dict[str, JsonValue] = {}
+    id: EnvironmentId = Field(examples=["ant"])
+    options: FreeOptions = {}
 
 
 def _bare_id(value: Any) -> Any:
@@ -60,7 +63,7 @@ def _bare_id(value: Any) -> Any:
 
 
 EnvironmentChoice = Annotated[
-    EnvironmentSpec, BeforeValidator(_bare_id, json_schema_input_type=EnvironmentSpec | str)
+    EnvironmentSpec, BeforeValidator(_bare_id, json_schema_input_type=EnvironmentSpec | EnvironmentId)
 ]
 
 
@@ -83,13 +86,16 @@ class CheckpointsSpec(Strict):
     keep: int = Field(default=5, ge=1, le=1000, description="How many of the newest checkpoints are kept.")
 
 
+CameraName = Annotated[str, Field(max_length=LONGEST_NAME)] | Annotated[int, Field(ge=0, le=MOST_ITEMS)]
+
+
 class VideoSpec(Strict):
     """What the job's videos show, their size and their length."""
 
-    camera: str | int = Field(
+    camera: CameraName = Field(
         default="track", description="`track`, or a camera of the model by name or number."
     )
-    cameras: list[str | int] | None = Field(
+    cameras: list[CameraName] | None = Field(
         default=None,
         min_length=1,
         max_length=16,
@@ -161,7 +167,7 @@ class ResumePoint(Strict):
     """A checkpoint of another job; without a step, its newest."""
 
     job: JobId
-    step: int | None = Field(default=None, ge=0)
+    step: PastStep | None = None
 
 
 class WandbSpec(Strict):
@@ -246,7 +252,7 @@ class CheckpointPolicy(Strict):
 
     kind: Literal["checkpoint"] = "checkpoint"
     job: JobId
-    step: int | None = Field(default=None, ge=0)
+    step: PastStep | None = None
 
 
 class RandomPolicy(Strict):

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, JsonValue, Tag, TypeAdapter, model_validator
 
+from core.bounds import LARGEST_AXIS_BYTES, within
 from core.documents import Strict
 from core.jobs.spec import LabelName, Seed, SentSpec, Text
 
@@ -63,7 +64,7 @@ def _form(value: Any) -> str:
     return "list" if isinstance(value, list) else "object"
 
 
-Choices = Annotated[list[JsonValue], Field(min_length=1, max_length=MAX_TRIALS)]
+Choices = Annotated[list[JsonValue], Field(min_length=1, max_length=MAX_TRIALS), *within(LARGEST_AXIS_BYTES)]
 Axis = Annotated[
     Annotated[Choices, Tag("list")] | Annotated[Range, Tag("object")],
     Discriminator(_form),

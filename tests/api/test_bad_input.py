@@ -170,7 +170,7 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
         (MINIMAL | {"a/b~c": 1}, "/a~1b~0c", "not a field here"),
         (MINIMAL | {"video": {"camera": "moon"}}, "/video/camera", "no camera 'moon'"),
         (MINIMAL | {"video": {"camera": 99}}, "/video/camera", "no camera 99"),
-        (MINIMAL | {"video": {"camera": 10**400}}, "/video/camera", "no camera"),
+        (MINIMAL | {"video": {"camera": 10**400}}, "/video/camera", "equal to 10000"),
         (MINIMAL | {"video": {"camera": 1.5}}, "/video/camera", "valid string"),
         (MINIMAL | {"video": {"cameras": ["track", "moon"]}}, "/video/cameras/1", "no camera 'moon'"),
         (MINIMAL | {"video": {"cameras": [0, "track", "track"]}}, "/video/cameras/2", "already listed"),

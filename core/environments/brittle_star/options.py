@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from core.bounds import Real
 from core.documents import Strict
 from core.environments.brittle_star.observables import (
     BODY_OBSERVABLES,
@@ -36,7 +37,9 @@ _FIRST_SEGMENT_M, _TAPER_M = 0.125, 0.075
 _MAX_STEPS = 100_000
 _MAX_SEGMENTS = 96
 _Metres = Annotated[int, Field(ge=1, le=50)]
-_Point = Annotated[tuple[float, float], Field(strict=False)]
+_Point = Annotated[tuple[Real, Real], Field(strict=False)]
+# Some more than the checks allow, whose sentences say why.
+_Segments = Annotated[int, Field(ge=-_MAX_STEPS, le=_MAX_STEPS)]
 _OBSERVED = "Observables to include. null: all; with `cpg`, all but the costly forces and contacts."
 
 
@@ -44,7 +47,7 @@ class BrittleStarOptions(Strict):
     """The body, the arena, the physics and the observation: the same for all tasks."""
 
     num_arms: int = Field(5, ge=3, le=8, description="Arms, evenly around the disk.")
-    num_segments_per_arm: int | list[int] = Field(
+    num_segments_per_arm: _Segments | Annotated[list[_Segments], Field(max_length=64)] = Field(
         5, description="Segments of every arm, or a list with those of each arm; 0 leaves an arm out."
     )
     actuation: Literal["p_control", "torque_control"] = Field(
@@ -157,10 +160,10 @@ class DirectedOptions(BrittleStarOptions):
         None, description="x and y in metres; null: drawn for each episode, at `target_distance`."
     )
     target_distance: float = Field(
-        3.0, gt=0, description="Metres from the middle of the arena; the direction is drawn."
+        3.0, gt=0, le=100, description="Metres from the middle of the arena; the direction is drawn."
     )
     observables: list[BodyObservable | TargetObservable] | None = Field(
-        None, min_length=1, description=_OBSERVED
+        None, min_length=1, max_length=64, description=_OBSERVED
     )
 
     @model_validator(mode="after")
@@ -189,7 +192,7 @@ class DirectedOptions(BrittleStarOptions):
 class UndirectedOptions(BrittleStarOptions):
     """A brittle star and its arena."""
 
-    observables: list[BodyObservable] | None = Field(None, min_length=1, description=_OBSERVED)
+    observables: list[BodyObservable] | None = Field(None, min_length=1, max_length=64, description=_OBSERVED)
 
 
 class LightEscapeOptions(BrittleStarOptions):
@@ -202,7 +205,7 @@ class LightEscapeOptions(BrittleStarOptions):
         0, ge=0, lt=2**32, description="Seed of the patches; the job's has no effect on them."
     )
     observables: list[BodyObservable | LightObservable] | None = Field(
-        None, min_length=1, description=_OBSERVED
+        None, min_length=1, max_length=64, description=_OBSERVED
     )
 
     @property

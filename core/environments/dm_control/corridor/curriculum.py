@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import Field
 
+from core.bounds import Real
 from core.documents import Strict
 from core.environments.dm_control.corridor.lengths import Drawn
 
@@ -31,7 +32,7 @@ class Beginning(Strict):
     gap_length: Drawn | None = None
     wall_gap: Drawn | None = None
     wall_width: Drawn | None = None
-    target_velocity: float | None = None
+    target_velocity: Real | None = None
 
     @property
     def given(self) -> dict[str, Any]:

@@ -84,7 +84,7 @@ class _Place(Strict):
         None, description="Lengths and a target velocity that training begins with, on the way to those here."
     )
     start_x: float = Field(
-        5.0, ge=0, description="The walker's initial x, in metres; the first platform ends at 6 m."
+        5.0, ge=0, le=400, description="The walker's initial x, in metres; the first platform ends at 6 m."
     )
 
 

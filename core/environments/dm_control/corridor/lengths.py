@@ -4,6 +4,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from core.bounds import Real
+
 
 def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
     low, high = bounds
@@ -14,5 +16,5 @@ def _not_descending(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
-Drawn = Annotated[tuple[float, float], Field(strict=False), AfterValidator(_not_descending)]
+Drawn = Annotated[tuple[Real, Real], Field(strict=False), AfterValidator(_not_descending)]
 """[low, high] in metres: each length is drawn uniformly between them."""

@@ -34,6 +34,7 @@ class TaskOptions(Strict):
     )
     observables: list[Observable] = Field(
         [],
+        max_length=64,
         description="MuJoCo's fields that follow positions and velocities in the observation; `cinert` and "
         "`cvel` of the walker's bodies.",
     )

@@ -4,12 +4,13 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from core.bounds import LONGEST_NAME, Real
 from core.documents import Strict
 from core.environments.options import Range
 
-Name = Annotated[str, Field(min_length=1, max_length=200)]
+Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
 Names = Annotated[list[Name], Field(min_length=1, max_length=1000)]
-Vector = Annotated[tuple[float, float, float], Field(strict=False)]
+Vector = Annotated[tuple[Real, Real, Real], Field(strict=False)]
 
 
 def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -4,6 +4,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from core.bounds import Real
 from core.documents import Strict
 from core.environments.mjcf.vocabulary.parts import (
     Direction,
@@ -45,7 +46,7 @@ class VelocityTracking(OfBody, _Reward):
     """1 at the target horizontal velocity, and less the further the velocity is from it."""
 
     kind: Literal["velocity_tracking"] = "velocity_tracking"
-    velocity: Annotated[tuple[float, float], Field(strict=False)] = Field(
+    velocity: Annotated[tuple[Real, Real], Field(strict=False)] = Field(
         description="The target velocity, [forward, left] in m/s."
     )
     tolerance: float = Field(default=0.5, gt=0, le=100, description="Error at which the term is 1/e, in m/s.")
