@@ -111,12 +111,16 @@ def list_jobs(
 ) -> Response:
     """Jobs, newest first.
 
+    Each has its newest ten attempts, without `details` and with messages of up to 1,000 characters, and its
+    newest ten files of each role, without `metadata` of more than 1,000 bytes: `GET /jobs/{job_id}` has all.
+    A page whose jobs are very long has fewer than `limit`.
+
     With `Cache-Control: max-age=N`, the answer may be the one that another client got in the last N seconds.
     """
     question, age_s = listed.model_dump_json(), max_age_s(cache_control)
     found = service.lists.find(question, age_s) if age_s else None
     if found is None:
-        page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit)
+        page = service.store.list(listed.query(), cursor=listed.cursor, limit=listed.limit, brief=True)
         workers = _workers(page.jobs, service)
         views = [JobView.of(job, workers) for job in page.jobs]
         found = Listing[JobView](items=views, next=page.next_cursor).model_dump_json().encode()

@@ -209,8 +209,14 @@ class JobStore(ModelStore, WorkerStore, Protocol):
         """Forget a deleted job, whose objects are gone."""
         ...
 
-    def list(self, query: JobQuery, *, cursor: str | None = None, limit: int = 50) -> Page:
-        """Some of the jobs that match, newest first. cursor: the `next_cursor` of an earlier page."""
+    def list(
+        self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
+    ) -> Page:
+        """Some of the jobs that match, newest first. cursor: the `next_cursor` of an earlier page.
+
+        A page of long records has fewer than `limit`. brief: each has only its newest attempts, without
+        `details`, and the newest of its files of each role, without long `metadata`.
+        """
         ...
 
     def expired(self) -> Iterable[Job]:

@@ -4,6 +4,7 @@ import json
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import ge
 from statistics import fmean, stdev
 
 from pydantic import JsonValue
@@ -23,9 +24,13 @@ def best(trials: Sequence[Trial], objectives: Sequence[Objective]) -> list[Trial
     worth = {trial.number: _worth(trial, objectives) for trial in ended}
     if len(objectives) == 1:
         return [max(ended, key=lambda trial: worth[trial.number])] if ended else []
-    return [
-        one for one in ended if not any(_beats(worth[other.number], worth[one.number]) for other in ended)
-    ]
+    # One that is better in the first objective, or equal there and better in the next, is never beaten by a
+    # later one, so each is compared only with those that nothing has beaten.
+    front = list[Trial]()
+    for one in sorted(ended, key=lambda trial: worth[trial.number], reverse=True):
+        if not any(_beats(worth[other.number], worth[one.number]) for other in front):
+            front.append(one)
+    return sorted(front, key=lambda trial: trial.number)
 
 
 def _worth(trial: Trial, objectives: Sequence[Objective]) -> list[float]:
@@ -34,8 +39,7 @@ def _worth(trial: Trial, objectives: Sequence[Objective]) -> list[float]:
 
 
 def _beats(one: Sequence[float], other: Sequence[float]) -> bool:
-    pairs = list(zip(one, other, strict=True))
-    return all(mine >= theirs for mine, theirs in pairs) and any(mine > theirs for mine, theirs in pairs)
+    return one != other and all(map(ge, one, other))
 
 
 @dataclass(frozen=True)

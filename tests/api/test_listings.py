@@ -4,10 +4,11 @@ from datetime import timedelta
 
 import pytest
 
+from core.adapters.postgres import pages
 from core.jobs.workers import WorkerInfo
 from core.user_models.record import ModelRecord
 from gaitway import Client
-from tests.api.conftest import NOON, Stack
+from tests.api.conftest import NOON, Attempt, Stack, job
 from tests.api.problems import pointers, problem
 
 NAMES = [f"w{number:02}" for number in range(60)]
@@ -77,3 +78,35 @@ def test_another_part_is_refused_with_its_place(stack: Stack, path: str, query: 
 def test_a_models_id_is_no_cursor_and_the_refusal_says_what_to_do(stack: Stack) -> None:
     document = problem(stack.http.get("/models", params={"cursor": IDS[0]}), 422, "invalid-request")
     assert "leave it out to begin with the first page" in document["detail"]
+
+
+def test_a_page_of_long_records_ends_early_and_leads_on(
+    stack: Stack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """H2: 50 imports made `GET /jobs` 786 MB long, and of models 200 were a gigabyte."""
+    monkeypatch.setattr(pages, "_MOST_BYTES", 1000)
+    for number in range(9):
+        stack.store.add(job(f"{number:012x}-0000000000", name=f"{number}" * 200))
+    for asked, most in (({}, 4), ({"search": "000"}, 1)):
+        found, cursor = list[str](), ""
+        while cursor is not None:
+            page = stack.http.get("/jobs", params={**asked, **({"cursor": cursor} if cursor else {})}).json()
+            assert 1 <= len(page["items"]) <= most
+            found += [item["name"][0] for item in page["items"]]
+            cursor = page["next"]
+        assert found == ["0"] if most == 1 else sorted("012345678", reverse=True) == found
+
+
+def test_a_listing_has_the_newest_attempts_and_files_in_brief(stack: Stack) -> None:
+    """H2: every listing carried all that a record says at length about itself."""
+    attempt = Attempt(stack, job())
+    attempt.claim.start(details={"long": "x" * 5000})
+    for step in range(12):
+        attempt.keep(f"{step}.ckpt", b"", role="checkpoint", step=step, metadata={"long": "x" * 90 * step})
+    [listed] = stack.http.get("/jobs").json()["items"]
+    whole = stack.http.get(f"/jobs/{attempt.id}").json()
+    assert [one["details"] for one in listed["attempts"]] == [{}]
+    assert whole["attempts"][0]["details"] == {"long": "x" * 5000}
+    assert [file["step"] for file in listed["artifacts"]] == list(range(7, 12))
+    assert len(whole["artifacts"]) == 5
+    assert [bool(file["metadata"]) for file in listed["artifacts"]] == [True] * 4 + [False]

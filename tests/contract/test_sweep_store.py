@@ -2,6 +2,7 @@
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
 
 import pytest
 
@@ -23,6 +24,12 @@ def sweeps(jobs: SweepStore) -> SweepStore:
 @pytest.fixture
 def sweep(sweeps: SweepStore) -> Sweep:
     return sweeps.add_sweep(sweep_of())
+
+
+def sent(sweeps: SweepStore, ago: timedelta = timedelta()) -> Sweep:
+    """A sweep that is sent now, or was."""
+    now = sweeps.now() - ago
+    return sweep_of().model_copy(update={"id": new_job_id(now), "created_at": now})
 
 
 class TestSweeps:
@@ -72,13 +79,25 @@ class TestSweeps:
 
         def submit(number: int) -> str:
             together.wait()
-            return sweeps.add_sweep(sweep_of(), key).id
+            return sweeps.add_sweep(sent(sweeps), key).id
 
         with ThreadPoolExecutor(4) as pool:
             assert len(set(pool.map(submit, range(4)))) == 1
         assert len(sweeps.list_sweeps().sweeps) == 1
         with pytest.raises(IdempotencyKeyReused):
-            sweeps.add_sweep(sweep_of(), Idempotency("k", "another body"))
+            sweeps.add_sweep(sent(sweeps), Idempotency("k", "another body"))
+
+    def test_a_key_is_remembered_for_a_day(self, sweeps: SweepStore) -> None:
+        """L4: it was remembered for ever, though the header says 24 hours."""
+        long_ago = sent(sweeps, timedelta(hours=24, seconds=1))
+        lately = sent(sweeps, timedelta(hours=23, minutes=59))
+        assert sweeps.add_sweep(long_ago, Idempotency("a", "body")) == long_ago
+        assert sweeps.add_sweep(lately, Idempotency("b", "body")) == lately
+        again, other = sent(sweeps), sent(sweeps)
+        assert sweeps.add_sweep(again, Idempotency("a", "another body")) == again
+        assert sweeps.add_sweep(other, Idempotency("b", "body")).id == lately.id
+        sweeps.delete_sweep(lately.id, lately.version)
+        assert sweeps.add_sweep(other, Idempotency("b", "body")) == other
 
     def test_pages_are_newest_first_and_without_gap(self, sweeps: SweepStore) -> None:
         ids = [

@@ -17,6 +17,7 @@ from core.adapters.postgres import (
     listing,
     loading,
     models,
+    pages,
     references,
     saving,
     submissions,
@@ -146,11 +147,14 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
         with self._statements() as connection:
             deletions.ended(connection, job_id)
 
-    def list(self, query: JobQuery, *, cursor: str | None = None, limit: int = 50) -> Page:
+    def list(
+        self, query: JobQuery, *, cursor: str | None = None, limit: int = 50, brief: bool = False
+    ) -> Page:
         before = None if cursor is None else check_cursor(cursor)
         with self._statements() as connection:
-            found = loading.of_rows(connection, listing.newest(connection, query, before, limit + 1))
-        return Page(found[:limit], found[limit - 1].id if len(found) > limit else None)
+            rows = listing.newest(connection, query, before, limit + 1)
+            found = loading.of_rows(connection, rows[:limit], brief=brief)
+        return Page(found, found[-1].id if pages.has_more(rows, len(found)) else None)
 
     def marks(self, job_ids: Collection[str]) -> Mapping[str, Mark]:
         with self._statements() as connection:

@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Subquery, Table, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Subquery, Table, func, or_, select
 
+from core.adapters.postgres import pages
 from core.adapters.postgres.tables import jobs
 from core.jobs.store import JobQuery
 
@@ -14,7 +15,7 @@ _COLUMNS = ("status", "kind", "environment", "name")
 
 
 def newest(connection: Connection, query: JobQuery, before: str | None, limit: int) -> Sequence[Row[Any]]:
-    """The newest jobs that match, of those with ids below `before`.
+    """The newest jobs that match, of those with ids below `before`; fewer where they are long (`pages`).
 
     A single condition has an index in the order of ids. Few jobs or none may match several conditions, which
     the planner cannot know: it would walk through all jobs. So the newest jobs are tried first. If too few of
@@ -23,16 +24,21 @@ def newest(connection: Connection, query: JobQuery, before: str | None, limit: i
     conditions = _conditions(query, jobs)
     if len(conditions) > 1 or query.labels or query.search:
         found = connection.execute(_among_the_newest(query, before, limit)).all()
-        if len(found) == limit or not _has_more(connection, before):
+        if pages.has_more(found, limit - 1) or not _has_more(connection, before):
             return found
         return connection.execute(_collected(query, before, limit)).all()
     wanted = select(jobs).where(*conditions, *_below(before)).order_by(jobs.c.id.desc()).limit(limit)
-    return connection.execute(wanted).all()
+    return connection.execute(pages.by_bytes(wanted, _size(jobs), "id")).all()
+
+
+def _size(table: Table | Subquery) -> ColumnElement[int]:
+    return func.octet_length(table.c.spec) + func.coalesce(func.octet_length(table.c.progress), 0)
 
 
 def _among_the_newest(query: JobQuery, before: str | None, limit: int) -> Any:
     near = select(jobs).where(*_below(before)).order_by(jobs.c.id.desc()).limit(_NEAR).subquery("near")
-    return select(near).where(*_conditions(query, near)).order_by(near.c.id.desc()).limit(limit)
+    wanted = select(near).where(*_conditions(query, near)).order_by(near.c.id.desc()).limit(limit)
+    return pages.by_bytes(wanted, _size(near), "id")
 
 
 def _has_more(connection: Connection, before: str | None) -> bool:
@@ -44,7 +50,8 @@ def _has_more(connection: Connection, before: str | None) -> bool:
 def _collected(query: JobQuery, before: str | None, limit: int) -> Any:
     matches = select(jobs.c.id).where(*_conditions(query, jobs), *_below(before)).cte("matches")
     matches = matches.prefix_with("MATERIALIZED")
-    return select(jobs).join(matches, jobs.c.id == matches.c.id).order_by(jobs.c.id.desc()).limit(limit)
+    wanted = select(jobs).join(matches, jobs.c.id == matches.c.id).order_by(jobs.c.id.desc()).limit(limit)
+    return pages.by_bytes(wanted, _size(jobs), "id")
 
 
 def _conditions(query: JobQuery, table: Table | Subquery) -> list[ColumnElement[bool]]:

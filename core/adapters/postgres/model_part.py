@@ -50,5 +50,5 @@ class PostgresModels(Connected):
     ) -> ModelPage:
         before = None if cursor is None else check_model_cursor(cursor)
         with self._statements() as connection:
-            found = models.newest(connection, before, limit + 1, name)
-        return ModelPage(found[:limit], model_cursor(found[limit - 1]) if len(found) > limit else None)
+            found, has_more = models.newest(connection, before, limit, name)
+        return ModelPage(found, model_cursor(found[-1]) if has_more else None)

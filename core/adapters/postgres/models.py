@@ -6,9 +6,10 @@ from typing import Any
 
 import structlog
 from pydantic import ValidationError
-from sqlalchemy import Connection, Row, delete, select, tuple_, update
+from sqlalchemy import Connection, Row, delete, func, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
 
+from core.adapters.postgres import pages
 from core.adapters.postgres.rows import columns, words
 from core.adapters.postgres.tables import NOW, dispatches, models
 from core.errors import ModelNotFound
@@ -73,18 +74,21 @@ def every(connection: Connection) -> Sequence[ModelRecord]:
 
 def newest(
     connection: Connection, before: tuple[datetime, str] | None, limit: int, name: str | None = None
-) -> Sequence[ModelRecord]:
-    """The newest models, of those that were sent before this moment; ids order those of one moment.
+) -> tuple[Sequence[ModelRecord], bool]:
+    """The newest models, of those that were sent before this moment; ids order those of one moment. Fewer
+    where their descriptions are long (`pages`), and whether there are more.
 
     name: only those of this name.
     """
     place = tuple_(models.c.created_at, models.c.id)
-    wanted = select(models).order_by(models.c.created_at.desc(), models.c.id.desc()).limit(limit)
+    wanted = select(models).order_by(models.c.created_at.desc(), models.c.id.desc()).limit(limit + 1)
     if before is not None:
         wanted = wanted.where(place < tuple_(*before))
     if name is not None:
         wanted = wanted.where(models.c.name == name)
-    return [_record(row) for row in connection.execute(wanted)]
+    size = func.coalesce(func.octet_length(models.c.description), 0)
+    found = connection.execute(pages.by_bytes(wanted, size, "created_at", "id")).all()
+    return [_record(row) for row in found[:limit]], pages.has_more(found, min(len(found), limit))
 
 
 def waiting(connection: Connection) -> Sequence[Dispatch]:

@@ -20,7 +20,7 @@ from core.jobs.job import Job
 from core.jobs.status import JobStatus
 from core.jobs.store import Idempotency
 
-_REMEMBERED = timedelta(hours=24)
+REMEMBERED = timedelta(hours=24)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def _new_key() -> Any:
     said: dict[str, Any] = {
         "fingerprint": bindparam("fingerprint"),
         "job_id": bindparam("id"),
-        "forgotten_at": NOW + _REMEMBERED,
+        "forgotten_at": NOW + REMEMBERED,
     }
     return (
         insert(idempotency_keys)

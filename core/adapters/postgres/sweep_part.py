@@ -41,8 +41,8 @@ class PostgresSweeps(Connected):
     ) -> SweepPage:
         before = None if cursor is None else check_cursor(cursor)
         with self._statements() as connection:
-            found = sweeps.newest(connection, status, before, limit + 1)
-        return SweepPage(found[:limit], found[limit - 1].id if len(found) > limit else None)
+            found, has_more = sweeps.newest(connection, status, before, limit)
+        return SweepPage(found, found[-1].id if has_more else None)
 
     def active_marks(self) -> Mapping[str, SweepMark]:
         with self._statements() as connection:

@@ -11,8 +11,8 @@ from pydantic_core import from_json
 from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import aggregate_order_by, insert
 
-from core.adapters.postgres import deletions, loading, rows, submissions
-from core.adapters.postgres.tables import jobs, sweeps, trials
+from core.adapters.postgres import deletions, loading, pages, rows, submissions
+from core.adapters.postgres.tables import NOW, jobs, sweeps, trials
 from core.errors import IdempotencyKeyReused, JobNotFound, StaleSweep, SweepNotFound, TooManySweeps
 from core.jobs.job import Job, UnreadableJob
 from core.jobs.store import Idempotency
@@ -37,12 +37,20 @@ def add(
         connection.execute(insert(sweeps).values(values))
         return sweep
     key_hash = submissions.hashed(idempotency.key)
+    is_forgotten = sweeps.c.created_at <= NOW - submissions.REMEMBERED
+    connection.execute(
+        update(sweeps)
+        .where(sweeps.c.key_hash == key_hash, is_forgotten)
+        .values(key_hash=None, fingerprint=None)
+    )
     values |= {"key_hash": key_hash, "fingerprint": idempotency.fingerprint}
     new = insert(sweeps).values(values).on_conflict_do_nothing(index_elements=["key_hash"])
     if connection.execute(new.returning(sweeps.c.id)).first() is not None:
         _check_room(most_active, has_room=has_room)  # What was inserted is rolled back.
         return sweep
-    row = connection.execute(select(sweeps).where(sweeps.c.key_hash == key_hash)).one()
+    row = connection.execute(select(sweeps).where(sweeps.c.key_hash == key_hash)).first()
+    if row is None:  # It was deleted between the two statements.
+        return add(connection, sweep, idempotency, most_active)
     if row.fingerprint != idempotency.fingerprint:
         raise IdempotencyKeyReused(idempotency.key)
     return _sweep(row)
@@ -77,13 +85,21 @@ def remove(connection: Connection, sweep_id: str, version: int) -> None:
         _refuse(connection, sweep_id)
 
 
-def newest(connection: Connection, status: SweepStatus | None, before: str | None, limit: int) -> list[Sweep]:
-    wanted = select(sweeps).order_by(sweeps.c.id.desc()).limit(limit)
+def newest(
+    connection: Connection, status: SweepStatus | None, before: str | None, limit: int
+) -> tuple[list[Sweep], bool]:
+    """Some sweeps, fewer where they and their trials are long (`pages`), and whether there are more."""
+    wanted = select(sweeps).order_by(sweeps.c.id.desc()).limit(limit + 1)
     if status is not None:
         wanted = wanted.where(sweeps.c.status == status.value)
     if before is not None:
         wanted = wanted.where(sweeps.c.id < before)
-    return [_sweep(row) for row in connection.execute(wanted)]
+    said = select(func.coalesce(func.sum(func.octet_length(trials.c.said)), 0)).where(
+        trials.c.sweep_id == sweeps.c.id
+    )
+    size = func.octet_length(sweeps.c.spec) + said.scalar_subquery()
+    found = connection.execute(pages.by_bytes(wanted, size, "id")).all()
+    return [_sweep(row) for row in found[:limit]], pages.has_more(found, min(len(found), limit))
 
 
 def num_active(connection: Connection) -> int:
