@@ -97,8 +97,9 @@ class Client:
         return self._transport.do(self._calls.get(job_id))
 
     def list(self, *, limit: int | None = None, **filters: Any) -> Iterator[JobView]:
-        """Jobs, newest first, fetched page by page as needed; at most `limit`.
+        """Jobs in brief, newest first, fetched page by page as needed; at most `limit`.
 
+        Each has its newest ten attempts and files of each role; `get` has all.
         filters: status, kind, environment, name, and labels (a dict, every one must match).
         """
         return self._transport.each(self._calls.list(limit, filters))
