@@ -7,6 +7,7 @@ from itertools import chain, islice
 from pydantic import JsonValue, ValidationError
 
 from core.algorithms.catalog import resolve
+from core.bounds import json_bytes
 from core.environments.info import EnvironmentInfo
 from core.errors import Problem, Rejected
 from core.jobs import checks as job_checks
@@ -16,7 +17,7 @@ from core.jobs.store import JobStore
 from core.jobs.submission import completed as completed_job
 from core.jobs.submission import with_environment
 from core.nearest import nearest
-from core.sweeps.advance import committed_steps, why_no_more
+from core.sweeps.advance import committed_steps, num_trials, why_no_more
 from core.sweeps.axes import Values, combinations, corners, num_combinations, random_values
 from core.sweeps.fields import axis_place, fields_of, job_of, takes_fractions
 from core.sweeps.metrics import refusal_of_metric
@@ -30,6 +31,8 @@ _MAX_LABELS = 62
 # Each takes a millisecond or two.
 _MAX_TRIED = 64
 _MAX_HINTS = 5
+# JSON of the settings of all trials.
+_LARGEST_TRIALS_BYTES = 2**22
 
 
 def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:
@@ -66,8 +69,9 @@ def steps_of(spec: SweepSpec, values: Mapping[str, JsonValue], store: JobStore) 
 
 
 def check_budget(spec: SweepSpec, trials: Sequence[Trial], store: JobStore) -> None:
-    """Raises Rejected where the budget allows no further trial."""
+    """Raises Rejected where the budget allows no further trial, or trials that are too long together."""
     budget = spec.budget
+    _check_length(spec, trials)
     if (why := why_no_more(spec, trials)) is not None:
         of_the_budget = why.startswith("Its budget")
         remedy = "raise the budget" if of_the_budget else "no budget changes that: start another sweep"
@@ -87,6 +91,24 @@ def check_budget(spec: SweepSpec, trials: Sequence[Trial], store: JobStore) -> N
             f"{needed:,} steps{f', and {taken:,} are used' if taken else ''}."
         )
         raise Rejected(detail, [Problem("/budget/steps", detail)])
+
+
+def _check_length(spec: SweepSpec, trials: Sequence[Trial]) -> None:
+    """Every look at a sweep reads the settings of all its trials."""
+    longest = json_bytes(
+        {
+            name: axis.high if isinstance(axis, Range) else max(axis, key=json_bytes)
+            for name, axis in spec.parameters.items()
+        }
+    )
+    number = num_trials(spec, trials)
+    if number * longest > _LARGEST_TRIALS_BYTES:
+        _refuse(
+            f"A trial's settings have up to {longest:,} bytes as JSON. With {number:,} trials at most "
+            f"{_LARGEST_TRIALS_BYTES // number:,} are allowed: vary shorter values, or set fewer trials as "
+            "`jobs` in the budget.",
+            "/parameters",
+        )
 
 
 def _check_labels(spec: SweepSpec) -> None:

@@ -12,6 +12,7 @@ from tests.api.test_sweeps import JOB, METRIC, post
 
 RATE = "algorithm.learning_rate"
 RANGE = {"low": 1e-4, "high": 1e-2}
+MASS = {"field": "body_mass", "range": [0.9, 1.1]}
 
 
 @pytest.mark.parametrize(
@@ -69,6 +70,16 @@ RANGE = {"low": 1e-4, "high": 1e-2}
             {"parameters": {"algorithm.learning_rate": {"low": 1e-3, "high": 1e-4, "points": 3}}},
             "/parameters/algorithm.learning_rate",
             "`algorithm.learning_rate`: `low` must be below `high`; for a single value, set it in `job`.",
+        ),
+        (  # Each look at the sweep read 12 MB.
+            {
+                "parameters": {"randomization": [[{**MASS, "draw": "d" * 200, "axis": None}] * 20]},
+                "method": "random",
+                "budget": {"jobs": 900},
+            },
+            "/parameters",
+            "A trial's settings have up to 5,779 bytes as JSON. With 900 trials at most 4,660 are allowed: "
+            "vary shorter values, or set fewer trials as `jobs` in the budget.",
         ),
         ({"parameters": {"seed": []}}, "/parameters/seed", "`seed` needs at least 1 item, and has none."),
         ({"parameters": {"seed": {"low": 1}}}, "/parameters/seed/high", "`high` is missing."),
