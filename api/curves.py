@@ -7,6 +7,9 @@ from math import isnan
 from api.views import MetricsRow
 from core.jobs.curves import Curves
 
+# In one answer: 10,000 rows of twenty metrics.
+MOST_VALUES = 200_000
+
 
 def extremes(values: Sequence[float], places: range, points: int) -> list[int]:
     """At most `points` (4 or more) of these places, in order: the first, the last, and of each of equally
@@ -37,16 +40,18 @@ def thinned(
     first_step: int | None = None,
     last_step: int | None = None,
 ) -> list[MetricsRow]:
-    """Rows with at most `points` values of each metric, in the order of their steps and times.
+    """Rows with at most `points` values of each metric, and `MOST_VALUES` of all, in the order of their steps
+    and times.
 
     names: only these metrics; None: all.
     """
     rows: dict[tuple[int, float], dict[str, float | None]] = {}
-    for name, curve in curves.items():
-        if names is None or name in names:
-            for place in extremes(curve.values, curve.between(first_step, last_step), points):
-                row = rows.setdefault((curve.steps[place], curve.times[place]), {})
-                row[name] = curve.values[place]
+    wanted = {name: curve for name, curve in curves.items() if names is None or name in names}
+    points = max(4, min(points, MOST_VALUES // max(1, len(wanted))))
+    for name, curve in wanted.items():
+        for place in extremes(curve.values, curve.between(first_step, last_step), points):
+            row = rows.setdefault((curve.steps[place], curve.times[place]), {})
+            row[name] = curve.values[place]
     return [
         MetricsRow(step=step, time=datetime.fromtimestamp(time, UTC), values=values)
         for (step, time), values in sorted(rows.items(), key=lambda row: row[0])

@@ -88,7 +88,8 @@ class SweepView(View):
 
     @classmethod
     def of(cls, sweep: Sweep, trials: Sequence[Trial], jobs: Jobs, now: datetime) -> Self:
-        return cls(**_facts(sweep, _present(sweep, trials, jobs, now), jobs))
+        present = _present(sweep, trials, jobs, now)
+        return cls(**_facts(sweep, present, _views(sweep.spec, present, jobs)))
 
 
 class SweepDetails(SweepView):
@@ -106,9 +107,10 @@ class SweepDetails(SweepView):
     @classmethod
     def of(cls, sweep: Sweep, trials: Sequence[Trial], jobs: Jobs, now: datetime) -> Self:
         present = _present(sweep, trials, jobs, now)
+        views = _views(sweep.spec, present, jobs)
         return cls(
-            **_facts(sweep, present, jobs),
-            trials=_views(sweep.spec, present, jobs),
+            **_facts(sweep, present, views),
+            trials=views,
             groups=[GroupView.model_validate(one) for one in by_seed(present, len(sweep.spec.objectives))],
             importance=sweep.importance,
             importance_note=sweep.importance_note,
@@ -130,9 +132,9 @@ def _views(spec: SweepSpec, trials: Sequence[Trial], jobs: Jobs) -> Sequence[Tri
     ]
 
 
-def _facts(sweep: Sweep, trials: Sequence[Trial], jobs: Jobs) -> dict[str, Any]:
+def _facts(sweep: Sweep, trials: Sequence[Trial], seen: Sequence[TrialView]) -> dict[str, Any]:
     here, spec = f"/sweeps/{sweep.id}", sweep.spec
-    views = {view.number: view for view in _views(spec, trials, jobs)}
+    views = {view.number: view for view in seen}
     links = {"self": here, "jobs": f"/jobs?label=sweep:{sweep.id}"}
     links |= {"resume": f"{here}/resume"} if sweep.status.is_final else {"cancel": f"{here}/cancel"}
     return {

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, cast
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import Field
 
+from api.answers import answer
 from api.dependencies import JobId, Parameters, ServiceDep
 from api.files import file_response, responses
 from api.problems import refusals
@@ -65,19 +66,27 @@ def _file_route(path: str, media_type: str) -> Callable[[Callable[..., Response]
     return register
 
 
-@router.get("/jobs/{job_id}/artifacts", responses=refusals(JobNotFound, JobUnreadable, RecordsUnavailable))
-def list_artifacts(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView]:
+@router.get(
+    "/jobs/{job_id}/artifacts",
+    response_model=Listing[ArtifactView],
+    responses=refusals(JobNotFound, JobUnreadable, RecordsUnavailable),
+)
+def list_artifacts(job_id: JobId, service: ServiceDep) -> Response:
     """All files of a job."""
     artifacts = service.store.get(job_id).artifacts
-    return Listing[ArtifactView](items=[ArtifactView.of(job_id, artifact) for artifact in artifacts])
+    return answer(Listing[ArtifactView](items=[ArtifactView.of(job_id, one) for one in artifacts]))
 
 
-@router.get("/jobs/{job_id}/checkpoints", responses=refusals(JobNotFound, JobUnreadable, RecordsUnavailable))
-def list_checkpoints(job_id: JobId, service: ServiceDep) -> Listing[ArtifactView]:
+@router.get(
+    "/jobs/{job_id}/checkpoints",
+    response_model=Listing[ArtifactView],
+    responses=refusals(JobNotFound, JobUnreadable, RecordsUnavailable),
+)
+def list_checkpoints(job_id: JobId, service: ServiceDep) -> Response:
     """The kept checkpoints, ordered by step."""
     found = [artifact for artifact in service.store.get(job_id).artifacts if artifact.role == "checkpoint"]
     found.sort(key=lambda artifact: artifact.step or 0)
-    return Listing[ArtifactView](items=[ArtifactView.of(job_id, artifact) for artifact in found])
+    return answer(Listing[ArtifactView](items=[ArtifactView.of(job_id, one) for one in found]))
 
 
 @_file_route("/jobs/{job_id}/video", "video/mp4")

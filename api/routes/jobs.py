@@ -1,18 +1,19 @@
 """Jobs: submit, list, read, cancel, delete."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
 
+from api.answers import answer
 from api.dependencies import JobId, Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.problems import refusals
 from api.recent import max_age_s
 from api.submissions import EXAMPLES, IdempotencyKey, Submitted, idempotency
-from api.views import JobView, Listing, View
+from api.views import JobView, Listing
 from core.errors import (
     IdempotencyKeyReused,
     JobFinished,
@@ -100,7 +101,7 @@ def submit_job(spec: Submitted, key: IdempotencyKey, service: ServiceDep) -> Res
         idempotency=idempotency(key, spec),
         acknowledge=service.acknowledgements.add,
     )
-    return _answer(JobView.of(job), 202, {"Location": f"/jobs/{job.id}"})
+    return answer(JobView.of(job), 202, {"Location": f"/jobs/{job.id}"})
 
 
 @router.get("/jobs", response_model=Listing[JobView], responses=refusals(Rejected, RecordsUnavailable))
@@ -132,23 +133,23 @@ def list_jobs(
 def read_job(job_id: JobId, service: ServiceDep) -> Response:
     """A job as it is now."""
     job = service.store.find(job_id)
-    return _answer(JobView.of(job, _workers([job], service)))
+    return answer(JobView.of(job, _workers([job], service)))
 
 
 @router.post(
     "/jobs/{job_id}/cancel",
     status_code=202,
+    response_model=JobView,
     response_description="The job stops as soon as its results so far are saved",
     responses={
         200: {"model": JobView, "description": "The job is cancelled"},
         **refusals(JobNotFound, JobFinished, JobUnreadable, RecordsUnavailable),
     },
 )
-def cancel_job(job_id: JobId, service: ServiceDep, response: Response) -> JobView:
+def cancel_job(job_id: JobId, service: ServiceDep) -> Response:
     """Stop a job and keep its checkpoint, metrics and video up to now. Repeating this changes nothing."""
     job = cancel(job_id, store=service.store, queue=service.queue)
-    response.status_code = 200 if job.status.is_final else 202
-    return JobView.of(job)
+    return answer(JobView.of(job), 200 if job.status.is_final else 202)
 
 
 @router.delete(
@@ -159,11 +160,6 @@ def cancel_job(job_id: JobId, service: ServiceDep, response: Response) -> JobVie
 def delete_job(job_id: JobId, service: ServiceDep) -> None:
     """Delete an ended job and its files permanently."""
     delete(job_id, store=service.store, objects=service.objects)
-
-
-def _answer(view: View, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
-    """The view as JSON; the framework would validate it again and serialize it in another thread."""
-    return Response(view.model_dump_json(), status, headers, media_type="application/json")
 
 
 def _workers(jobs: Sequence[Job | UnreadableJob], service: Service) -> Sequence[WorkerInfo] | None:

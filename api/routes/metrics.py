@@ -9,7 +9,8 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from starlette.responses import StreamingResponse
 
-from api.curves import thinned
+from api.answers import answer
+from api.curves import MOST_VALUES, thinned
 from api.dependencies import EntryId, JobId, Parameters, Service, ServiceDep
 from api.metrics_table import Overview, csv_lines
 from api.problems import refusals
@@ -22,8 +23,6 @@ from core.jobs.store import Entry, entry_number
 router = APIRouter(tags=["jobs"])
 
 _MAX_ROWS_AS_JSON = 10_000
-# The most values in one answer: 10,000 rows of twenty metrics.
-_MAX_VALUES = 200_000
 _EXAMPLE = "step,time,eval/episode_reward\r\n0,2026-11-20T09:00:00+00:00,1.0\r\n"
 _CSV: dict[str, Any] = {
     "content": {"text/csv": {"schema": {"type": "string"}, "example": _EXAMPLE}},
@@ -46,7 +45,7 @@ class Measured(Parameters):
         le=100_000,
         description=f"The most rows of one answer. By default {_MAX_ROWS_AS_JSON} as JSON, where `next` "
         "leads to the others, and all of them as CSV; fewer where they have more than "
-        f"{_MAX_VALUES:,} values.",
+        f"{MOST_VALUES:,} values.",
     )
     format: Literal["json", "csv"] | None = Field(
         None, description="Takes precedence over the header Accept."
@@ -56,8 +55,9 @@ class Measured(Parameters):
         ge=4,
         le=10_000,
         description="For pictures: at most this many values of each metric, as JSON. The first, the last, "
-        "and the least and the greatest of each part between them are kept (min-max). Unlike without it, a "
-        "row then has only values that were kept, and an attempt that began again at a checkpoint replaces "
+        "and the least and the greatest of each part between them are kept (min-max); fewer where "
+        f"there would be more than {MOST_VALUES:,} values in all. Unlike without it, a row "
+        "then has only values that were kept, and an attempt that began again at a checkpoint replaces "
         "all that followed there. `next` is still the feed's end.",
     )
     metric: list[Text] = Field(
@@ -88,7 +88,7 @@ class Measured(Parameters):
 )
 def read_metrics(
     job_id: JobId, asked: Annotated[Measured, Query()], service: ServiceDep, request: Request
-) -> Metrics | Response:
+) -> Response:
     """All metrics of a job. Of a step that several attempts measured, the newest values.
 
     JSON comes in pages. CSV has every row, unless `limit` is given. With `points`, JSON has all steps at
@@ -107,16 +107,16 @@ def read_metrics(
         return _part_of_table(job_id, after, asked.limit, service)
     limit = asked.limit or _MAX_ROWS_AS_JSON
     entries = service.read_feed(
-        job_id, "events", after=after, kind="metrics", limit=limit, max_values=_MAX_VALUES
+        job_id, "events", after=after, kind="metrics", limit=limit, max_values=MOST_VALUES
     )
     rows = Overview.of(entries).newest(entries)
-    return Metrics(rows=rows, next=entries[-1].id if entries else asked.after or None)
+    return answer(Metrics(rows=rows, next=entries[-1].id if entries else asked.after or None))
 
 
-def _thinned(job_id: str, asked: Measured, points: int, service: Service) -> Metrics:
+def _thinned(job_id: str, asked: Measured, points: int, service: Service) -> Response:
     with service.curves.curves(job_id, asked.names) as (curves, last):
         rows = thinned(curves, points, asked.names, asked.first_step, asked.last_step)
-    return Metrics(rows=rows, next=str(last) if last else None)
+    return answer(Metrics(rows=rows, next=str(last) if last else None))
 
 
 def _whole_table(job_id: str, after: int, service: Service) -> Response:
@@ -134,7 +134,7 @@ def _whole_table(job_id: str, after: int, service: Service) -> Response:
 def _part_of_table(job_id: str, after: int, limit: int, service: Service) -> Response:
     """At most `limit` rows; the header Link tells where to continue if there are more."""
     page = service.read_feed(
-        job_id, "events", after=after, kind="metrics", limit=limit, max_values=_MAX_VALUES
+        job_id, "events", after=after, kind="metrics", limit=limit, max_values=MOST_VALUES
     )
     headers = dict[str, str]()
     if page and service.read_feed(job_id, "events", after=int(page[-1].id), kind="metrics", limit=1):

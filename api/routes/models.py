@@ -9,6 +9,7 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
+from api.answers import answer
 from api.dependencies import Parameters, Service, ServiceDep
 from api.errors import BodyTooLarge, TooManyModels, UnsupportedMediaType
 from api.problems import refusals
@@ -173,12 +174,12 @@ async def add_model(
     return ModelView.of(record)
 
 
-@router.get("/models", responses=refusals(Rejected, RecordsUnavailable))
-def list_models(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listing[ModelView]:
+@router.get("/models", response_model=Listing[ModelView], responses=refusals(Rejected, RecordsUnavailable))
+def list_models(listed: Annotated[Listed, Query()], service: ServiceDep) -> Response:
     """Models, the last sent first."""
     page = service.store.list_models(cursor=listed.cursor, limit=listed.limit, name=listed.name)
     items = [ModelView.of(record) for record in page.models]
-    return Listing[ModelView](items=items, next=page.next_cursor)
+    return answer(Listing[ModelView](items=items, next=page.next_cursor))
 
 
 @router.get("/models/{model_id}", responses=refusals(ModelNotFound, RecordsUnavailable))

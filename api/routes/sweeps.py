@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 from pydantic import AfterValidator, Field
 
+from api.answers import answer
 from api.dependencies import Parameters, Service, ServiceDep, id_in_path
 from api.errors import BodyTooLarge, MalformedBody, UnsupportedMediaType
 from api.problems import refusals
@@ -71,46 +72,49 @@ class Listed(Parameters):
         RecordsUnavailable,
     ),
 )
-def submit(
-    spec: SubmittedSweep, key: IdempotencyKey, service: ServiceDep, response: Response
-) -> SweepDetails:
+def submit(spec: SubmittedSweep, key: IdempotencyKey, service: ServiceDep) -> Response:
     """Start a sweep: child jobs whose settings vary, by a grid, at random or as Optuna's samplers say."""
     sweep = submit_sweep(spec, store=service.store, idempotency=idempotency(key, spec))
-    response.headers["Location"] = f"/sweeps/{sweep.id}"
-    return _details(sweep, service)
+    return answer(_details(sweep, service), 202, {"Location": f"/sweeps/{sweep.id}"})
 
 
-@router.get("/sweeps", responses=refusals(Rejected, RecordsUnavailable))
-def list_sweeps(listed: Annotated[Listed, Query()], service: ServiceDep) -> Listing[SweepView]:
+@router.get("/sweeps", response_model=Listing[SweepView], responses=refusals(Rejected, RecordsUnavailable))
+def list_sweeps(listed: Annotated[Listed, Query()], service: ServiceDep) -> Response:
     """Sweeps, newest first."""
     page = service.store.list_sweeps(status=listed.status, cursor=listed.cursor, limit=listed.limit)
     trials = service.store.trials([sweep.id for sweep in page.sweeps])
     jobs = _jobs([trial for each in trials.values() for trial in each], service)
     now = service.store.now()
     views = [SweepView.of(sweep, trials.get(sweep.id, ()), jobs, now) for sweep in page.sweeps]
-    return Listing[SweepView](items=views, next=page.next_cursor)
+    return answer(Listing[SweepView](items=views, next=page.next_cursor))
 
 
-@router.get("/sweeps/{sweep_id}", responses=refusals(SweepNotFound, RecordsUnavailable))
-def read(sweep_id: SweepId, service: ServiceDep) -> SweepDetails:
+@router.get(
+    "/sweeps/{sweep_id}",
+    response_model=SweepDetails,
+    responses=refusals(SweepNotFound, RecordsUnavailable),
+)
+def read(sweep_id: SweepId, service: ServiceDep) -> Response:
     """A sweep as it is now, with its trials, the best so far, and the importance of its axes."""
-    return _details(service.store.get_sweep(sweep_id), service)
+    return answer(_details(service.store.get_sweep(sweep_id), service))
 
 
 @router.post(
     "/sweeps/{sweep_id}/cancel",
     status_code=202,
+    response_model=SweepDetails,
     response_description="No trial starts any more; those that run are cancelled and keep their work",
     responses=refusals(SweepNotFound, SweepFinished, RecordsUnavailable),
 )
-def cancel(sweep_id: SweepId, service: ServiceDep) -> SweepDetails:
+def cancel(sweep_id: SweepId, service: ServiceDep) -> Response:
     """Cancel a sweep and all of its trials. Repeating this changes nothing."""
-    return _details(cancel_sweep(sweep_id, store=service.store), service)
+    return answer(_details(cancel_sweep(sweep_id, store=service.store), service), 202)
 
 
 @router.post(
     "/sweeps/{sweep_id}/resume",
     status_code=202,
+    response_model=SweepDetails,
     openapi_extra=_body("Resumption", {"more trials": {"value": {"budget": {"jobs": 40, "parallel": 4}}}}),
     response_description="It continues; its next trials start within seconds",
     responses=refusals(
@@ -124,10 +128,10 @@ def cancel(sweep_id: SweepId, service: ServiceDep) -> SweepDetails:
         RecordsUnavailable,
     ),
 )
-def resume(sweep_id: SweepId, body: JsonBody, service: ServiceDep) -> SweepDetails:
+def resume(sweep_id: SweepId, body: JsonBody, service: ServiceDep) -> Response:
     """Continue a sweep under another budget, which counts the trials that it had. They stay as they are."""
     budget = parse(body, RESUMPTION).budget
-    return _details(resume_sweep(sweep_id, budget, store=service.store), service)
+    return answer(_details(resume_sweep(sweep_id, budget, store=service.store), service), 202)
 
 
 @router.delete(
