@@ -39,7 +39,10 @@ _FILES = "files/"
 # No field is unknown here, so no known one is named.
 _ANY: TypeAdapter[Any] = TypeAdapter(dict[str, Any])
 # All entries of a feed are stored in one transaction, and the search for feeds to compact sums over them.
-_MOST_ENTRIES = 300_000
+MOST_LINES = 300_000
+# A zip of a few MiB may hold gigabytes of text. Reading a million values takes a second.
+MOST_VALUES = 1_000_000
+MOST_LOG_BYTES = 2**26
 # Rows that have the same names are of one kind; a training has two or three.
 _MOST_KINDS_OF_ROWS = 200
 _UNFINISHED = "It was {status} when it was exported; this is what it had then."
@@ -200,8 +203,8 @@ def _files(archive: Archive, contents: Contents, record: Record, job_id: str) ->
 def _check_feed(feed: _Feed, name: str) -> None:
     """Read all of it, before anything is stored."""
     for number, _ in enumerate(feed, 1):
-        if number > _MOST_ENTRIES:
-            raise BadExport(f"{name} has more than {_MOST_ENTRIES:,} lines.")
+        if number > MOST_LINES:
+            raise BadExport(f"{name} has more than {MOST_LINES:,} lines.")
 
 
 def _events(rows: _Feed, job: Job) -> Iterator[Entry]:
@@ -215,12 +218,17 @@ def _events(rows: _Feed, job: Job) -> Iterator[Entry]:
 
 
 def _rows(archive: Archive) -> Iterator[Entry]:
-    kinds, names = set[frozenset[str]](), set[str]()
+    kinds, names, num_values = set[frozenset[str]](), set[str](), 0
     for number, line in enumerate(archive.lines("metrics.jsonl"), 1):
         try:
             row = Row.model_validate_json(line)
         except ValidationError as error:
             raise _unreadable(f"metrics.jsonl, line {number},", error, line) from None
+        if (num_values := num_values + len(row.values)) > MOST_VALUES:
+            raise BadExport(
+                f"metrics.jsonl has more than {MOST_VALUES:,} values in its first {number:,} lines; at most "
+                "that many are allowed."
+            )
         if (kind := frozenset(row.values)) not in kinds:
             kinds.add(kind)
             names |= kind
@@ -243,5 +251,11 @@ def _check_names(num_names: int, num_kinds: int, line: int) -> None:
 
 def _log(archive: Archive, time: datetime) -> Iterator[Entry]:
     """An export has no times of lines: all get that of the run's end."""
-    for line in archive.lines("log.txt"):
+    size = 0
+    for number, line in enumerate(archive.lines("log.txt"), 1):
+        if (size := size + len(line)) > MOST_LOG_BYTES:
+            raise BadExport(
+                f"log.txt has more than {MOST_LOG_BYTES:,} bytes in its first {number:,} lines; at most "
+                "that many are allowed."
+            )
         yield Entry(kind="line", time=time, data={"text": line.decode(errors="replace")})

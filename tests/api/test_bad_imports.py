@@ -88,6 +88,15 @@ BAD: dict[str, tuple[Change, str]] = {
         with_file("metrics.jsonl", b"".join(_row(0, row + 1) for row in range(201))),
         "metrics.jsonl has 201 sets of names in its first 201 lines; at most 200 are allowed.",
     ),
+    # A zip of a few MiB held gigabytes of text.
+    "many values": (
+        with_file("metrics.jsonl", b"".join(_row(0, 500) for _ in range(2001))),
+        "metrics.jsonl has more than 1,000,000 values in its first 2,001 lines; at most that many are",
+    ),
+    "a large log": (
+        with_file("log.txt", (b"x" * 60_000 + b"\n") * 1200),
+        "log.txt has more than 67,108,864 bytes in its first 1,119 lines; at most that many are allowed.",
+    ),
     "a newer format": (edit("contents.json", format=2), "A newer version of Gaitway wrote this export"),
     "an unknown field": (
         edit("job.json", spec__gravity=0),
