@@ -23,7 +23,9 @@ _GAP = re.compile(r"Entr\w+ (\d+)(?: to)? ?(\d+)? of this feed")
 def check(world: World, users: Users) -> list[str]:
     """Everything that is wrong; nothing, if all promises were kept."""
     found = [problem for told in users.told for problem in _of_job(world, told)]
+    found += world.broken
     world.hurt.clear()
+    world.broken.clear()
     found += _settled(world)
     return found + list(_secrets(world))
 

@@ -96,6 +96,8 @@ class World:
         self.members: dict[str, Member] = {}
         # Keys of objects that were lost or damaged on purpose: no reader need get their bytes.
         self.hurt = set[str]()
+        # Promises that a fault itself saw broken, of this episode.
+        self.broken: list[str] = []
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._over = threading.Event()
         self._ready = threading.Event()

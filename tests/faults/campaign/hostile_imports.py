@@ -1,7 +1,6 @@
 """Imports that somebody has made to do harm: exports with parts that Hypothesis has put in their place.
 
-`tests/api/test_hostile_imports.py` sends them; GAITWAY_HOSTILE_IMPORTS says how many, and pytest's
-`--hypothesis-seed` which.
+`tests/api/test_hostile_imports.py` sends some, and the campaign's kind `imports` many.
 """
 
 import io
@@ -13,6 +12,19 @@ from hypothesis import strategies as st
 
 _DOCUMENTS = ("job.json", "contents.json", "versions.json", "spec.json")
 _LONG = 2**17
+# Behind the job's path: all that can be read of one that was accepted.
+PARTS = (
+    *(
+        "",
+        "/metrics",
+        "/metrics?points=100",
+        "/metrics?format=csv",
+        "/logs",
+        "/events?follow=false",
+        "/curve",
+    ),
+    *("/specification", "/artifacts", "/checkpoints", "/export", "/report.html"),
+)
 _VALUES: st.SearchStrategy[Any] = st.one_of(
     st.sampled_from(
         [

@@ -1,0 +1,431 @@
+"""The largest accepted forms of each request in the OpenAPI document, with what they need.
+
+`bench largest` measures them, and the campaign `largest` sends them beside trainings. A route without a form
+here makes both fail.
+"""
+
+import fnmatch
+import io
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+from zipfile import ZIP_STORED, ZipFile
+
+import httpx
+
+from api.options import MAX_OPTIONS_LENGTH
+from api.sharing.importing import MOST_LINES, MOST_LOG_BYTES, MOST_VALUES
+from core.bounds import LONGEST_NAME, MOST_ATTEMPTS, MOST_IN_A_ROW
+from core.settings import ApiSettings
+from core.sweeps.spec import MAX_TRIALS
+from tests.faults.campaign.largest_import import Import
+
+_LARGEST_BODY: int = ApiSettings.model_fields["max_body_bytes"].default
+_LARGEST_MODEL: int = ApiSettings.model_fields["max_model_bytes"].default
+# A letter of four bytes.
+_LETTER = "\N{MATHEMATICAL BOLD SMALL A}"
+_JSON, _ZIP, _XML = "application/json", "application/zip", "application/xml"
+
+
+@dataclass(frozen=True)
+class Form:
+    """A request. accepted: the statuses of its answer. content: of its body, or the file that holds it."""
+
+    route: str
+    what: str
+    method: str
+    path: str
+    accepted: tuple[int, ...] = (200,)
+    content: bytes | Path | None = None
+    headers: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def send(self, http: httpx.Client) -> int:
+        """The bytes of the answer, which nobody keeps. Raises AssertionError where it is another."""
+        content = self.content.open("rb") if isinstance(self.content, Path) else self.content
+        with http.stream(self.method, self.path, content=content, headers=dict(self.headers)) as answer:
+            if answer.status_code not in self.accepted:
+                text = answer.read().decode(errors="replace")[:500]
+                raise AssertionError(f"{self.route}, {self.what}: {answer.status_code} {text}")
+            return sum(len(piece) for piece in answer.iter_raw())
+
+
+@dataclass
+class Service:
+    """Where the forms are sent. Each route makes what it needs, by requests of its own before it is sent.
+
+    share: of the largest sizes of imports and models, whose bounds are large. fill_sweep: gives a sweep the
+    most trials.
+    """
+
+    http: httpx.Client
+    folder: Path
+    share: float = 1.0
+    fill_sweep: Callable[[str], None] = lambda sweep_id: None
+
+    def __post_init__(self) -> None:
+        self._imports: dict[str, Path] = {}
+        self._made: dict[str, str] = {}
+
+    def parts(self, number: int) -> int:
+        return max(1, int(self.share * number))
+
+    def imports(self) -> dict[str, Import]:
+        """By what is largest in it."""
+        most = self.parts
+        return {
+            f"{most(MOST_VALUES):,} values in rows of {MOST_IN_A_ROW}": Import(
+                rows=most(MOST_VALUES) // MOST_IN_A_ROW, names=MOST_IN_A_ROW
+            ),
+            f"{most(MOST_LINES):,} rows": Import(rows=most(MOST_LINES), names=3),
+            f"{most(MOST_LINES):,} lines of log, {most(MOST_LOG_BYTES):,} bytes": Import(
+                lines=most(MOST_LINES), line_bytes=MOST_LOG_BYTES // MOST_LINES - 1
+            ),
+            f"{most(5000):,} files": Import(files=most(5000)),
+            f"{MOST_ATTEMPTS} attempts, a record of 1 MiB": Import(attempts=MOST_ATTEMPTS, is_long=True),
+            f"files of {most(2**26):,} bytes": Import(file_bytes=most(2**26)),
+        }
+
+    def archive(self, what: str) -> Path:
+        if what not in self._imports:
+            path = self.folder / f"{len(self._imports)}.zip"
+            self._imports[what] = self.imports()[what].write(path, largest_job())
+        return self._imports[what]
+
+    def imported(self, what: str) -> str:
+        """The id of a job that came from this import, always the same."""
+        if what not in self._made:
+            self._made[what] = self.new_import(what)
+        return self._made[what]
+
+    def new_import(self, what: str) -> str:
+        return self._made_by("/jobs/import", self.archive(what), _ZIP)
+
+    def job(self) -> str:
+        """A new job that no worker here can take."""
+        return self._made_by("/jobs", _json(largest_job()), _JSON)
+
+    def sweep(self) -> str:
+        """A new sweep with all its trials."""
+        sweep_id = self._made_by("/sweeps", _json(largest_sweep()), _JSON)
+        self.fill_sweep(sweep_id)
+        return sweep_id
+
+    def ended_sweep(self) -> str:
+        self.cancel_sweep(sweep_id := self.sweep())
+        return sweep_id
+
+    def cancel_sweep(self, sweep_id: str) -> None:
+        """Return when it has ended."""
+        path = f"/sweeps/{sweep_id}"
+        self.insist("POST", f"{path}/cancel")  # Refused where it has ended.
+        while self.insist("GET", path).json()["status"] in ("running", "cancelling"):
+            time.sleep(0.1)
+
+    def model(self) -> str:
+        return self._made_by("/models", largest_model(), _XML)
+
+    def _made_by(self, path: str, content: bytes | Path, media_type: str) -> str:
+        """The id of what this request makes. Raises AssertionError where it makes nothing."""
+        answer = self.insist("POST", path, content, {"Content-Type": media_type})
+        if not answer.is_success:
+            raise AssertionError(f"{path}: {answer.status_code} {answer.text[:500]}")
+        return answer.json()["id"]
+
+    def insist(
+        self,
+        method: str,
+        path: str,
+        content: bytes | Path | None = None,
+        headers: Mapping[str, str] | None = None,
+    ) -> httpx.Response:
+        """The first answer that is no outage: a loaded machine's database may take too long."""
+        while True:
+            body = content.open("rb") if isinstance(content, Path) else content
+            answer = self.http.request(method, path, content=body, headers=dict(headers or {}))
+            if answer.status_code != 503:
+                return answer
+            time.sleep(0.2)
+
+
+def routes(document: Mapping[str, Any]) -> list[str]:
+    """As `GET /jobs`. Raises LookupError where one has no form here."""
+    found = [f"{method.upper()} {path}" for path, methods in document["paths"].items() for method in methods]
+    if without := sorted(set(found) - set(_FORMS)):
+        raise LookupError(f"These routes have no largest form in {__name__}: {', '.join(without)}.")
+    return found
+
+
+def forms(service: Service, document: Mapping[str, Any], only: str = "*") -> Iterator[Form]:
+    """Of every route of the document that matches the pattern. What a form needs is made before it is given.
+
+    Raises LookupError as `routes` does.
+    """
+    for route in fnmatch.filter(routes(document), only):
+        yield from _FORMS[route](service, route)
+
+
+Forms = Callable[[Service, str], Iterator[Form]]
+
+
+@cache
+def largest_job() -> dict[str, Any]:
+    """A training with every list full; only a worker with 8 GPUs would take it."""
+    bodies = ["torso", *(f"aux_{n}" for n in range(1, 5))]
+    rules = [
+        {"field": "body_mass", "names": bodies, "range": [0.9, 1.1], "draw": f"{n:03}{'d' * 197}"}
+        for n in range(64)
+    ]
+    return {
+        "kind": "train",
+        "name": _LETTER * LONGEST_NAME,
+        "labels": {f"{n:063}": _LETTER * LONGEST_NAME for n in range(62)},
+        "environment": "ant",
+        "randomization": rules,
+        "resources": {"accelerator": "gpu", "gpus": 8},
+        "video": {"cameras": ["track"], "show": ["joints", "contacts", "centre_of_mass", "transparent"]},
+    }
+
+
+@cache
+def largest_sweep() -> dict[str, Any]:
+    """A body of 1 MiB: axes of many values, and values of many bytes."""
+    job = largest_job()
+    fractions = [round(0.5 + n / 2500, 6) for n in range(MAX_TRIALS)]
+    axes: dict[str, Any] = {
+        f"algorithm.{name}": fractions
+        for name in ("discounting", "gae_lambda", "learning_rate", "entropy_cost")
+    }
+    axes |= {f"environment.options.{name}": fractions for name in ("healthy_reward", "ctrl_cost_weight")}
+    axes["seed"] = list(range(MAX_TRIALS))
+    axes["timeout_s"] = [1000.0 + n for n in range(MAX_TRIALS)]
+    # The settings of a trial have 4 KiB, which is the most for so many.
+    axes["randomization"] = [
+        [{**one, "range": [0.9, 1 + n / 100]} for one in job["randomization"][:12]] for n in range(60)
+    ]
+    sweep = {
+        "job": job,
+        "method": "random",
+        "budget": {"jobs": MAX_TRIALS, "parallel": 1},
+        "parameters": axes,
+    }
+    assert len(_json(sweep)) < _LARGEST_BODY
+    return sweep
+
+
+@cache
+def largest_model() -> bytes:
+    """A chain of bodies, as deep and as many as fit into a second of the validation."""
+    legs = "".join(
+        f'<body name="{n:04}{"b" * 90}" pos="0 0 .1"><joint name="j{n}" type="hinge" axis="0 1 0"/>'
+        f'<geom name="g{n}" size=".02"/></body>'
+        for n in range(100)
+    )
+    motors = "".join(f'<motor joint="j{n}"/>' for n in range(100))
+    return (
+        '<mujoco><worldbody><geom type="plane" size="9 9 1"/><body name="root" pos="0 0 1"><freejoint/>'
+        f'<geom size=".1"/>{legs}</body></worldbody><actuator>{motors}</actuator></mujoco>'
+    ).encode()
+
+
+def _zip_of_a_model(size: int) -> bytes:
+    """Of about this many bytes, of which a mesh takes nearly all. It is no mesh: a worker refuses it."""
+    out = io.BytesIO()
+    with ZipFile(out, "w", ZIP_STORED) as archive:
+        archive.writestr("model.xml", b"<mujoco><asset><mesh file='m.stl'/></asset></mujoco>")
+        archive.writestr("m.stl", os.urandom(size - 1000))
+    return out.getvalue()
+
+
+def _json(document: Any) -> bytes:
+    return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
+
+
+# ---- the forms of each route ------------------------------------------------------------------------
+
+
+def _get(path: str, what: str = "", accepted: tuple[int, ...] = (200,)) -> Forms:
+    def made(service: Service, route: str) -> Iterator[Form]:
+        yield Form(route, what, "GET", path, accepted)
+
+    return made
+
+
+def _of_import(part: str) -> Forms:
+    """Of the job of every import. part: behind the job's path."""
+
+    def made(service: Service, route: str) -> Iterator[Form]:
+        for what in service.imports():
+            yield Form(route, what, "GET", f"/jobs/{service.imported(what)}{part}")
+
+    return made
+
+
+def _file(part: str) -> Forms:
+    """Of the job that has large files."""
+
+    def made(service: Service, route: str) -> Iterator[Form]:
+        what = list(service.imports())[-1]
+        yield Form(route, f"one of {what}", "GET", f"/jobs/{service.imported(what)}{part}")
+
+    return made
+
+
+def _submissions(service: Service, route: str) -> Iterator[Form]:
+    headers = {"Content-Type": _JSON, "Idempotency-Key": "k" * 255}
+    yield Form(route, "all lists full", "POST", "/jobs", (202,), _json(largest_job()), headers)
+    padded = _json(largest_job()).ljust(_LARGEST_BODY)
+    yield Form(route, "1 MiB", "POST", "/jobs", (202,), padded, {"Content-Type": _JSON})
+    labels = {f"a b{n}": [{"c": n}] for n in range(64)}
+    wrong = {**largest_job(), "labels": labels, "randomization": [{"names": ["n" * 200] * 80}] * 60}
+    yield Form(route, "1 MiB, refused", "POST", "/jobs", (422,), _json(wrong), {"Content-Type": _JSON})
+
+
+def _sweeps(service: Service, route: str) -> Iterator[Form]:
+    headers = {"Content-Type": _JSON, "Idempotency-Key": "s" * 255}
+    body = _json(largest_sweep()).ljust(_LARGEST_BODY)
+    yield Form(route, "1 MiB, nine axes", "POST", "/sweeps", (202,), body, headers)
+    axes = {f"a{n}": {f"b{k}": 0 for k in range(64)} for n in range(64)}
+    wrong = _json({"job": largest_job(), "parameters": axes}).ljust(_LARGEST_BODY)
+    yield Form(route, "1 MiB, refused", "POST", "/sweeps", (422,), wrong, {"Content-Type": _JSON})
+
+
+def _of_sweep(
+    method: str, part: str, status: int, *, is_ended: bool = False, body: bytes | None = None
+) -> Forms:
+    def made(service: Service, route: str) -> Iterator[Form]:
+        sweep_id = service.ended_sweep() if is_ended else service.sweep()
+        headers = {"Content-Type": _JSON} if body else {}
+        what = f"{MAX_TRIALS:,} trials"
+        yield Form(route, what, method, f"/sweeps/{sweep_id}{part}", (status,), body, headers)
+
+    return made
+
+
+def _imports(service: Service, route: str) -> Iterator[Form]:
+    for number, what in enumerate(service.imports()):
+        headers = {"Content-Type": _ZIP, "Idempotency-Key": f"{number}".ljust(255, "i")}
+        yield Form(route, what, "POST", "/jobs/import", (201,), service.archive(what), headers)
+
+
+def _models(service: Service, route: str) -> Iterator[Form]:
+    name = f"name={quote(_LETTER * 100)}"
+    body = _zip_of_a_model(service.parts(_LARGEST_MODEL))
+    what = f"a zip of {len(body):,} bytes"
+    # A worker refuses it, at once or later.
+    yield Form(route, what, "POST", f"/models?{name}", (201, 202, 422), body, {"Content-Type": _ZIP})
+    padded = largest_model().ljust(service.parts(_LARGEST_MODEL))
+    what = f"XML of {len(padded):,} bytes"
+    yield Form(route, what, "POST", f"/models?{name}", (201, 202, 422), padded, {"Content-Type": _XML})
+
+
+def _deletions(service: Service, route: str) -> Iterator[Form]:
+    for what in service.imports():
+        yield Form(route, what, "DELETE", f"/jobs/{service.new_import(what)}", (204,))
+
+
+def _cancellation(service: Service, route: str) -> Iterator[Form]:
+    yield Form(route, "", "POST", f"/jobs/{service.job()}/cancel", (200, 202))
+
+
+def _of_model(method: str, status: int) -> Forms:
+    def made(service: Service, route: str) -> Iterator[Form]:
+        yield Form(route, "100 bodies", method, f"/models/{service.model()}", (status,))
+
+    return made
+
+
+def _listing_of_jobs(service: Service, route: str) -> Iterator[Form]:
+    record = f"{MOST_ATTEMPTS} attempts, a record of 1 MiB"
+    for _ in range(service.parts(40)):
+        service.new_import(record)
+    for _ in range(service.parts(200)):
+        service.job()
+    yield Form(route, "200 of the longest", "GET", "/jobs?limit=200")
+    labels = "&".join(f"label={n:063}:{quote(_LETTER * LONGEST_NAME)}" for n in range(8))
+    search = quote("z" * LONGEST_NAME)
+    yield Form(route, "search and labels", "GET", f"/jobs?limit=200&search={search}&{labels}")
+
+
+def _listing_of_sweeps(service: Service, route: str) -> Iterator[Form]:
+    for _ in range(service.parts(10)):
+        service.ended_sweep()
+    yield Form(route, f"ten with {MAX_TRIALS:,} trials", "GET", "/sweeps?limit=200")
+
+
+def _metrics(service: Service, route: str) -> Iterator[Form]:
+    for what in list(service.imports())[:2]:
+        path = f"/jobs/{service.imported(what)}/metrics"
+        yield Form(route, f"{what}, JSON", "GET", f"{path}?limit=100000")
+        yield Form(route, f"{what}, CSV", "GET", f"{path}?format=csv")
+        yield Form(route, f"{what}, 10,000 points", "GET", f"{path}?points=10000")
+
+
+def _curve(service: Service, route: str) -> Iterator[Form]:
+    names = "&".join(f"metric=eval/metric_{n:04}" for n in range(100))
+    for what in list(service.imports())[:2]:
+        yield Form(route, f"{what}, 100 metrics", "GET", f"/jobs/{service.imported(what)}/curve?{names}")
+
+
+def _options() -> str:
+    options = {"healthy_z_range": [0.2, 1.0], "healthy_reward": 0.5}
+    return quote(json.dumps(options).ljust(MAX_OPTIONS_LENGTH))
+
+
+def _preview(service: Service, route: str) -> Iterator[Form]:
+    path = f"/environments/ant/preview?options={_options()}&camera=track&width=1920&height=1920"
+    yield Form(route, "5,000 characters, 1920 x 1920 pixels", "GET", path, (200, 202, 503))
+
+
+_FORMS: dict[str, Forms] = {
+    "POST /jobs": _submissions,
+    "GET /jobs": _listing_of_jobs,
+    "GET /jobs/{job_id}": _of_import(""),
+    "DELETE /jobs/{job_id}": _deletions,
+    "POST /jobs/{job_id}/cancel": _cancellation,
+    "GET /jobs/{job_id}/events": _of_import("/events?follow=false"),
+    "GET /jobs/{job_id}/metrics": _metrics,
+    "GET /jobs/{job_id}/logs": _of_import("/logs"),
+    "GET /jobs/{job_id}/artifacts": _of_import("/artifacts"),
+    "GET /jobs/{job_id}/checkpoints": _of_import("/checkpoints"),
+    "GET /jobs/{job_id}/video": _file("/video"),
+    "GET /jobs/{job_id}/poster": _file("/poster"),
+    "GET /jobs/{job_id}/policy": _file("/policy"),
+    "GET /jobs/{job_id}/checkpoints/{step}": _file("/checkpoints/1"),
+    "GET /jobs/{job_id}/artifacts/{name}": _file("/artifacts/video"),
+    "GET /jobs/{job_id}/replay": _file("/replay"),
+    "GET /jobs/{job_id}/replay/scene": _file("/replay/scene"),
+    "GET /jobs/{job_id}/simulation": _file("/simulation"),
+    "GET /jobs/{job_id}/specification": _of_import("/specification"),
+    "GET /jobs/{job_id}/export": _of_import("/export"),
+    "POST /jobs/import": _imports,
+    "GET /jobs/{job_id}/report.html": _of_import("/report.html"),
+    "GET /jobs/{job_id}/curve": _curve,
+    "POST /sweeps": _sweeps,
+    "GET /sweeps": _listing_of_sweeps,
+    "GET /sweeps/{sweep_id}": _of_sweep("GET", "", 200),
+    "DELETE /sweeps/{sweep_id}": _of_sweep("DELETE", "", 204, is_ended=True),
+    "POST /sweeps/{sweep_id}/cancel": _of_sweep("POST", "/cancel", 202),
+    "POST /sweeps/{sweep_id}/resume": _of_sweep(
+        "POST", "/resume", 202, is_ended=True, body=b'{"budget": {"gpu_hours": 9}}'.ljust(_LARGEST_BODY)
+    ),
+    "POST /models": _models,
+    "GET /models": _get("/models?limit=200"),
+    "GET /models/{model_id}": _of_model("GET", 200),
+    "DELETE /models/{model_id}": _of_model("DELETE", 204),
+    "GET /environments/{environment_id}/preview": _preview,
+    "GET /environments": _get("/environments"),
+    "GET /environments/{environment_id}": _get(f"/environments/ant?options={_options()}", "5,000 characters"),
+    "GET /environments/playground/{name}": _get("/environments/playground/CheetahRun"),
+    "GET /environments/brax/{name}": _get(f"/environments/brax/ant?options={quote('{}'.ljust(5000))}"),
+    "GET /algorithms": _get("/algorithms"),
+    "GET /workers": _get("/workers?limit=200"),
+    "GET /healthz": _get("/healthz"),
+    "GET /readyz": _get("/readyz"),
+    "GET /problems/{code}": _get("/problems/job-not-found"),
+}
