@@ -34,6 +34,7 @@ DEFAULT = {
     "video": "bench.cpu.video",
     "demo": "bench.service.demo",
     "preparation": "bench.service.preparation",
+    "largest": "bench.service.largest",
 }
 # These run only by name.
 LONG = {
