@@ -5,7 +5,8 @@
 
 import io
 import json
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, cast
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from hypothesis import strategies as st
@@ -44,13 +45,11 @@ _VALUES: st.SearchStrategy[Any] = st.one_of(
 
 def _places(document: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """The way to each part of the document."""
-    inside = (
-        document.items()
-        if isinstance(document, dict)
-        else enumerate(document)
-        if isinstance(document, list)
-        else ()
-    )
+    inside: Iterable[tuple[Any, Any]] = ()
+    if isinstance(document, dict):
+        inside = cast("dict[str, Any]", document).items()
+    elif isinstance(document, list):
+        inside = enumerate(cast("list[Any]", document))
     return [place, *(one for name, value in inside for one in _places(value, (*place, name)))]
 
 

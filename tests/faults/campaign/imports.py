@@ -44,7 +44,11 @@ def _hostile(rng: random.Random, at_s: float, lasts_s: float) -> Fault:
             database=None,
             deadline=None,
             phases=[Phase.generate],
-            suppress_health_check=list(HealthCheck),
+            suppress_health_check=[
+                HealthCheck.too_slow,
+                HealthCheck.data_too_large,
+                HealthCheck.large_base_example,
+            ],
         )
         @given(archive=archives(_export()))
         def bring(archive: bytes) -> None:

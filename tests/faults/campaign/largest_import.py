@@ -82,7 +82,7 @@ class Import:
             **{"message": "m" * LONGEST_MESSAGE, "created_at": _TIME, "finished_at": _TIME},
             "artifacts": files,
         }
-        attempts = [
+        attempts: list[dict[str, Any]] = [
             {"number": n + 1, "worker": "w" * LONGEST_NAME, "started_at": _TIME, "details": {}}
             for n in range(self.attempts)
         ]
