@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from api import curve_cache
+from api import curves as curves_module
 from api.curves import extremes, thinned
 from api.routes import metrics
 from core.jobs import columns, feeds
@@ -178,11 +179,20 @@ def test_names_count_in_the_room_of_curves(
     assert not stack.service.curves._known
 
 
+def test_many_metrics_get_fewer_points_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """10,000 points of each of 2,000 metrics were one answer."""
+    measured = [Measured(float(n), StepValues(n, {f"m{k}": float(n) for k in range(5)})) for n in range(100)]
+    assert len(thinned(Curves.of(measured), 50)) > 40
+    monkeypatch.setattr(curves_module, "MOST_VALUES", 50)
+    assert sum(len(row.values) for row in thinned(Curves.of(measured), 50)) == 50
+    assert len(thinned(Curves.of(measured), 50, ["m1"])) > 40
+
+
 def test_a_page_of_rows_ends_at_a_number_of_values(
     stack: Stack, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """H3: 10,000 rows of hundreds of metrics were one answer."""
-    monkeypatch.setattr(metrics, "_MAX_VALUES", 7)
+    monkeypatch.setattr(metrics, "MOST_VALUES", 7)
     said = [{"step": step, "values": {"=a": 1.0, "b": 2.0}} for step in range(10)]
     attempt.say_all("metrics", said)
     here, after, steps = f"/jobs/{attempt.id}/metrics", "", list[int]()

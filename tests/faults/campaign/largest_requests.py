@@ -70,7 +70,6 @@ class Service:
 
     def __post_init__(self) -> None:
         self._imports: dict[str, Path] = {}
-        self._made: dict[str, str] = {}
 
     def parts(self, number: int) -> int:
         return max(1, int(self.share * number))
@@ -98,21 +97,25 @@ class Service:
         return self._imports[what]
 
     def imported(self, what: str) -> str:
-        """The id of a job that came from this import, always the same."""
-        if what not in self._made:
-            self._made[what] = self.new_import(what)
-        return self._made[what]
+        """The id of the job that came from this import."""
+        headers = self.headers_of_import(what)
+        return self._made_by("/jobs/import", self.archive(what), headers)
+
+    def headers_of_import(self, what: str) -> dict[str, str]:
+        """Whoever sends it again with its key gets the same job, until that is deleted."""
+        key = f"{list(self.imports()).index(what)}".ljust(255, "i")
+        return {"Content-Type": _ZIP, "Idempotency-Key": key}
 
     def new_import(self, what: str) -> str:
-        return self._made_by("/jobs/import", self.archive(what), _ZIP)
+        return self._made_by("/jobs/import", self.archive(what), {"Content-Type": _ZIP})
 
     def job(self) -> str:
         """A new job that no worker here can take."""
-        return self._made_by("/jobs", _json(largest_job()), _JSON)
+        return self._made_by("/jobs", _json(largest_job()), {"Content-Type": _JSON})
 
     def sweep(self) -> str:
         """A new sweep with all its trials."""
-        sweep_id = self._made_by("/sweeps", _json(largest_sweep()), _JSON)
+        sweep_id = self._made_by("/sweeps", _json(largest_sweep()), {"Content-Type": _JSON})
         self.fill_sweep(sweep_id)
         return sweep_id
 
@@ -128,11 +131,11 @@ class Service:
             time.sleep(0.1)
 
     def model(self) -> str:
-        return self._made_by("/models", largest_model(), _XML)
+        return self._made_by("/models", largest_model(), {"Content-Type": _XML})
 
-    def _made_by(self, path: str, content: bytes | Path, media_type: str) -> str:
+    def _made_by(self, path: str, content: bytes | Path, headers: Mapping[str, str]) -> str:
         """The id of what this request makes. Raises AssertionError where it makes nothing."""
-        answer = self.insist("POST", path, content, {"Content-Type": media_type})
+        answer = self.insist("POST", path, content, headers)
         if not answer.is_success:
             raise AssertionError(f"{path}: {answer.status_code} {answer.text[:500]}")
         return answer.json()["id"]
@@ -166,7 +169,9 @@ def forms(service: Service, document: Mapping[str, Any], only: str = "*") -> Ite
 
     Raises LookupError as `routes` does.
     """
-    for route in fnmatch.filter(routes(document), only):
+    wanted = fnmatch.filter(routes(document), only)
+    # Each import is sent once, is read by every other route, and is deleted.
+    for route in sorted(wanted, key=lambda one: (one.startswith("DELETE"), one != "POST /jobs/import")):
         yield from _FORMS[route](service, route)
 
 
@@ -308,9 +313,9 @@ def _of_sweep(
 
 
 def _imports(service: Service, route: str) -> Iterator[Form]:
-    for number, what in enumerate(service.imports()):
-        headers = {"Content-Type": _ZIP, "Idempotency-Key": f"{number}".ljust(255, "i")}
-        yield Form(route, what, "POST", "/jobs/import", (201,), service.archive(what), headers)
+    for what in service.imports():
+        headers, body = service.headers_of_import(what), service.archive(what)
+        yield Form(route, what, "POST", "/jobs/import", (201,), body, headers)
 
 
 def _models(service: Service, route: str) -> Iterator[Form]:
@@ -326,7 +331,7 @@ def _models(service: Service, route: str) -> Iterator[Form]:
 
 def _deletions(service: Service, route: str) -> Iterator[Form]:
     for what in service.imports():
-        yield Form(route, what, "DELETE", f"/jobs/{service.new_import(what)}", (204,))
+        yield Form(route, what, "DELETE", f"/jobs/{service.imported(what)}", (204,))
 
 
 def _cancellation(service: Service, route: str) -> Iterator[Form]:
