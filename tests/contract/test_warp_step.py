@@ -44,7 +44,7 @@ def test_in_sequence_a_substep_leaves_the_devices_stream_alone(monkeypatch: pyte
     substep = Substep(model, data.qpos.device, reads_sensors=False)
     # As on a GPU, where changing to a stream is seen: a CPU has none, and this is none for a GPU.
     monkeypatch.setattr(substep, "_streams", [None, None])
-    with pytest.raises((RuntimeError, AttributeError), match="not a CUDA device|cached_event"):
+    with pytest.raises((RuntimeError, AttributeError), match=r"not a CUDA device|cached_event"):
         substep(reference)
     substep(data, in_sequence=True)
     _, reference = balls()
