@@ -188,9 +188,9 @@ class AsyncClient:
         return await self._transport.do(self._calls.newest(job_id, "poster", path, step, None))
 
     async def load_policy(
-        self, job_id: str, step: int | None = None, deterministic: bool = True
+        self, job_id: str, step: int | None = None, deterministic: bool = True, *, best: bool = False
     ) -> policy.Policy:
-        return await self._transport.do(self._calls.load_policy(job_id, step, deterministic))
+        return await self._transport.do(self._calls.load_policy(job_id, step, deterministic, best))
 
     async def export_policy(
         self,
@@ -198,9 +198,10 @@ class AsyncClient:
         format: Literal["numpy", "onnx"],
         path: str | Path | None = None,
         *,
+        best: bool = False,
         on_bytes: OnBytes | None = None,
     ) -> Path:
-        return await self._transport.do(self._calls.export_policy(job_id, format, path, on_bytes))
+        return await self._transport.do(self._calls.export_policy(job_id, format, path, best, on_bytes))
 
     async def export(self, job_id: str, path: str | Path | None = None) -> Path:
         return await self._transport.do(self._calls.export(job_id, path))

@@ -258,17 +258,20 @@ class Client:
         """Download a still of the video."""
         return self._transport.do(self._calls.newest(job_id, "poster", path, step, None))
 
-    def load_policy(self, job_id: str, step: int | None = None, deterministic: bool = True) -> policy.Policy:
+    def load_policy(
+        self, job_id: str, step: int | None = None, deterministic: bool = True, *, best: bool = False
+    ) -> policy.Policy:
         """The trained policy as a jitted function: `act(observation, key=None)` on arrays [..., size].
 
         It returns an action; of Q-learning the columns chosen (docs/q_learning.md), each to be held for
         `decision_steps` steps.
         step: the policy of this checkpoint; by default the final one, or that of the newest checkpoint if the
-        job has no final one yet. deterministic: without exploration noise (otherwise `key` is needed). Call a
-        policy that was trained with `action_repeat` once every `action_repeat` steps, and hold its action.
+        job has no final one yet. best: the policy whose evaluation had the highest return, instead.
+        deterministic: without exploration noise (otherwise `key` is needed). Call a policy that was trained
+        with `action_repeat` once every `action_repeat` steps, and hold its action.
         Raises MissingExtra without the `policy` extra, and PolicyUnreadable.
         """
-        return self._transport.do(self._calls.load_policy(job_id, step, deterministic))
+        return self._transport.do(self._calls.load_policy(job_id, step, deterministic, best))
 
     def export_policy(
         self,
@@ -276,15 +279,17 @@ class Client:
         format: Literal["numpy", "onnx"],
         path: str | Path | None = None,
         *,
+        best: bool = False,
         on_bytes: OnBytes | None = None,
     ) -> Path:
         """Download the final policy for programs without this package, to `path` (docs/export.md).
 
         format: `numpy`, `policy.npz`, which `gaitway.exported_policy` reads with NumPy alone; or `onnx`,
-        `policy.onnx` for any ONNX runtime. Raises NotReady until the job has ended (the artifact
+        `policy.onnx` for any ONNX runtime. best: the policy whose evaluation had the highest return, instead:
+        `policy-best.npz` or `policy-best.onnx`. Raises NotReady until the job has ended (the artifact
         `policy.npz` is the newest checkpoint's until then), and Rejected for the tables of Q-learning.
         """
-        return self._transport.do(self._calls.export_policy(job_id, format, path, on_bytes))
+        return self._transport.do(self._calls.export_policy(job_id, format, path, best, on_bytes))
 
     def export(self, job_id: str, path: str | Path | None = None) -> Path:
         """Download all that is needed to run the job again elsewhere, as a zip (docs/sharing.md).

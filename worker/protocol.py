@@ -120,15 +120,24 @@ Message = Annotated[
 MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)
 
 
+class BestSoFar(Stored):
+    """The policy of a job's best evaluation in the attempts before. path: of its file in the spool."""
+
+    path: str
+    step: int
+    episode_return: float
+
+
 class Task(Stored):
     """The task that the supervisor leaves in the spool, as `task.json`, for the training process.
 
     device: `cpu`, `gpu:<index>`, or `gpu:<index>,<index>`. checkpoint: path of the state to resume
-    from (training), or to take the policy from (rollout). checkpoint_step: its environment step. model: path
-    of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with the
-    reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint, which
-    `auto` then takes again. lent_by: the engine that moved the environments in another job's checkpoint,
-    which `auto` takes if no other can. commit: of the code that runs.
+    from (training), or to take the policy from (rollout). checkpoint_step: its environment step. policy_of:
+    the algorithm, where it is the file of a policy instead. best: of a training's earlier attempts. model:
+    path of the user's own model, if the job names one. engines_that_cannot: engines that cannot run it, with
+    the reasons. body: its size; None if it is not known. begun_on: the engine of the job's own checkpoint,
+    which `auto` then takes again. lent_by: the engine that moved the environments in another job's
+    checkpoint, which `auto` takes if no other can. commit: of the code that runs.
     """
 
     job_id: str
@@ -137,6 +146,8 @@ class Task(Stored):
     device: str
     checkpoint: str | None = None
     checkpoint_step: int = 0
+    policy_of: str | None = None
+    best: BestSoFar | None = None
     model: str | None = None
     engines_that_cannot: dict[EngineName, str] = {}
     body: BodySize | None = None

@@ -47,8 +47,13 @@ Asked = Annotated[Picture, Query()]
 
 
 class PolicyFile(Parameters):
-    """Selects the form of a policy."""
+    """Selects a policy and its form."""
 
+    which: Literal["last", "best"] = Field(
+        "last",
+        description="`best`: the policy whose evaluation had the highest return. In a form for programs "
+        "elsewhere it is there when the training has ended.",
+    )
     format: Literal["numpy", "onnx"] | None = Field(
         None,
         description="For programs elsewhere: `numpy` needs NumPy alone, `onnx` any ONNX runtime. Without it, "
@@ -110,7 +115,7 @@ def read_policy(
     job_id: JobId, asked: Annotated[PolicyFile, Query()], service: ServiceDep, request: Request
 ) -> Response:
     """The trained policy: in its algorithm's own file, or for programs without this project."""
-    return file_response(request, _policy(service.store.get(job_id), asked.format), service)
+    return file_response(request, _policy(service.store.get(job_id), asked), service)
 
 
 @_file_route("/jobs/{job_id}/checkpoints/{step}", "application/octet-stream")
@@ -156,31 +161,39 @@ def _picture(job: Job, role: ArtifactRole, asked: Picture) -> Artifact:
 
 
 # By the format that a client asks for.
-_EXPORTS = {"numpy": "policy.npz", "onnx": "policy.onnx"}
+_ENDINGS = {"numpy": "npz", "onnx": "onnx"}
+# The name and the role of a policy's own file.
+_POLICIES: dict[str, tuple[str, ArtifactRole]] = {
+    "last": ("policy", "policy"),
+    "best": ("policy-best", "best_policy"),
+}
 
 
-def _policy(job: Job, form: Literal["numpy", "onnx"] | None) -> Artifact:
+def _policy(job: Job, asked: PolicyFile) -> Artifact:
     if not isinstance(job.spec, TrainSpec):
         detail = f"Job {job.id} is a rollout, which trains no policy."
         raise ArtifactNotFound(detail, job=job.id, job_status=job.status, artifacts=[], reason=job.reason)
-    own = job.newest("policy")
+    stem, role = _POLICIES[asked.which]
+    own, form = job.newest(role), asked.format
     if form is None:
         if own is None:
-            raise absence(job, "policy", "policy")
+            raise absence(job, stem, role)
         return own
     _check_exportable(job.spec, form)
-    name = _EXPORTS[form]
+    name = f"{stem}.{_ENDINGS[form]}"
     found = next((artifact for artifact in job.artifacts if artifact.name == name), None)
+    if found is not None and own is not None and found.step != own.step:
+        found = None  # Of an attempt before, which had another best one.
     if found is None and own is not None and job.status.is_final:
         detail = (
-            f"Job {job.id} has a policy and no {name}: either its events say why, or a version that wrote "
+            f"Job {job.id} has a {stem} and no {name}: either its events say why, or a version that wrote "
             "none has trained it. Without `format` you get the policy's own file."
         )
         raise ArtifactNotFound(
             detail, job=job.id, job_status=job.status, artifacts=[own.name], reason=job.reason
         )
     if found is None:
-        raise absence(job, name, "policy")
+        raise absence(job, name, role)
     if own is None and not job.status.is_final:
         raise absence(job, f"final {name}", "export")
     return found

@@ -24,6 +24,7 @@ from core.jobs.spec import (
     JobSpec,
     RandomPolicy,
     RolloutSpec,
+    Source,
     TrainSpec,
     ZeroPolicy,
 )
@@ -132,14 +133,12 @@ def _check_training(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> 
     for settings in resolved.values():
         settings.check_sharing(spec.resources.gpus)
     _check_memory(spec, info, store)
-    if spec.resume_from is not None:
-        checkpoint = source_checkpoint(
-            spec, spec.resume_from.job, spec.resume_from.step, "/resume_from", store.get
-        )
+    if (source := spec.source) is not None:
+        checkpoint = source_artifact(spec, source, store.get)
         _check_budget(resolved.values(), checkpoint)
-        _check_fields(spec, store.get(spec.resume_from.job))
-        _check_engine(spec, store.get(spec.resume_from.job))
-        _check_fit(spec, info, store.get(spec.resume_from.job))
+        _check_fields(spec, store.get(source.job))
+        _check_engine(spec, store.get(source.job))
+        _check_fit(spec, info, store.get(source.job))
 
 
 def _check_memory(spec: TrainSpec, info: EnvironmentInfo, store: JobStore) -> None:
@@ -221,20 +220,22 @@ def _check_rollout(spec: RolloutSpec, info: EnvironmentInfo, store: JobStore) ->
             f"its trajectory is held in memory. Submit several rollouts with different seeds."
         )
         raise Rejected(detail, [Problem("/num_steps", detail), Problem("/num_episodes", detail)])
+    if spec.source is not None:
+        source_artifact(spec, spec.source, store.get)
     match spec.policy:
-        case CheckpointPolicy(job=job, step=step):
-            source_checkpoint(spec, job, step, "/policy", store.get)
         case ConstantPolicy(action=action) if len(action) != info.action_size:
             detail = f"{info.id} takes {info.action_size} action components; {len(action)} were given."
             raise Rejected(detail, [Problem("/policy/action", detail)])
-        case ConstantPolicy() | RandomPolicy() | ZeroPolicy():
+        case CheckpointPolicy() | ConstantPolicy() | RandomPolicy() | ZeroPolicy():
             pass
 
 
-def source_checkpoint(
-    spec: JobSpec, job_id: str, step: int | None, pointer: str, get: Callable[[str], Job]
-) -> Artifact:
-    """The checkpoint of another job that this one needs. Raises Rejected if it is missing or does not fit."""
+def source_artifact(spec: JobSpec, wanted: Source, get: Callable[[str], Job]) -> Artifact:
+    """The checkpoint, or the best policy, of another job that this one needs.
+
+    Raises Rejected if it is missing or does not fit.
+    """
+    job_id, pointer = wanted.job, wanted.pointer
     try:
         source = get(job_id)
     except (JobNotFound, JobUnreadable) as error:
@@ -250,12 +251,27 @@ def source_checkpoint(
         if isinstance(spec, RolloutSpec):
             detail += " Leave `environment` out to take that of the job."
         raise Rejected(detail, [Problem(place, detail), Problem(f"{pointer}/job", detail)])
+    return _best_policy(source, pointer) if wanted.is_best else _checkpoint(source, wanted.step, pointer)
+
+
+def _best_policy(source: Job, pointer: str) -> Artifact:
+    best = source.newest("best_policy")
+    if best is None:
+        detail = (
+            f"Job {source.id} ({source.status}) has no best policy: either it has not been evaluated yet, "
+            "or a version that kept none has trained it."
+        )
+        raise Rejected(detail, [Problem(f"{pointer}/which", detail)])
+    return best
+
+
+def _checkpoint(source: Job, step: int | None, pointer: str) -> Artifact:
     checkpoint = source.newest("checkpoint", step)
     if checkpoint is None:
         steps = [str(a.step) for a in source.artifacts if a.role == "checkpoint"]
         wanted = "no checkpoint" if step is None else f"no checkpoint of step {step}"
         known = f"; it has {', '.join(steps)}" if steps else ""
-        detail = f"Job {job_id} ({source.status}) has {wanted}{known}."
+        detail = f"Job {source.id} ({source.status}) has {wanted}{known}."
         raise Rejected(detail, [Problem(pointer if step is None else f"{pointer}/step", detail)])
     return checkpoint
 

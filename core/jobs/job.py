@@ -20,6 +20,7 @@ _JOB_ID = re.compile(JOB_ID)
 ArtifactRole = Literal[
     "checkpoint",
     "policy",
+    "best_policy",
     "export",
     "video",
     "poster",

@@ -224,11 +224,15 @@ class _Common(Strict):
 
 @dataclass(frozen=True)
 class Source:
-    """A checkpoint of another job; step None: its newest. pointer: its place in the document."""
+    """A checkpoint of another job, step None: its newest; or the policy of its best evaluation.
+
+    pointer: its place in the document.
+    """
 
     job: str
     step: int | None
     pointer: str
+    is_best: bool = False
 
 
 class TrainSpec(_Common):
@@ -248,11 +252,21 @@ class TrainSpec(_Common):
 
 
 class CheckpointPolicy(Strict):
-    """The policy in a training job's checkpoint; without a step, its newest."""
+    """The policy in a training job's checkpoint (without a step, its newest), or of its best evaluation."""
 
     kind: Literal["checkpoint"] = "checkpoint"
     job: JobId
     step: PastStep | None = None
+    which: Literal["last", "best"] = Field(
+        default="last",
+        description="`best`: the policy whose evaluation had the highest return, in place of a checkpoint's.",
+    )
+
+    @model_validator(mode="after")
+    def _one_way_to_say_it(self) -> Self:
+        if self.which == "best" and self.step is not None:
+            raise ValueError("`step` and the best policy exclude each other; give one of them")
+        return self
 
 
 class RandomPolicy(Strict):
@@ -303,7 +317,9 @@ class RolloutSpec(_Common):
     def source(self) -> Source | None:
         """The checkpoint whose policy acts."""
         policy = self.policy
-        return Source(policy.job, policy.step, "/policy") if isinstance(policy, CheckpointPolicy) else None
+        if not isinstance(policy, CheckpointPolicy):
+            return None
+        return Source(policy.job, policy.step, "/policy", is_best=policy.which == "best")
 
 
 JobSpec = Annotated[TrainSpec | RolloutSpec, Field(discriminator="kind")]

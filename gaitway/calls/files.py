@@ -13,7 +13,7 @@ from gaitway.errors import NotFound
 from gaitway.steps import Call, Run
 from gaitway.views import ArtifactView, JobView
 
-_POLICY_FILES = {"numpy": "policy.npz", "onnx": "policy.onnx"}
+_ENDINGS = {"numpy": "npz", "onnx": "onnx"}
 
 
 class FileCalls(Asking):
@@ -47,10 +47,16 @@ class FileCalls(Asking):
         return (yield from download(self.retry, artifact, _target(artifact.name, path), on_bytes))
 
     @of_a_job
-    def load_policy(self, job_id: str, step: int | None, deterministic: bool) -> Call[policy.Policy]:
+    def load_policy(
+        self, job_id: str, step: int | None, deterministic: bool, best: bool
+    ) -> Call[policy.Policy]:
+        if best and step is not None:
+            raise ValueError("A policy is that of a step or the best one: give one of the two.")
         job = yield from self.get(job_id)
-        final = job.newest("policy") if step is None else None
-        artifact = final or job.newest("checkpoint", step)
+        own = job.newest("best_policy" if best else "policy") if step is None else None
+        artifact = own or (None if best else job.newest("checkpoint", step))
+        if artifact is None and best:
+            raise NotFound(404, {"detail": f"Job {job_id} has no best policy: no evaluation kept one (yet)."})
         if artifact is None:
             checkpoints = yield from self.checkpoints(job_id)
             kept = ", ".join(str(found.step) for found in checkpoints) or "none yet"
@@ -60,17 +66,18 @@ class FileCalls(Asking):
             path = yield from download(self.retry, artifact, Path(folder) / "policy")
             algorithm = job.spec.get("algorithm", {}).get("kind", "ppo")
             load = partial(
-                policy.load, path, algorithm, is_checkpoint=final is None, deterministic=deterministic
+                policy.load, path, algorithm, is_checkpoint=own is None, deterministic=deterministic
             )
             return (yield Run(load))
 
     @of_a_job
     def export_policy(
-        self, job_id: str, format: str, path: str | Path | None, on_bytes: OnBytes | None
+        self, job_id: str, format: str, path: str | Path | None, best: bool, on_bytes: OnBytes | None
     ) -> Call[Path]:
-        href = f"{job_path(job_id, 'policy')}?format={quote(format)}"
-        name = _POLICY_FILES.get(format, "")
-        artifact = yield from self._announced(job_id, lambda job: job.artifact(name), href)
+        href = f"{job_path(job_id, 'policy')}?format={quote(format)}" + ("&which=best" if best else "")
+        name = f"{'policy-best' if best else 'policy'}.{_ENDINGS.get(format, '')}"
+        role = "best_policy" if best else "policy"
+        artifact = yield from self._announced(job_id, lambda job: _finished(job, name, role), href)
         return (yield from download(self.retry, artifact, _target(artifact.name, path), on_bytes))
 
     @of_a_job
@@ -94,6 +101,14 @@ class FileCalls(Asking):
         if artifact is None:
             raise NotFound(404, {"detail": f"Job {job_id} does not list the file at {href}."})
         return artifact
+
+
+def _finished(job: JobView, name: str, role: str) -> ArtifactView | None:
+    """The file of this name, if it is of the policy with this role; there may be one of an older policy."""
+    found, own = job.artifact(name), job.newest(role)
+    if found is None or own is None:
+        return found if job.is_final else None
+    return found if found.step == own.step else None
 
 
 def _target(name: str, path: str | Path | None) -> Path:

@@ -9,6 +9,7 @@ import typer
 from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
 
 from gaitway.cli.common import AsJson, JobName, client_of, job_id, print_json
+from gaitway.cli.errors import wrong_usage
 from gaitway.cli.jobs import origin
 from gaitway.cli.terminal import Console
 from gaitway.downloading import OnBytes
@@ -42,6 +43,9 @@ def export(
             "zip: all that is needed to run the job again elsewhere (docs/sharing.md)."
         ),
     ] = "onnx",
+    best: Annotated[
+        bool, typer.Option("--best", help="The policy of the best evaluation, not the last one.")
+    ] = False,
     output: Output = None,
     as_json: AsJson = False,
 ) -> None:
@@ -49,10 +53,15 @@ def export(
     client = client_of(context)
     full_id = job_id(client, job)
     if format == "zip":
+        if best:
+            raise wrong_usage("A zip has all of the job's policies: leave out --best.")
         _told(client.export(full_id, output), as_json)
         return
     _told(
-        _with_bar(lambda on_bytes: client.export_policy(full_id, format, output, on_bytes=on_bytes)), as_json
+        _with_bar(
+            lambda on_bytes: client.export_policy(full_id, format, output, best=best, on_bytes=on_bytes)
+        ),
+        as_json,
     )
 
 

@@ -147,8 +147,22 @@ def _lines(job: JobView) -> list[str]:
         "imported": origin(job),
         "progress": f"{job.progress.step:,} of {job.progress.total:,} steps" if job.progress.total else "",
         "phase": job.progress.phase,
+        "best": _best(job),
     }
     return lines + [f"  {name + ':':<11}{value}" for name, value in facts.items() if value]
+
+
+def _best(job: JobView) -> str | None:
+    """The best evaluation, whose policy is kept."""
+    found = job.newest("best_policy")
+    if found is None:
+        return None
+    return f"return {_number(found.metadata.get('return'))} at step {found.step or 0:,} ({found.name})"
+
+
+def _number(value: Any) -> str:
+    """Of an import it may be anything."""
+    return f"{value:g}" if isinstance(value, int | float) else "unknown"
 
 
 def _local(moment: datetime | None) -> str:

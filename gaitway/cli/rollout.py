@@ -5,6 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from gaitway.cli.common import AsJson, JobName, client_of, job_id
+from gaitway.cli.errors import wrong_usage
 from gaitway.cli.submit import Assignments, assigned, follow, whole_path
 
 
@@ -14,6 +15,9 @@ def rollout(  # noqa: PLR0913 # A command line's options.
     step: Annotated[
         int | None, typer.Option(help="The checkpoint of this step; by default the newest.")
     ] = None,
+    best: Annotated[
+        bool, typer.Option("--best", help="The policy of the best evaluation, not the last one.")
+    ] = False,
     episodes: Annotated[int | None, typer.Option(min=1, help="How many; by default one.")] = None,
     num_steps: Annotated[int | None, typer.Option(min=1, help="The most steps of an episode.")] = None,
     seed: Annotated[int | None, typer.Option()] = None,
@@ -24,9 +28,13 @@ def rollout(  # noqa: PLR0913 # A command line's options.
     as_json: AsJson = False,
 ) -> None:
     """Run the policy of a training in the training's environment: trajectory, summary, video."""
+    if best and step is not None:
+        raise wrong_usage("--step and --best exclude each other.")
     client = client_of(context)
     full_id = job_id(client, job)
-    policy = {"kind": "checkpoint", "job": full_id} | ({} if step is None else {"step": step})
+    policy: dict[str, Any] = {"kind": "checkpoint", "job": full_id}
+    policy |= {} if step is None else {"step": step}
+    policy |= {"which": "best"} if best else {}
     said = {"num_episodes": episodes, "num_steps": num_steps, "seed": seed, "name": name}
     spec: dict[str, Any] = {"kind": "rollout", "policy": policy}
     spec |= {field: value for field, value in said.items() if value is not None}

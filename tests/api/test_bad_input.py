@@ -271,6 +271,7 @@ def nothing_is_kept(stack: Stack) -> Iterator[None]:
             "corridor takes 56 action components; 1 were given",
         ),
         (rollout(kind="checkpoint", job=NO_JOB), "/policy/job", "no job"),
+        (rollout(kind="checkpoint", job=NO_JOB, step=1, which="best"), "/policy", "exclude each other"),
     ],
 )  # fmt: skip
 def test_a_wrong_value_is_refused_with_its_place(stack: Stack, body: Any, pointer: str, words: str) -> None:

@@ -12,6 +12,7 @@ from tests.api.problems import problem
 ID = "019aa3c2f0b1-5be0c1d2e3"
 ADDRESS = f"/jobs/{ID}/policy"
 FORMS = {None: ("policy", b"own"), "numpy": ("policy.npz", b"arrays"), "onnx": ("policy.onnx", b"graph")}
+BEST = {"policy-best": b"best own", "policy-best.npz": b"best arrays", "policy-best.onnx": b"best graph"}
 TABLE: dict[str, Any] = {"environment": {"id": "brittle_star"}, "algorithm": {"kind": "q_learning"}}
 
 
@@ -65,6 +66,43 @@ def test_a_checkpoints_export_is_no_final_policy(stack: Stack) -> None:
     attempt.end(JobStatus.FAILED, Reason.DIVERGED)
     # There will be no later one.
     assert asked(stack, "numpy").content == b"arrays"
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_best_policy_comes_in_the_same_forms(stack: Stack, form: str | None) -> None:
+    attempt = Attempt(stack, job(ID))
+    keep(attempt, *FORMS)
+    for name, body in BEST.items():
+        role = "best_policy" if name == "policy-best" else "export"
+        attempt.keep(name, body, role=role, media_type="application/octet-stream", step=5)
+    attempt.end()
+    query = {"which": "best"} if form is None else {"which": "best", "format": form}
+    answer = stack.http.get(ADDRESS, params=query)
+    name = FORMS[form][0].replace("policy", "policy-best")
+    assert (answer.status_code, answer.content) == (200, BEST[name])
+    assert answer.headers["Content-Disposition"].endswith(f"''{name}")
+    assert asked(stack, form).content == FORMS[form][1]
+
+
+def test_an_export_of_an_earlier_best_policy_is_not_the_best_ones(stack: Stack) -> None:
+    attempt = Attempt(stack, job(ID))
+    for name, role, step in (("policy-best.npz", "export", 5), ("policy-best", "best_policy", 9)):
+        attempt.keep(name, BEST[name], role=role, media_type="application/octet-stream", step=step)
+    query = {"which": "best", "format": "numpy"}
+    detail = problem(stack.http.get(ADDRESS, params=query), 404, "artifact-not-ready")["detail"]
+    assert "has no policy-best.npz yet" in detail
+    attempt.end(JobStatus.FAILED, Reason.OUT_OF_MEMORY)
+    detail = problem(stack.http.get(ADDRESS, params=query), 404, "artifact-not-found")["detail"]
+    assert "has a policy-best and no policy-best.npz" in detail
+    assert stack.http.get(ADDRESS, params={"which": "best"}).content == b"best own"
+
+
+def test_without_an_evaluation_there_is_no_best_policy(stack: Stack) -> None:
+    attempt = Attempt(stack, job(ID))
+    keep(attempt, None)
+    attempt.end()
+    answer = stack.http.get(ADDRESS, params={"which": "best"})
+    assert "without a policy-best" in problem(answer, 404, "artifact-not-found")["detail"]
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -23,9 +23,10 @@ def say(**message: object) -> None:
     os.write(events_fd, json.dumps(message).encode() + b"\n")
 
 
-def keep(name: str, role: str, body: bytes, step: int | None = None) -> None:
+def keep(name: str, role: str, body: bytes, step: int | None = None, **facts: object) -> None:
     (spool / name).write_bytes(body)
-    say(type="file", name=name, path=name, role=role, media_type="application/octet-stream", step=step)
+    media_type = "application/octet-stream"
+    say(type="file", name=name, path=name, role=role, media_type=media_type, step=step, metadata=facts)
 
 
 say(type="hello", pid=os.getpid())
@@ -94,6 +95,14 @@ match behaviour:
         os.kill(os.getpid(), signal.SIGKILL)
     case "keeps_its_task":
         keep("policy", "policy", (spool / "task.json").read_bytes(), 0)
+        say(type="finished")
+    case "is_evaluated_and_killed":
+        keep("policy-best", "best_policy", b"the best", 10, **{"return": 81.5})
+        os.kill(os.getpid(), signal.SIGKILL)
+    case "shows_the_best_before":
+        best = json.loads((spool / "task.json").read_text())["best"]
+        body = (spool / best.pop("path")).read_bytes() if best else b"nothing"
+        keep("policy", "policy", body, 0, best=best)
         say(type="finished")
     case "fails":
         say(type="failed", reason="diverged", message="The reward became non-finite at environment step 7.")

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from core.jobs.job import Job
+from core.jobs.job import Artifact, Job
 from core.jobs.status import JobStatus
 from core.jobs.store import JobStore
 from core.reasons import Reason
-from tests.faults.bench import Bench
+from tests.faults.bench import Bench, wait_until
 
 NEWEST = "checkpoint-000000000020.msgpack"
 
@@ -116,3 +116,45 @@ def test_a_promised_checkpoint_outlives_its_number(bench: Bench) -> None:
     steps = [a.step for a in bench.store.get(source.id).artifacts if a.role == "checkpoint"]
     assert steps == [10, 20]
     assert resumed(bench, job)[1] == 10
+
+
+def evaluated(bench: Bench) -> Job:
+    """A queued job whose first attempt was killed after it had kept its best policy."""
+    job = bench.run("is_evaluated_and_killed")
+    assert job.status == JobStatus.QUEUED
+    return job
+
+
+def went_on(bench: Bench, job: Job) -> Artifact:
+    """What the next attempt kept of the best policy that it was given."""
+    wait_until(lambda: bench.store.now() >= (job.not_before or job.created_at))
+    bench.supervisor(job, "shows_the_best_before").run()
+    kept = bench.store.get(job.id).newest("policy")
+    assert kept is not None
+    return kept
+
+
+def test_an_attempt_knows_the_best_policy_of_the_one_before(bench: Bench) -> None:
+    job = evaluated(bench)
+    kept = went_on(bench, job)
+    assert bench.objects.get(kept.key) == b"the best"
+    assert kept.metadata["best"] == {"step": 10, "episode_return": 81.5}
+    best = bench.store.get(job.id).newest("best_policy")
+    assert best is not None
+    assert (best.step, best.metadata) == (10, {"return": 81.5})
+    [event] = [one for one in bench.feed(job, "events", "artifact") if one.data["role"] == "best_policy"]
+    assert (event.data["step"], event.data["return"]) == (10, 81.5)
+    assert "Step 10: the best evaluation so far, with a return of 81.5" in " ".join(bench.lines(job))
+
+
+def test_a_damaged_best_policy_is_replaced_by_the_best_from_then_on(bench: Bench) -> None:
+    job = evaluated(bench)
+    best = job.newest("best_policy")
+    assert best is not None
+    bench.objects.put(best.key, b"The best")
+    kept = went_on(bench, job)
+    assert (bench.objects.get(kept.key), kept.metadata["best"]) == (b"nothing", None)
+    assert bench.store.get(job.id).newest("best_policy") is None
+    [note] = [entry.data["text"] for entry in bench.feed(job, "events", "note")]
+    assert note.startswith("policy-best is damaged")
+    assert note.endswith("The best evaluation from now on takes its place.")

@@ -212,6 +212,8 @@ class Outbox:
             "step": message.step,
             "upload_s": round(seconds, 4),
         }
+        if message.role == "best_policy":
+            said["return"] = message.metadata.get("return")
         self._record("events", [Entry(kind="artifact", time=heard_at, data=said)], write_id)
         (self._spool / message.path).unlink(missing_ok=True)
         self._remove_later(dropped)

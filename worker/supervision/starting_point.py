@@ -8,7 +8,7 @@ from core.algorithms.catalog import reported
 from core.environments.mjcf.info import MjcfOptions
 from core.errors import JobFailed, NotFound, ObjectDamaged, ObjectNotFound
 from core.jobs.attempts import Claim
-from core.jobs.checks import source_checkpoint
+from core.jobs.checks import source_artifact
 from core.jobs.job import Artifact, Attempt, Job
 from core.jobs.own_model import engines_that_cannot, model_of
 from core.jobs.spec import TrainSpec
@@ -19,9 +19,9 @@ from core.storage.objects import ObjectStore
 from core.storage.whole import OTHER_BYTES, READINGS
 from core.user_models import library
 from worker.host.commit import commit_here
-from worker.protocol import Task
+from worker.protocol import BestSoFar, Task
 
-_FILE = "start.msgpack"
+_FILE, _BEST = "start.msgpack", "policy-best-before"
 
 
 def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
@@ -39,6 +39,7 @@ def write_task(job: Job, claim: Claim, device: str, spool: Path) -> list[str]:
         task = _as_lent(task, claim)
     if checkpoint is not None:
         task = task.model_copy(update={"checkpoint": _FILE, "checkpoint_step": checkpoint.step or 0})
+    task = task.model_copy(update={"best": _best_so_far(job, claim, spool, notes)})
     task = _with_model(task, claim, spool)
     (spool / "task.json").write_text(task.model_dump_json())
     return notes
@@ -65,8 +66,9 @@ def _lent_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> A
     if source is None:
         return None
     get = claim.store.get
-    checkpoint = source_checkpoint(job.spec, source.job, source.step, source.pointer, get)
-    others = [a for a in get(source.job).artifacts if a.role == "checkpoint"] if source.step is None else []
+    checkpoint = source_artifact(job.spec, source, get)
+    may_be_older = source.step is None and not source.is_best
+    others = [a for a in get(source.job).artifacts if a.role == "checkpoint"] if may_be_older else []
     others.sort(key=lambda artifact: artifact.step or 0, reverse=True)
     damages: list[str] = []
     for candidate in [checkpoint, *(other for other in others if other != checkpoint)]:
@@ -77,6 +79,21 @@ def _lent_checkpoint(job: Job, claim: Claim, spool: Path, notes: list[str]) -> A
             return candidate
         damages.append(damage)
     raise JobFailed(Reason.BAD_CHECKPOINT, " ".join(damages))
+
+
+def _best_so_far(job: Job, claim: Claim, spool: Path, notes: list[str]) -> BestSoFar | None:
+    """The policy of the best evaluation in earlier attempts. A damaged one is struck from the record."""
+    kept = job.newest("best_policy")
+    if kept is None:
+        return None
+    # A process that was taken over may have named anything.
+    if not isinstance(found := kept.metadata.get("return"), int | float):
+        return None
+    if (damage := _fetch(kept, claim.objects, spool / _BEST)) is None:
+        return BestSoFar(path=_BEST, step=kept.step or 0, episode_return=found)
+    notes.append(f"{damage} The best evaluation from now on takes its place.")
+    claim.strike(kept)
+    return None
 
 
 def _fetch(checkpoint: Artifact, objects: ObjectStore, path: Path) -> str | None:
@@ -114,11 +131,19 @@ def _as_begun(task: Task, begun: Attempt | None) -> Task:
 
 
 def _as_lent(task: Task, claim: Claim) -> Task:
-    """The task of a training that goes on in the environments of another job's checkpoint, if it does."""
-    spec = task.spec
-    if not isinstance(spec, TrainSpec) or spec.source is None or not spec.algorithm.checkpoint_holds_envs:
+    """The task with what it must know of the job whose checkpoint or policy it takes, if it takes one.
+
+    A training may go on in the checkpoint's environments; the file of a policy does not name its algorithm.
+    """
+    spec, source = task.spec, task.spec.source
+    if source is None:
         return task
-    return task.model_copy(update={"lent_by": _choice(claim.store.get(spec.source.job).engine)})
+    lender = claim.store.get(source.job)
+    if source.is_best and isinstance(lender.spec, TrainSpec):
+        return task.model_copy(update={"policy_of": lender.spec.algorithm.algorithm()})
+    if isinstance(spec, TrainSpec) and spec.algorithm.checkpoint_holds_envs:
+        return task.model_copy(update={"lent_by": _choice(lender.engine)})
+    return task
 
 
 def _choice(engine: str | None) -> EngineName | None:

@@ -58,6 +58,11 @@ class Story:
                 yield from timed(f"{_PARTS[name]} in {seconds:.1f} s")
             case Measured(step=step, values=values) if any(name.startswith("eval/") for name in values):
                 yield from timed(f"Step {step:,}: {_evaluated(values)}")
+            case FileReady(role="best_policy", step=step, metadata=facts):
+                yield from timed(
+                    f"Step {step or 0:,}: the best evaluation so far, with a return of "
+                    f"{_value(facts.get('return'))}; its policy is kept"
+                )
             case FileReady(role="checkpoint" | "video"):
                 yield from timed(self._file(message))
             case Noted(text=text):
@@ -123,6 +128,8 @@ def _asked(job: Job) -> str:
     options = f" with {_settings(spec.environment.options)}" if spec.environment.options else ""
     about = f"{spec.kind} {spec.environment.id}{options}, seed {spec.seed}"
     match spec:
+        case RolloutSpec(policy=CheckpointPolicy(job=of, which="best")):
+            return f"{about}, {spec.num_episodes} episodes of the policy of the best evaluation of job {of}"
         case RolloutSpec(policy=CheckpointPolicy(job=of, step=step)):
             which = "newest checkpoint" if step is None else f"checkpoint of step {step:,}"
             return f"{about}, {spec.num_episodes} episodes of the policy in the {which} of job {of}"

@@ -18,6 +18,7 @@ from worker.training.time_budget import TimeBudget
 
 _Writer = Callable[[Network, Mapping[str, Any]], bytes]
 _NUMPY, _NUMPY_TYPE = "policy.npz", "application/x-npz"
+_LAST, _BEST = "policy", "policy-best"
 
 
 @dataclass
@@ -49,21 +50,28 @@ class ExportWriter:
 
     def keep_last(self, policy: bytes, step: int) -> None:
         """Keep both files. One that cannot be written is a note: the job has its policy."""
-        if ALGORITHMS[self.algorithm].no_export is not None:
-            return
+        if ALGORITHMS[self.algorithm].no_export is None:
+            self._keep_both(_LAST, policy, step)
+            self._keep_simulation()
+
+    def keep_best(self, policy: bytes, step: int) -> None:
+        """Keep both files of the best evaluation's policy."""
+        if ALGORITHMS[self.algorithm].no_export is None:
+            self._keep_both(_BEST, policy, step)
+
+    def _keep_both(self, stem: str, policy: bytes, step: int) -> None:
         # Its import takes 0.3 s, which no start waits for.
         from core.algorithms.export.onnx_file import onnx_file
 
         writers: Mapping[str, tuple[_Writer, str]] = {
-            _NUMPY: (numpy_file, _NUMPY_TYPE),
-            "policy.onnx": (onnx_file, "application/octet-stream"),
+            f"{stem}.npz": (numpy_file, _NUMPY_TYPE),
+            f"{stem}.onnx": (onnx_file, "application/octet-stream"),
         }
         for name, (write, media_type) in writers.items():
             try:
                 self.events.keep(name, self._written(policy, step, write), "export", media_type, step=step)
             except NotExportable as error:
                 self.events.send(Noted(text=f"There is no {name}: {error}."))
-        self._keep_simulation()
 
     def _keep_simulation(self) -> None:
         if not self._has_simulation:

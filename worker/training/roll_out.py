@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 
-from core.algorithms.policy import policy_from_checkpoint
+from core.algorithms.policy import load_policy, policy_from_checkpoint
 from core.environments import trajectory
 from core.environments.environment import Environment
 from core.environments.rollout import (
@@ -122,7 +122,12 @@ def _policy(
     match spec.policy:
         case CheckpointPolicy():
             content = (events.spool / str(task.checkpoint)).read_bytes()
-            trained = policy_from_checkpoint(content, deterministic=spec.deterministic)
+            if task.policy_of is None:
+                trained = policy_from_checkpoint(content, deterministic=spec.deterministic)
+            else:
+                trained = load_policy(
+                    content, task.policy_of, is_checkpoint=False, deterministic=spec.deterministic
+                )
             env, act = trained.acting(built.environment)
             return lambda _, state, key: act(trained.parameters, state, key), env
         case RandomPolicy():

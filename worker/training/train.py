@@ -17,7 +17,8 @@ from core.algorithms.spec import BaseSpec
 from core.errors import JobFailed
 from core.jobs.job import JobPhase
 from core.jobs.spec import TrainSpec, VideoSpec
-from worker.protocol import Advanced, Measured, Noted, PhaseBegan, PhaseEnded, Task
+from worker.protocol import Advanced, BestSoFar, Measured, Noted, PhaseBegan, PhaseEnded, Task
+from worker.training.best_policy import BestPolicy
 from worker.training.built_environment import BuiltEnvironment
 from worker.training.event_writer import EventWriter
 from worker.training.exports import ExportWriter
@@ -47,14 +48,15 @@ def train(
 ) -> bool:
     """Train to the end or to a stop; whether a stop cut it short.
 
-    Keeps checkpoints, and the newest one's policy as `policy.npz`; and at the end, unless the job continues
-    elsewhere, its policy, also for programs elsewhere, and the video that it asks for.
+    Keeps checkpoints, the newest one's policy as `policy.npz`, and the best evaluation's as `policy-best`;
+    and at the end, unless the job continues elsewhere, its policy, both also for programs elsewhere, and the
+    video that it asks for.
     """
     settings = resolve(spec.algorithm, built.info, built.device)
     events.send(built.started(hyperparameters=settings.model_dump(), resumed_at_step=task.checkpoint_step))
     check_memory(least_memory(settings, built.info, built.num_devices), built.device)
     run = begin_or_resume(task, spec, settings, built, events)
-    return follow(run, spec, settings, built, events, stopping)
+    return follow(run, spec, settings, built, events, stopping, best_before=task.best)
 
 
 class FollowedRun(Protocol):
@@ -83,12 +85,16 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
     events: EventWriter,
     stopping: StopRequest,
     *,
+    best_before: BestSoFar | None,
     others_wait: bool = False,
 ) -> bool:
-    """Turn the run's events into messages and files; see `train`. others_wait: for as long as this takes."""
+    """Turn the run's events into messages and files; see `train`.
+
+    best_before: the best evaluation's policy of the attempts before. others_wait: for as long as this takes.
+    """
     report = Report(events, run, spec.checkpoints.every_seconds)
     report.enter("compiling")
-    exports = ExportWriter(settings.algorithm(), built, events)
+    exports, best = ExportWriter(settings.algorithm(), built, events), BestPolicy(events, best_before)
     videos = (
         None if spec.video is None else PolicyVideos(spec, spec.video, built, events, run, not others_wait)
     )
@@ -98,6 +104,8 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
                 if isinstance(event, Progress):
                     stopping.keep_before_leaving()
                 report.publish(event)
+                if isinstance(event, Evaluated):
+                    best.see(event, run.policy)
                 if stopping.asked:
                     break
                 is_kept = isinstance(event, CheckpointReady)
@@ -111,10 +119,12 @@ def follow(  # noqa: PLR0913 # What runs, and what is done with it.
                         videos.at_checkpoint(event.step, report)
     except JobFailed:
         report.keep_checkpoint()  # The last good one.
+        best.keep_exports(exports)
         raise
     report.keep_checkpoint()
     with stopping.nothing_to_keep():
         policy = run.policy()
+        best.keep_exports(exports)
         exports.keep_last(policy, run.step)
         # After those: with this one the job has its final policy, in whatever form.
         events.keep("policy", policy, "policy", "application/octet-stream", step=run.step)

@@ -19,8 +19,8 @@ export function put(document, [name, ...rest], value) {
 }
 
 /**
- * The draft that an address asks for: `from` a job, a `fork` or a `roll` of a checkpoint (with `step`), or of an
- * `environment` and a `model`.
+ * The draft that an address asks for: `from` a job, a `fork` or a `roll` of a checkpoint (with `step`), a `roll` of
+ * the best policy (`which`), or of an `environment` and a `model`.
  */
 export async function fromAddress(query) {
   const source = query.get("from") || query.get("fork") || query.get("roll");
@@ -34,7 +34,8 @@ export async function fromAddress(query) {
   if (Object.keys(optionsOf(job.spec)).length) environment.options = optionsOf(job.spec);
   const checkpoint = { job: job.id, step: Number(query.get("step")) };
   if (query.get("roll")) {
-    return { kind: "rollout", name: `${title(job)}, rolled out`, environment, policy: { kind: "checkpoint", ...checkpoint } };
+    const chosen = query.get("which") === "best" ? { job: job.id, which: "best" } : checkpoint;
+    return { kind: "rollout", name: `${title(job)}, rolled out`, environment, policy: { kind: "checkpoint", ...chosen } };
   }
   const draft = { ...job.spec, environment };
   return query.get("fork") ? { ...further(draft, job, checkpoint.step), name: `${title(job)}, forked`, resume_from: checkpoint } : draft;

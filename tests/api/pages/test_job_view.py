@@ -232,6 +232,25 @@ def test_a_fork_of_the_last_checkpoint_has_steps_left_to_train(tab: Tab, attempt
     expect(page.get_by_label("num timesteps", exact=True)).to_have_value("2000")
 
 
+def test_the_best_evaluation_and_its_policy_are_named(tab: Tab, attempt: Attempt) -> None:
+    attempt.keep(
+        "policy-best",
+        b"weights",
+        role="best_policy",
+        media_type="application/octet-stream",
+        step=1200,
+        metadata={"return": 81.25},
+    )
+    page = tab.open(f"#/jobs/{attempt.id}")
+    expect(page.get_by_text("Best: return 81.25 at step 1,200.")).to_be_visible()
+    link = page.get_by_role("link", name="Download its policy")
+    expect(link).to_have_attribute("href", f"/jobs/{attempt.id}/artifacts/policy-best")
+    page.get_by_role("link", name="roll it out").click()
+    said = page.get_by_role("region", name="The submission as JSON")
+    expect(said).to_contain_text('"which": "best"')
+    expect(said).not_to_contain_text('"step"')
+
+
 def test_phases_costs_and_terms_are_there(stack: Stack, tab: Tab, attempt: Attempt) -> None:
     attempt.say("phase", name="compile", seconds=12.5)
     measure(

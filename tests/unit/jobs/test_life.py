@@ -33,7 +33,7 @@ from core.jobs.deletion import delete, end_deletions
 from core.jobs.job import Artifact, Job
 from core.jobs.reconciliation import Reconciler
 from core.jobs.record_copy import copy_record, copy_records, read_copy
-from core.jobs.spec import JOB_SPEC
+from core.jobs.spec import JOB_SPEC, Source
 from core.jobs.status import JobStatus
 from core.jobs.store import Idempotency, JobQuery
 from core.jobs.submission import submit
@@ -336,6 +336,22 @@ def test_a_rollout_needs_a_job_with_a_checkpoint_in_the_same_environment(service
     assert roll_out("ant").spec.kind == "rollout"
     with pytest.raises(Rejected, match=r"must be the same.*Leave `environment` out"):
         roll_out("hopper")
+
+
+def test_a_rollout_of_the_best_policy_needs_a_job_that_was_evaluated(service: Service) -> None:
+    job = service.submit()
+    policy = {"kind": "checkpoint", "job": job.id, "which": "best"}
+    spec = JOB_SPEC.validate_python({"kind": "rollout", "policy": policy})
+    claim = service.claim(job)
+    checkpoint = service.checkpoint(claim, 10)
+    claim.publish((checkpoint,), keep_checkpoints=2)
+    with pytest.raises(Rejected, match="has no best policy: either it has not been evaluated yet") as refused:
+        submit(spec, store=service.store, queue=service.queue)
+    assert [problem.pointer for problem in refused.value.problems] == ["/policy/which"]
+    best = checkpoint.model_copy(update={"name": "policy-best", "role": "best_policy"})
+    claim.publish((best,), keep_checkpoints=2)
+    rollout = submit(spec, store=service.store, queue=service.queue)
+    assert rollout.spec.source == Source(job.id, None, "/policy", is_best=True)
 
 
 def test_a_rollout_of_a_checkpoint_takes_the_jobs_own_environment_where_it_names_none(

@@ -38,7 +38,7 @@ def train_as_member(
     settings = resolve(spec.algorithm, built.info, device)
     facts = {"hyperparameters": settings.model_dump(), "resumed_at_step": 0}
     events.send(trained_by.started(**facts, trained_together=begun.num_members))
-    return follow(run, spec, settings, built, events, stopping, others_wait=True)
+    return follow(run, spec, settings, built, events, stopping, best_before=task.best, others_wait=True)
 
 
 class MemberRun:

@@ -1,9 +1,9 @@
 /** The job at a glance: video, return, reward by term, costs, attempts. */
 
-import { duration, moment, seconds, value } from "../../lib/format.js";
+import { count, duration, moment, seconds, value } from "../../lib/format.js";
 import { across, smooth, useCurves } from "../../lib/curves.js";
 import { html, useState } from "../../lib/html.js";
-import { RETURNS } from "../../lib/job.js";
+import { newest, RETURNS } from "../../lib/job.js";
 import { href } from "../../lib/route.js";
 import { Chart } from "../../parts/chart.js";
 import { CurveTools, setRange, toolsOf } from "../../parts/curve_tools.js";
@@ -61,7 +61,16 @@ function Return({ job, query, onMetrics }) {
     return [{ label, xs, ys: smooth(curve.values, tools.smoothing), colour: `--curve-${i + 1}` }];
   });
   return html`<${Chart} title="Return" version=${version} lines=${lines} x=${tools.x} log=${tools.log} range=${tools.range} onRange=${setRange} height=${250} />
-    <${CurveTools} tools=${tools} />`;
+    <${CurveTools} tools=${tools} />
+    <${Best} job=${job} />`;
+}
+
+/** The best evaluation so far, whose policy is kept beside the last one. */
+function Best({ job }) {
+  const best = newest(job, "best_policy");
+  if (!best) return null;
+  return html`<p class="facts">Best: return ${value(best.metadata.return)} at step ${count(best.step)}.
+    <a href=${best.href} download=${best.name}>Download its policy</a>, or <a href=${href(["submit"], { roll: job.id, which: "best" })}>roll it out</a>.</p>`;
 }
 
 /** What a rollout found. */

@@ -128,6 +128,18 @@ def test_a_rollout_says_whose_policy_acts(tmp_path: Path) -> None:
         "rollout ant, seed 0, 3 episodes of the policy in the checkpoint of step 1,000 of job"
     )
     assert whose.strip() == "019aa3c2f0b1-5be0c1d2e3"
+    best = {"kind": "checkpoint", "job": "019aa3c2f0b1-5be0c1d2e3", "which": "best"}
+    _, what = begun({**ROLLOUT, "policy": best}, tmp_path).begin()
+    assert what[10:] == (
+        "rollout ant, seed 0, 3 episodes of the policy of the best evaluation of job 019aa3c2f0b1-5be0c1d2e3"
+    )
+
+
+def test_a_process_that_was_taken_over_cannot_break_the_log(tmp_path: Path) -> None:
+    file = FileReady(name="b", path="b", role="best_policy", media_type="", metadata={"return": "81"})
+    assert said(begun(TRAINING, tmp_path), file) == [
+        "Step 0: the best evaluation so far, with a return of 81; its policy is kept"
+    ]
 
 
 def test_a_long_line_goes_on_below_and_a_long_value_is_cut(tmp_path: Path) -> None:
