@@ -45,7 +45,7 @@ class Measured(Parameters):
         le=100_000,
         description=f"The most rows of one answer. By default {_MAX_ROWS_AS_JSON} as JSON, where `next` "
         "leads to the others, and all of them as CSV; fewer where they have more than "
-        f"{MOST_VALUES:,} values.",
+        f"{MOST_VALUES:,} values, as seven of which each row counts.",
     )
     format: Literal["json", "csv"] | None = Field(
         None, description="Takes precedence over the header Accept."
