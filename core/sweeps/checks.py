@@ -32,7 +32,7 @@ _MAX_LABELS = 62
 _MAX_TRIED = 64
 _MAX_HINTS = 5
 # JSON of the settings of all trials.
-_LARGEST_TRIALS_BYTES = 2**22
+_LARGEST_TRIALS_BYTES = 2**21
 
 
 def checked(spec: SweepSpec, store: JobStore) -> SweepSpec:

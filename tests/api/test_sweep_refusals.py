@@ -78,7 +78,7 @@ MASS = {"field": "body_mass", "range": [0.9, 1.1]}
                 "budget": {"jobs": 900},
             },
             "/parameters",
-            "A trial's settings have up to 5,259 bytes as JSON. With 900 trials at most 4,660 are allowed: "
+            "A trial's settings have up to 5,259 bytes as JSON. With 900 trials at most 2,330 are allowed: "
             "vary shorter values, or set fewer trials as `jobs` in the budget.",
         ),
         ({"parameters": {"seed": []}}, "/parameters/seed", "`seed` needs at least 1 item, and has none."),
