@@ -306,7 +306,7 @@ def _of_sweep(
     def made(service: Service, route: str) -> Iterator[Form]:
         sweep_id = service.ended_sweep() if is_ended else service.sweep()
         headers = {"Content-Type": _JSON} if body else {}
-        what = f"{MAX_TRIALS:,} trials"
+        what = f"{MAX_TRIALS - 1:,} trials"
         yield Form(route, what, method, f"/sweeps/{sweep_id}{part}", (status,), body, headers)
 
     return made
@@ -360,7 +360,7 @@ def _listing_of_jobs(service: Service, route: str) -> Iterator[Form]:
 def _listing_of_sweeps(service: Service, route: str) -> Iterator[Form]:
     for _ in range(service.parts(10)):
         service.ended_sweep()
-    yield Form(route, f"ten with {MAX_TRIALS:,} trials", "GET", "/sweeps?limit=200")
+    yield Form(route, f"ten with {MAX_TRIALS - 1:,} trials", "GET", "/sweeps?limit=200")
 
 
 def _metrics(service: Service, route: str) -> Iterator[Form]:
@@ -417,7 +417,7 @@ _FORMS: dict[str, Forms] = {
     "DELETE /sweeps/{sweep_id}": _of_sweep("DELETE", "", 204, is_ended=True),
     "POST /sweeps/{sweep_id}/cancel": _of_sweep("POST", "/cancel", 202),
     "POST /sweeps/{sweep_id}/resume": _of_sweep(
-        "POST", "/resume", 202, is_ended=True, body=b'{"budget": {"gpu_hours": 9}}'.ljust(_LARGEST_BODY)
+        "POST", "/resume", 202, is_ended=True, body=b'{"budget": {"jobs": 1000}}'.ljust(_LARGEST_BODY)
     ),
     "POST /models": _models,
     "GET /models": _get("/models?limit=200"),

@@ -1,4 +1,4 @@
-"""Gives a sweep the most trials that it may have, each ended, as if they had run."""
+"""Gives a sweep all trials but one of those that it may have, each ended, as if they had run."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ def fill(sweep_id: str, store: SweepStore) -> None:
     sweep = store.get_sweep(sweep_id)
     there = {trial.number for trial in store.trials([sweep_id]).get(sweep_id, ())}
     axes: dict[str, Any] = sweep.spec.parameters
-    for number in set(range(MAX_TRIALS)) - there:
+    for number in set(range(MAX_TRIALS - 1)) - there:
         values = {name: axis[number % len(axis)] for name, axis in axes.items()}
         trial = Trial(
             number=number,
