@@ -158,6 +158,15 @@ class GaitwayWorker(rq.Worker):
             self.set_state(rq.worker.WorkerStatus.IDLE)
             self._wait_for_queue(error)
 
+    def handle_job_failure(self, *args: Any, **kwargs: Any) -> None:
+        """RQ forgets the execution before Redis has: a second try would leave the message as started."""
+        execution = self.execution
+        try:
+            super().handle_job_failure(*args, **kwargs)
+        except RedisError:
+            self.execution = execution
+            raise
+
     def _wait_for_queue(self, error: RedisError) -> None:
         """A pause between two tries to reach Redis. Raises StopRequested if the worker must shut down."""
         log.warning("queue_bookkeeping_waits", error=str(error))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import redis
+from pydantic import SecretStr
 from structlog.testing import capture_logs
 
 from core.adapters.connect import connect_redis
@@ -31,6 +32,7 @@ from tests.contract.recording import Database, watch
 from tests.faults.bench import wait_until
 from tests.faults.outages import NullWorker, submitted
 from tests.unit.worker.environments import environment
+from worker.main import GaitwayWorker
 
 LEASE = timedelta(seconds=15)
 
@@ -319,6 +321,26 @@ def test_a_worker_waits_for_a_full_redis_before_after_and_during_a_job(
     ended, given_back = job_store.get(first.id), job_store.get(second.id)
     assert (ended.status, len(ended.attempts)) == (JobStatus.CANCELLED, 1)
     assert [attempt.reason for attempt in given_back.attempts] == [Reason.WORKER_DRAINED]
+
+
+def test_a_message_whose_work_horse_a_full_redis_ended_is_taken_again_at_once(
+    job_store: PostgresJobStore, settings: WorkerSettings, own_valkey: Valkey
+) -> None:
+    """Seed 42039 of the campaign's outages: RQ's second try left it as started, for 70 s."""
+    with connect_redis(own_valkey.url) as client:
+        service = Service(job_store, client)
+        service.submit()
+        own = settings.model_copy(update={"redis_url": SecretStr(own_valkey.url)})
+        worker = GaitwayWorker(own, "cpu", job_store)
+        message, queue = worker.dequeue_job_and_maintain_ttl(1)
+        worker.prepare_execution(message)
+        assert service.look() == 0
+        make_full(client)
+        with pytest.raises(redis.exceptions.OutOfMemoryError):
+            worker.handle_job_failure(message, queue)
+        client.config_set("maxmemory", 0)
+        worker.handle_job_failure(message, queue)
+        assert service.look() == 1
 
 
 def make_full(client: redis.Redis) -> None:
