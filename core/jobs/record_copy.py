@@ -7,7 +7,7 @@ database does not know, and the sweep of orphans reads it to leave that alone. N
 import json
 from typing import Any
 
-from core.errors import JobUnreadable, ObjectNotFound
+from core.errors import JobUnreadable, ObjectDamaged, ObjectNotFound
 from core.jobs.job import Job
 from core.jobs.store import JobStore
 from core.jobs.stored_spec import read_spec
@@ -53,6 +53,8 @@ def read_copy(job_id: str, objects: ObjectStore) -> Job | None:
     """
     try:
         text = objects.get(keys.record(job_id))
+    except ObjectDamaged as error:
+        raise JobUnreadable(job_id, f"its copy in the object store is damaged ({error.why})") from error
     except ObjectNotFound:
         return None
     try:

@@ -8,6 +8,7 @@ from pathlib import Path
 from core.errors import BadModel, ModelNotFound, RecordsUnavailable
 from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.storage.whole import read_whole
 from core.user_models.queue import ModelQueue
 from core.user_models.record import ModelRecord
 from core.user_models.store import ModelStore
@@ -22,6 +23,11 @@ def find(model_id: str, store: ModelStore) -> ModelRecord:
     if _ID.fullmatch(model_id) is None:
         raise ModelNotFound(model_id[:80])
     return store.find_model(model_id)
+
+
+def source(model_id: str, objects: ObjectStore) -> bytes:
+    """The file as it was sent. Raises ObjectNotFound, ObjectDamaged, StorageUnavailable."""
+    return read_whole(keys.model_source(model_id), model_id.removeprefix("sha256:"), objects)
 
 
 def add(  # noqa: PLR0913 # What was sent, and where it goes.

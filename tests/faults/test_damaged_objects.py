@@ -6,6 +6,8 @@ import random
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
+from datetime import timedelta
 from pathlib import Path
 
 import httpx
@@ -16,16 +18,19 @@ from core.adapters.memory.queue import MemoryJobQueue
 from core.adapters.postgres.jobs import PostgresJobStore
 from core.adapters.s3.connection import connect_s3
 from core.adapters.s3.objects import S3ObjectStore
-from core.errors import ObjectDamaged, StorageUnavailable
-from core.jobs import feeds
+from core.errors import JobFailed, JobUnreadable, ObjectDamaged, ObjectNotFound, StorageUnavailable
+from core.jobs import feeds, orphans
 from core.jobs.attempts import Claim
 from core.jobs.job import Job
+from core.jobs.record_copy import copy_record, copy_records, read_copy
 from core.jobs.status import JobStatus
 from core.reasons import Reason
+from core.storage import keys
+from core.user_models import library
 from gaitway.service.embedded.weed import Weed
 from gaitway.service.embedded.weed_environment import REGION
 from tests.api.conftest import NOWHERE, serving
-from tests.contract.recording import NOW, artifact, held, queued_job, say
+from tests.contract.recording import NOW, artifact, held, model, queued_job, say
 from tests.faults.campaign.proxy import Proxy
 from tests.faults.campaign.volumes import flip_byte
 from tests.faults.test_flipped_bytes import proxied
@@ -155,6 +160,83 @@ def test_a_job_resumes_from_the_checkpoint_before_a_damaged_one(
     assert [one.step for one in job_store.get(claim.job_id).artifacts] == [5]
 
 
+def take_away(weed: Weed, objects: S3ObjectStore, key: str, body: bytes, how: str) -> None:
+    match how:
+        case "flipped":
+            damage(weed, body)
+        case "lost":
+            objects.delete([key])
+        case "shorter":
+            objects.put(key, body[:-10])
+        case "other bytes":
+            objects.put(key, body[:-1] + bytes([body[-1] ^ 1]))
+        case _:
+            assert how == "slow"
+
+
+WAYS = ["flipped", "lost", "shorter", "other bytes", "slow"]
+
+
+@pytest.mark.parametrize("how", WAYS)
+@pytest.mark.parametrize("of", ["its own", "another's, to resume", "another's, to act"])
+def test_an_attempt_begins_with_the_checkpoint_before_in_seconds(
+    weed: Weed,
+    job_store: PostgresJobStore,
+    object_store: S3ObjectStore,
+    dripping: S3ObjectStore,
+    tmp_path: Path,
+    how: str,
+    of: str,
+) -> None:
+    # The older one is small, so that it does not drip.
+    bodies = {5: body_of(1000, 5), 10: body_of(100_000, 10)}
+    claim = with_checkpoints(job_store, object_store, bodies)
+    source = claim.job_id
+    if of != "its own":
+        wanted: dict[str, object] = {"resume_from": {"job": source}}
+        if of == "another's, to act":
+            wanted = {"kind": "rollout", "policy": {"kind": "checkpoint", "job": source}}
+        job = held(job_store, queued_job(1, **wanted))
+        claim = Claim(job.id, 1, job.token, job_store, object_store)
+    take_away(weed, object_store, f"jobs/{source}/10", bodies[10], how)
+    fresh = S3ObjectStore(object_store._client, object_store._bucket)
+    claim = Claim(claim.job_id, 1, claim.token, job_store, dripping if how == "slow" else fresh)
+    began = time.monotonic()
+    notes = write_task(job_store.get(claim.job_id), claim, "cpu", tmp_path)
+    assert time.monotonic() - began < WITHIN_S
+    assert (tmp_path / "start.msgpack").read_bytes() == bodies[5]
+    assert [note.split()[0] for note in notes] == ["checkpoint-10", "The" if of == "its own" else "Step"]
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_a_job_whose_model_cannot_be_read_says_what_to_do(
+    weed: Weed,
+    job_store: PostgresJobStore,
+    object_store: S3ObjectStore,
+    dripping: S3ObjectStore,
+    tmp_path: Path,
+    how: str,
+) -> None:
+    body = body_of(100_000, 6)
+    digest = hashlib.sha256(body).hexdigest()
+    job_store.add_model(model(f"sha256:{digest}"))
+    key = keys.model_source(f"sha256:{digest}")
+    object_store.put(key, body)
+    environment = {"id": "mjcf", "options": {"model": f"sha256:{digest}"}}
+    job = held(job_store, queued_job(environment=environment))
+    take_away(weed, object_store, key, body, how)
+    claim = Claim(job.id, 1, job.token, job_store, dripping if how == "slow" else object_store)
+    began = time.monotonic()
+    with pytest.raises(JobFailed, match="Delete it, and send it again") as failed:
+        write_task(job_store.get(job.id), claim, "cpu", tmp_path)
+    assert time.monotonic() - began < WITHIN_S
+    assert failed.value.reason == Reason.BAD_MODEL
+    began = time.monotonic()
+    with pytest.raises(ObjectNotFound):  # As a validation and a preview read it.
+        library.source(f"sha256:{digest}", claim.objects)
+    assert time.monotonic() - began < WITHIN_S
+
+
 @pytest.fixture
 def api(job_store: PostgresJobStore, object_store: S3ObjectStore) -> Iterator[httpx.Client]:
     app = create_app(NOWHERE, store=job_store, queue=MemoryJobQueue(), objects=object_store)
@@ -213,6 +295,49 @@ def test_bytes_that_are_not_the_recorded_ones_are_never_a_whole_answer(
         assert kinds[0] == "/problems/object-damaged"
 
 
+@pytest.mark.parametrize(("role", "route"), [("checkpoint", "checkpoints/7"), ("policy", "policy")])
+def test_a_checkpoint_or_a_policy_that_is_gone_is_a_problem_of_its_own(
+    job_store: PostgresJobStore, object_store: S3ObjectStore, api: httpx.Client, role: str, route: str
+) -> None:
+    claim = with_checkpoints(job_store, object_store, {1: b"x"})
+    file = artifact(f"{role}-7", key=f"jobs/{claim.job_id}/7", **facts(role, b"x", 7))
+    claim.publish((file,), 5)
+    answer = api.get(f"/jobs/{claim.job_id}/{route}")
+    assert (answer.status_code, answer.json()["type"]) == (404, "/problems/object-not-found")
+
+
+@pytest.mark.parametrize("size", [50_000, 9 * MIB])
+def test_a_file_that_is_served_slowly_for_ever_is_refused_in_seconds(
+    job_store: PostgresJobStore, object_store: S3ObjectStore, dripping: S3ObjectStore, size: int
+) -> None:
+    job = with_file(job_store, object_store, body_of(size, 8))
+    app = create_app(NOWHERE, store=job_store, queue=MemoryJobQueue(), objects=dripping)
+    with serving(app) as port, httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=20) as http:
+        began = time.monotonic()
+        with suppress(httpx.RemoteProtocolError):  # A large one may have begun.
+            assert http.get(f"/jobs/{job.id}/video").json()["type"] == "/problems/object-damaged"
+        assert time.monotonic() - began < WITHIN_S
+        assert http.get(f"/jobs/{job.id}/video").json()["type"] == "/problems/object-damaged"
+
+
+def test_a_damaged_copy_of_a_record_lets_nothing_be_removed_and_is_written_again(
+    weed: Weed, job_store: PostgresJobStore, object_store: S3ObjectStore
+) -> None:
+    job = with_file(job_store, object_store, b"x")
+    copy_records(store=job_store, objects=object_store)
+    object_store.put(f"jobs/{job.id}/attempts/1/0123456789abcdef/unnamed", b"x")
+    damage(weed, object_store.get(keys.record(job.id)))
+    fresh = S3ObjectStore(object_store._client, object_store._bucket)
+    before = {info.key for info in fresh.list("")}
+    for _ in orphans.sweep(store=job_store, objects=fresh, grace=-timedelta(days=1)):
+        pass
+    assert {info.key for info in fresh.list("")} >= before
+    with pytest.raises(JobUnreadable, match="damaged"):
+        read_copy(job.id, fresh)
+    copy_record(job, fresh)
+    assert read_copy(job.id, fresh) == job
+
+
 def test_a_feed_with_a_lost_chunk_shows_the_rest_and_says_what_is_missing(
     job_store: PostgresJobStore, object_store: S3ObjectStore, api: httpx.Client
 ) -> None:
@@ -240,3 +365,17 @@ def test_a_feed_with_a_damaged_chunk_shows_the_rest_within_seconds(
     assert time.monotonic() - began < WITHIN_S
     assert note.data == {"text": "Entry 1 of this feed was damaged in the object store."}
     assert "status" in api.get(f"/jobs/{job.id}/events?follow=false").text
+
+
+def test_a_feed_whose_chunk_is_served_slowly_for_ever_shows_the_rest_within_seconds(
+    job_store: PostgresJobStore, object_store: S3ObjectStore, dripping: S3ObjectStore
+) -> None:
+    job = held(job_store, queued_job())
+    for number in range(40):
+        say(job_store, job, f"{number} {body_of(4000, number).hex()}")
+    job_store.save(job_store.get(job.id).ended(JobStatus.FAILED, Reason.TRAINING_CRASHED, "", NOW))
+    feeds.compact(store=job_store, objects=object_store)
+    began = time.monotonic()
+    [note] = feeds.read(job.id, "logs", store=job_store, objects=dripping)
+    assert time.monotonic() - began < WITHIN_S
+    assert note.data == {"text": "Entries 1 to 40 of this feed were damaged in the object store."}

@@ -20,8 +20,8 @@ from core.previews.record import PreviewRequest
 from core.rendering.gl import DRIVER_CRASHES, RenderingFailed, backends, no_gl
 from core.rendering.request import RenderFailure
 from core.settings import Confinement
-from core.storage import keys
 from core.storage.objects import ObjectStore
+from core.user_models import library as models_library
 from core.variables import variable
 from worker.host.child import environment, kill, launch, tail
 from worker.host.plain_files import read_plain
@@ -49,9 +49,9 @@ def draw(
         return
     if request.model:
         try:
-            (folder / "model").write_bytes(objects.get(keys.model_source(request.model)))
+            (folder / "model").write_bytes(models_library.source(request.model, objects))
         except ObjectDamaged as error:
-            message = f"The stored model is damaged: {error.why}."
+            message = f"The stored model is damaged: {error.why}. Delete it, and send it again."
             failure = RenderFailure(reason="bad_request", message=message)
             library.keep_failure(request, failure, objects, utc_now())
             return

@@ -6,7 +6,7 @@ from typing import get_args
 
 from core.algorithms.catalog import reported
 from core.environments.mjcf.info import MjcfOptions
-from core.errors import JobFailed, NotFound, ObjectDamaged, ObjectNotFound
+from core.errors import JobFailed, ModelNotFound, ObjectDamaged, ObjectNotFound
 from core.jobs.attempts import Claim
 from core.jobs.checks import source_artifact
 from core.jobs.job import Artifact, Attempt, Job
@@ -159,12 +159,14 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
         record = library.find(model_id, claim.store)
         model = (keys.model_source(model_id), claim.objects, spool / "model")
         if all(f"sha256:{_load(*model)}" != model_id for _ in range(READINGS)):
-            detail = f"The model {model_id} is damaged: its bytes are not those sent."
-            raise JobFailed(Reason.BAD_MODEL, detail)
+            raise ObjectDamaged(model[0], "its bytes are not those sent")
     except ObjectDamaged as error:
         detail = f"The model {model_id} is damaged: {error.why}. Delete it, and send it again."
         raise JobFailed(Reason.BAD_MODEL, detail) from None
-    except NotFound:
+    except ObjectNotFound:
+        detail = f"The model {model_id} has gone from the object store. Delete it, and send it again."
+        raise JobFailed(Reason.BAD_MODEL, detail) from None
+    except ModelNotFound:
         raise JobFailed(Reason.BAD_MODEL, f"The model {model_id} was deleted before the job began.") from None
     described = record.description
     options = MjcfOptions.model_validate(task.spec.environment.options)

@@ -63,7 +63,7 @@ def validate(  # noqa: PLR0913 # Which model, and the places that are needed.
     if record.status != "validating":
         return
     try:
-        body = objects.get(keys.model_source(model_id))
+        body = library.source(model_id, objects)
     except ObjectDamaged as error:
         answers = iter([Answer(refusal=f"The stored model is damaged: {error.why}. Send it again.")])
     except ObjectNotFound:  # It was interrupted before its last step, or somebody is deleting the model.

@@ -31,6 +31,8 @@ _NEWEST = (
 
 
 def _flip(world: World, key: str) -> None:
+    if key in world.hurt:  # Reading it to flip it would take ten seconds.
+        return
     with suppress(Exception):  # It has just gone.
         body = world.objects().get(key)
         world.hurt.add(key)
