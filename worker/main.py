@@ -162,7 +162,7 @@ class GaitwayWorker(rq.Worker):
         """RQ forgets the execution before Redis has: a second try would leave the message as started."""
         execution = self.execution
         try:
-            super().handle_job_failure(*args, **kwargs)
+            super().handle_job_failure(*args, **kwargs)  # pyright: ignore[reportUnknownMemberType]
         except RedisError:
             self.execution = execution
             raise
