@@ -123,13 +123,16 @@ def _arguments() -> argparse.Namespace:
     campaign = parser.add_argument_group("the campaign of faults")
     campaign.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of its seeds")
     campaign.add_argument("--worlds", type=int, metavar="N", help="deployments under test side by side")
+    campaign.add_argument(
+        "--kinds", nargs="+", default=["faults"], help="kinds of faults: modules of tests/faults/campaign"
+    )
     given = parser.parse_args()
     given.names = [name.replace("-", "_") for name in given.names]
     unknown = [name for name in given.names if name not in MODULES]
     if unknown and given.names != ["report"]:
         parser.error(f"There is no bench {unknown[0]!r}; there are {', '.join(MODULES)}.")
-    if given.names != ["faults"] and (given.first or given.worlds):
-        parser.error("--first and --worlds are about the bench `faults`: name it.")
+    if given.names != ["faults"] and (given.first or given.worlds or given.kinds != ["faults"]):
+        parser.error("--first, --worlds and --kinds are about the bench `faults`: name it.")
     if len(given.names) != 1 and (given.seconds or given.seeds or given.only != "*"):
         parser.error("--seconds, --only and --seeds are about one bench: name it.")
     if given.seeds is not None and given.seeds < 1:

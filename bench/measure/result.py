@@ -141,7 +141,7 @@ class Options(_Document):
     which starts no run that would take longer. only: a pattern; of the missing runs, make those whose name
     matches. seeds: how many; None: the bench's own number. first: the first seed of the campaign. worlds: how
     many of the campaign's run side by side; None: one for every two cores. minutes: how long the bench lasts;
-    None: its own time. gpu: measure the first GPU.
+    None: its own time. gpu: measure the first GPU. kinds: of the campaign's faults; each draws all seeds.
     """
 
     quick: bool = False
@@ -155,6 +155,7 @@ class Options(_Document):
     gpu: bool = False
     first: int = 0
     worlds: int | None = None
+    kinds: tuple[str, ...] = ("faults",)
 
 
 def at_least(value: float) -> Target:

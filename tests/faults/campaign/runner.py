@@ -88,14 +88,18 @@ class Runner:
         return Outcome.of_line(line)
 
 
-def run_all(seeds: Iterable[int], worlds: int) -> Iterator[Outcome]:
-    """The outcomes as they come."""
-    todo: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-    for seed in seeds:
-        todo.put(seed)
+# The kinds of faults, and a seed that draws some.
+Episode = tuple[str, int]
+
+
+def run_all(episodes: Iterable[Episode], worlds: int) -> Iterator[tuple[str, Outcome]]:
+    """The kinds and the outcomes as they come."""
+    todo: queue.SimpleQueue[Episode | None] = queue.SimpleQueue()
+    for episode in episodes:
+        todo.put(episode)
     for _ in range(worlds):
         todo.put(None)
-    done: queue.SimpleQueue[Outcome | BaseException | None] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[str, Outcome] | BaseException | None] = queue.SimpleQueue()
     threads = [threading.Thread(target=_work, args=(todo, done), daemon=True) for _ in range(worlds)]
     for thread in threads:
         thread.start()
@@ -111,18 +115,22 @@ def run_all(seeds: Iterable[int], worlds: int) -> Iterator[Outcome]:
 
 
 def _work(
-    todo: "queue.SimpleQueue[int | None]", done: "queue.SimpleQueue[Outcome | BaseException | None]"
+    todo: "queue.SimpleQueue[Episode | None]",
+    done: "queue.SimpleQueue[tuple[str, Outcome] | BaseException | None]",
 ) -> None:
     try:
-        seed = todo.get()
-        while seed is not None:
-            with Runner() as runner:
+        episode = todo.get()
+        while episode is not None:
+            kinds, seed = episode
+            with Runner(kinds) as runner:
                 for _ in range(_EPISODES_OF_A_WORLD):
                     outcome = runner.run(seed)
-                    done.put(outcome)
-                    seed = todo.get()
-                    if seed is None or outcome.broken:  # The next one shall not suffer for it.
+                    done.put((kinds, outcome))
+                    episode = todo.get()
+                    # After a broken promise, the next one shall not suffer for it.
+                    if episode is None or episode[0] != kinds or outcome.broken:
                         break
+                    seed = episode[1]
         done.put(None)
     except BaseException as error:
         done.put(error)
