@@ -53,3 +53,9 @@ def test_four_seeds_are_trained_together(accelerator: str, client: Client) -> No
         assert one.progress.step == one.progress.total >= algorithm["num_timesteps"]
     newest = [client.checkpoints(one.id)[-1] for one in jobs]
     assert [checkpoint.step for checkpoint in newest] == [one.progress.step for one in jobs]
+    for one in jobs:
+        returns = [row.values.get("eval/episode_reward") for row in client.metrics(one.id)]
+        best = one.newest("best_policy")
+        assert best is not None
+        assert best.metadata == {"return": max(found for found in returns if found is not None)}
+    assert len({best.sha256 for one in jobs if (best := one.newest("best_policy"))}) == 4
