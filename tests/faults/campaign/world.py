@@ -295,6 +295,8 @@ class World:
             "GAITWAY_S3_ENDPOINT": f"127.0.0.1:{proxy[f'{party}/weed'].here}",
             "GAITWAY_DATA_DIR": str(self.folder / party),
             "GAITWAY_DEVICE": "cpu",
+            # A machine of many cores has several: they would count as left behind.
+            "GAITWAY_API_PROCESSES": "1",
             "GAITWAY_LEASE": str(LEASE_S),
             "GAITWAY_HEARTBEAT": str(HEARTBEAT_S),
             "GAITWAY_RECONCILE_EVERY": str(RECONCILE_S),
