@@ -13,6 +13,8 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import structlog
+
 from tests.faults.campaign.checker import check
 from tests.faults.campaign.clients import Users
 from tests.faults.campaign.disks import take_own_mounts
@@ -63,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--serve", type=Path, metavar="FOLDER", help="a world there, for seeds that are sent")
     parser.add_argument("--keep", action="store_true", help="stop at the first broken promise")
     given = parser.parse_args(arguments)
+    # The standard output is for outcomes; what looks into the store may have warnings.
+    structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
     if PARENT in os.environ:
         die_with_parent()
     if not (has_own_mounts := take_own_mounts()):
