@@ -43,7 +43,7 @@ SHORT_SIGHTED: dict[str, Any] = {
 RETURN = "eval/episode_reward"
 
 # Its three processes and the trial of the model take a busy machine longer than the usual 120 s.
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 
 
 @pytest.fixture(scope="module")

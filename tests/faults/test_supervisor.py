@@ -190,7 +190,7 @@ def test_a_drain_is_heard_by_who_waits_for_the_device(bench: Bench) -> None:
 def test_a_drain_is_heard_by_who_waits_for_a_store(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     job = bench.run("is_killed", max_attempts=2)  # It leaves a checkpoint to go on from.
 
-    def away(*_: Any) -> None:
+    def away(*_: Any, **__: Any) -> None:
         raise StorageUnavailable("The test switched it off.")
 
     monkeypatch.setattr(bench.objects, "open", away)
