@@ -38,7 +38,7 @@ class Picture(Parameters):
     def shows(self, artifact: Artifact) -> bool:
         facts = artifact.metadata
         named: object = facts.get("cameras", [facts.get("camera", "")])  # Older records name one.
-        # Of an import it may be anything.
+        # An imported job's metadata may hold anything here.
         cameras = [str(one) for one in cast("list[object]", named)] if isinstance(named, list) else []
         return self.step in (None, artifact.step) and (self.camera is None or self.camera in cameras)
 

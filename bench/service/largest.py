@@ -130,11 +130,11 @@ class Waits:
 
     def __init__(self, path: Path) -> None:
         self._file = path.open()
-        # Of the API for one of these requests, which is no cost of what is measured.
+        # The API's processor time for one request to /healthz: it is taken off what is measured.
         self.request_cpu_s = 0.0
 
     def between(self, began: float, ended: float) -> tuple[float, int]:
-        """Of the requests that were under way between these times, the longest, in seconds; and how many."""
+        """The longest of the requests under way between these times, in seconds, and their number."""
         found = [0.0]
         last = began
         while last <= ended:  # Until one was sent after the end.

@@ -8,14 +8,14 @@ from core.jobs.store import JobStore
 from core.storage import keys
 from core.storage.objects import ObjectStore
 
-# What another process is writing at the deletion, a part of a feed or a copy of the record, is there by then.
+# Another process may be writing a part of a feed or a copy of the record just now: by then it has finished.
 _OBJECTS_AGAIN_AFTER = timedelta(minutes=2)
 
 
 def delete(job_id: str, *, store: JobStore, objects: ObjectStore) -> None:
     """Remove the record first, so that nobody is shown a job whose files are gone, and then the files.
 
-    What an outage of the object store leaves of them, `end_deletions` removes. A record that cannot be read
+    `end_deletions` removes the files that an outage of the object store leaves. A record that cannot be read
     can be deleted. Raises JobNotFound; JobNotFinished unless the job has ended; JobInUse while another one
     needs a checkpoint of it.
     """

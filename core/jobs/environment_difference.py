@@ -1,4 +1,4 @@
-"""What keeps a job from going on from a checkpoint that was made in another environment."""
+"""The differences between two environments that keep a job from resuming from a checkpoint of the other."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -45,7 +45,7 @@ def _options(environment: EnvironmentSpec) -> dict[str, Any]:
 def _differing(one: Any, other: Any, place: _Place) -> Iterator[tuple[_Place, Any, Any]]:
     if isinstance(one, dict) and isinstance(other, dict):
         one, other = cast("dict[str, Any]", one), cast("dict[str, Any]", other)
-        # Of two terms of other kinds, the kinds say more than what only one of them has.
+        # The kind comes first: where it differs, options that only one kind has explain less.
         for name in sorted({**one, **other}, key=lambda name: name != "kind"):
             yield from _differing(one.get(name), other.get(name), (*place, name))
     elif isinstance(one, list) and isinstance(other, list):

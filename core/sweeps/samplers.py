@@ -34,7 +34,7 @@ except ModuleNotFoundError as error:
 
 
 class _Positions(optuna.distributions.CategoricalDistribution):
-    """Of a list's values.
+    """The distribution of the positions in a list of values.
 
     Optuna compares and copies the distribution of each axis for each trial, one choice after another: with
     1,000 trials along lists of 1,000 values that took a minute.

@@ -161,7 +161,7 @@ def _best(job: JobView) -> str | None:
 
 
 def _number(value: Any) -> str:
-    """Of an import it may be anything."""
+    """The number as text; an imported job's metadata may hold anything in its place."""
     return f"{value:g}" if isinstance(value, int | float) else "unknown"
 
 

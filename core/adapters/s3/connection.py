@@ -17,7 +17,7 @@ from urllib3 import Timeout as HTTPTimeout
 
 from core.errors import Misconfigured
 
-# Who reads an object asks again itself (core/adapters/s3/reading.py).
+# core/adapters/s3/reading.py decides when to ask again for an object.
 _ONE_TRY = HTTPRetry(total=1, connect=1, read=0, status=0, other=0, backoff_factor=0.1, raise_on_status=False)
 _patience_s = ContextVar[float | None]("patience_s", default=None)
 

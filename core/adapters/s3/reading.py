@@ -62,7 +62,7 @@ class Reading:
         self._insist(self._ask)
 
     def pieces(self) -> Iterator[bytes]:
-        """What is left, in pieces of at most 1 MiB."""
+        """The remaining bytes, in pieces of at most 1 MiB."""
         while self.at != self.end and (piece := self._insist(self._next)):
             yield piece
 

@@ -53,8 +53,8 @@ def _num_pairs(model: mujoco.MjModel) -> int:
 
 
 def root_of(model: mujoco.MjModel) -> int:
-    """Of the trees that have actuators: the first body with a free joint; else the first that slides and
-    hangs on nothing that moves; else the first body of the first such tree.
+    """The robot's root, sought in the trees that have actuators: the first body with a free joint; else the
+    first body that slides and hangs on nothing that moves; else the first body of the first such tree.
 
     A scene may have a ball, a mocap body or fixed objects before the robot. Without actuators on any tree,
     all of them count.
