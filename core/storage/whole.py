@@ -1,7 +1,9 @@
 """Reading an object whose hash the record names."""
 
 import hashlib
+import os
 from collections.abc import Collection
+from pathlib import Path
 
 from core.errors import ObjectDamaged, StorageUnavailable
 from core.storage.objects import ObjectStore
@@ -25,21 +27,27 @@ def read_whole(key: str, sha256: str, objects: ObjectStore) -> bytes:
     raise _wrong(key, digests)
 
 
-def check_whole(key: str, sha256: str, objects: ObjectStore) -> None:
-    """Read the object, which may be large, for its hash alone.
+def save_whole(key: str, sha256: str, objects: ObjectStore, path: Path, size: int | None = None) -> None:
+    """Write an object, which may be large, to the file. size: bytes, where the record names them.
 
     Raises ObjectNotFound; ObjectDamaged; StorageUnavailable, also where each reading gives other bytes.
     """
     digests = set[str]()
     for _ in range(READINGS):
         digest = hashlib.sha256()
-        with objects.open(key) as pieces:
+        with objects.open(key, size=size) as pieces, path.open("wb") as file:
             for piece in pieces:
                 digest.update(piece)
+                file.write(piece)
         if digest.hexdigest() == sha256:
             return
         digests.add(digest.hexdigest())
     raise _wrong(key, digests)
+
+
+def check_whole(key: str, sha256: str, objects: ObjectStore) -> None:
+    """Read the object, which may be large, for its hash alone. Raises as `save_whole`."""
+    save_whole(key, sha256, objects, Path(os.devnull))
 
 
 def _wrong(key: str, digests: Collection[str]) -> ObjectDamaged | StorageUnavailable:

@@ -1,6 +1,5 @@
 """The files of a training process's start: its task, a verified checkpoint, and the user's own model."""
 
-import hashlib
 from pathlib import Path
 from typing import get_args
 
@@ -16,7 +15,7 @@ from core.physics.availability import EngineName
 from core.reasons import Reason
 from core.storage import keys
 from core.storage.objects import ObjectStore
-from core.storage.whole import OTHER_BYTES, READINGS
+from core.storage.whole import save_whole
 from core.user_models import library
 from worker.host.commit import commit_here
 from worker.protocol import BestSoFar, Task
@@ -98,26 +97,13 @@ def _best_so_far(job: Job, claim: Claim, spool: Path, notes: list[str]) -> BestS
 
 def _fetch(checkpoint: Artifact, objects: ObjectStore, path: Path) -> str | None:
     """Load the file; returns what is wrong with it, or None. Raises StorageUnavailable."""
-    name, sha256 = checkpoint.name, checkpoint.sha256
     try:
-        for _ in range(READINGS):
-            if _load(checkpoint.key, objects, path, checkpoint.size) == sha256:
-                return None
+        save_whole(checkpoint.key, checkpoint.sha256, objects, path, checkpoint.size)
     except ObjectDamaged as error:
-        return f"{name} is damaged: {error.why}."
+        return f"{checkpoint.name} is damaged: {error.why}."
     except ObjectNotFound:
-        return f"{name} has gone from the object store."
-    return f"{name} is damaged: {OTHER_BYTES}."
-
-
-def _load(key: str, objects: ObjectStore, path: Path, size: int | None = None) -> str:
-    """Write the object to the file; returns the SHA-256 of what came."""
-    digest = hashlib.sha256()
-    with objects.open(key, size=size) as pieces, path.open("wb") as file:
-        for piece in pieces:
-            digest.update(piece)
-            file.write(piece)
-    return digest.hexdigest()
+        return f"{checkpoint.name} has gone from the object store."
+    return None
 
 
 def _as_begun(task: Task, begun: Attempt | None) -> Task:
@@ -157,9 +143,8 @@ def _with_model(task: Task, claim: Claim, spool: Path) -> Task:
         return task
     try:
         record = library.find(model_id, claim.store)
-        model = (keys.model_source(model_id), claim.objects, spool / "model")
-        if all(f"sha256:{_load(*model)}" != model_id for _ in range(READINGS)):
-            raise ObjectDamaged(model[0], "its bytes are not those sent")
+        sha256 = model_id.removeprefix("sha256:")
+        save_whole(keys.model_source(model_id), sha256, claim.objects, spool / "model")
     except ObjectDamaged as error:
         detail = f"The model {model_id} is damaged: {error.why}. Delete it, and send it again."
         raise JobFailed(Reason.BAD_MODEL, detail) from None
