@@ -67,7 +67,9 @@ def _gather(pages: Path) -> None:
         shutil.copy(_ROOT / name, pages)
     (pages / "README.md").rename(pages / "index.md")
     for page in pages.rglob("*.md"):
-        page.write_text(page.read_text().replace("README.md", "index.md"))
+        # The site's theme would fetch Mermaid from another host, so it shows a drawing's text.
+        text = page.read_text().replace("README.md", "index.md").replace("```mermaid", "```text")
+        page.write_text(text)
     (pages / "docs" / "client_reference.md").write_text(_REFERENCE)
     http = pages / "interface"
     http.mkdir()
