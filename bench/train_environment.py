@@ -1,6 +1,6 @@
 """PPO on one environment, its tuned values changed by the request.
 
-For a whole job with files use `bench.run_job`; `bench.ours.train_ppo` is a child of the benches.
+For a whole job with files use `gaitway run`; `bench.ours.train_ppo` is a child of the benches.
 
 `python -m bench.train_environment FOLDER` reads FOLDER/request.json, for example
 `{"environment": "ant", "device": "cpu"}`, and writes FOLDER/answer.json. In the request, `settings` changes

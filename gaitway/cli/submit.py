@@ -85,7 +85,7 @@ def submit(  # noqa: PLR0913 # A command line's options.
         spec["labels"] = {**spec.get("labels", {}), **dict(_assignment(text) for text in label)}
     for text in assignments or ():
         assigned(spec, whole_path(text))
-    _name_the_algorithm(spec, num_timesteps)
+    name_the_algorithm(spec, num_timesteps)
     client = client_of(context)
     if isinstance(spec.get("environment"), dict):
         chosen = cast("dict[str, Any]", spec["environment"])
@@ -123,7 +123,7 @@ def whole_path(text: str) -> str:
     return text if first in JOB_FIELDS else f"environment.options.{text}"
 
 
-def _name_the_algorithm(spec: dict[str, Any], num_timesteps: int | None) -> None:
+def name_the_algorithm(spec: dict[str, Any], num_timesteps: int | None = None) -> None:
     """Fill in the kind of an algorithm that is an object without one."""
     if not isinstance(spec.get("algorithm"), dict):
         return
