@@ -34,7 +34,7 @@ async def event_stream(
     if not follow:
         return
     if follower.status is not None and follower.status.is_final and not told:
-        # A job of version 0.1 that was imported has a status, but no feed.
+        # The feed of an imported job need not have its end.
         yield encoded([_final(await follower.job())])
 
 

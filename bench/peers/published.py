@@ -1,6 +1,6 @@
 """The settings that Brax published for its PPO: its training notebook's.
 
-The notebook trains the hopper and the walker by SAC; theirs are this project's of version 0.1.
+The notebook trains the hopper and the walker by SAC; theirs are this project's own.
 """
 
 from typing import Any

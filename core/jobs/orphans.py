@@ -97,7 +97,7 @@ def _of_jobs(
     for job_id, chunks in store.chunks(known).items():
         named |= {columns.key(job_id, group) for group in columns.groups(chunks)}
     for job_id, infos in batch.items():
-        files = [info for info in infos if not keys.is_description(info.key)]
+        files = [info for info in infos if not keys.is_record(info.key)]
         if job_id in known:
             seen.known_jobs += 1
             unnamed = [info.key for info in files if info.key not in named and _is_older(info, before)]
@@ -136,9 +136,7 @@ def _of_models(
     batch: Folders, before: datetime, store: JobStore, objects: ObjectStore, seen: _Seen
 ) -> Iterator[None]:
     for name, infos in batch.items():
-        # A model of version 0.1 has its record beside it, which `gaitway import-0.1` may still need.
-        is_kept = any(keys.is_description(info.key) for info in infos)
-        if not is_kept and all(_is_older(info, before) for info in infos) and not _is_model(name, store):
+        if all(_is_older(info, before) for info in infos) and not _is_model(name, store):
             yield from _remove([info.key for info in infos], before, objects, seen)
     yield
 

@@ -40,14 +40,9 @@ def record(job_id: str) -> str:
     return f"jobs/{job_id}/record.json"
 
 
-def version_01_spec(job_id: str) -> str:
-    """The key that version 0.1 wrote before it answered a submission."""
-    return f"jobs/{job_id}/spec.json"
-
-
-def is_description(key: str) -> bool:
-    """Whether it describes a job or a model and is none of its files; version 0.1 wrote the last two."""
-    return key.rpartition("/")[2] in ("record.json", "spec.json", "manifest.json")
+def is_record(key: str) -> bool:
+    """Whether it is a job's `record`."""
+    return key.startswith(jobs()) and key.endswith("/record.json") and key.count("/") == 2
 
 
 def artifact(job_id: str, attempt: int, sha256: str, name: str) -> str:

@@ -7,7 +7,7 @@ import typer
 from gaitway.cli.common import PASS_ON
 from gaitway.cli.errors import wrong_usage
 
-_NAMES = ("api", "demo", "doctor", "import-0.1", "recover", "run", "up", "worker")
+_NAMES = ("api", "demo", "doctor", "recover", "run", "up", "worker")
 
 
 def add_commands(app: typer.Typer) -> None:

@@ -26,7 +26,7 @@ def load(content: bytes, is_checkpoint: bool, deterministic: bool) -> tuple[jax.
         table, epsilon = table[agent], epsilon[agent]
     elif table.ndim != 2:
         raise PolicyUnreadable("This is a checkpoint, and no policy file.")
-    # The files keep the name that the option `state_discretizer` had in version 0.1.
+    # The file's name for the option `state_discretizer`.
     rows = rows_of(facts["indexer"], facts["num_arms"])
     explored = jnp.float32(epsilon)
 

@@ -223,13 +223,20 @@ def test_the_newest_revision_is_known_without_alembic(empty: Engine) -> None:
     assert not revision_of_the_code.is_newest(empty)
 
 
-def test_the_tables_of_a_newer_version_are_refused_and_stay(empty: Engine) -> None:
+@pytest.mark.parametrize(
+    ("number", "refusal"),
+    [
+        ("9999", r"A newer version .*revision 9999; this one knows 0"),
+        ("0001", r"A version before the first release .*revision 0001; .*: name an empty database"),
+    ],
+)
+def test_tables_of_an_unknown_revision_are_refused_and_stay(empty: Engine, number: str, refusal: str) -> None:
     schema.upgrade(empty)
     job = fill(empty)
     before = described(empty)
     with empty.begin() as connection:
-        connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
-    with pytest.raises(Misconfigured, match=r"A newer version .*revision 9999; this one knows 0"):
+        connection.execute(text("UPDATE alembic_version SET version_num = :number"), {"number": number})
+    with pytest.raises(Misconfigured, match=refusal):
         schema.upgrade(empty)
     assert described(empty) == before
     assert PostgresJobStore(empty).get(job.id) == job

@@ -38,12 +38,12 @@ def test_the_cli_shows_commands_of_the_service_only_where_it_is(installed: Insta
     assert shown.returncode == 0, shown.stderr
     commands = {line.split()[0] for line in shown.stdout.partition("Commands:")[2].splitlines() if line}
     assert {"submit", "watch", "models", "import"} <= commands
-    assert not {"api", "demo", "doctor", "import-0.1", "recover", "up", "worker"} & commands
+    assert not {"api", "demo", "doctor", "recover", "up", "worker"} & commands
 
 
 @pytest.mark.parametrize(
     "arguments",
-    [["up", "--port", "8000"], ["worker", "--help"], ["import-0.1"]],
+    [["up", "--port", "8000"], ["worker", "--help"]],
     ids=lambda arguments: arguments[0],
 )
 def test_a_command_of_the_service_says_where_the_service_is(

@@ -177,8 +177,9 @@ def full_object_store(folder: Path) -> Iterator[dict[str, str]]:
 @contextmanager
 def full_redis(folder: Path) -> Iterator[str]:
     """The address of a Valkey whose append-only file has no room for a byte more; ours writes none."""
-    with volume(folder, "256k"), Valkey(folder, append_only=True) as valkey:
+    with volume(folder, "256k"), Valkey(folder) as valkey:
         with connect_redis(valkey.url) as client, suppress(Exception):
+            client.config_set("appendonly", "yes")
             while True:
                 client.rpush("filling", secrets.token_bytes(2**12))
         yield valkey.url

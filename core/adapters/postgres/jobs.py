@@ -90,11 +90,9 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
         job: Job,
         events: Iterable[Entry],
         logs: Iterable[Entry],
-        keys: Sequence[submissions.SeenKey] = (),
         *,
         idempotency: Idempotency | None = None,
     ) -> bool:
-        """As in the seam; version 0.1 also has queued jobs, and `keys`, those of the job's submission."""
         try:
             with (
                 feeds.prepared(events) as said,
@@ -105,8 +103,6 @@ class PostgresJobStore(PostgresModels, PostgresSweeps, PostgresWorkers):
                     return False
                 feeds.append_all(connection, job.id, "events", said)
                 feeds.append_all(connection, job.id, "logs", printed)
-                for key in keys:
-                    submissions.remember(connection, key, job.id)
         except IntegrityError as error:
             if isinstance(error.orig, UniqueViolation):
                 return False

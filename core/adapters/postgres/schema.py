@@ -26,11 +26,16 @@ _LOCK = 0x6761697477617921
 def upgrade(engine: Engine, revision: str = "head") -> None:
     """Bring the tables to this revision; does nothing if they already are.
 
-    Raises RecordsUnavailable, RecordsRefuse; Misconfigured if a newer version of Gaitway made them.
+    Raises RecordsUnavailable, RecordsRefuse; Misconfigured for tables that this version cannot upgrade.
     """
     with _alone(engine) as (connection, config):
         now, newest = current(connection), _script(config).get_current_head()
         if now is not None and not _is_known(config, now):
+            if now < str(newest):
+                raise Misconfigured(
+                    f"A version before the first release made the tables of GAITWAY_DATABASE_URL (revision "
+                    f"{now}; this one knows {newest}), and cannot be upgraded: name an empty database."
+                )
             raise Misconfigured(
                 f"A newer version of Gaitway made the tables of GAITWAY_DATABASE_URL (revision {now}; this "
                 f"one knows {newest}): start that version, or downgrade the tables with it first."

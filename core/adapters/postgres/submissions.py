@@ -5,7 +5,6 @@ COMMIT and building it again would take most of a submission's time.
 """
 
 import hashlib
-from dataclasses import dataclass
 from datetime import timedelta
 from functools import cache
 from typing import Any
@@ -21,15 +20,6 @@ from core.jobs.status import JobStatus
 from core.jobs.store import Idempotency
 
 REMEMBERED = timedelta(hours=24)
-
-
-@dataclass(frozen=True)
-class SeenKey:
-    """The idempotency key of an earlier submission, by its hash. left: how long it is remembered."""
-
-    key_hash: str
-    fingerprint: str
-    left: timedelta
 
 
 def add(connection: Connection, job: Job, idempotency: Idempotency | None = None) -> bool:
@@ -98,20 +88,6 @@ def remembered(connection: Connection, idempotency: Idempotency) -> str | None:
     if row.fingerprint != idempotency.fingerprint:
         raise IdempotencyKeyReused(idempotency.key)
     return row.job_id
-
-
-def remember(connection: Connection, key: SeenKey, job_id: str) -> None:
-    """Store the key, unless somebody has used it since."""
-    connection.execute(
-        insert(idempotency_keys)
-        .values(
-            key_hash=key.key_hash,
-            fingerprint=key.fingerprint,
-            job_id=job_id,
-            forgotten_at=NOW + key.left,
-        )
-        .on_conflict_do_nothing()
-    )
 
 
 def forget_old_keys(connection: Connection) -> None:

@@ -27,8 +27,8 @@ _NAMES = {stored: name for name, stored in _STORED_NAMES.items()}
 
 
 class _Format(Format):
-    """Files keep the names of version 0.1: `indexer`, `mapper`, and `num_arms` for the number of states,
-    which only discretizers with as many states as arms read."""
+    """The file's own names: `indexer`, `mapper`, and `num_arms` for the number of states, which only
+    discretizers with as many states as arms read."""
 
     def pack(self, description: Mapping[str, Any], progress: Mapping[str, int], state: Any) -> bytes:
         header = {_STORED_NAMES.get(name, name): value for name, value in description.items()}

@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Literal
 
-from pydantic import AliasChoices, Field
+from pydantic import Field
 
 from core.algorithms.epsilon import EpsilonSchedule, Share
 from core.algorithms.q_learning.options import MAX_ENVS, ActionSetOptions, StateDiscretizerOptions
@@ -58,16 +58,10 @@ class QLearningSpec(BaseSpec):
 
     kind: Literal["q_learning"] = "q_learning"
     state_discretizer: StateDiscretizerOptions | None = Field(
-        default=None,
-        validation_alias=AliasChoices("state_discretizer", "indexer"),
-        description="How what is seen becomes a row of the table. (`indexer`, its name until version 0.2, is "
-        "deprecated and still accepted.)",
+        default=None, description="How an observation becomes a row of the table."
     )
     action_set: ActionSetOptions | None = Field(
-        default=None,
-        validation_alias=AliasChoices("action_set", "mapper"),
-        description="How a column of the table becomes an action. (`mapper`, its name until version 0.2, is "
-        "deprecated and still accepted.)",
+        default=None, description="How a column of the table becomes an action."
     )
     num_episodes: int = Field(
         default=100,

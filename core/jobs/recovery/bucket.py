@@ -28,11 +28,7 @@ def jobs_of_the_bucket(store: JobStore, objects: ObjectStore) -> Iterator[Findin
             if job_id in deleted:  # The reconciler removes the rest of it.
                 continue
             sizes = sizes_of(infos)
-            if job_id not in known and keys.version_01_spec(job_id) in sizes:
-                yield Finding(
-                    f"Job {job_id} is of version 0.1: `gaitway import-0.1` brings it into the record."
-                )
-            elif keys.record(job_id) not in sizes:
+            if keys.record(job_id) not in sizes:
                 num_nameless += job_id not in known
             elif (found := _job(job_id, sizes, job_id in known, store, objects)) is not None:
                 yield found

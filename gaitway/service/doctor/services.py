@@ -35,6 +35,9 @@ def postgresql(settings: "StoreSettings | None") -> Check:
         return Check("postgresql", "fail", error.detail)
     detail = f"PostgreSQL {found.server}, tables of revision {found.revision}"
     if not found.is_known:
+        if str(found.revision) < str(found.newest):
+            remedy = "Let GAITWAY_DATABASE_URL name an empty database."
+            return Check("postgresql", "fail", f"{detail}, of a version before the first release", remedy)
         remedy = "Start that version, or downgrade the tables with it first."
         return Check("postgresql", "fail", f"{detail}, which a newer version of Gaitway made", remedy)
     if not found.is_durable:

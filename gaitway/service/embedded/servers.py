@@ -10,14 +10,11 @@ from gaitway.service.embedded.weed import Weed
 
 
 class EmbeddedServers:
-    """PostgreSQL, Valkey and SeaweedFS, started together. They end with the thread that starts them.
+    """PostgreSQL, Valkey and SeaweedFS, started together. They end with the thread that starts them."""
 
-    append_only: Valkey loads what version 0.1 left.
-    """
-
-    def __init__(self, data_dir: Path, *, append_only: bool = False) -> None:
+    def __init__(self, data_dir: Path) -> None:
         self.postgres = Postgres(data_dir / "postgres")
-        self.valkey = Valkey(data_dir / "valkey", append_only=append_only)
+        self.valkey = Valkey(data_dir / "valkey")
         self.weed = Weed(data_dir / "objects")
         self.all = (self.postgres, self.valkey, self.weed)
 

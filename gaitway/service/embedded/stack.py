@@ -23,7 +23,6 @@ from gaitway.service.embedded.interruption import Interruption
 from gaitway.service.embedded.processes import ServerFailed, ServerProcess
 from gaitway.service.embedded.servers import EmbeddedServers
 from gaitway.service.embedded.stopped import StoppedProcesses
-from gaitway.service.embedded.version_01 import report_if_left
 from gaitway.service.embedded.weed import Weed
 
 FIRST_PORT = 8000
@@ -162,7 +161,6 @@ class Stack:
             port = held.getsockname()[1]
             self._folder = private_folder(self._folder)
             self._lock = lock_folder(self._folder)
-            report_if_left(self._folder, self._report)
             servers = EmbeddedServers(self._folder)
             self._weed = servers.weed
             # They import their modules while the servers start.

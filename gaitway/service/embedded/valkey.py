@@ -20,14 +20,10 @@ _ANSWERS_WITHIN_S = 2.0
 
 
 class Valkey(Server):
-    """A private Valkey on a unix socket, its data in one folder.
+    """A private Valkey on a unix socket; it keeps the queue in memory and writes no file."""
 
-    append_only: it loads and writes the append-only file of version 0.1.
-    """
-
-    def __init__(self, folder: Path, *, append_only: bool = False) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = private_folder(folder)
-        self._append_only = append_only
         self._socket = self._folder / "valkey.sock"
         self._borrowed: tempfile.TemporaryDirectory[str] | None = None
         if len(os.fsencode(self._socket)) > _LONGEST_SOCKET_PATH:
@@ -44,12 +40,11 @@ class Valkey(Server):
             "unixsocket": str(self._socket),
             "unixsocketperm": "700",
             "dir": str(self._folder),
-            # No file: lost messages are dispatched again. `unused`, or it would read that of version 0.1.
-            "appendonly": "yes" if self._append_only else "no",
-            "appenddirname": "appendonlydir" if self._append_only else "unused",
+            # No file: lost messages are dispatched again.
+            "appendonly": "no",
             "save": "",
             # Room for 50,000 messages, more than all queues get together; the record holds the rest.
-            "maxmemory": "0" if self._append_only else "128mb",
+            "maxmemory": "128mb",
             "maxmemory-policy": "noeviction",
         }
         arguments = [part for name, value in options.items() for part in (f"--{name}", value)]

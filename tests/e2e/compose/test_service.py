@@ -15,7 +15,7 @@ import pytest
 
 from gaitway.client import Client
 from gaitway.views import Event, JobView
-from tests.e2e.compose.conftest import ROOT, Figure
+from tests.e2e.compose.conftest import Figure
 from tests.e2e.compose.project import BASE, CommandFailed, Project, removing, run, run_for_bytes, size_mb
 
 # Ten checkpoints in some twenty seconds of training, so that it can be disturbed in the middle.
@@ -409,61 +409,6 @@ def test_a_changed_password_of_the_database_shuts_the_old_one_out(
     with pytest.raises(CommandFailed, match="password authentication failed"):
         log_in(project, old)
     assert client.wait(client.submit(ROLLOUT).id, timeout=120).succeeded
-
-
-# Puts what version 0.1 had where it was.
-LOAD_VERSION_01 = """
-import base64, json, sys
-from core.adapters.connect import connect_redis, object_store
-from core.configuration import read
-from core.settings import StoreSettings
-settings, old = read(StoreSettings), json.load(sys.stdin)
-redis, objects = connect_redis(settings.redis_url.get_secret_value()), object_store(settings)
-for key, body in old["objects"].items():
-    objects.put(key, base64.b64decode(body))
-for key, found in old["redis"].items():
-    match found["type"], found["value"]:
-        case "hash", fields:
-            redis.hset(key, mapping=fields)
-        case "stream", entries:
-            for number, said in entries:
-                redis.xadd(key, said, id=number)
-        case "zset", members:
-            redis.zadd(key, dict.fromkeys(members, 0))
-"""
-
-
-def test_version_01_is_taken_over(project: Project, checkout: Path) -> None:
-    """The commands of docs/operations.md, on the volumes of version 0.1: secrets, objects and valkey."""
-    names = ("redis_password", "s3_access_key", "s3_secret_key", "s3_inner_key")
-    keys = json.dumps({name: secrets.token_hex(16) for name in names})
-    data = (ROOT / "tests/unit/gaitway/version_01/data.json").read_bytes()
-    jobs = json.loads(data)["jobs"]
-    files = f"{checkout}/docker-compose.yml:{checkout}/deploy/from-0.1.yml"
-    upgraded = Project(checkout, project.settings)
-    with removing(
-        Project(checkout, {**project.settings, "COMPOSE_FILE": files}, upgraded.name, upgraded.port)
-    ) as with_old_data:
-        mount = f"--volume={upgraded.name}_valkey:/data"
-        image = f"gaitway-api:{project.settings['GAITWAY_TAG']}"
-        run("docker", "run", "--rm", "--user=0", mount, image, "chown", "10001:10001", "/data")
-        writing = ("run", "--rm", "-T", "setup", "sh", "-c", "cat > /run/gaitway/keys.json")
-        upgraded.compose(*writing, stdin=keys.encode())
-        with_old_data.compose("up", "--detach", "--wait", "valkey", "objects")
-        loading = ("run", "--rm", "-T", "--no-deps", "reconciler", "python", "-c", LOAD_VERSION_01)
-        upgraded.compose(*loading, stdin=data)
-        with_old_data.compose("down")
-
-        said = with_old_data.compose("run", "--rm", "-T", "reconciler", "gaitway", "import-0.1")
-        assert f"Jobs: {len(jobs)} imported" in said
-        upgraded.compose("up", "--detach", "api", "reconciler")
-        upgraded.wait_until_it_accepts(ROLLOUT, 60)
-        with upgraded.client() as user:
-            assert user.get(jobs["succeeded"]).succeeded
-        assert upgraded.exec("api", "cat", "/run/gaitway/keys.json") == keys
-        # The old records take none of the queue's memory.
-        cli = "REDISCLI_AUTH=$(cat /run/gaitway/valkey.password) valkey-cli"
-        assert upgraded.exec("valkey", "sh", "-c", f"{cli} exists gaitway:jobs").strip() == "0"
 
 
 def test_the_doctor_finds_nothing_wrong_in_the_worker(project: Project) -> None:

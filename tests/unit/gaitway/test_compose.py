@@ -1,4 +1,3 @@
-import json
 import re
 import shlex
 import signal
@@ -85,15 +84,6 @@ def test_a_new_set_of_keys_leaves_the_password_that_the_database_has(tmp_path: P
     (tmp_path / "keys.json").unlink()
     compose.setup(tmp_path, {}, tmp_path / "database.password")
     assert (tmp_path / "gaitway_database_url").read_text() == before
-
-
-def test_the_secrets_of_version_01_are_taken_over(tmp_path: Path) -> None:
-    old = {"redis_password": "r", "s3_access_key": "a", "s3_secret_key": "s", "s3_inner_key": "i"}
-    (tmp_path / "keys.json").write_text(json.dumps(old))
-    compose.setup(tmp_path, {}, tmp_path / "database.password")
-    assert json.loads((tmp_path / "keys.json").read_text()) == old
-    assert (tmp_path / "valkey.password").read_text() == "r"
-    assert (tmp_path / "gaitway_database_url").exists()
 
 
 def test_a_store_of_the_users_own_is_not_mixed_with_ours(tmp_path: Path, settings_from: Any) -> None:

@@ -133,6 +133,14 @@ def test_tables_of_a_newer_version_fail(settings: WorkerSettings) -> None:
     assert "revision 0099, which a newer version of Gaitway made" in check.detail
 
 
+def test_tables_of_before_the_first_release_fail(settings: WorkerSettings) -> None:
+    with engine_of(settings).begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '0001'"))
+    check = services.postgresql(settings)
+    assert (check.state, "an empty database" in check.remedy) == ("fail", True)
+    assert "revision 0001, of a version before the first release" in check.detail
+
+
 def test_a_database_that_is_away_fails_and_names_the_setting(
     settings: WorkerSettings, tmp_path: Path
 ) -> None:

@@ -260,12 +260,3 @@ def test_the_jobs_of_the_page_are_jobs() -> None:
         assert isinstance(spec, TrainSpec)
         info, _ = catalog.resolve(spec.environment.id, spec.environment.options)
         assert resolve(spec.algorithm, info, "cpu").algorithm() == "q_learning"
-
-
-def test_the_names_of_version_0_1_are_still_accepted() -> None:
-    new = {"state_discretizer": {"kind": "arm_role"}, "action_set": {"kind": "arm_roles"}}
-    old = {"indexer": new["state_discretizer"], "mapper": new["action_set"]}
-    assert QLearningSpec.model_validate(old) == QLearningSpec.model_validate(new)
-    assert QLearningSpec.model_validate(old).model_dump(exclude_unset=True) == new
-    with pytest.raises(ValidationError, match="indexer"):
-        QLearningSpec.model_validate(new | old)

@@ -1,10 +1,10 @@
-"""The first tables."""
+"""The tables of release 0.2."""
 
 import sqlalchemy as sa
 from alembic import op
 from sqlalchemy.dialects import postgresql
 
-revision = "0001"
+revision = "0006"
 down_revision = None
 
 
@@ -44,43 +44,40 @@ def upgrade() -> None:
         sa.Column("num_logs", sa.BigInteger(), server_default="0", nullable=False),
         sa.Column("last_write", sa.Text(), nullable=True),
         sa.Column("copied_version", sa.Integer(), server_default="0", nullable=False),
+        sa.Column("imported_from", sa.Text(), nullable=True),
+        sa.Column("queue", sa.Text(), nullable=True),
         sa.PrimaryKeyConstraint("id"),
         postgresql_with={"fillfactor": "80"},
     )
-    op.create_index("jobs_by_environment", "jobs", ["environment", "id"], unique=False)
-    op.create_index("jobs_by_kind", "jobs", ["kind", "id"], unique=False)
+    op.create_index("jobs_by_environment", "jobs", ["environment", "id"])
+    op.create_index("jobs_by_kind", "jobs", ["kind", "id"])
     op.create_index(
         "jobs_by_label",
         "jobs",
         ["labels"],
-        unique=False,
         postgresql_using="gin",
         postgresql_ops={"labels": "jsonb_path_ops"},
     )
-    op.create_index(
-        "jobs_by_name", "jobs", ["name", "id"], unique=False, postgresql_where=sa.text("name IS NOT NULL")
-    )
-    op.create_index("jobs_by_state", "jobs", ["status", "kind", "environment", "id"], unique=False)
-    op.create_index("jobs_by_status", "jobs", ["status", "id"], unique=False)
+    op.create_index("jobs_by_name", "jobs", ["name", "id"], postgresql_where=sa.text("name IS NOT NULL"))
+    op.create_index("jobs_by_state", "jobs", ["status", "kind", "environment", "id"])
+    op.create_index("jobs_by_status", "jobs", ["status", "id"])
     op.create_index(
         "jobs_by_source",
         "jobs",
         ["source"],
-        unique=False,
         postgresql_where=sa.text("status IN ('queued', 'starting', 'running', 'cancelling')"),
     )
+    op.create_index("jobs_queued", "jobs", ["queue", "id"], postgresql_where=sa.text("status = 'queued'"))
     op.create_index(
         "jobs_to_copy",
         "jobs",
         ["id"],
-        unique=False,
         postgresql_where=sa.text("copied_version <> version AND num_attempts > 0"),
     )
     op.create_index(
         "jobs_unfinished",
         "jobs",
         ["id"],
-        unique=False,
         postgresql_where=sa.text("status IN ('queued', 'starting', 'running', 'cancelling')"),
     )
     op.create_table(
@@ -93,9 +90,11 @@ def upgrade() -> None:
         sa.Column("description", sa.Text(), nullable=True),
         sa.Column("message", sa.Text(), nullable=True),
         sa.Column("refused_at", postgresql.TIMESTAMP(timezone=True), nullable=True),
+        sa.Column("name", sa.Text(), nullable=True),
         sa.PrimaryKeyConstraint("id"),
     )
-    op.create_index("models_by_status", "models", ["status"], unique=False)
+    op.create_index("models_by_status", "models", ["status"])
+    op.create_index("models_by_name", "models", ["name"], postgresql_where=sa.text("name IS NOT NULL"))
     op.create_table(
         "pulse",
         sa.Column("id", sa.Integer(), nullable=False),
@@ -163,6 +162,12 @@ def upgrade() -> None:
         sa.Column("kind", sa.Text(), nullable=False),
         sa.Column("time", postgresql.TIMESTAMP(timezone=True), nullable=False),
         sa.Column("data", sa.Text(), nullable=False),
+        sa.Column(
+            "stored_at",
+            postgresql.TIMESTAMP(timezone=True),
+            server_default=sa.func.clock_timestamp(),
+            nullable=False,
+        ),
         sa.ForeignKeyConstraint(["job_id"], ["jobs.id"], ondelete="CASCADE"),
         sa.PrimaryKeyConstraint("job_id", "channel", "number"),
     )
@@ -175,11 +180,55 @@ def upgrade() -> None:
         sa.ForeignKeyConstraint(["job_id"], ["jobs.id"], ondelete="CASCADE"),
         sa.PrimaryKeyConstraint("key_hash"),
     )
-    op.create_index("idempotency_keys_by_end", "idempotency_keys", ["forgotten_at"], unique=False)
-    op.create_index("idempotency_keys_by_job", "idempotency_keys", ["job_id"], unique=False)
+    op.create_index("idempotency_keys_by_end", "idempotency_keys", ["forgotten_at"])
+    op.create_index("idempotency_keys_by_job", "idempotency_keys", ["job_id"])
+    op.create_table(
+        "sweeps",
+        sa.Column("id", sa.String(collation="C"), nullable=False),
+        sa.Column("version", sa.Integer(), nullable=False),
+        sa.Column("status", sa.Text(), nullable=False),
+        sa.Column("spec", sa.Text(), nullable=False),
+        sa.Column("message", sa.Text(), nullable=True),
+        sa.Column("created_at", postgresql.TIMESTAMP(timezone=True), nullable=False),
+        sa.Column("finished_at", postgresql.TIMESTAMP(timezone=True), nullable=True),
+        sa.Column("found", sa.Text(), server_default="{}", nullable=False),
+        sa.Column("key_hash", sa.Text(), nullable=True),
+        sa.Column("fingerprint", sa.Text(), nullable=True),
+        sa.PrimaryKeyConstraint("id"),
+        sa.UniqueConstraint("key_hash"),
+    )
+    op.create_index(
+        "sweeps_active",
+        "sweeps",
+        ["id"],
+        postgresql_where=sa.text("status IN ('running', 'cancelling')"),
+    )
+    op.create_table(
+        "trials",
+        sa.Column("sweep_id", sa.String(collation="C"), nullable=False),
+        sa.Column("number", sa.Integer(), nullable=False),
+        sa.Column("job_id", sa.String(collation="C"), nullable=True),
+        sa.Column("outcome", sa.Text(), nullable=True),
+        sa.Column("created_at", postgresql.TIMESTAMP(timezone=True), nullable=False),
+        sa.Column("said", sa.Text(), nullable=False),
+        sa.ForeignKeyConstraint(["job_id"], ["jobs.id"], ondelete="SET NULL"),
+        sa.ForeignKeyConstraint(["sweep_id"], ["sweeps.id"], ondelete="CASCADE"),
+        sa.PrimaryKeyConstraint("sweep_id", "number"),
+    )
+    op.create_index("trials_by_job", "trials", ["job_id"])
+    op.create_index("trials_going", "trials", ["sweep_id"], postgresql_where=sa.text("outcome IS NULL"))
+    op.create_table(
+        "deletions",
+        sa.Column("job_id", sa.String(collation="C"), nullable=False),
+        sa.Column("begun_at", postgresql.TIMESTAMP(timezone=True), nullable=False),
+        sa.PrimaryKeyConstraint("job_id"),
+    )
 
 
 def downgrade() -> None:
+    op.drop_table("deletions")
+    op.drop_table("trials")
+    op.drop_table("sweeps")
     op.drop_table("idempotency_keys")
     op.drop_table("entries")
     op.drop_table("chunks")
